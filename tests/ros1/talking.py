@@ -1,12 +1,18 @@
 #!/usr/bin/python3
-"""Nodes that tests run, by the Python that has rospy: `talking.py talker|shouter|mute`."""
+"""Nodes that tests run, by the Python that has rospy: `talking.py NODE`."""
 
 from __future__ import annotations
 
 import sys
+import time
 
 import rospy
+from geometry_msgs.msg import PointStamped
+from roscpp.msg import Logger
+from roscpp.srv import GetLoggers, GetLoggersResponse
 from std_msgs.msg import String
+
+TICKS_PER_S = 100
 
 
 def talker() -> None:
@@ -27,9 +33,44 @@ def shouter() -> None:
     rospy.spin()
 
 
+def clock() -> None:
+    """Numbers the hundredths of a second, each with its time: all clocks tell the same."""
+    rospy.init_node("clock")
+    ticks = rospy.Publisher("ticks", PointStamped, queue_size=1000)
+    number = int(time.time() * TICKS_PER_S)
+    while not rospy.is_shutdown():
+        number += 1
+        time.sleep(max(0.0, number / TICKS_PER_S - time.time()))
+        tick = PointStamped()
+        tick.header.stamp = rospy.Time(number // TICKS_PER_S, number % TICKS_PER_S * (10**9 // TICKS_PER_S))
+        tick.point.x = number
+        ticks.publish(tick)
+
+
+def oracle() -> None:
+    """Answers with its name, `~called`."""
+    rospy.init_node("oracle")
+    answer = GetLoggersResponse([Logger(rospy.get_param("~called"), "info")])
+    rospy.Service("~ask", GetLoggers, lambda _: answer)
+    rospy.spin()
+
+
+def asker() -> None:
+    """Asks again and again, and says who has answered."""
+    rospy.init_node("asker")
+    ask = rospy.ServiceProxy("oracle", GetLoggers)
+    answers = rospy.Publisher("answers", String, queue_size=100)
+    while not rospy.is_shutdown():
+        try:
+            answers.publish(ask().loggers[0].name)
+        except rospy.ServiceException:
+            answers.publish("nobody")
+        rospy.sleep(0.02)
+
+
 def mute() -> None:
     sys.exit("has no voice")
 
 
 if __name__ == "__main__":
-    {"talker": talker, "shouter": shouter, "mute": mute}[sys.argv[1]]()
+    {each.__name__: each for each in (talker, shouter, clock, oracle, asker, mute)}[sys.argv[1]]()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 import socket
-import struct
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -60,14 +59,22 @@ def published_topics() -> set[str]:
     return {topic for topic, _ in publishers}
 
 
+def pid_of(node: str) -> int:
+    """The process of a node; 0 if it does not answer."""
+    with suppress(SilentError):
+        address = str(asked(peer(os.environ["ROS_MASTER_URI"]), "/test", "lookupNode", node))
+        return int(asked(peer(address), "/test", "getPid"))
+    return 0
+
+
 @contextmanager
-def listening(topic: str) -> Iterator[Iterator[str]]:
-    """The texts that come on a topic of `std_msgs/String`, once it is published."""
-    master = peer(os.environ["ROS_MASTER_URI"])
+def messages(topic: str) -> Iterator[Iterator[bytes]]:
+    """The messages that come on a topic, without their lengths, once it is published."""
     found: list[socket.socket] = []
 
     def connects() -> bool:
         with suppress(SilentError, OSError):
+            master = peer(os.environ["ROS_MASTER_URI"])
             publishers, _, _ = asked(master, "/test", "getSystemState")
             node = dict(publishers).get(topic, [None])[0]
             if node is not None:
@@ -76,13 +83,18 @@ def listening(topic: str) -> Iterator[Iterator[str]]:
 
     eventually(connects)
     with found[0]:
-        yield _texts(found[0])
+        yield _messages(found[0])
 
 
-def _texts(end: socket.socket) -> Iterator[str]:
+def _messages(end: socket.socket) -> Iterator[bytes]:
     reader = MessageReader(end)
     end.settimeout(PATIENCE_S)
     while not reader.has_ended:
-        for message in reader.read():
-            (size,) = struct.unpack_from("<4xI", message)
-            yield bytes(message[8 : 8 + size]).decode()
+        yield from (bytes(message[4:]) for message in reader.read())
+
+
+@contextmanager
+def listening(topic: str) -> Iterator[Iterator[str]]:
+    """The texts that come on a topic of `std_msgs/String`, once it is published."""
+    with messages(topic) as received:
+        yield (message[4:].decode() for message in received)

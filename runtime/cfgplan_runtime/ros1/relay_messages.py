@@ -15,7 +15,6 @@ from cfgplan_runtime.children.messages import (
     Lost,
     OpenOutlet,
     PortCounts,
-    Ready,
     Switched,
     SwitchNow,
 )
@@ -33,7 +32,7 @@ class Lead(msgspec.Struct, tag=True):
     """Lead what is published on `source` to an inlet, as its source or its standby: it comes out on `target`.
 
     `unit` is whose inlet it is, "" for a topic's outlet, which has the topic's name. Of several publishers only those
-    of `publisher` count, if that is given.
+    of `publisher` count, if that is given. With `is_service`, both are services.
     """
 
     wire: int
@@ -43,6 +42,7 @@ class Lead(msgspec.Struct, tag=True):
     target: str
     queue: int
     publisher: str | None = None
+    is_service: bool = False
 
 
 class CloseInlets(msgspec.Struct, tag=True):
@@ -59,6 +59,12 @@ class Passed(msgspec.Struct, tag=True):
     flows: dict[str, Flow]
 
 
+class Listening(msgspec.Struct, tag=True):
+    """The relay is there: its address as a node."""
+
+    address: str
+
+
 class Refused(msgspec.Struct, tag=True):
     """A node does not get what it asked the relay for, or the relay not what it asked a node for."""
 
@@ -67,4 +73,4 @@ class Refused(msgspec.Struct, tag=True):
 
 
 ToTopicRelay: TypeAlias = Lead | Cut | End | SwitchNow | OpenOutlet | CloseOutlet | CloseInlets | Finish
-FromTopicRelay: TypeAlias = Ready | Switched | Lost | Passed | Refused
+FromTopicRelay: TypeAlias = Listening | Switched | Lost | Passed | Refused

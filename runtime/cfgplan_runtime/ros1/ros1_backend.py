@@ -29,7 +29,7 @@ from cfgplan_runtime.processes.child_process import cpu_us, end_of_process, memo
 from cfgplan_runtime.ros1.node_process import NodeProcess
 from cfgplan_runtime.ros1.node_watch import NodeWatch
 from cfgplan_runtime.ros1.relay_link import RelayLink
-from cfgplan_runtime.ros1.relay_messages import CloseInlets, Lead, Passed, Refused, RelayOrder, ToTopicRelay
+from cfgplan_runtime.ros1.relay_messages import CloseInlets, Lead, Listening, Passed, Refused, RelayOrder, ToTopicRelay
 from cfgplan_runtime.ros1.ros_master import RosMaster, forget_node
 from cfgplan_runtime.ros1.ros_unit import RosUnit, graph_word, node_source
 from cfgplan_runtime.streams.channel import Bell
@@ -94,10 +94,13 @@ class Ros1Backend:
         self._topics: list[str] = []
         self._passed = Passed({}, {}, {})
         self._relay: RelayLink | None = None
+        self._relay_node = f"/cfgplan_relay_{self.id}"
+        self._relay_address = ""
         self._relay_losses = 0
         self._relay_due_s: float | None = None
         """When the relay is to be made anew; None if there is one."""
         self._to_master = ThreadPoolExecutor(1, "to-master")
+        self._watch_master()
         self._start_relay()
 
     @property
@@ -173,7 +176,8 @@ class Ros1Backend:
         target = inlet.port if consumer is None else consumer.ros.listens_at(inlet.input)
         publisher = producer.ros.name if producer.ros.is_foreign else None
         source = producer.ros.publishes_at(stream.port)
-        lead = Lead(wire, inlet.unit, str(inlet), source, target, queue, publisher)
+        is_service = consumer is not None and consumer.ros.transformation.input[inlet.input].service
+        lead = Lead(wire, inlet.unit, str(inlet), source, target, queue, publisher, is_service)
         self._leads[wire] = inlet, lead
         self._tell(lead)
 
@@ -195,6 +199,8 @@ class Ros1Backend:
     def close_outlet(self, topic: str) -> None:
         self._topics.remove(topic)
         self._tell(CloseOutlet(topic))
+        with suppress(SilentError):  # who asks for topics from now on does not find it
+            self.master.ask_as(self._relay_node, "unregisterPublisher", topic, self._relay_address)
 
     def renew(self, helper: str) -> None:  # noqa: ARG002
         self._lose_relay()
@@ -336,6 +342,22 @@ class Ros1Backend:
         self._tell(CloseInlets(node.unit))
         self._events.append(UnitStopped(node.unit) if node.is_stopping else UnitDied(node.unit, cause or ""))
 
+    def _watch_master(self) -> None:
+        if self.master.ended is not None:
+            self._selector.register(self.master.ended, selectors.EVENT_READ, self._lose_master)
+
+    def _lose_master(self) -> None:
+        """Start this run's own master anew, and with it all that it knew: nodes tell of themselves only once."""
+        assert self.master.ended is not None
+        self._selector.unregister(self.master.ended)
+        for node in list(self._nodes.values()):
+            if node.process is not None:
+                node.process.kill()
+            self._bury(node, "is ended, since the ROS master has died, to which it tells of itself only once")
+        self._lose_relay()
+        self.master.restart()
+        self._watch_master()
+
     # The relay.
 
     def _tell(self, message: ToTopicRelay) -> None:
@@ -345,7 +367,7 @@ class Ros1Backend:
 
     def _start_relay(self) -> None:
         self._relay_due_s = None
-        order = RelayOrder(f"/cfgplan_relay_{self.id}", self.master.address, self.master.host)
+        order = RelayOrder(self._relay_node, self.master.address, self.master.host)
         relay = self._relay = RelayLink(order)
         self._selector.register(relay.control.socket, selectors.EVENT_READ, lambda: self._hear_relay(relay))
         self._events.append(HelperAlive(_RELAY_HELPER, _RELAY_START_S))
@@ -360,6 +382,8 @@ class Ros1Backend:
     def _hear_relay(self, relay: RelayLink) -> None:
         for message in relay.hear():
             match message:
+                case Listening(address):
+                    self._relay_address = address
                 case Switched(_, wire):
                     self._note_switch(wire)
                 case Lost(_, wire) if wire in self._leads:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import select
 import shutil
 import socket
 import subprocess
@@ -41,12 +42,11 @@ class RosMaster:
         self._peer = peer(self.address)
         place = urlparse(self.address)
         self.is_local = place.hostname in ("localhost", "127.0.0.1", "::1", socket.gethostname())
+        self._port = place.port or 11311
+        self.ended: int | None = None
+        """Can be read once the run's own master has ended; None if it has none."""
         if not self.answers():
-            self._start(place.port or 11311)
-
-    @property
-    def is_own(self) -> bool:
-        return self._process is not None
+            self._start()
 
     @property
     def host(self) -> str:
@@ -73,6 +73,10 @@ class RosMaster:
         """What it answers. Raises SilentError."""
         return asked(self._peer, _CALLED_BY, method, *arguments)
 
+    def ask_as(self, node: str, method: str, *arguments: object) -> None:
+        """Tell it something in a node's name. Raises SilentError."""
+        asked(self._peer, node, method, *arguments)
+
     def ask_node(self, node: str, method: str) -> Any:
         """What a node that the master knows answers. Raises SilentError."""
         return asked(peer(str(self.ask("lookupNode", node))), _CALLED_BY, method)
@@ -84,27 +88,35 @@ class RosMaster:
         for name, value in parameters.items():
             self.ask("setParam", name, value)
 
+    def restart(self) -> None:
+        """Start this run's own master anew, with nothing in it."""
+        self.close()
+        self._start()
+
     def close(self) -> None:
         """End the master, if it is this run's own."""
-        if self._process is not None:
+        if self._process is not None and self.ended is not None:
             self._process.kill()
             self._process.wait()
+            os.close(self.ended)
+            self._process = self.ended = None
 
-    def _start(self, port: int) -> None:
+    def _start(self) -> None:
         program = shutil.which("rosmaster")
         if program is None or not self.is_local:
             mend = (
                 "name one that runs in ROS_MASTER_URI, or install one (Debian, Ubuntu: apt install python3-rosmaster)"
             )
             raise InputError.of(f"no ROS 1 master answers at {self.address}", mend=mend)
-        command = with_parent([program, "--core", "-p", str(port)])
+        command = with_parent([program, "--core", "-p", str(self._port)])
         null = subprocess.DEVNULL
         self._process = subprocess.Popen(
             command, stdin=null, stdout=null, stderr=null, env=self.environment, start_new_session=True
         )
+        self.ended = os.pidfd_open(self._process.pid)
         until = time.monotonic() + _MASTER_START_S
         while not self.answers():
-            if self._process.poll() is not None or time.monotonic() > until:
+            if select.select([self.ended], [], [], 0)[0] or time.monotonic() > until:
                 self.close()
                 raise RuntimeFaultError(f"{program} does not start at {self.address}")
             time.sleep(_MASTER_LOOK_S)

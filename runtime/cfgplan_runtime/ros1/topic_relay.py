@@ -32,7 +32,6 @@ from cfgplan_runtime.children.messages import (
     Lost,
     OpenOutlet,
     PortCounts,
-    Ready,
     Switched,
     SwitchNow,
 )
@@ -43,11 +42,13 @@ from cfgplan_runtime.ros1.relay_messages import (
     CloseInlets,
     FromTopicRelay,
     Lead,
+    Listening,
     Passed,
     Refused,
     RelayOrder,
     ToTopicRelay,
 )
+from cfgplan_runtime.ros1.service_relay import ServiceRelay
 from cfgplan_runtime.ros1.tcpros import Framed, Header, MessageReader, MessageWriter, read_header, subscribed
 from cfgplan_runtime.streams.channel import Bell
 from cfgplan_runtime.streams.element import Element, Moment
@@ -133,9 +134,13 @@ class TopicRelay:
         self._bell = Bell()
         self._is_finishing = False
         self._selector = selectors.DefaultSelector()
+        self._services: dict[str, Lead] = {}
+        """By service that the relay offers: the first order to do so."""
+        self._service_relay = ServiceRelay(order.master, order.node)
         self._listener = socket.create_server((order.host, 0), backlog=64)
         self._listener.setblocking(False)
-        self._api = RelayApi(self, order.master, order.host, self._listener.getsockname()[1])
+        self._host, self._port = order.host, self._listener.getsockname()[1]
+        self._api = RelayApi(self, order.master, self._host, self._port)
         self._to_master = ThreadPoolExecutor(1, "to-master")
         """What the master is told, in order."""
         self._selector.register(control.socket, selectors.EVENT_READ, self._hear)
@@ -144,7 +149,7 @@ class TopicRelay:
 
     def run(self) -> None:
         """Relay until told to finish, or until the run is gone."""
-        self._say(Ready(time.process_time_ns()))
+        self._say(Listening(self._api.address))
         due = time.monotonic()
         while not self._control.has_ended and not self._is_finishing:
             for key, _ in self._selector.select(max(0.0, due - time.monotonic())):
@@ -167,13 +172,16 @@ class TopicRelay:
         return {one.topic: "*" if one.header is None else one.header["type"] for one in known}
 
     def note_publishers(self, topic: str, addresses: list[str]) -> None:
-        """Connect to the publishers of a topic that are new. Waits for the master."""
+        """Connect to these publishers of a topic, and to no others. Waits for the master."""
+        self._note_publishers(topic, addresses, adds=False)
+
+    def _note_publishers(self, topic: str, addresses: list[str], *, adds: bool) -> None:
         for source in [source for source in list(self._sources.values()) if source.topic == topic]:
             wanted = set(addresses)
             if source.publisher is not None:
                 with suppress(SilentError):
                     wanted &= {str(asked(peer(self._master), self._node, "lookupNode", source.publisher))}
-            self._post(partial(self._want, source, wanted))
+            self._post(partial(self._want, source, wanted, adds=adds))
 
     def finish(self) -> None:
         self._is_finishing = True
@@ -205,11 +213,30 @@ class TopicRelay:
                 case CloseInlets(unit):
                     for name in [name for name, inlet in self._inlets.items() if inlet.unit == unit]:
                         self._close_inlet(name)
+                    for target in [target for target, order in self._services.items() if order.unit == unit]:
+                        self._close_service(target)
                 case Finish():
                     self._is_finishing = True
         self._watch_control()
 
+    def _lead_service(self, order: Lead) -> None:
+        inlet = self._services.setdefault(order.target, order)
+        if inlet is order:
+            place = f"rosrpc://{self._host}:{self._port}"
+            self._to_master.submit(self._ask_master, "registerService", order.target, place, self._api.address)
+        self._service_relay.lead(order.wire, order.source, order.target)
+        self._say(Switched(order.inlet, order.wire))
+
+    def _close_service(self, target: str) -> None:
+        del self._services[target]
+        self._service_relay.close(target)
+        place = f"rosrpc://{self._host}:{self._port}"
+        self._to_master.submit(self._ask_master, "unregisterService", target, place)
+
     def _lead(self, order: Lead) -> None:
+        if order.is_service:
+            self._lead_service(order)
+            return
         if order.inlet not in self._inlets:
             publication = self._publications.setdefault(order.target, _Publication(order.target, order.queue))
             queue = InputQueue(order.queue)
@@ -226,6 +253,9 @@ class TopicRelay:
     def _end(self, wire: int, *, drains: bool) -> None:
         found = next((source for source in self._sources.values() if wire in source.wires), None)
         if found is None:
+            unserved = self._service_relay.end(wire)
+            if unserved is not None and drains:
+                self._say(Lost(self._services[unserved].inlet, wire))
             return
         if drains:
             for address, reader in list(found.readers.items()):
@@ -267,10 +297,12 @@ class TopicRelay:
 
     # What comes from nodes.
 
-    def _want(self, source: _SourceTopic, addresses: set[str]) -> None:
-        """Connect to these publishers of a source, and to no others."""
+    def _want(self, source: _SourceTopic, addresses: set[str], *, adds: bool) -> None:
+        """Connect to these publishers of a source. With `adds`, which is older news, no other is given up for that."""
         if self._sources.get((source.topic, source.publisher)) is not source:
             return
+        if adds:
+            addresses |= source.wanted
         source.wanted, new = addresses, addresses - source.wanted
         for address in [address for address in source.readers if address not in addresses]:
             self._read(source, address, source.readers[address])
@@ -377,9 +409,13 @@ class TopicRelay:
             threading.Thread(target=self._greet, args=(end,), daemon=True).start()
 
     def _greet(self, end: socket.socket) -> None:
-        """Agree with a subscriber on a topic and its type. Works in a thread of its own."""
+        """Agree with a subscriber on a topic and its type, or pass calls of a service on. Works in its own thread."""
         try:
             asks = read_header(end)
+            if "service" in asks:
+                self._service_relay.forward(end, asks)
+                end.close()
+                return
             publication = self._publications.get(asks.get("topic", ""))
             header = None if publication is None else publication.header
             if publication is None or header is None:
@@ -443,7 +479,7 @@ class TopicRelay:
         while any(one.topic == topic for one in list(self._sources.values())):
             publishers = self._ask_master("registerSubscriber", topic, "*", self._api.address)
             if publishers is not None:
-                self.note_publishers(topic, publishers)
+                self._note_publishers(topic, publishers, adds=True)
                 return
             time.sleep(again_s)
             again_s = min(2 * again_s, _MOST_CONNECT_AGAIN_S)

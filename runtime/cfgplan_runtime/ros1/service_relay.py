@@ -1,0 +1,76 @@
+"""The relay's part for services of ROS 1: who calls one is passed on to the node that offers it, call for call."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections import defaultdict
+from contextlib import suppress
+from urllib.parse import urlparse
+
+from cfgplan.ros.node_api import ANSWER_LIMIT_S, SilentError, asked, header_of, peer
+from cfgplan_runtime.ros1.tcpros import Header
+
+_PIECE_BYTES = 1 << 16
+
+
+class ServiceRelay:
+    """By the service's name that callers know: the wire and the service that calls go to. Thread-safe."""
+
+    def __init__(self, master: str, node: str) -> None:
+        self._master, self._node = master, node
+        self._led: dict[str, tuple[int, str]] = {}
+        self._open: dict[str, set[socket.socket]] = defaultdict(set)
+
+    def lead(self, wire: int, source: str, target: str) -> None:
+        """Have calls of `target` go to `source` from now on. Who keeps a connection has to call anew."""
+        self._led[target] = wire, source
+        self._hang_up(target)
+
+    def end(self, wire: int) -> str | None:
+        """Have no more calls go by a wire. Returns the service that nobody offers now; None if there is none."""
+        for target, (led, _) in self._led.items():
+            if led == wire:
+                self.close(target)
+                return target
+        return None
+
+    def close(self, target: str) -> None:
+        """Offer a service no more."""
+        self._led.pop(target, None)
+        self._hang_up(target)
+
+    def forward(self, caller: socket.socket, asks: Header) -> None:
+        """Pass on what a connection carries until it ends. Raises SilentError or OSError if nobody offers it."""
+        target = asks["service"]
+        if target not in self._led:
+            raise SilentError(f"{target} is not offered now")
+        _, source = self._led[target]
+        place = urlparse(str(asked(peer(self._master), self._node, "lookupService", source)))
+        with socket.create_connection((place.hostname or "", place.port or 0), ANSWER_LIMIT_S) as server:
+            server.sendall(header_of({**asks, "service": source}))
+            ends = {caller, server}
+            self._open[target] |= ends
+            for end in ends:
+                end.settimeout(None)
+                end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            back = threading.Thread(target=_pass_on, args=(server, caller), daemon=True)
+            back.start()
+            _pass_on(caller, server)
+            back.join()
+            self._open[target] -= ends
+
+    def _hang_up(self, target: str) -> None:
+        for end in list(self._open[target]):
+            with suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
+
+
+def _pass_on(source: socket.socket, target: socket.socket) -> None:
+    """Pass on what comes until it ends, then its end too."""
+    with suppress(OSError):
+        while piece := source.recv(_PIECE_BYTES):
+            target.sendall(piece)
+    for end in (source, target):
+        with suppress(OSError):
+            end.shutdown(socket.SHUT_RDWR)

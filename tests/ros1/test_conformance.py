@@ -1,0 +1,58 @@
+"""Nodes of ROS 1 keep what a middleware promises."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+from cfgplan_runtime import Runtime
+from cfgplan_runtime.ros1.ros1_backend import Ros1Backend
+from cfgplan_runtime.testing import Bench, check_middleware
+from words import NODES, published_topics
+
+from cfgplan.domain import InputPort, OutputPort, Transformation
+from cfgplan.ros.node_api import SilentError, asked, peer
+
+TALKER = Transformation(
+    "talker",
+    (),
+    (OutputPort("words", "Word", remap="chatter"),),
+    source="node:./talking.py talker",
+    params={"rate": 100},
+)
+SHOUTER = Transformation(
+    "shouter",
+    (InputPort("quiet", "Word"),),
+    (OutputPort("loud", "LoudWord", remap="~loud"),),
+    source="node:./talking.py shouter",
+)
+MUTE = Transformation("mute", SHOUTER.inputs, SHOUTER.outputs, source="node:./talking.py mute")
+
+
+def answering_units() -> set[str]:
+    """The units whose nodes answer, whatever the run believes."""
+    master, found = peer(os.environ["ROS_MASTER_URI"]), set()
+    for label in ("talker", "shouter", "mute"):
+        for number in (1, 2):
+            with suppress(SilentError):
+                node = peer(str(asked(master, "/test", "lookupNode", f"/{label}_{number}")))
+                asked(node, "/test", "getPid")
+                found.add(f"{label}.{number}")
+    return found
+
+
+@contextmanager
+def bench() -> Iterator[Bench]:
+    with Runtime(backend=lambda: Ros1Backend(folder=NODES.parent)) as runtime:
+
+        def crash(unit: str) -> None:
+            os.kill(runtime.pid(unit) or 0, signal.SIGKILL)
+
+        yield Bench(runtime, TALKER, SHOUTER, MUTE, crash, answering_units, published_topics, time.sleep)
+
+
+def test_conformance() -> None:
+    check_middleware(bench)
