@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from cfgplan.costs import seconds
-from cfgplan.domain import ALL, ChangeSet, ComputationUnit, Environment, Host, Stream, Target
+from cfgplan.domain import ALL, ChangeSet, ComputationUnit, Environment, Host, Stream, Target, amount_of
 from cfgplan.figures import qualities_of_targets
-from cfgplan.qualities import QualityAttribute
+from cfgplan.qualities import MICRO, QualityAttribute
 from cfgplan.qualities import units as units_of
 
 _SPECIAL_IN_MERMAID = '"#<>&%$`\\'
@@ -221,9 +221,13 @@ def _unit_lines(after: Environment, unit: ComputationUnit) -> tuple[str, ...]:
 
 
 def _host_words(host: Host) -> str:
-    """The labels and the rent of a host: ` (robot, spot), rent 0.5 s/s`."""
+    """What is special about a host: ` (robot, spot), rent 0.5 s/s, speed 0.5, 1 gpu, energy 36000 W s`."""
     labels = f" ({', '.join(host.labels)})" if host.labels else ""
-    return labels + (f", rent {seconds(host.rent_us):f} s/s" if host.rent_us else "")
+    words = [f"rent {seconds(host.rent_us):f} s/s"] if host.rent_us else []
+    words += [f"speed {units_of(host.speed):f}"] if host.speed != MICRO else []
+    words += [amount_of(resource, amount) for resource, amount in host.offers.items() if amount]
+    words += [f"energy {host.energy} W s"] if host.energy is not None else []
+    return labels + "".join(f", {word}" for word in words)
 
 
 def _quality_line(attribute: QualityAttribute, value: int) -> str:

@@ -8,20 +8,24 @@ from types import MappingProxyType
 from typing import Any, Final, TypeVar
 
 from cfgplan.domain import Environment
+from cfgplan.planning import Problem
 
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, order=True)
 class Limit:
-    """A word of the environment file that can only forbid plans: a `key` of a part, by its kind and name."""
+    """A word of the environment file that can only forbid plans: a `key` of a part, by its kind and name.
+
+    The environment itself has no name.
+    """
 
     kind: str
     name: str
     key: str
 
     def __str__(self) -> str:
-        return f"`{self.key}` of {self.kind} {self.name}"
+        return f"`{self.key}` of {self.kind} {self.name}".rstrip()
 
 
 _LIFTED: Final[Mapping[str, Mapping[str, tuple[str, object]]]] = MappingProxyType(
@@ -42,13 +46,14 @@ _LIFTED: Final[Mapping[str, Mapping[str, tuple[str, object]]]] = MappingProxyTyp
         "host": {"cpu": ("cpu_us", None), "memory": ("memory_mb", None), "energy": ("energy", None)},
         "link": {"bandwidth": ("bandwidth", None)},
         "target": {"quality": ("quality", ())},
+        "the environment": {"survive": ("survive", None)},
     }
 )
 """By kind of part and key: the attribute, and its value where the limit is lifted."""
 
 
-def limits_of(environment: Environment) -> list[Limit]:
-    """All limits that an environment sets, in order."""
+def limits_of(problem: Problem) -> list[Limit]:
+    """All limits that a problem sets, in order."""
     found: list[Limit] = []
 
     def note(kind: str, name: str, part: T) -> T:
@@ -56,29 +61,29 @@ def limits_of(environment: Environment) -> list[Limit]:
         found.extend(Limit(kind, name, key) for key in said)
         return part
 
-    _changed(environment, note)
+    _changed(problem, note)
     return sorted(found)
 
 
-def without_limits(environment: Environment, limits: Collection[Limit]) -> Environment:
-    """The environment with some of its limits lifted."""
+def without_limits(problem: Problem, limits: Collection[Limit]) -> Problem:
+    """The problem with some of its limits lifted."""
 
     def lift(kind: str, name: str, part: Any) -> Any:
         lifted = {of: value for key, (of, value) in _LIFTED[kind].items() if Limit(kind, name, key) in limits}
         return replace(part, **lifted) if lifted else part
 
-    return _changed(environment, lift)
+    return _changed(problem, lift)
 
 
-def in_the_way(environment: Environment, is_refused: Callable[[Environment], bool]) -> tuple[Limit, ...]:
+def in_the_way(problem: Problem, is_refused: Callable[[Problem], bool]) -> tuple[Limit, ...]:
     """A minimal set of limits with which alone there is no plan; none if there is no plan without any limit.
 
-    `is_refused` is asked about few environments where the set is small (QuickXplain; Junker, AAAI 2004).
+    `is_refused` is asked about few problems where the set is small (QuickXplain; Junker, AAAI 2004).
     """
-    everything = limits_of(environment)
+    everything = limits_of(problem)
 
     def fails(kept: Sequence[Limit]) -> bool:
-        return is_refused(without_limits(environment, {*everything}.difference(kept)))
+        return is_refused(without_limits(problem, {*everything}.difference(kept)))
 
     def least(kept: list[Limit], is_more: bool, ahead: list[Limit]) -> list[Limit]:
         """The limits in `ahead` that a minimal set has beside `kept`, to which `is_more` was added since `fails`."""
@@ -93,8 +98,13 @@ def in_the_way(environment: Environment, is_refused: Callable[[Environment], boo
     return tuple(sorted(least([], True, everything))) if everything and fails(everything) else ()
 
 
-def _changed(environment: Environment, change: Callable[[str, str, Any], Any]) -> Environment:
-    """The environment with each part that may set limits changed, by its kind and name."""
+def _changed(problem: Problem, change: Callable[[str, str, Any], Any]) -> Problem:
+    """The problem with each part that may set limits changed, by its kind and name."""
+    problem = change("the environment", "", problem)
+    return replace(problem, environment=_with_parts_changed(problem.environment, change))
+
+
+def _with_parts_changed(environment: Environment, change: Callable[[str, str, Any], Any]) -> Environment:
     library = (
         replace(
             t,

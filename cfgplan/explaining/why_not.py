@@ -79,10 +79,7 @@ def clash(problem: Problem, planner: Planner) -> Clash | None:
         return Clash(demands, plan.bound_us if plan.cost_us is None else plan.cost_us, problem.max_cost_us)
     asked = demanding(problem, demands)
 
-    def is_refused(environment: Environment) -> bool:
-        return planner(replace(asked, environment=environment)).status in REFUSED
-
-    return Clash(demands, limits=in_the_way(asked.environment, is_refused))
+    return Clash(demands, limits=in_the_way(asked, lambda freer: planner(freer).status in REFUSED))
 
 
 def demanding(problem: Problem, demands: DemandSet) -> Problem:

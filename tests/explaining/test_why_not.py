@@ -61,11 +61,11 @@ def test_of_the_limits_those_in_the_way_are_minimal(problem: Problem) -> None:
     found = why_not(problem, cpsat)
     if found.clash is None:
         return
-    asked, everything = demanding(problem, found.clash.demands), limits_of(problem.environment)
+    asked, everything = demanding(problem, found.clash.demands), limits_of(problem)
 
     def without(*named: Limit) -> Status:
         lifted = {*everything}.difference(found.clash.limits if found.clash else ()).union(named)
-        return oracle(replace(asked, environment=without_limits(asked.environment, lifted))).status
+        return oracle(without_limits(asked, lifted)).status
 
     assert without() in REFUSED or not found.clash.limits
     assert not {without(limit) for limit in found.clash.limits} & {*REFUSED}
