@@ -55,8 +55,11 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         with screen.phase("load"):
             world = api.load(env)
         problem = shared.problem(options, screen, world)
-        with screen.phase("plan"):
-            found = [comparing.run_one(problem, planner, limits) for planner in entrants]
+        found: list[Run] = []
+        with screen.phase("plan") as work:
+            for planner in entrants:
+                work.best = f"{env}: {planner.name}, {len(found) + 1} of {len(entrants)}"
+                found.append(comparing.run_one(problem, planner, limits))
         runs += [{"environment": env, **asdict(each)} for each in found]
         contradictions += [f"{env}: {text}" for text in comparing.contradictions(found)]
         if not screen.json:

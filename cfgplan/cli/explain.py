@@ -58,8 +58,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
     task = shared.task(options, screen)
     world, planning, reasoning = task.world, task.planning, task.reasoning
-    with screen.phase("plan"):
-        problem, plan = api.solved(task.problem, **planning)
+    with task.planned(screen) as work:
+        problem, plan = api.solved(task.problem, **planning, report=work.report)
     if plan.change_set is None:
         with screen.phase("explain"):
             why = answers.why_not(world, problem, **reasoning, **planning)

@@ -34,7 +34,7 @@ def show_front(options: argparse.Namespace, screen: Screen, task: shared.Task) -
     from cfgplan import answers
 
     target, attribute = _asked(options.front, task.problem)
-    with screen.phase("plan"):
+    with task.planned(screen):
         found = answers.front(task.problem, target, attribute, **task.planning)
     if screen.json:
         screen.show_json(_plain(found))

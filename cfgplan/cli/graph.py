@@ -46,8 +46,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     code, change_set = Exit.OK, None
     if not options.running:
         task = shared.task(options, screen, world)
-        with screen.phase("plan"):
-            _, plan = api.solved(task.problem, **task.planning)
+        with task.planned(screen) as work:
+            _, plan = api.solved(task.problem, **task.planning, report=work.report)
         code, change_set = OF_STATUS[plan.status], plan.change_set
         if change_set is None:
             screen.warn(f"there is no update to draw ({plan.status}): the picture shows what runs now")

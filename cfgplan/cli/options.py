@@ -7,7 +7,8 @@ import json
 import os
 import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from decimal import Decimal, InvalidOperation
 from io import BytesIO
@@ -15,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from cfgplan.canonical import normal
-from cfgplan.cli.screen import Screen
+from cfgplan.cli.screen import Screen, ShownWork, decided_by
 from cfgplan.errors import InvalidValueError
 from cfgplan.extras import needed
 
@@ -160,6 +161,13 @@ class Task:
     """The planner, its time limit and who decides open pairs, as the API takes them."""
     reasoning: Mapping[str, Any]
     """The reasoner and its time limit, likewise."""
+
+    @contextmanager
+    def planned(self, screen: Screen) -> Iterator[ShownWork]:
+        """The phase of planning; what is shown of it tells how many pairs of tags were decided, and by whom."""
+        with screen.phase("plan") as work:
+            work.knows = lambda: decided_by(self.matches.counts)
+            yield work
 
 
 def task(options: argparse.Namespace, screen: Screen, world: api.World | None = None) -> Task:

@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Iterator
 
 from rich.text import Text
 
-from cfgplan.cli.screen import counted
+from cfgplan.cli.screen import counted, decided_by
 from cfgplan.costs import keep_cost_us, labor_us, standby_cost_us, upkeep_us
 from cfgplan.domain import CPU, MEMORY, POWER, ChangeSet, ComputationUnit, Environment, Host, Objective, Stream, Target
 from cfgplan.figures import cost_parts, link_loads, loads, qualities_of_targets, transfers
@@ -19,7 +19,6 @@ from cfgplan.summary import cpu as cpu
 _STYLE = {"+": "green", "~": "yellow", "-": "red", "=": "dim"}
 MOST_OPEN_PAIRS, MOST_NAMES = 10, 3
 """More open pairs, and more ports of one tag, are left to `--json`."""
-_DECIDED = "pairs decided by "
 _COUNTED = {
     Objective.UNITS: "running unit",
     Objective.HOSTS: "host",
@@ -193,12 +192,8 @@ def undecided_lines(problem: Problem, plan: Plan) -> Iterator[Text]:
     if plan.undecided:
         yield Text(f"If so, an update for {cpu(plan.bound_us)} may exist.", style="yellow")
     if asked := plan.counts.get("pairs asked"):
-        decided = [
-            f"{plan.counts[figure]} by {who}" for figure in plan.counts if (who := figure.partition(_DECIDED)[2])
-        ]
-        yield Text(
-            f"HermiT was asked about {counted(asked, 'pair')} of tags. Decided: {', '.join(decided)}.", style="dim"
-        )
+        pairs = counted(asked, "pair")
+        yield Text(f"HermiT was asked about {pairs} of tags. Decided: {decided_by(plan.counts)}.", style="dim")
 
 
 def why_unused(plan: Plan) -> str:

@@ -6,17 +6,18 @@ import errno
 import json
 import re
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from fractions import Fraction
 from functools import cached_property
+from threading import Event, Thread
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from cfgplan.errors import Fault
-from cfgplan.planning import Plan, PlannerFaultError
+from cfgplan.planning import Plan, PlannerFaultError, Progress
 from cfgplan.summary import counted as counted
 
 if TYPE_CHECKING:
@@ -25,6 +26,10 @@ if TYPE_CHECKING:
 OUTPUT_VERSION = 1
 FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 _WIDTH_OF_A_FILE = 1000
+_SHOWN_AFTER_S = 0.3
+_DECIDED = "pairs decided by "
+WORK_TOLD_S = 5.0
+"""Where there is no terminal, work that goes on is told of so often."""
 
 
 _ESCAPE = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)|.)")
@@ -36,6 +41,48 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else " " for c in _ESCAPE.sub("", text).expandtabs())
 
 
+class ShownWork:
+    """A part of the work that goes on: what it is, for how long, and what is known by now."""
+
+    def __init__(self, name: str) -> None:
+        self.is_told = False
+        """Whether something else tells how it goes on."""
+        self.knows: Callable[[], str] = str
+        """What is known by now, in a few words."""
+        self.best = ""
+        """The best cost, the bound and the gap, in words."""
+        self._name = name
+        self._start = perf_counter()
+
+    @property
+    def seconds(self) -> float:
+        """For how long it goes on."""
+        return perf_counter() - self._start
+
+    def report(self, progress: Progress) -> None:
+        """Take in a planner's progress."""
+        bound = f"bound {progress.bound_us / 1e6:#.4g}"
+        if progress.cost_us is None:
+            self.best = bound
+        else:
+            gap = 1 - progress.bound_us / progress.cost_us if progress.cost_us else 0.0
+            self.best = f"best {progress.cost_us / 1e6:#.4g}  {bound}  gap {100 * gap:.2g} %"
+
+    def __str__(self) -> str:
+        said = (f"{self._name} {self.seconds:.0f} s", self.best, self.knows())
+        return "  ".join(part for part in said if part)
+
+    def __rich__(self) -> str:
+        return str(self)
+
+
+def decided_by(counts: Mapping[str, int]) -> str:
+    """How many pairs of tags were decided by whom, of a plan's counts; empty where no reasoner was asked."""
+    if not counts.get("pairs asked"):
+        return ""
+    return ", ".join(f"{count} by {who}" for figure, count in counts.items() if (who := figure.partition(_DECIDED)[2]))
+
+
 class Screen:
     """Output for a terminal or, as JSON, for a program. Only terminals get colours."""
 
@@ -45,14 +92,27 @@ class Screen:
         self._is_full = False
 
     @contextmanager
-    def phase(self, name: str) -> Iterator[None]:
-        """Time a part of the work for `times`; its name is shown while it lasts."""
-        start = perf_counter()
+    def phase(self, name: str) -> Iterator[ShownWork]:
+        """Time a part of the work for `times`; it is shown while it lasts, as far as it is known."""
+        work, over = ShownWork(name), Event()
+        shown = Thread(target=self._show_work, args=(work, over), name="cfgplan-work", daemon=True)
+        shown.start()
         try:
-            with self._err.status(f"{name} ..."):
-                yield
+            yield work
         finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + perf_counter() - start
+            over.set()
+            shown.join()
+            self.seconds[name] = self.seconds.get(name, 0.0) + work.seconds
+
+    def _show_work(self, work: ShownWork, over: Event) -> None:
+        """A line that changes on a terminal, one every few seconds elsewhere; nothing of what is over soon."""
+        if not sys.stderr.isatty():
+            while not over.wait(WORK_TOLD_S):
+                if not work.is_told:
+                    self.note(str(work))
+        elif not over.wait(_SHOWN_AFTER_S) and not work.is_told:
+            with self._err.status(work):
+                over.wait()
 
     def show(self, result: RenderableType) -> None:
         """Print a result for people; long lines are left to the terminal."""

@@ -43,7 +43,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan import answers
 
     task = shared.task(options, screen)
-    with screen.phase("plan"):
+    with task.planned(screen):
         found = answers.sensitivity(task.problem, upkeep_of=options.upkeep_of, **task.planning)
     if screen.json:
         here = None if found.here is None else found.spans.index(found.here)

@@ -86,13 +86,14 @@ def _solve(options: argparse.Namespace, screen: Screen, task: shared.Task) -> Ex
     world, is_proven = task.world, True
     undecided: tuple[Pair, ...] = ()
     given_up: Collection[str] = ()
-    with screen.phase("plan"):
+    with task.planned(screen) as work:
+        work.is_told = options.progress
         if options.best_effort:
             found = answers.best_effort(task.problem, **task.planning)
             problem, plan, is_proven, undecided = found.problem, found.plan, found.exact, found.undecided
             given_up = found.given_up
         else:
-            report = shared.progress_report(screen) if options.progress else None
+            report = shared.progress_report(screen) if options.progress else work.report
             problem, plan = api.solved(task.problem, **task.planning, report=report)
     try:
         document = api.plan_text(world, problem, plan) if screen.json or options.out else ""
@@ -157,7 +158,7 @@ def _show_unjudged(screen: Screen, task: shared.Task, error: PlannerFaultError) 
 def _alternatives(options: argparse.Namespace, screen: Screen, task: shared.Task) -> Exit:
     from cfgplan import answers, api
 
-    with screen.phase("plan"):
+    with task.planned(screen):
         found = answers.alternatives(task.problem, options.alternatives, **task.planning)
     if not found.plans:
         return _solve(options, screen, task)
