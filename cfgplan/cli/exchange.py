@@ -25,7 +25,8 @@ def add_import(parser: argparse.ArgumentParser) -> None:
         metavar="PATH",
         nargs="+",
         help="xml: file or folder of them. wsc: folder of a test set. ros1: `live` (the master of ROS_MASTER_URI), "
-        "or a master's address. ros2: `live`, or a Zenoh router's endpoint; several are put together",
+        "or a master's address. ros2: `live`, or a Zenoh router's endpoint. Both: recordings (bags, MCAP); several are "
+        "put together",
     )
     parser.add_argument(
         "--objective",

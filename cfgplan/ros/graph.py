@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from operator import attrgetter
@@ -57,7 +58,8 @@ class RosNode:
 
     `package` and `executable` say how it is started, and `plugin` what a container or nodelet manager of the name
     `container` loads; each is None where no source tells it. `remappings` are full names, from the node's own to
-    those used; `parameters` are as a launch file writes them.
+    those used; `parameters` are as a launch file writes them. A `player` gives what was recorded, of which nobody knows
+    who published it.
     """
 
     name: str
@@ -69,6 +71,7 @@ class RosNode:
     arguments: tuple[str, ...] = ()
     remappings: tuple[tuple[str, str], ...] = ()
     parameters: Mapping[str, object] = field(default_factory=dict, hash=False)
+    player: bool = False
 
     def __post_init__(self) -> None:
         unique = {_port_key(port): port for port in reversed(self.ports)}
@@ -107,31 +110,75 @@ class RosGraph:
 
 
 def merged(graphs: Iterable[RosGraph]) -> RosGraph:
-    """One graph of several: nodes of one name are one node; the first source that tells how it starts is believed."""
+    """One graph of several: nodes of one name are one node; the first source that tells how it starts is believed.
+
+    A player gives what no other node publishes. Where one does, the recording tells how often, and the type if nobody
+    else does.
+    """
     graphs = list(graphs)
     nodes: dict[str, RosNode] = {}
     for node in [node for graph in graphs for node in graph.nodes]:
         nodes[node.name] = _joined(nodes[node.name], node) if node.name in nodes else node
     return RosGraph(
-        tuple(nodes.values()),
+        tuple(_with_recorded([*nodes.values()])),
         tuple(source for graph in graphs for source in graph.sources),
         tuple(dict.fromkeys(note for graph in graphs for note in graph.notes)),
     )
 
 
 def _joined(one: RosNode, other: RosNode) -> RosNode:
-    told = {port.name for port in other.ports if port.type is not None}
-    ports = [port for port in one.ports if port.type is not None or port.name not in told]
+    ports = [*one.ports]
+    for port in other.ports:
+        same = next((at for at, own in enumerate(ports) if _is_same(own, port)), None)
+        if same is None:
+            ports.append(port)
+        else:
+            ports[same] = _filled(ports[same], port)
     names = ("package", "executable", "plugin", "container")
     known = {name: getattr(one, name) or getattr(other, name) for name in names}
     return replace(
         one,
-        ports=(*ports, *other.ports),
+        ports=tuple(ports),
         arguments=one.arguments or other.arguments,
         remappings=one.remappings or other.remappings,
         parameters={**other.parameters, **one.parameters},
+        player=one.player and other.player,
         **known,
     )
+
+
+def _is_same(one: RosPort, other: RosPort) -> bool:
+    """Whether two sources tell of one port: what one of them does not know is no difference."""
+    known = ((one.type, other.type), (one.definition, other.definition))
+    return (one.role, one.name) == (other.role, other.name) and all(a == b for a, b in known if a and b)
+
+
+def _filled(one: RosPort, other: RosPort) -> RosPort:
+    """A port with what another source knows of it."""
+    names = ("type", "own", "rate_hz", "definition")
+    return replace(one, **{name: getattr(one, name) or getattr(other, name) for name in names})
+
+
+def _with_recorded(nodes: Sequence[RosNode]) -> Iterator[RosNode]:
+    """The nodes with what players know of their topics, and the players with what is left."""
+    recorded = {port.name: port for node in nodes if node.player for port in node.ports}
+    publishers = Counter(port.name for node in nodes if not node.player for port in node.ports if _publishes(port))
+    for node in nodes:
+        if not node.player:
+            ports = []
+            for port in node.ports:
+                known = recorded.get(port.name) if _publishes(port) else None
+                if known is not None and _is_same(port, known):
+                    rate_hz = known.rate_hz and known.rate_hz / publishers[port.name]
+                    port = _filled(port, replace(known, rate_hz=rate_hz, own=None))
+                ports.append(port)
+            yield replace(node, ports=tuple(ports))
+        elif left := tuple(port for port in node.ports if port.name not in publishers):
+            yield replace(node, ports=left)
+
+
+def _publishes(port: RosPort) -> bool:
+    return port.role is Role.PUBLISHES
 
 
 def resolved(name: str, namespace: str, node: str) -> str:

@@ -9,11 +9,12 @@ from pathlib import Path
 from cfgplan.errors import InputError
 from cfgplan.ros.graph import RosGraph, merged
 from cfgplan.ros.master import master_graph
+from cfgplan.ros.recordings import is_recording, recorded_graph
 from cfgplan.ros.router import router_graph
 
 LIVE = "live"
-ROS1_SOURCES = "`live`, or the address of a master such as http://localhost:11311"
-ROS2_SOURCES = "`live`, or the endpoint of a Zenoh router such as tcp/localhost:7447"
+ROS1_SOURCES = "`live`, the address of a master such as http://localhost:11311, or a bag"
+ROS2_SOURCES = "`live`, the endpoint of a Zenoh router such as tcp/localhost:7447, or a bag"
 _ENDPOINT = re.compile(r"(tcp|udp|tls|quic|ws|unixsock-stream)/\S+")
 
 
@@ -30,15 +31,18 @@ def ros2_graph(sources: Sequence[str]) -> RosGraph:
 def _ros1(source: str) -> RosGraph:
     if source == LIVE or "://" in source:
         return master_graph(None if source == LIVE else source)
-    raise _no_source(source, ROS1_SOURCES)
+    return _file(Path(source), ROS1_SOURCES)
 
 
 def _ros2(source: str) -> RosGraph:
     if source == LIVE or _ENDPOINT.fullmatch(source):
         return router_graph(None if source == LIVE else source)
-    raise _no_source(source, ROS2_SOURCES)
+    return _file(Path(source), ROS2_SOURCES)
 
 
-def _no_source(source: str, sources: str) -> InputError:
-    what = "this is no source of a graph" if Path(source).exists() else "there is no such file"
-    return InputError.of(what, file=source, mend=f"name {sources}")
+def _file(path: Path, sources: str) -> RosGraph:
+    if not path.exists():
+        raise InputError.of("there is no such file", file=str(path), mend=f"name {sources}")
+    if is_recording(path):
+        return recorded_graph(path)
+    raise InputError.of("this is no source of a graph", file=str(path), mend=f"name {sources}")
