@@ -6,7 +6,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from ros_graphs import graph, judged, node, read_back, written
 
@@ -128,7 +128,7 @@ def graphs(draw: st.DrawFn) -> RosGraph:
     return graph(*(node(name, draw(ENDS), draw(ENDS), draw(ENDS), draw(ENDS)) for name in names))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(graphs())
 def test_whatever_the_graph_its_environment_is_read_back_and_breaks_no_other_rule(whole: RosGraph) -> None:
     """What can be wrong: an input that nobody feeds, one with several streams, and types that differ."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from cfgplan.errors import InputError
@@ -84,6 +84,7 @@ policies = st.builds(
 )
 
 
+@settings(suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @given(policies)
 def test_every_quality_of_service_is_read_as_it_was_written(qos: Qos) -> None:
     assert Qos.read(str(qos)) == qos

@@ -8,7 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from ros_graphs import Ports, faults, graph, node, read_back, written
 
@@ -110,7 +110,7 @@ NAMES = st.sampled_from(["/scan", "/odom", "/cmd_vel", "/left/image", "/right/im
 TYPES = st.sampled_from([SCAN, ODOM, "my_msgs/Thing"])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.dictionaries(NAMES, TYPES, min_size=1), st.data())
 def test_whatever_is_renamed_is_told_first_in_a_graph_that_is_else_sound(
     ends: dict[str, str], data: st.DataObject
