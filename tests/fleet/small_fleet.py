@@ -112,6 +112,7 @@ class SmallFleet:
         try:
             backend = self._backend(hosts, run, folder=folder, takes_over=takes_over, wait_s=wait_s)
             backend.found()
+            backend.wait(0.0)  # which sends the orders that end the rest
             yield backend
             backend.close()
         finally:

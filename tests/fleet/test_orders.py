@@ -38,19 +38,22 @@ def talk(wire: Wire, me: str, other: str, incoming: object) -> Talk[Any]:
     return Talk(cast("ZenohLink", wire), me, other, SESSION, incoming)
 
 
-def test_an_order_that_is_repeated_is_carried_out_once() -> None:
+def test_orders_that_are_repeated_are_carried_out_once_and_in_order() -> None:
     wire = Wire()
     manager, agent = talk(wire, "manager", "r1", FromAgent), talk(Wire(), "r1", "manager", Order)
-    manager.say(StopOrder("a.1"), 0.0)
+    manager.say(StopOrder("a.1"))
+    manager.say(StopOrder("b.1"))
+    manager.pump(0.0)
     (said,) = (put for put in wire.put if put[0] == "say")
-    assert agent.hear(*said, 0.0) == [StopOrder("a.1")]
+    assert agent.hear(*said, 0.0) == [StopOrder("a.1"), StopOrder("b.1")]
     assert agent.hear(*said, 0.1) == []
 
 
 def test_a_message_of_another_version_is_no_traceback_but_an_error() -> None:
     wire = Wire()
     manager, agent = talk(Wire(), "manager", "r1", Order), talk(wire, "r1", "manager", Order)
-    agent.say(ImportUnused("of an agent", 1), 0.0)
+    agent.say(ImportUnused("of an agent", 1))
+    agent.pump(0.0)
     with pytest.raises(msgspec.MsgspecError):
         manager.hear(*wire.put[0], 0.0)
     with pytest.raises(msgspec.MsgspecError):

@@ -307,7 +307,7 @@ class Agent:
 
     def _say(self, message: FromAgent) -> None:
         if self._talk is not None and not self._ending:
-            self._talk.say(message, time.monotonic())
+            self._talk.say(message)
 
     def _hear(self, key: str, head: bytes, payload: bytes) -> None:
         *_, kind, _, name = key.split("/")

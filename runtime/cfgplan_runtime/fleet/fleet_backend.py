@@ -414,7 +414,7 @@ class FleetBackend:
         session = Session(self._term, self.id, self._serial)
         talk: Talk[FromAgent] = Talk(self._link, MANAGER, name, session, FromAgent)
         host = self._hosts[name] = _HostState(name, life, talk, Pulse(self.now(), self.now()))
-        host.talk.say(GreetOrder(adopts=self._is_beginning), self.now())
+        host.talk.say(GreetOrder(adopts=self._is_beginning))
 
     def _lose(self, host: _HostState, cause: str) -> None:
         del self._hosts[host.name]
@@ -437,10 +437,9 @@ class FleetBackend:
             self._events += [OutletsLost(f"{host.name} is gone"), OutletsOpened()]
 
     def _hear_agent(self, key: str, head: bytes, payload: bytes) -> None:
-        *_, kind, _, name = key.split("/")
-        session = read_session(name)
-        host = next((one for one in self._hosts.values() if one.talk.session == session), None)
-        if host is None:
+        _, name, kind, _, session = key.split("/")
+        host = self._hosts.get(unquote(name))
+        if host is None or host.talk.session != read_session(session):
             return
         if kind == REFUSE:
             self._heed(host, payload)
@@ -558,7 +557,7 @@ class FleetBackend:
     def _say(self, host: str | None, order: Order) -> None:
         """Give an order to a host; does nothing if it is not there."""
         if host is not None and self._is_there(host):
-            self._hosts[host].talk.say(order, self.now())
+            self._hosts[host].talk.say(order)
 
     def _digest(self, transformation: Transformation) -> str | None:
         file = source_file(transformation.source or "", self._folder)

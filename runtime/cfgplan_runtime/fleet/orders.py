@@ -262,21 +262,23 @@ def event_of(message: EventTold) -> events.Event:
 
 
 class Talk(Generic[Spoken]):
-    """One end of a session. Nothing waits: what is said is sent again by `pump` until it has come."""
+    """One end of a session. Nothing waits: `pump` sends what was said since its last call together, again and again
+    until it has come.
+    """
 
     def __init__(self, link: ZenohLink, me: str, other: str, session: Session, incoming: object) -> None:
         self.session = session
         self.is_broken = False
         """Whether messages were lost for good: a new session is needed."""
-        self._decoder: msgspec.msgpack.Decoder[Spoken] = msgspec.msgpack.Decoder(incoming)
+        self._decoder: msgspec.msgpack.Decoder[list[Spoken]] = msgspec.msgpack.Decoder(list[incoming])  # type: ignore[valid-type]
+        self._unsent: list[msgspec.Struct] = []
         self._sending, self._receiving = Sending(granted=PIECES_UNDER_WAY), Receiving()
         self._put: Callable[[bytes, bytes], None] = link.publisher(crossing_key(me, SAY, other, str(session)), "orders")
         self._put_credit = link.publisher(crossing_key(me, HEARD, other, str(session)), "orders")
 
-    def say(self, message: msgspec.Struct, now_s: float) -> None:
-        """Have the other end told."""
-        self._sending.offer(Piece(0, 0, msgspec.msgpack.encode(message)))
-        self.pump(now_s)
+    def say(self, message: msgspec.Struct) -> None:
+        """Have the other end told with the next `pump`."""
+        self._unsent.append(message)
 
     def hear(self, kind: str, head: bytes, payload: bytes, now_s: float) -> list[Spoken]:
         """Take what came at one of the session's keys. Returns the messages to handle now, in order.
@@ -291,10 +293,13 @@ class Talk(Generic[Spoken]):
         frame = read_frame(head, payload)
         pieces = [] if frame is None else self._receiving.take(frame, now_s)
         self.is_broken = self.is_broken or self._receiving.dropped > 0
-        return [self._decoder.decode(piece.payload) for piece in pieces]
+        return [message for piece in pieces for message in self._decoder.decode(piece.payload)]
 
     def pump(self, now_s: float) -> None:
         """Send what is due."""
+        if self._unsent:
+            self._sending.offer(Piece(0, 0, msgspec.msgpack.encode(self._unsent)))
+            self._unsent.clear()
         for frame in self._sending.due(now_s):
             payload = b"" if frame.piece is None else bytes(frame.piece.payload)
             self._put(frame.head(), payload)
@@ -305,9 +310,11 @@ class Talk(Generic[Spoken]):
     @property
     def is_done(self) -> bool:
         """Whether everything that was said has arrived."""
-        return not self._sending.depth
+        return not (self._unsent or self._sending.depth)
 
     def due_s(self) -> float:
         """When `pump` has something to do, if nothing is heard before."""
+        if self._unsent:
+            return 0.0
         times = [due_s for due_s in (self._sending.due_s, self._receiving.due_s) if due_s is not None]
         return min(times, default=float("inf"))

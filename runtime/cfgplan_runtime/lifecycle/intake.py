@@ -244,6 +244,8 @@ def _still_failing(turn: Turn, status: UnitStatus) -> Turn:
         return turn
     well_s, steps, well_errors = note.well or (turn.at_s, status.steps, status.errors)
     errors = status.errors - well_errors
+    if note.well is not None and errors == 0:
+        return turn  # good steps are noted once they are between errors: notes on a thousand units take time
     # The step that has begun last may not have failed yet.
     if errors == 0 or status.steps - steps > errors + 1:
         return _noted(turn, unit, replace(note, well=(turn.at_s, status.steps, status.errors)))

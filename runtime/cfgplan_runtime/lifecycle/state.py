@@ -37,7 +37,8 @@ class Entry:
 class Note:
     """What was noticed of a unit: what it is killed for, its last error, and when it was last well.
 
-    `well` is when a sign of life last told of a step without an error, with the steps and errors until then.
+    `well` is when the first sign of life came, or the last that told of good steps after errors; the steps and errors
+    until then.
     """
 
     end: Literal["hung", "too large"] | None = None
