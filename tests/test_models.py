@@ -68,7 +68,7 @@ def test_each_stage_of_the_case_study_starts_where_the_last_one_ended() -> None:
     assert mended.units == solved("3-puff-registered").units == solved("4-fusion-available").units
 
 
-@pytest.mark.parametrize("stage", ["2-radio-weak", "3-mule-tired"])
+@pytest.mark.parametrize("stage", ["2-radio-weak", "3-mule-tired", "5-long-way"])
 def test_the_robots_begin_each_stage_as_planned(stage: str) -> None:
     problem = cfgplan.match(cfgplan.load(MODELS / "rescue" / "1-start.yaml"))
     started = problem.after(cfgplan.plan(problem)).units
