@@ -34,7 +34,7 @@ HOSTS = (
 SELECTORS = st.sampled_from([None, None, None, None, "a", "not a", "a and not b", "b or h2", "not (a or b)"])
 SPEEDS = st.sampled_from([MICRO, MICRO, MICRO // 2, 700_000, 3 * MICRO])
 TOGETHER = frozenset(Notion) - {Notion.OPTIONAL, Notion.COUNTS, Notion.LIMITS}
-"""What the planner knows all at once."""
+"""What first plans and bounds know."""
 LINKS = st.builds(
     Link,
     st.sampled_from([("a", "a"), ("a", "b"), ("h0", "not h0"), ("h2", "Thing")]),

@@ -131,6 +131,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
                 fleets(TOGETHER, most=2),
                 fleets(frozenset(Notion) - SURVIVAL, most=2),
                 fleets(frozenset(Notion) - SURVIVAL - QUALITY, most=2),
+                fleets(frozenset(Notion), most=2).filter(lambda problem: sets_of_units(problem) < 2000),
             ),
             of_one,
         ),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from dataclasses import replace
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 from unittest import mock
@@ -21,6 +22,7 @@ from ortools.sat.python.cp_model import (
     LinearExprT,
 )
 
+import cfgplan
 from cfgplan.domain import Similarity, Target
 from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planners.exact import search
@@ -118,3 +120,13 @@ def test_inputs_that_need_not_be_fed_close_no_ring_that_has_to_be_cut() -> None:
     problem = replace(world(targets, *library, units=units, horizon_s=10), similarity=Similarity(offers))
     found = PlannerSession().plan(problem)
     assert (found.status, found.counts["cuts"]) == (Status.OPTIMAL, 0)
+
+
+def test_whether_a_unit_is_a_spare_costs_a_round_only_where_it_matters() -> None:
+    world = cfgplan.load(Path(__file__).parents[2] / "models" / "building" / "alarms-4-any-may-fail.yaml")
+    problem = cfgplan.match(world)
+    running = problem.after(cfgplan.plan(problem)).units
+    lost = next(u for u in running if u.transformation == "fire_alarm(room101)" and not u.standby)
+    again = PlannerSession().plan(problem.with_parts(units=tuple(unit for unit in running if unit != lost)))
+    assert again.status is Status.OPTIMAL
+    assert again.counts["rounds"] < 9

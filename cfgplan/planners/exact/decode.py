@@ -146,9 +146,7 @@ def lean(candidates: Candidates, units: Collection[ComputationUnit], each: Each 
     problem, left = candidates.problem, list(units)
     spares: set[str] = set()
     for _ in each(repeat(None)):
-        roots = [u for u in left if u.id in spares or _is_asked_for(problem, left, u)]
-        roots += problem.environment.meeting(left).values()
-        needed = needed_units(problem.environment, left, roots)
+        needed = needed_in_all(problem, left, spares)
         needless = [unit for unit in left if unit.id not in needed]
         if not needless:
             break
@@ -161,6 +159,12 @@ def lean(candidates: Candidates, units: Collection[ComputationUnit], each: Each 
         else:
             spares.add(goes.id)
     return left
+
+
+def needed_in_all(problem: Problem, units: Collection[ComputationUnit], spares: Collection[str]) -> set[str]:
+    """The ids of the units that a target, pin or number needs, directly or through others, or one of the `spares`."""
+    roots = [u for u in units if u.id in spares or _is_asked_for(problem, units, u)]
+    return needed_units(problem.environment, units, [*roots, *problem.environment.meeting(units).values()])
 
 
 def without_broken(units: list[ComputationUnit]) -> list[ComputationUnit]:

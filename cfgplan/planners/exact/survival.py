@@ -20,6 +20,7 @@ from ortools.sat.python.cp_model import IntVar, LinearExpr
 
 from cfgplan.domain import ComputationUnit, Target
 from cfgplan.planners.exact.candidates import Candidates, HostName
+from cfgplan.planners.exact.decode import needed_in_all
 from cfgplan.planners.exact.model import Model
 from cfgplan.planners.exact.reach import Reach
 from cfgplan.planners.exact.survivors import (
@@ -90,10 +91,22 @@ class Survival:
         return bool(new)
 
     def needless_spares(self, model: Model, true: Collection[int], units: list[ComputationUnit]) -> list[int]:
-        """The candidates that a solution says to run for failures, though its `units` bear all of them without."""
+        """The candidates that a solution says to run for failures, though its `units` bear all of them without.
+
+        None where it does not matter: all are needed that feed inputs which start nothing, or take streams from those.
+        """
         there = {unit.id: unit for unit in units}
-        spares = [(i, there[self.candidates.all[i].id]) for i, spare in model.spares.items() if spare.index in true]
-        return [i for i, unit in spares if can_do_without(self.candidates, units, unit)]
+        said = {i: there[self.candidates.all[i].id] for i, spare in model.spares.items() if spare.index in true}
+        needless = [i for i, unit in said.items() if can_do_without(self.candidates, units, unit)]
+        spares = {unit.id for i, unit in said.items() if i not in needless}
+        needed = needed_in_all(self.candidates.problem, units, spares) if needless else set()
+        for unit in units if needless else ():
+            idle = self.candidates.environment.transformation[unit.transformation].idle_inputs
+            for s in unit.subscriptions:
+                takes_place = s.stream in model.serves and model.unit_of(s.stream) in model.idle_feeders
+                if (s.port in idle and s.stream.unit not in needed) or (takes_place and unit.id not in needed):
+                    return needless
+        return []
 
     def forbid_spares(self, model: Model, true: Collection[int], needless: Collection[int]) -> None:
         """Forbid spares where all others are there that a solution has: these bear all failures."""
