@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+from os.path import relpath
 from pathlib import Path
 
 from cfgplan.cli import options as shared
-from cfgplan.cli.exits import Exit
+from cfgplan.cli.exits import OF_STATUS, Exit
 from cfgplan.cli.screen import Screen
 from cfgplan.errors import InputError
 
@@ -98,10 +99,19 @@ def add_export(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "example:\n"
         "  cfgplan export schema --out cfgplan.schema.json\n"
-        "  cfgplan export xml models/nao/1-piff-registered.yaml --out nao.xml"
+        "  cfgplan export xml models/nao/1-piff-registered.yaml --out nao.xml\n"
+        "  cfgplan export launch robot.yaml --out robot.launch.py"
     )
-    parser.add_argument("what", choices=("schema", "xml", "yaml"), help="what to write")
-    parser.add_argument("env", metavar="ENV", nargs="?", help="environment file (for xml and yaml)")
+    parser.add_argument(
+        "what",
+        choices=("schema", "xml", "yaml", "launch"),
+        help="what to write; launch: a launch file of ROS 2 for what runs after the optimal update",
+    )
+    parser.add_argument("env", metavar="ENV", nargs="?", help="environment file (but for schema)")
+    launch = parser.add_argument_group("launch")
+    launch.add_argument("--plan", metavar="FILE", help="the update that `cfgplan solve --out FILE` wrote")
+    launch.add_argument("--only", choices=("nodes", "components"), help="nodes alone, or containers of components")
+    launch.add_argument("--host", metavar="NAME", help="what runs on this host, where the file has hosts")
     shared.add_out(parser)
     parser.set_defaults(run=_export)
 
@@ -109,11 +119,43 @@ def add_export(parser: argparse.ArgumentParser) -> None:
 def _export(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan import api
 
+    if options.what != "launch" and (options.plan or options.only or options.host):
+        raise InputError.of("--plan, --only and --host say what to launch", mend="write `cfgplan export launch ENV`")
     if options.what == "schema":
-        text = api.schema_text()
-    else:
-        if options.env is None:
-            raise InputError.of("no environment file is named", mend=f"write `cfgplan export {options.what} ENV`")
-        text = api.converted(Path(options.env), options.what)
+        shared.put(api.schema_text(), options.out, screen)
+        return Exit.OK
+    if options.env is None:
+        raise InputError.of("no environment file is named", mend=f"write `cfgplan export {options.what} ENV`")
+    if options.what == "launch":
+        return _export_launch(options, screen)
+    shared.put(api.converted(Path(options.env), options.what), options.out, screen)
+    return Exit.OK
+
+
+def _export_launch(options: argparse.Namespace, screen: Screen) -> Exit:
+    from cfgplan import __version__, api
+    from cfgplan.ros.launch import launch_text
+
+    with screen.phase("load"):
+        world = api.load(options.env)
+    with screen.phase("plan"):
+        if options.plan is None:
+            problem, plan = api.solve(world)
+        else:
+            problem = api.match(world)
+            plan = api.load_plan(world, problem, options.plan)
+    if plan.change_set is None:
+        screen.warn(f"there is no update to launch ({plan.status}): `cfgplan explain {options.env}` tells why")
+        return OF_STATUS[plan.status]
+    about = [
+        f"What runs after the update of {Path(options.env).name} ({plan.status}), by cfgplan {__version__}.",
+        "Edit that file and export it again: this one is written over.",
+    ]
+    env = Path(options.env)
+    folder = env if env.is_dir() else env.parent
+    here = folder if options.out is None else Path(options.out).parent
+    text = launch_text(
+        problem.after(plan), about, part=options.only or "all", host=options.host, folder=relpath(folder, here)
+    )
     shared.put(text, options.out, screen)
     return Exit.OK

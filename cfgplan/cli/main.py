@@ -38,7 +38,7 @@ VERBS: Mapping[str, str] = MappingProxyType(
         "demo": "play the paper's case study: two robots, one ball, a failure and a fusion",
         "compare": "run planners side by side, each run in a process of its own, and check them against each other",
         "import": "make an environment file of a graph of ROS nodes, of the paper's XML, or of a composition test set",
-        "export": "write the environment file's JSON Schema, or an environment as YAML or the paper's XML",
+        "export": "write the JSON Schema of environment files, one as YAML or the paper's XML, or a ROS 2 launch file",
         "init": "write a small environment of one's own, with its ontology and unit code",
         "completion": "print what a shell needs to complete these commands: bash or zsh",
         "help": "show a page of the manual",
@@ -236,7 +236,7 @@ class Chatter:
             os.close(nowhere)
 
 
-_READ = ("env", "envs", "also", "path", "guesses", "features")
+_READ = ("env", "envs", "also", "path", "plan", "guesses", "features")
 _WRITTEN = ("out", "plot", "log", "record")
 
 
