@@ -100,10 +100,10 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 def _cpu_group(cpu_us: int, screen: Screen) -> CpuGroup | None:
     """The group of all units here; None, which is told, where the system holds no limit."""
     from cfgplan_runtime.errors import RuntimeFaultError
-    from cfgplan_runtime.processes.cpu_group import CpuGroup
+    from cfgplan_runtime.processes.cpu_group import cpu_groups
 
     try:
-        return CpuGroup(cpu_us)
+        return cpu_groups({"units": cpu_us})["units"]
     except RuntimeFaultError as error:
         screen.note(f"the CPU time of units is not limited: {error}")
         return None

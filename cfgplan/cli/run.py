@@ -138,7 +138,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         screen.note(f"The file names {count}, but a run starts from nothing: `units:` does not count; {mend}.")
     world = replace(loaded, environment=replace(loaded.environment, units=()))
     if options.dry_run or options.strict:
-        settings = _settings(options)
+        settings = _settings(options, screen)
         task = shared.task(options, screen, world)
         with screen.phase("plan"):
             found = first_update(task.problem, settings, task.matches)
@@ -207,7 +207,7 @@ def _operate(options: argparse.Namespace, world: World, screen: Screen, said: En
 
     with Interrupts() as interrupts:
         with screen.phase("start"):
-            operation = Operation(world, Path(options.env), _settings(options))
+            operation = Operation(world, Path(options.env), _settings(options, screen))
         with operation, _published(options, operation):
             interrupts.only_count()
             _await_first_review(operation, interrupts, screen)
@@ -350,7 +350,7 @@ def _estimates_file(options: argparse.Namespace) -> Path:
     return path
 
 
-def _settings(options: argparse.Namespace) -> Settings:
+def _settings(options: argparse.Namespace, screen: Screen) -> Settings:
     from cfgplan_runtime.lifecycle.back_off import BackOffRules
     from cfgplan_runtime.lifecycle.policy import Policy
     from cfgplan_runtime.operating.operation import Settings
@@ -373,7 +373,7 @@ def _settings(options: argparse.Namespace) -> Settings:
         log=None if options.log is None else Path(options.log),
         record=None if options.record is None else Path(options.record),
         metrics_port=options.metrics_port,
-        runtime=_runtime(options),
+        runtime=_runtime(options, screen),
         adjust=_adjusted(options),
     )
 
@@ -391,7 +391,9 @@ def _fleet(options: argparse.Namespace) -> Fleet | None:
     return Fleet(tuple(options.connect), certificates, options.local, options.take_over)
 
 
-def _runtime(options: argparse.Namespace) -> Callable[[Environment, Path], AbstractContextManager[Runtime]] | None:
+def _runtime(
+    options: argparse.Namespace, screen: Screen
+) -> Callable[[Environment, Path], AbstractContextManager[Runtime]] | None:
     """What makes the runtime; None if that is processes of this computer."""
     fleet = _fleet(options)
     if options.middleware == ROS1:
@@ -403,7 +405,7 @@ def _runtime(options: argparse.Namespace) -> Callable[[Environment, Path], Abstr
         return None
     from cfgplan_runtime.fleet.fleet_runtime import fleet_runtime
 
-    return lambda environment, folder: fleet_runtime(fleet, environment, folder, options.preload)
+    return lambda environment, folder: fleet_runtime(fleet, environment, folder, options.preload, screen.note)
 
 
 def _planner(name: str) -> Planner:

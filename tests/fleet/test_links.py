@@ -136,13 +136,13 @@ def test_an_agent_limits_its_units_together_or_says_once_that_it_can_not(
         def run(self) -> None:
             pass
 
-    def group(cpu_us: int) -> int:
+    def groups(limits_us: dict[str, int]) -> dict[str, int]:
         if not is_allowed:
             raise RuntimeFaultError("no group")
-        return cpu_us
+        return limits_us
 
     monkeypatch.setattr("cfgplan_runtime.fleet.agent.Agent", AgentOfNothing)
-    monkeypatch.setattr("cfgplan_runtime.processes.cpu_group.CpuGroup", group)
+    monkeypatch.setattr("cfgplan_runtime.processes.cpu_group.cpu_groups", groups)
     assert main(["agent", "--name", "r1", "--cpu", "0.25"]) == 0
     assert (given["name"], given["cpu"]) == ("r1", 250_000 if is_allowed else None)
     assert capsys.readouterr().err.count("the CPU time of units is not limited: no group") == (not is_allowed)

@@ -16,8 +16,13 @@ from pathlib import Path
 import psutil
 import pytest
 from cfgplan_runtime import subscribe
+from cfgplan_runtime.errors import RuntimeFaultError
+from cfgplan_runtime.fleet.fleet_runtime import Fleet, fleet_runtime
 from cfgplan_runtime.operating.control_client import connect
-from small_fleet import PATIENCE_S, eventually
+from cfgplan_runtime.processes.cpu_group import CpuGroup
+from small_fleet import FOLDER, PATIENCE_S, eventually, source, unit
+
+from cfgplan.domain import ChangeSet, Environment, Host
 
 ROOT = Path(__file__).parents[2]
 CFGPLAN = (sys.executable, "-c", "import sys; from cfgplan.cli import main; sys.exit(main())")
@@ -154,3 +159,26 @@ def test_a_file_without_hosts_runs_on_no_fleet(tmp_path: Path, arguments: list[s
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 30
     assert "no hosts" in done.stderr
+
+
+@pytest.mark.parametrize("is_allowed", [True, False])
+def test_units_are_put_in_the_group_of_their_host_or_it_is_said_that_there_is_none(
+    is_allowed: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    said: list[str] = []
+
+    def groups(limits_us: dict[str, int]) -> dict[str, CpuGroup]:
+        assert limits_us == {"r1": 500_000}
+        if not is_allowed:
+            raise RuntimeFaultError("no group")
+        (tmp_path / "r1").mkdir()
+        return {"r1": CpuGroup(tmp_path / "r1")}
+
+    monkeypatch.setattr("cfgplan_runtime.fleet.fleet_runtime.cpu_groups", groups)
+    environment = Environment(library=(source(),), hosts=(Host("r1", cpu_us=500_000), Host("r2")))
+    with fleet_runtime(Fleet(is_local=True), environment, FOLDER, say=said.append) as runtime:
+        there = {"added_transformations": environment.library, "added_hosts": environment.hosts}
+        runtime.apply(ChangeSet(started=(unit("count.1", "r1"), unit("count.2", "r2")), **there))
+        told = {file.parent.name: file.read_text() for file in tmp_path.glob("*/cgroup.procs")}
+        assert told == ({"r1": str(runtime.pid("count.1"))} if is_allowed else {})
+    assert said == ([] if is_allowed else ["`cpu` of hosts is planned with, but not held: no group"])

@@ -11,16 +11,16 @@ from pathlib import Path
 import pytest
 from cfgplan_runtime import Runtime
 from cfgplan_runtime.errors import RuntimeFaultError
-from cfgplan_runtime.processes.cpu_group import CpuGroup
+from cfgplan_runtime.processes.cpu_group import cpu_groups
 from cfgplan_runtime.processes.process_backend import ProcessBackend
 from world import RESULT, source, start, unit
 
 BUSY = """
 import os, time
 from cfgplan_runtime.errors import RuntimeFaultError
-from cfgplan_runtime.processes.cpu_group import CpuGroup
+from cfgplan_runtime.processes.cpu_group import cpu_groups
 try:
-    group = CpuGroup(100_000)
+    group = cpu_groups({"units": 100_000})["units"]
 except RuntimeFaultError as error:
     print(error)
     raise SystemExit(1)
@@ -47,7 +47,7 @@ def groups(folder: Path, *, controllers: str = "cpu memory", path: str = "/user/
 
 def test_units_get_a_group_with_the_limit_and_this_process_one_beside_it(tmp_path: Path) -> None:
     here, told = groups(tmp_path)
-    group = CpuGroup(250_000, root=tmp_path / "cgroup", told=told)
+    group = cpu_groups({"units": 250_000}, root=tmp_path / "cgroup", told=told)["units"]
     group.take(4711)
     me = os.getpid()
     assert (here / f"cfgplan-{me}" / "cgroup.procs").read_text() == str(me)
@@ -63,15 +63,15 @@ def test_units_get_a_group_with_the_limit_and_this_process_one_beside_it(tmp_pat
 def test_where_no_control_group_limits_cpu_time_nothing_is_made(tmp_path: Path, controllers: str) -> None:
     here, told = groups(tmp_path, controllers=controllers)
     with pytest.raises(RuntimeFaultError, match="no control groups"):
-        CpuGroup(250_000, root=tmp_path / "cgroup", told=told)
+        cpu_groups({"units": 250_000}, root=tmp_path / "cgroup", told=told)
     assert [file.name for file in here.iterdir()] == ["cgroup.controllers"]
 
 
 def test_a_group_that_may_not_be_divided_is_left_as_it_was(tmp_path: Path) -> None:
     here, told = groups(tmp_path)
-    (here / f"cfgplan-{os.getpid()}-units").write_text("in the way")
+    (here / f"cfgplan-{os.getpid()}-0").write_text("in the way")
     with pytest.raises(RuntimeFaultError, match=r"can be made in .*systemd-run --user --scope -p Delegate=yes"):
-        CpuGroup(250_000, root=tmp_path / "cgroup", told=told)
+        cpu_groups({"units": 250_000}, root=tmp_path / "cgroup", told=told)
     assert (here / "cgroup.procs").read_text() == str(os.getpid())
 
 
@@ -84,10 +84,17 @@ def test_where_the_system_allows_it_a_busy_process_takes_no_more_than_the_limit(
 
 def test_units_and_not_the_outlets_are_put_in_the_group(tmp_path: Path) -> None:
     _, told = groups(tmp_path)
-    group = CpuGroup(250_000, root=tmp_path / "cgroup", told=told)
+    group = cpu_groups({"units": 250_000}, root=tmp_path / "cgroup", told=told)["units"]
     held: list[int] = []
     group.take = held.append  # type: ignore[method-assign]
     backend = partial(ProcessBackend, folder=Path(__file__).parent, cpu=group)
     with Runtime([source()], [RESULT], backend=backend) as runtime:
         runtime.apply(start(unit("count.1", topic="/result", port="n"), unit("count.2")))
         assert set(held) == {runtime.pid("count.1"), runtime.pid("count.2")}
+
+
+def test_each_host_on_this_computer_has_a_group_with_its_own_limit(tmp_path: Path) -> None:
+    here, told = groups(tmp_path)
+    made = cpu_groups({"base": 2_000_000, "r1": 100}, root=tmp_path / "cgroup", told=told)
+    limits = {name: (group.path.parent, (group.path / "cpu.max").read_text()) for name, group in made.items()}
+    assert limits == {"base": (here, "200000 100000"), "r1": (here, "1000 100000")}

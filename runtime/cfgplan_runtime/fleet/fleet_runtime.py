@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from cfgplan.domain import Environment
+from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.fleet.fleet_backend import WAIT_S, FleetBackend
 from cfgplan_runtime.fleet.local import LocalAgents
+from cfgplan_runtime.processes.cpu_group import CpuGroup, cpu_groups
 from cfgplan_runtime.runtime import Runtime
 from cfgplan_runtime.streams.run_folder import RunFolder
 
@@ -29,11 +31,16 @@ class Fleet:
 
 @contextmanager
 def fleet_runtime(
-    fleet: Fleet, environment: Environment, folder: Path, preload: Sequence[str] = ()
+    fleet: Fleet,
+    environment: Environment,
+    folder: Path,
+    preload: Sequence[str] = (),
+    say: Callable[[str], None] = lambda _: None,
 ) -> Iterator[Runtime]:
     """A runtime whose units are on the environment's hosts; what runs there by its library goes on.
 
-    `folder` is what `units.py:Class` is relative to. Raises InputError.
+    `folder` is what `units.py:Class` is relative to. Where all hosts are on this computer the CPU time of each is
+    limited, if the system can do that; else it is told to `say`. Raises InputError.
     """
     hosts = tuple(environment.host)
     with ExitStack() as stack:
@@ -41,7 +48,10 @@ def fleet_runtime(
         stack.callback(run.close)
         connect, wait_s = fleet.connect, WAIT_S
         if fleet.is_local:
-            agents = stack.enter_context(LocalAgents(hosts, run.path, folder=folder, preload=preload))
+            cpu = _cpu_groups(environment, say)
+            for group in cpu.values():
+                stack.callback(group.close)
+            agents = stack.enter_context(LocalAgents(hosts, run.path, folder=folder, preload=preload, cpu=cpu))
             connect, wait_s = agents.endpoints, LOCAL_WAIT_S
 
         def backend() -> FleetBackend:
@@ -57,3 +67,13 @@ def fleet_runtime(
             )
 
         yield stack.enter_context(Runtime(backend=backend))
+
+
+def _cpu_groups(environment: Environment, say: Callable[[str], None]) -> Mapping[str, CpuGroup]:
+    """By host that says how much CPU time it has, the group of what runs there; none where the system has no such."""
+    limits_us = {host.name: host.cpu_us for host in environment.hosts if host.cpu_us is not None}
+    try:
+        return cpu_groups(limits_us) if limits_us else {}
+    except RuntimeFaultError as error:
+        say(f"`cpu` of hosts is planned with, but not held: {error}")
+        return {}

@@ -6,9 +6,11 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
+
+from cfgplan_runtime.processes.cpu_group import CpuGroup
 
 _AGENT_CODE = "from cfgplan_runtime.fleet.local import main; main()"
 _AGENT_CLOSE_S = 5.0
@@ -17,20 +19,30 @@ _AGENT_CLOSE_S = 5.0
 class LocalAgents:
     """Agents of hosts on this computer; they end with the thread that made them. A context manager.
 
-    `run` is the folder of the run, where their sockets are; `folder` is what `units.py:Class` is relative to.
+    `run` is the folder of the run, where their sockets are; `folder` is what `units.py:Class` is relative to. What runs
+    on a host in `cpu` is put in its group.
     """
 
-    def __init__(self, hosts: Sequence[str], run: Path, *, folder: Path, preload: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        hosts: Sequence[str],
+        run: Path,
+        *,
+        folder: Path,
+        preload: Sequence[str] = (),
+        cpu: Mapping[str, CpuGroup] = MappingProxyType({}),
+    ) -> None:
         self.endpoints = [f"unixsock-stream/{run}/a{number}" for number in range(len(hosts))]
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
         for number, host in enumerate(hosts):
             runs = run / f"{number}"
             runs.mkdir(mode=0o700)
             arguments = [str(os.getpid()), host, str(folder), str(runs), self.endpoints[number]]
-            links = [",".join(self.endpoints[:number]), ",".join(preload)]
+            group = str(cpu[host].path) if host in cpu else ""
+            more = [",".join(self.endpoints[:number]), ",".join(preload), group]
             # A group of its own: Ctrl-C is for the command, which has to be able to stop units in order.
             self.processes[host] = subprocess.Popen(
-                [sys.executable, "-c", _AGENT_CODE, *arguments, *links],
+                [sys.executable, "-c", _AGENT_CODE, *arguments, *more],
                 stdin=subprocess.DEVNULL,
                 start_new_session=True,
             )
@@ -60,7 +72,7 @@ def main() -> None:
     from cfgplan_runtime.fleet.agent import Agent
     from cfgplan_runtime.processes.nursery import die_with_parent
 
-    parent, host, folder, base, listen, connect, preload = sys.argv[1:]
+    parent, host, folder, base, listen, connect, preload, group = sys.argv[1:]
     die_with_parent(int(parent))
     signal.signal(signal.SIGTERM, lambda *_: sys.exit())
     agent = Agent(
@@ -70,5 +82,6 @@ def main() -> None:
         folder=Path(folder),
         preload=preload.split(",") if preload else [],
         base=Path(base),
+        cpu=CpuGroup(Path(group)) if group else None,
     )
     agent.run()

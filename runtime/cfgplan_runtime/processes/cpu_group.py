@@ -1,8 +1,9 @@
-"""A limit on the CPU time that the units of a host take together: a control group of Linux, where one may be made."""
+"""Limits on the CPU time that the units of a host take together: control groups of Linux, where they may be made."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -15,31 +16,10 @@ _MEND = "start it alone in a group that it may divide, as by systemd-run --user 
 
 
 class CpuGroup:
-    """A control group (cgroup v2) whose processes together take at most `cpu_us` microseconds of CPU time each second.
+    """A control group (cgroup v2) by its folder, which limits the CPU time that its processes take together."""
 
-    It is made below the group of this process, which moves to another one below: the kernel limits no groups below one
-    that has processes itself. Raises RuntimeFaultError where that is not allowed; then all is as before.
-    """
-
-    def __init__(
-        self, cpu_us: int, *, root: Path = Path("/sys/fs/cgroup"), told: Path = Path("/proc/self/cgroup")
-    ) -> None:
-        here, me = _group_of_this_process(root, told), str(os.getpid())
-        own, self.path = here / f"cfgplan-{me}", here / f"cfgplan-{me}-units"
-        share_us = max(_LEAST_US, cpu_us * _PERIOD_US // 1_000_000)
-        try:
-            own.mkdir()
-            (own / "cgroup.procs").write_text(me)
-            (here / "cgroup.subtree_control").write_text("+cpu")
-            self.path.mkdir()
-            (self.path / "cpu.max").write_text(f"{share_us} {_PERIOD_US}")
-        except OSError as error:
-            with suppress(OSError):
-                (here / "cgroup.procs").write_text(me)
-            for made in (self.path, own):
-                with suppress(OSError):
-                    made.rmdir()
-            raise RuntimeFaultError(f"no control group can be made in {here}: {error.strerror}; {_MEND}") from None
+    def __init__(self, path: Path) -> None:
+        self.path = path
 
     def take(self, pid: int) -> None:
         """Let the limit hold for a process and what it starts, too. One that has ended is none."""
@@ -50,6 +30,35 @@ class CpuGroup:
         """Remove the group once its processes have ended."""
         with suppress(OSError):
             self.path.rmdir()
+
+
+def cpu_groups(
+    limits_us: Mapping[str, int], *, root: Path = Path("/sys/fs/cgroup"), told: Path = Path("/proc/self/cgroup")
+) -> dict[str, CpuGroup]:
+    """A control group by each name, whose processes together take at most so many microseconds of CPU time each second.
+
+    They are made below the group of this process, which moves to another one below: the kernel limits no groups below
+    one that has processes itself. Raises RuntimeFaultError where that is not allowed; then all is as before.
+    """
+    here, me = _group_of_this_process(root, told), str(os.getpid())
+    own = here / f"cfgplan-{me}"
+    groups = {name: here / f"cfgplan-{me}-{number}" for number, name in enumerate(limits_us)}
+    try:
+        own.mkdir()
+        (own / "cgroup.procs").write_text(me)
+        (here / "cgroup.subtree_control").write_text("+cpu")
+        for name, path in groups.items():
+            path.mkdir()
+            share_us = max(_LEAST_US, limits_us[name] * _PERIOD_US // 1_000_000)
+            (path / "cpu.max").write_text(f"{share_us} {_PERIOD_US}")
+    except OSError as error:
+        with suppress(OSError):
+            (here / "cgroup.procs").write_text(me)
+        for made in (*groups.values(), own):
+            with suppress(OSError):
+                made.rmdir()
+        raise RuntimeFaultError(f"no control group can be made in {here}: {error.strerror}; {_MEND}") from None
+    return {name: CpuGroup(path) for name, path in groups.items()}
 
 
 def _group_of_this_process(root: Path, told: Path) -> Path:
