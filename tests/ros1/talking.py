@@ -10,6 +10,7 @@ import rospy
 from geometry_msgs.msg import PointStamped
 from roscpp.msg import Logger
 from roscpp.srv import GetLoggers, GetLoggersResponse
+from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
 TICKS_PER_S = 100
@@ -68,9 +69,21 @@ def asker() -> None:
         rospy.sleep(0.02)
 
 
+def camera() -> None:
+    """Gives white pictures, `~size` pixels wide."""
+    rospy.init_node("camera")
+    pictures = rospy.Publisher("image_raw", Image, queue_size=10)
+    size = rospy.get_param("~size")
+    picture = Image(height=size, width=size, encoding="mono8", step=size, data=b"\xff" * size * size)
+    while not rospy.is_shutdown():
+        picture.header.stamp = rospy.Time.now()
+        pictures.publish(picture)
+        rospy.sleep(0.02)
+
+
 def mute() -> None:
     sys.exit("has no voice")
 
 
 if __name__ == "__main__":
-    {each.__name__: each for each in (talker, shouter, clock, oracle, asker, mute)}[sys.argv[1]]()
+    {each.__name__: each for each in (talker, shouter, clock, oracle, asker, camera, mute)}[sys.argv[1]]()

@@ -28,10 +28,11 @@ from cfgplan_runtime.children.messages import (
 from cfgplan_runtime.processes.child_process import cpu_us, end_of_process, memory_bytes
 from cfgplan_runtime.ros1.node_process import NodeProcess
 from cfgplan_runtime.ros1.node_watch import NodeWatch
+from cfgplan_runtime.ros1.nodelet_group import NodeletGroup
 from cfgplan_runtime.ros1.relay_link import RelayLink
 from cfgplan_runtime.ros1.relay_messages import CloseInlets, Lead, Listening, Passed, Refused, RelayOrder, ToTopicRelay
 from cfgplan_runtime.ros1.ros_master import RosMaster, forget_node
-from cfgplan_runtime.ros1.ros_unit import RosUnit, graph_word, node_source
+from cfgplan_runtime.ros1.ros_unit import RosUnit, executable, graph_word, node_source
 from cfgplan_runtime.streams.channel import Bell
 from cfgplan_runtime.streams.run_folder import RunFolder
 from cfgplan_runtime.supervision.backend import Inlet, Usage
@@ -60,11 +61,17 @@ _RELAY_AGAIN_S, _MOST_RELAY_AGAIN_S = 0.05, 5.0
 
 @dataclass(slots=True, eq=False)
 class _UnitNode:
-    """A unit's node. It has no process here if somebody else runs it, and an address once it has told its master."""
+    """A unit's node: a process, a nodelet in a group, or somebody else's. `address` is known once it told its master.
+
+    A nodelet is there once it `is_loaded`, and nothing more is asked of it once it `is_leaving`.
+    """
 
     unit: str
     ros: RosUnit
     process: NodeProcess | None = None
+    group: NodeletGroup | None = None
+    is_loaded: bool = False
+    is_leaving: bool = False
     watch: NodeWatch | None = None
     address: str | None = None
     is_stopping: bool = False
@@ -89,6 +96,7 @@ class Ros1Backend:
         self._nodes: dict[str, _UnitNode] = {}
         self._units: dict[str, str] = {}
         """The unit of each node by the node's name."""
+        self._groups: dict[str, NodeletGroup] = {}
         self._leads: dict[int, tuple[Inlet, Lead]] = {}
         """Wires that the relay has, or is to have."""
         self._topics: list[str] = []
@@ -154,7 +162,9 @@ class Ros1Backend:
         node = self._nodes.get(unit)
         if node is not None:
             node.is_stopping = True
-            if node.process is None:
+            if node.group is not None:
+                self._unload(node, node.group)
+            elif node.process is None:
                 self._bury(node, "")
             else:
                 node.process.interrupt()
@@ -163,7 +173,9 @@ class Ros1Backend:
         node = self._nodes.get(unit)
         if node is None or dump:
             return
-        if node.process is None:
+        if node.group is not None:
+            self._unload(node, node.group)
+        elif node.process is None:
             self._bury(node, "is given up")
         else:
             node.process.kill()
@@ -210,6 +222,8 @@ class Ros1Backend:
         node = self._nodes.get(unit)
         if node is None:
             return None
+        if node.group is not None:
+            return node.group.usage(unit)
         if node.process is None:
             return Usage(0, 0)
         cpu, memory = cpu_us(node.process.pid), memory_bytes(node.process.pid)
@@ -217,12 +231,15 @@ class Ros1Backend:
 
     def pid(self, unit: str) -> int | None:
         node = self._nodes.get(unit)
-        return None if node is None or node.process is None else node.process.pid
+        process = None if node is None else node.process or (node.group and node.group.process)
+        return process.pid if process else None
 
     def close(self) -> None:
+        for group in list(self._groups.values()):
+            self._end_group(group)
         for node in list(self._nodes.values()):
             if node.process is not None:
-                node.process.kill()
+                self._last_words(node.process, node.unit)
             self._bury(node, "")
         if self._relay is not None:
             self._relay.close()
@@ -235,7 +252,10 @@ class Ros1Backend:
     # What watches tell, from their threads.
 
     def note_ready(self, node: str, address: str) -> None:
-        self._post(node, lambda of: self._tell_ready(of, address))
+        if node in self._groups:
+            self._groups[node].address = address
+        else:
+            self._post(node, lambda of: self._tell_ready(of, address))
 
     def note_alive(self, node: str) -> None:
         self._post(node, lambda of: self._events.append(self._status(of)))
@@ -249,9 +269,11 @@ class Ros1Backend:
 
     def _post(self, node: str, call: Callable[[_UnitNode], None]) -> None:
         def do() -> None:
-            known = self._nodes.get(self._units.get(node, ""))
-            if known is not None:
-                call(known)
+            """What is told of a manager is told of all nodelets that are there."""
+            units = self._groups[node].used_us if node in self._groups else (self._units.get(node, ""),)
+            for known in [self._nodes[unit] for unit in units if unit in self._nodes]:
+                if known.group is None or known.is_loaded:
+                    call(known)
 
         self._posted.append(do)
         self._bell.ring()
@@ -274,7 +296,7 @@ class Ros1Backend:
         return UnitStatus(node.unit, sum(counts.elements for counts in outputs.values()), 0, inputs, outputs)
 
     def _note_silence(self, node: _UnitNode) -> None:
-        if node.process is None:
+        if node.process is None and (node.group is None or node.group.process is None):
             self._bury(node, f"{node.ros.name} does not answer any more")
 
     # Nodes.
@@ -291,15 +313,18 @@ class Ros1Backend:
 
     def _begin(self, node: _UnitNode) -> None:
         ros, transformation = node.ros, node.ros.transformation
+        if ros.source.kind == "nodelet":
+            self.master.set_parameters(ros.name, ros.parameters)
+            node.group = self._group(ros.source.group)
+            self._nodes[node.unit], self._units[ros.name] = node, node.unit
+            node.group.load(node.unit, ros, lambda cause, labor_us: self._note_load(node, cause, labor_us))
+            return
         if ros.is_foreign:
             self.master.ask_node(ros.name, "getPid")
         else:
             self.master.set_parameters(ros.name, ros.parameters)
             process = node.process = NodeProcess(ros.command(self._folder), self.master.environment, self._folder)
-            self._selector.register(process.ended, selectors.EVENT_READ, lambda: self._end_of(node, process))
-            self._selector.register(
-                process.printed.socket, selectors.EVENT_READ, lambda: self._hear_print(node, process)
-            )
+            self._attend(process, lambda: self._end_of(node, process), lambda: node.unit)
         self._nodes[node.unit] = node
         self._units[ros.name] = node.unit
         node.watch = NodeWatch(
@@ -311,9 +336,14 @@ class Ros1Backend:
             [ros.listens_at(port.name) for port in transformation.inputs if not port.service],
         )
 
-    def _hear_print(self, node: _UnitNode, process: NodeProcess) -> bool:
+    def _attend(self, process: NodeProcess, end: Callable[[], None], unit: Callable[[], str]) -> None:
+        """Hear what a process prints, for a unit, and that it has ended."""
+        self._selector.register(process.ended, selectors.EVENT_READ, end)
+        self._selector.register(process.printed.socket, selectors.EVENT_READ, lambda: self._hear_print(process, unit()))
+
+    def _hear_print(self, process: NodeProcess, unit: str) -> bool:
         lines, is_open = process.printed.read()
-        self._events.extend(UnitPrinted(node.unit, line) for line in lines)
+        self._events.extend(UnitPrinted(unit, line) for line in lines)
         if not is_open:
             with suppress(KeyError, ValueError):
                 self._selector.unregister(process.printed.socket)
@@ -321,26 +351,107 @@ class Ros1Backend:
 
     def _end_of(self, node: _UnitNode, process: NodeProcess) -> None:
         """Read the last lines of a process that has ended, then report its end."""
-        process.kill()
-        while self._hear_print(node, process):
-            pass
-        self._bury(node, None)
+        self._bury(node, self._last_words(process, node.unit))
 
-    def _bury(self, node: _UnitNode, cause: str | None) -> None:
-        """Forget a node that is gone, or given up. `cause` is None if its exit status says it."""
+    def _last_words(self, process: NodeProcess, unit: str) -> str:
+        """Read what a process that has ended has still printed. Returns how it has ended."""
+        process.kill()
+        while self._hear_print(process, unit):
+            pass
+        for end in (process.ended, process.printed.socket):
+            with suppress(KeyError, ValueError):
+                self._selector.unregister(end)
+        return end_of_process(process.reap())
+
+    def _bury(self, node: _UnitNode, cause: str) -> None:
+        """Forget a node that is gone, or given up."""
         del self._nodes[node.unit], self._units[node.ros.name]
         if node.watch is not None:
             node.watch.end()
-        if node.process is not None:
-            for end in (node.process.ended, node.process.printed.socket):
-                with suppress(KeyError, ValueError):
-                    self._selector.unregister(end)
-            status = node.process.reap()
-            cause = end_of_process(status) if cause is None else cause
-            if node.address is not None:
-                self._to_master.submit(forget_node, self.master.address, node.ros.name, node.address)
+        if node.group is not None:
+            node.group.forget(node.unit)
+        if node.process is not None and node.address is not None:
+            self._to_master.submit(forget_node, self.master.address, node.ros.name, node.address)
         self._tell(CloseInlets(node.unit))
-        self._events.append(UnitStopped(node.unit) if node.is_stopping else UnitDied(node.unit, cause or ""))
+        self._events.append(UnitStopped(node.unit) if node.is_stopping else UnitDied(node.unit, cause))
+
+    # Nodelets.
+
+    def _group(self, name: str) -> NodeletGroup:
+        """The nodelet manager of a name, "" for the run's own: it is started, unless somebody else runs it."""
+        full = f"/{name.lstrip('/')}" if name else f"/cfgplan_nodelets_{self.id}"
+        if full in self._groups:
+            return self._groups[full]
+        process = None
+        try:
+            self.master.ask_node(full, "getPid")
+        except SilentError:
+            command = [str(executable("nodelet", "nodelet")), "manager", f"__name:={full.lstrip('/')}"]
+            process = NodeProcess(command, self.master.environment, self._folder)
+        group = self._groups[full] = NodeletGroup(full, self.master.address, process)
+        if process is not None:
+            self._attend(process, lambda: self._lose_group(group), lambda: next(reversed(group.used_us), ""))
+        group.watch = NodeWatch(self, self.master.address, full, process.has if process else lambda _: True, (), ())
+        return group
+
+    def _note_load(self, node: _UnitNode, cause: str, labor_us: int) -> None:
+        group = node.group
+        assert group is not None
+
+        def do(known: _UnitNode) -> None:
+            if known is node and cause:
+                self._bury(node, cause)
+            elif known is node:
+                node.is_loaded = True
+                self._events.append(UnitReady(node.unit, labor_us))
+                if node.is_leaving:
+                    self._unload_now(node, group)
+
+        self._post_of(node.unit, do)
+
+    def _unload(self, node: _UnitNode, group: NodeletGroup) -> None:
+        """Unload a nodelet, once it is loaded; if its manager does not do that, it is ended with all that is in it."""
+        if node.is_loaded and not node.is_leaving:
+            self._unload_now(node, group)
+        node.is_leaving = True
+
+    def _unload_now(self, node: _UnitNode, group: NodeletGroup) -> None:
+
+        def do(known: _UnitNode, *, is_done: bool) -> None:
+            if known is not node:
+                return
+            if is_done:
+                self._bury(node, "was unloaded")
+            else:
+                self._end_group(group)
+
+        group.unload(node.ros, lambda is_done: self._post_of(node.unit, lambda known: do(known, is_done=is_done)))
+
+    def _post_of(self, unit: str, call: Callable[[_UnitNode], None]) -> None:
+        self._posted.append(lambda: call(self._nodes[unit]) if unit in self._nodes else None)
+        self._bell.ring()
+
+    def _end_group(self, group: NodeletGroup) -> None:
+        """End a manager with all its nodelets; one that somebody else runs is given up."""
+        if group.process is not None:
+            group.process.kill()
+        if self._groups.get(group.name) is group:
+            self._lose_group(group)
+
+    def _lose_group(self, group: NodeletGroup) -> None:
+        """Report the end of a manager and of all that was in it."""
+        del self._groups[group.name]
+        if group.watch is not None:
+            group.watch.end()
+        end = "is given up"
+        if group.process is not None:
+            end = self._last_words(group.process, next(reversed(group.used_us), ""))
+            if group.address is not None:
+                self._to_master.submit(forget_node, self.master.address, group.name, group.address)
+        for node in [self._nodes[unit] for unit in list(group.used_us) if unit in self._nodes]:
+            if group.process is None:
+                group.unloads(node.ros)
+            self._bury(node, f"was in the nodelet manager {group.name}, which {end}")
 
     def _watch_master(self) -> None:
         if self.master.ended is not None:
@@ -350,9 +461,11 @@ class Ros1Backend:
         """Start this run's own master anew, and with it all that it knew: nodes tell of themselves only once."""
         assert self.master.ended is not None
         self._selector.unregister(self.master.ended)
+        for group in list(self._groups.values()):
+            self._end_group(group)
         for node in list(self._nodes.values()):
             if node.process is not None:
-                node.process.kill()
+                self._last_words(node.process, node.unit)
             self._bury(node, "is ended, since the ROS master has died, to which it tells of itself only once")
         self._lose_relay()
         self.master.restart()

@@ -78,7 +78,7 @@ def node_source(transformation: Transformation) -> NodeSource:
     label = transformation.label
     source = NodeSource.read(transformation.source)
     if source is None or source.kind == "component":
-        mend = "write node:PACKAGE/EXECUTABLE, node:./FILE or external:/NAME"
+        mend = "write node:PACKAGE/EXECUTABLE, node:./FILE, nodelet:PACKAGE/CLASS or external:/NAME"
         raise InputError.of(f"{label}: `{transformation.source}` is no node of ROS 1", mend=mend)
     ports: tuple[InputPort | OutputPort, ...] = (*transformation.inputs, *transformation.outputs)
     if source.kind != "external":

@@ -6,10 +6,9 @@ import socket
 import threading
 from collections import defaultdict
 from contextlib import suppress
-from urllib.parse import urlparse
 
-from cfgplan.ros.node_api import ANSWER_LIMIT_S, SilentError, asked, header_of, peer
-from cfgplan_runtime.ros1.tcpros import Header
+from cfgplan.ros.node_api import SilentError, header_of
+from cfgplan_runtime.ros1.tcpros import Header, service_end
 
 _PIECE_BYTES = 1 << 16
 
@@ -17,8 +16,8 @@ _PIECE_BYTES = 1 << 16
 class ServiceRelay:
     """By the service's name that callers know: the wire and the service that calls go to. Thread-safe."""
 
-    def __init__(self, master: str, node: str) -> None:
-        self._master, self._node = master, node
+    def __init__(self, master: str) -> None:
+        self._master = master
         self._led: dict[str, tuple[int, str]] = {}
         self._open: dict[str, set[socket.socket]] = defaultdict(set)
 
@@ -46,8 +45,7 @@ class ServiceRelay:
         if target not in self._led:
             raise SilentError(f"{target} is not offered now")
         _, source = self._led[target]
-        place = urlparse(str(asked(peer(self._master), self._node, "lookupService", source)))
-        with socket.create_connection((place.hostname or "", place.port or 0), ANSWER_LIMIT_S) as server:
+        with service_end(self._master, source) as server:
             server.sendall(header_of({**asks, "service": source}))
             ends = {caller, server}
             self._open[target] |= ends

@@ -7,6 +7,7 @@ import struct
 from collections import deque
 from collections.abc import Iterator, Mapping
 from typing import TypeAlias
+from urllib.parse import urlparse
 
 from cfgplan.errors import InputError
 from cfgplan.ros.node_api import ANSWER_LIMIT_S, LARGEST_HEADER, SilentError, asked, fields_of_header, header_of, peer
@@ -16,6 +17,7 @@ _LENGTH = struct.Struct("<I")
 _READ_BYTES = 1 << 16
 _MOST_BYTES_PER_READ = 4 << 20
 _LONGEST_MESSAGE = 1 << 30
+_SERVICE_CALLER = "/cfgplan"
 
 Header: TypeAlias = Mapping[str, str]
 Framed: TypeAlias = bytes | bytearray
@@ -45,6 +47,28 @@ def subscribed(address: str, caller: str, topic: str) -> tuple[socket.socket, He
         end.close()
         raise
     return end, header
+
+
+def answered(master: str, service: str, request: bytes, patience_s: float | None = None) -> bytes:
+    """The answer of a service to a request, at most `patience_s` later. Raises SilentError or OSError."""
+    with service_end(master, service) as end:
+        end.sendall(header_of({"callerid": _SERVICE_CALLER, "service": service, "md5sum": "*"}))
+        header = read_header(end)
+        if "error" in header:
+            raise SilentError(header["error"])
+        end.settimeout(patience_s or ANSWER_LIMIT_S)
+        end.sendall(_LENGTH.pack(len(request)) + request)
+        is_well = _exactly(end, 1) == b"\x01"
+        answer = _exactly(end, _LENGTH.unpack(_exactly(end, _LENGTH.size))[0])
+    if not is_well:
+        raise SilentError(answer.decode(errors="replace"))
+    return answer
+
+
+def service_end(master: str, service: str) -> socket.socket:
+    """A connection to the node that offers a service. Raises SilentError or OSError."""
+    place = urlparse(str(asked(peer(master), _SERVICE_CALLER, "lookupService", service)))
+    return socket.create_connection((place.hostname or "", place.port or 0), ANSWER_LIMIT_S)
 
 
 def read_header(end: socket.socket) -> Header:

@@ -72,6 +72,8 @@ class _Publication:
     topic: str
     queue: int
     header: Header | None = None
+    is_known: bool = False
+    """Whether the master was told of it."""
     writers: list[MessageWriter] = field(default_factory=list)
     latched: Framed | None = None
     dropped: int = 0
@@ -136,7 +138,7 @@ class TopicRelay:
         self._selector = selectors.DefaultSelector()
         self._services: dict[str, Lead] = {}
         """By service that the relay offers: the first order to do so."""
-        self._service_relay = ServiceRelay(order.master, order.node)
+        self._service_relay = ServiceRelay(order.master)
         self._listener = socket.create_server((order.host, 0), backlog=64)
         self._listener.setblocking(False)
         self._host, self._port = order.host, self._listener.getsockname()[1]
@@ -378,13 +380,13 @@ class TopicRelay:
             return
         source = next(one for one in self._sources.values() if active in one.wires)
         if source.header is not None:
-            self._advertise(inlet.publication, source.header)
             inlet.told = active
-            self._say(Switched(inlet.name, active))
+            self._advertise(inlet.publication, source.header, partial(self._say, Switched(inlet.name, active)))
 
     # What goes to nodes.
 
-    def _advertise(self, publication: _Publication, of: Header) -> None:
+    def _advertise(self, publication: _Publication, of: Header, then: Callable[[], None]) -> None:
+        """Publish what a source sends, and call `then` once the master knows of the topic."""
         before = publication.header
         publication.header = {
             "callerid": self._node,
@@ -394,10 +396,11 @@ class TopicRelay:
             "message_definition": of.get("message_definition", ""),
             "latching": of.get("latching", "0"),
         }
-        if before is None:
-            kind, address = of["type"], self._api.address
-            self._to_master.submit(self._ask_master, "registerPublisher", publication.topic, kind, address)
-        elif before["md5sum"] != of["md5sum"]:
+        if publication.is_known:
+            then()
+        else:
+            self._to_master.submit(self._register, publication, of["type"], then)
+        if before is not None and before["md5sum"] != of["md5sum"]:
             publication.latched = None
             for writer in publication.writers:  # who can take the other type comes back
                 self._forget_writer(writer)
@@ -483,6 +486,12 @@ class TopicRelay:
                 return
             time.sleep(again_s)
             again_s = min(2 * again_s, _MOST_CONNECT_AGAIN_S)
+
+    def _register(self, publication: _Publication, kind: str, then: Callable[[], None]) -> None:
+        if not publication.is_known:
+            self._ask_master("registerPublisher", publication.topic, kind, self._api.address)
+        publication.is_known = True
+        self._post(then)
 
     def _ask_master(self, method: str, *arguments: str) -> list[str] | None:
         """What the master answers; None if it does not."""

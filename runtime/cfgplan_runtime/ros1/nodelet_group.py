@@ -1,0 +1,127 @@
+"""A nodelet manager of ROS 1, and the nodelets that a run has in it: loaded and unloaded by its services."""
+
+from __future__ import annotations
+
+import struct
+import threading
+import time
+from collections.abc import Callable, Sequence
+
+from cfgplan.ros.graph import resolved
+from cfgplan.ros.node_api import SilentError
+from cfgplan_runtime.processes.child_process import cpu_us, memory_bytes
+from cfgplan_runtime.ros1.node_process import NodeProcess
+from cfgplan_runtime.ros1.node_watch import NodeWatch
+from cfgplan_runtime.ros1.ros_unit import RosUnit
+from cfgplan_runtime.ros1.tcpros import answered, service_end
+from cfgplan_runtime.supervision.backend import Usage
+
+_MANAGER_START_S = 30.0
+_MANAGER_LOOK_S = 0.05
+_LOAD_S = 30.0
+"""Seconds that loading a nodelet may take: its constructor is part of that."""
+
+
+class NodeletGroup:
+    """The manager `name`, which runs in `process`, or is somebody else's if that is None.
+
+    `used_us` has, by the unit of each nodelet, its part of the CPU time: all of a manager's nodelets count alike.
+    """
+
+    def __init__(self, name: str, master: str, process: NodeProcess | None) -> None:
+        self.name, self.process = name, process
+        self.watch: NodeWatch | None = None
+        self.address: str | None = None
+        """Its address, once it has told the master of itself."""
+        self.used_us: dict[str, int] = {}
+        self._master = master
+        self._cpu_us = 0
+        """The CPU time that was shared out by now."""
+
+    def load(self, unit: str, ros: RosUnit, tell: Callable[[str, int], None]) -> None:
+        """Load a nodelet, once the manager is there. `tell` gets why it can't be, or "", and the labor of it.
+
+        That comes from a thread of its own.
+        """
+        self._share()
+        self.used_us[unit] = 0
+        namespace = ros.name.rpartition("/")[0]  # the manager would take names for its own
+        remaps = sorted((resolved(own, namespace, ros.name), topic) for own, topic in ros.remappings.items())
+        request = b"".join(
+            (
+                *(_text(one) for one in (ros.name, f"{ros.source.package}/{ros.source.name}")),
+                *(_texts([pair[place] for pair in remaps]) for place in (0, 1)),
+                _texts(ros.source.arguments),
+                _text(""),
+            )
+        )
+        before_us = 0 if len(self.used_us) == 1 else self._now_us()
+
+        def work() -> None:
+            try:
+                self._await_services()
+                cause = "" if self._asked("load_nodelet", request, _LOAD_S) else "can't be loaded: see what it printed"
+            except (SilentError, OSError) as error:
+                cause = f"can't be loaded: {error}"
+            tell(cause, max(0, self._now_us() - before_us))
+
+        threading.Thread(target=work, daemon=True).start()
+
+    def unload(self, ros: RosUnit, tell: Callable[[bool], None]) -> None:
+        """Unload a nodelet. `tell` gets whether that went well, from a thread of its own."""
+        threading.Thread(target=lambda: tell(self.unloads(ros)), daemon=True).start()
+
+    def unloads(self, ros: RosUnit) -> bool:
+        """Unload a nodelet, and wait for that. Returns whether it went well."""
+        try:
+            return self._asked("unload_nodelet", _text(ros.name))
+        except (SilentError, OSError):
+            return False
+
+    def forget(self, unit: str) -> None:
+        """Count a nodelet no more."""
+        self._share()
+        self.used_us.pop(unit, None)
+
+    def usage(self, unit: str) -> Usage | None:
+        """A nodelet's part of what its manager uses; nothing where that is somebody else's."""
+        if self.process is None:
+            return Usage(0, 0)
+        self._share()
+        memory = memory_bytes(self.process.pid)
+        return None if memory is None else Usage(self.used_us[unit], memory // len(self.used_us), self.process.pid)
+
+    def _share(self) -> None:
+        now_us = self._now_us()
+        if self.used_us:
+            part_us = max(0, now_us - self._cpu_us) // len(self.used_us)
+            self.used_us = {unit: used_us + part_us for unit, used_us in self.used_us.items()}
+        self._cpu_us = now_us
+
+    def _now_us(self) -> int:
+        return 0 if self.process is None else cpu_us(self.process.pid) or 0
+
+    def _await_services(self) -> None:
+        """Wait for the manager; the master may still know those of one that has died."""
+        until = time.monotonic() + _MANAGER_START_S
+        while True:
+            try:
+                service_end(self._master, f"{self.name}/load_nodelet").close()
+            except (SilentError, OSError):
+                if time.monotonic() > until:
+                    raise
+                time.sleep(_MANAGER_LOOK_S)
+            else:
+                return
+
+    def _asked(self, service: str, request: bytes, patience_s: float | None = None) -> bool:
+        return answered(self._master, f"{self.name}/{service}", request, patience_s) == b"\x01"
+
+
+def _text(text: str) -> bytes:
+    data = text.encode()
+    return struct.pack("<I", len(data)) + data
+
+
+def _texts(texts: Sequence[str]) -> bytes:
+    return struct.pack("<I", len(texts)) + b"".join(map(_text, texts))
