@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import argparse
+from collections import Counter
 from functools import partial
 from typing import TYPE_CHECKING
 
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import OF_STATUS, Exit
 from cfgplan.cli.screen import Screen, counted
+from cfgplan.domain import ChangeSet
 from cfgplan.errors import InputError
 from cfgplan.planning import Problem, Status
-from cfgplan.qualities import units
+from cfgplan.qualities import Better, units
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from cfgplan.explaining import Front
+
+_MOST_NAMED_AT_A_POINT = 2
 
 
 def add_front(parser: argparse._MutuallyExclusiveGroup) -> None:
@@ -117,11 +121,40 @@ def _plain(found: Front) -> dict[str, object]:
     }
 
 
+def _names(found: Front) -> list[str]:
+    """What each configuration starts, what few others start first."""
+    started = [
+        sorted({unit.transformation for unit in (point.plan.change_set or ChangeSet()).started})
+        for point in found.points
+    ]
+    times = Counter(label for labels in started for label in labels)
+    return [_few(sorted(labels, key=times.__getitem__)) or "as it is" for labels in started]
+
+
+def _few(names: list[str]) -> str:
+    more = len(names) - _MOST_NAMED_AT_A_POINT
+    return ", ".join(names[:_MOST_NAMED_AT_A_POINT]) + (f" and {more} more" if more > 0 else "")
+
+
 def _draw(found: Front, axis: Axes) -> None:
     costs = [point.cost_us / 1e6 for point in found.points]
     values = [float(units(point.value)) for point in found.points]
     axis.step(costs, values, where="post", color="#0072b2", linewidth=1)
     axis.scatter(costs, values, s=28, color="#0072b2", zorder=3)
+    for number, place in enumerate(zip(costs, values, strict=True), 1):
+        axis.annotate(str(number), place, xytext=(5, 5), textcoords="offset points", fontsize=9)
+    is_free_above = found.attribute.better is Better.LOWER
+    axis.text(
+        0.98,
+        0.96 if is_free_above else 0.04,
+        "\n".join(f"{number}  {name}" for number, name in enumerate(_names(found), 1)),
+        transform=axis.transAxes,
+        ha="right",
+        va="top" if is_free_above else "bottom",
+        multialignment="left",
+        fontsize=8,
+    )
+    axis.margins(y=0.15)
     unit = f" ({found.attribute.unit})" if found.attribute.unit else ""
     axis.set_xlabel("cost over the horizon (CPU seconds)")
     axis.set_ylabel(f"{found.attribute.name}{unit}, {found.attribute.better} is better")

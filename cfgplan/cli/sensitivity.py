@@ -154,14 +154,33 @@ def _draw(found: Sensitivity, axes: Axes) -> None:
             place = (float(span.begin / in_seconds), float(costs[0]))
             text = value_text(span.begin, found)
             axes.annotate(text, place, xytext=(6, -12), textcoords="offset points", fontsize=9)
-    if found.value <= right:
-        axes.axvline(found.value / in_seconds, color="grey", linestyle=":", label="now")
+    _mark_here(found, axes, right / in_seconds, Fraction(found.value) / in_seconds)
     axes.set_xlabel("horizon (s)" if found.transformation is None else f"upkeep of {found.transformation} (s/s)")
     axes.set_ylabel("least cost (CPU seconds)")
     axes.set_xlim(left=0, right=float(right / in_seconds))
     axes.set_ylim(bottom=0)
     axes.set_title(headline(found), fontsize=10)
-    axes.legend(fontsize=9)
+    axes.legend(fontsize=9, loc="lower right")
+
+
+def _mark_here(found: Sensitivity, axes: Axes, right: Fraction, value: Fraction) -> None:
+    """Where the present value is: a line, or an arrow at the edge beyond which it is."""
+    text = f"you are here: {value_text(Fraction(found.value), found)}"
+    if value > right:
+        text = f"{text} →"
+    else:
+        axes.axvline(float(value), color="#57606a", linestyle=":")
+    is_left = value * 2 < right
+    axes.annotate(
+        text,
+        (float(min(value, right)), 0.5),
+        xycoords=("data", "axes fraction"),
+        xytext=(5 if is_left else -5, 0),
+        textcoords="offset points",
+        ha="left" if is_left else "right",
+        color="#57606a",
+        fontsize=9,
+    )
 
 
 def _right_edge(found: Sensitivity) -> Fraction:

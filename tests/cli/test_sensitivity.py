@@ -60,6 +60,13 @@ def test_a_picture_is_drawn_with_the_break_points(run: Run, tmp_path: Path, opti
     assert out.read_bytes() == first
 
 
+@pytest.mark.parametrize(("options", "told"), [((), "3600 s →"), (("--horizon", "60"), "60 s")])
+def test_a_picture_tells_where_you_are(run: Run, tmp_path: Path, options: tuple[str, ...], told: str) -> None:
+    out = tmp_path / "cost.svg"
+    assert run("sensitivity", OFFICE, *options, "--out", out).code == 0
+    assert f"<!-- you are here: {told} -->" in out.read_text()
+
+
 def test_other_endings_are_bad_input(run: Run, tmp_path: Path) -> None:
     assert run("sensitivity", OFFICE, "--out", tmp_path / "cost.txt").code == 30
 

@@ -110,3 +110,12 @@ def test_best_effort_meets_what_matters_most_and_says_why_not_the_rest(run: Run,
 def test_what_does_not_go_together_is_refused(run: Run, options: tuple[object, ...], says: str) -> None:
     result = run("solve", FUSION, *options)
     assert (result.code, says in result.err) == (30, True)
+
+
+def test_the_points_of_a_front_have_names(run: Run, tmp_path: Path) -> None:
+    out = tmp_path / "front.svg"
+    result = run("solve", MODELS / "fleet" / "3-best-map.yaml", "--front", "error", "--plot", out)
+    assert result.code == 0, result.err
+    drawn = out.read_text()
+    assert "<!-- 3  large_detector(r1), " in drawn
+    assert "<!-- 4 -->" in drawn

@@ -124,32 +124,46 @@ def error_chart(played: Sequence[Played]) -> str:
 
 def failure_chart(step: Played, samples: Sequence[Sample]) -> str:
     """The ball's x around a failure: the truth, each picture's position, and what was done when."""
-    near = [s for s in samples if abs(s.time_ns - step.began_ns) <= _AROUND_S * 1e9]
     came_ns = step.first.came_ns if step.first is not None else step.ended_ns
     events = (
         ("killed", step.began_ns),
-        ("noticed", round(step.review.time_s * 1e9)),
+        ("the review begins", round(step.review.time_s * 1e9)),
         ("a new segmenter works", step.updated_ns),
         ("a position of a later picture is here", came_ns),
     )
 
-    def at_ms(time_ns: int) -> float:
+    until_ns = max(time_ns for _, time_ns in events)
+    end_ns = max(step.began_ns + round(_AROUND_S * 1e9), until_ns + (until_ns - step.began_ns) // 8)
+    near = [s for s in samples if step.began_ns - _AROUND_S * 1e9 <= s.time_ns <= end_ns]
+
+    def at_ms(time_ns: float) -> float:
         return (time_ns - step.began_ns) / 1e6
 
     with rc_context(_STYLE):
         figure, axes = _chart(3.8)
         for last, first in pairwise(near):
             if first.time_ns - last.time_ns > 1.5 * FRAME_NS:
-                axes.axvspan(at_ms(last.time_ns), at_ms(first.time_ns), color=CSS["gap"], lw=0)
+                begin_ns, over_ns = last.time_ns + FRAME_NS, first.time_ns - FRAME_NS
+                axes.axvspan(at_ms(begin_ns), at_ms(over_ns), color=CSS["gap"], lw=3)
         for number, (what, time_ns) in enumerate(events):
             color = CSS["ink"] if number else CSS["bad"]
             axes.axvline(at_ms(time_ns), 0, 1.32 - 0.08 * number, color=color, lw=1, clip_on=False)
             after = f" {at_ms(time_ns):+.0f} ms" if number else ""
-            place = (at_ms(time_ns) + 6, 1.26 - 0.08 * number)
-            axes.text(*place, what + after, color=color, weight="bold", transform=axes.get_xaxis_transform())
+            is_late = at_ms(time_ns) > at_ms(end_ns) / 2
+            axes.annotate(
+                what + after,
+                (at_ms(time_ns), 1.26 - 0.08 * number),
+                xycoords=axes.get_xaxis_transform(),
+                xytext=(-4 if is_late else 4, 0),
+                textcoords="offset points",
+                ha="right" if is_late else "left",
+                color=color,
+                weight="bold",
+                annotation_clip=False,
+            )
         axes.plot([at_ms(s.time_ns) for s in near], [s.true_x for s in near], color=CSS["truth"], linewidth=1.4)
         axes.scatter([at_ms(s.time_ns) for s in near], [s.x for s in near], 50, CSS["source0"], alpha=0.75, lw=0)
-        axes.set(xlim=(-1000 * _AROUND_S, 1000 * _AROUND_S), xlabel="ms", ylabel="x in m")
+        axes.set(xlim=(-1000 * _AROUND_S, at_ms(end_ns)), xlabel="ms", ylabel="x in m")
         axes.grid(axis="y")
         return _svg(figure, "chart", "The ball's x coordinate around the failure")
 

@@ -12,7 +12,7 @@ from cfgplan.costs import keep_cost_us
 from nao_demo.played import Played
 
 _PHASE_WORDS = {
-    "detect": "noticed",
+    "detect": "gathered",
     "match": "matched",
     "estimate": "estimated",
     "plan": "planned",
