@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 sys.path.append(str(Path(__file__).parents[1] / "operating"))
+sys.path.append(str(Path(__file__).parents[2] / "models" / "nao"))
 PYTHON = "/usr/bin/python3"
 
 
