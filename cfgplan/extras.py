@@ -17,6 +17,7 @@ _EXTRA_OF = {
     "pygraphviz": "graph",
     "rosbags": "ros2",
     "shtab": "completion",
+    "simpleeval": "ros1",
     "starlette": "page",
     "uvicorn": "page",
     "xxhash": "ros2",

@@ -18,7 +18,8 @@ def add_import(parser: argparse.ArgumentParser) -> None:
         "  cfgplan import xml specifications/ --out env.yaml\n"
         "  cfgplan import wsc wsc08/set01 --out set01.yaml\n"
         "  cfgplan import ros1 live --out robot.yaml\n"
-        "  cfgplan import ros2 tcp/robot:7447 --out robot.yaml"
+        "  cfgplan import ros2 tcp/robot:7447 --out robot.yaml\n"
+        "  cfgplan import ros1 robot.launch sim:=true drive.bag --out robot.yaml"
     )
     parser.add_argument("what", choices=("xml", "wsc", "ros1", "ros2"), help="what to read")
     parser.add_argument(
@@ -26,8 +27,8 @@ def add_import(parser: argparse.ArgumentParser) -> None:
         metavar="PATH",
         nargs="+",
         help="xml: file or folder of them. wsc: folder of a test set. ros1: `live` (the master of ROS_MASTER_URI), "
-        "or a master's address. ros2: `live`, or a Zenoh router's endpoint. Both: recordings (bags, MCAP); several are "
-        "put together",
+        "a master's address, or a launch file and its arguments (NAME:=VALUE). ros2: `live`, or a Zenoh router's "
+        "endpoint. Both: recordings (bags, MCAP); several are put together",
     )
     parser.add_argument(
         "--objective",

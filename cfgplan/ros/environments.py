@@ -101,7 +101,7 @@ class _Making:
     def __init__(self, graph: RosGraph, table: GuessTable) -> None:
         self._table = table
         self._guesses: list[Guessed] = []
-        self._graph = self._typed(self._without_noise(graph))
+        self._graph = self._typed(self._without_noise(self._ported(graph)))
         self._words = RosVocabulary(self._graph)
         self._labels = {node.name: node.name.strip("/") or "node" for node in self._graph.nodes}
         self._names = {node.name: port_names(node) for node in self._graph.nodes}
@@ -127,6 +127,25 @@ class _Making:
 
     def _guess(self, about: str, guess: str, why: str) -> None:
         self._guesses.append(Guessed(about, guess, why))
+
+    def _ported(self, graph: RosGraph) -> RosGraph:
+        """The graph with the ports of the nodes for which no source tells any, but the table does."""
+        nodes, silent = [], []
+        for node in graph.nodes:
+            if not node.ports:
+                known = self._table.ports_of(node)
+                if known is None:
+                    silent.append(node.name)
+                else:
+                    what = node.plugin or f"{node.package}/{node.executable}"
+                    self._guess(node.name, f"has the ports of {what}", "the table knows it")
+                    node = replace(node, ports=known)
+            nodes.append(node)
+        if not silent:
+            return replace(graph, nodes=tuple(nodes))
+        some = f"{', '.join(silent[:6])}{' and others' if len(silent) > 6 else ''}"
+        note = f"which ports {some} have: name a live graph too, or say it under `nodes` in a file for --guesses"
+        return replace(graph, nodes=tuple(nodes), notes=(*graph.notes, note))
 
     def _without_noise(self, graph: RosGraph) -> RosGraph:
         table = self._table

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cache
@@ -15,10 +17,11 @@ from pydantic_core import PydanticCustomError
 from cfgplan.errors import InputError
 from cfgplan.formats.files import read_source
 from cfgplan.formats.schema_faults import schema_faults
-from cfgplan.ros.graph import Role, RosPort
+from cfgplan.ros.graph import Role, RosNode, RosPort, resolved
 from cfgplan.ros.types import MessageType
 
 TABLE = Path(__file__).with_name("guesses.yaml")
+_ARGUMENT = re.compile(r"\{([1-9])\}")
 Feedback: TypeAlias = bool | Literal["in_cycles"]
 """Whether an input may close a cycle: never, always, or where it lies on one."""
 
@@ -114,6 +117,23 @@ class GuessTable:
     def says(self, node: str, port: RosPort, word: Literal["optional", "several", "feedback"]) -> InputGuess | None:
         """The row that decides a word for an input; None if none does."""
         return next((row for row in self.inputs if getattr(row, word) is not None and row.fits(node, port)), None)
+
+    def ports_of(self, node: RosNode) -> tuple[RosPort, ...] | None:
+        """The ports of a node by what it runs, after its remappings; None if the table does not know it.
+
+        A name `{1}` is the first argument of the command line; without so many there is no such port.
+        """
+        known = self.nodes.get(node.plugin or f"{node.package}/{node.executable}")
+        if known is None:
+            return None
+        renamed = dict(node.remappings)
+        ports = []
+        for role, own, kind in known.ports:
+            with suppress(IndexError):
+                meant = _ARGUMENT.sub(lambda found: node.arguments[int(found[1]) - 1], own)
+                full = resolved(meant, node.name.rpartition("/")[0], node.name)
+                ports.append(RosPort(role, renamed.get(full, full), kind, meant))
+        return tuple(ports)
 
     def is_noise(self, node: str) -> bool:
         """Whether a node only looks on."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -171,6 +172,26 @@ def test_a_recording_tells_how_often_messages_come() -> None:
     player = RosNode("/player", (RosPort(Role.PUBLISHES, "/a", rate_hz=12.5),))
     (output,) = imported(graph(player), guess_table()).environment.transformation["player"].outputs
     assert output.rate_uhz == 12_500_000
+
+
+def test_the_manuals_file_of_guesses_is_read_and_believed_first(tmp_path: Path) -> None:
+    file = tmp_path / "guesses.yaml"
+    text = (Path(api.__file__).parent / "manual" / "ros.md").read_text()
+    file.write_text(next(block for block in re.findall(r"```yaml\n(.*?)```", text, re.DOTALL) if "noise:" in block))
+    whole = graph(
+        node("/left", {"/odom": ODOM, "/debug/x": SCAN}),
+        node("/right", {"/odom": ODOM}),
+        node("/fusion", {"/fused": ODOM}, {"/odom": ODOM, "/pad/joy_left": "my_msgs/Stick"}),
+        RosNode("/driver", (), "my_robot", "driver"),
+    )
+    found = imported(whole, guess_table([file]))
+    fusion = found.environment.transformation["fusion"]
+    assert (fusion.input["odom"].count, fusion.input["joy_left"].optional) == (ALL, True)
+    assert "/debug/x" not in found.graph.topics
+    assert [port.tag for port in found.environment.transformation["driver"].outputs] == [
+        "my_msgs-State and driver-state"
+    ]
+    assert [target.run for target in found.environment.targets] == ["driver"]
 
 
 @pytest.mark.parametrize(

@@ -47,7 +47,8 @@ def test_a_source_that_names_half_a_node_is_refused_with_a_mend(text: str) -> No
 
 def test_the_manuals_example_names_nodes_that_can_be_read(tmp_path: Path) -> None:
     file = tmp_path / "ros.yaml"
-    file.write_text(re.findall(r"```yaml\n(.*?)```", MANUAL.read_text(), re.DOTALL)[0])
+    examples = re.findall(r"```yaml\n(.*?)```", MANUAL.read_text(), re.DOTALL)
+    file.write_text(next(example for example in examples if "nodelet:" in example))
     library = cfgplan.load(file).environment.transformation
     assert NodeSource.read(library["camera"].source) == NodeSource("node", "usb_cam", "usb_cam_node")
     assert library["rectify"].input["info"].remap == "camera_info"

@@ -1,0 +1,294 @@
+"""The nodes of a launch file of ROS 1 (XML), with what it includes. Reference: roslaunch/XML of wiki.ros.org.
+
+A launch file names nodes, how they are started, their parameters and remappings. It does not name their ports.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from cfgplan.errors import Fault, InputError
+from cfgplan.formats.xml_elements import XmlElement, parse_xml
+from cfgplan.ros.graph import RosGraph, RosNode, resolved
+from cfgplan.ros.substitutions import PackageMissingError, SubstitutionError, Substitutions, valued
+
+_MOST_INCLUDES = 50
+_TRUE, _FALSE = ("true", "1"), ("false", "0")
+_NODELETS = "nodelet"
+_TYPES: Mapping[str, Callable[[str], object]] = {
+    "auto": valued,
+    "str": str,
+    "string": str,
+    "int": int,
+    "double": float,
+    "bool": lambda text: text.strip().lower() in _TRUE,
+    "boolean": lambda text: text.strip().lower() in _TRUE,
+    "yaml": yaml.safe_load,
+}
+
+
+def launch_graph(path: Path, arguments: Mapping[str, str] | None = None) -> RosGraph:
+    """The nodes that a launch file starts with these arguments, without ports.
+
+    Raises InputError with file and line. What lies in packages that are not here is left out; a note says so.
+    """
+    walk = _Walk()
+    walk.file(path, _Scope(path, given=dict(arguments or {})))
+    return walk.graph(path)
+
+
+@dataclass(frozen=True)
+class _Scope:
+    """What holds at a place of a launch file: names are below `namespace`, remappings and private parameters are for
+    all nodes that follow. `given` are the arguments that were passed, `arguments` those that are declared.
+    """
+
+    file: Path
+    namespace: str = ""
+    given: Mapping[str, str] = field(default_factory=dict)
+    arguments: Mapping[str, str] = field(default_factory=dict)
+    remaps: tuple[tuple[str, str], ...] = ()
+    private: Mapping[str, object] = field(default_factory=dict)
+    depth: int = 0
+
+    def below(self, namespace: str | None) -> _Scope:
+        if not namespace:
+            return self
+        return replace(self, namespace=resolved(namespace, self.namespace, ""))
+
+
+class _Walk:
+    """One reading of a launch file and all that it includes."""
+
+    def __init__(self) -> None:
+        self._nodes: list[RosNode] = []
+        self._parameters: dict[str, object] = {}
+        self._notes: list[str] = []
+
+    def graph(self, path: Path) -> RosGraph:
+        nodes = [replace(node, parameters={**self._own(node), **node.parameters}) for node in self._nodes]
+        left = sorted(self._parameters)
+        if left:
+            some = f"{', '.join(left[:3])}{' and others' if len(left) > 3 else ''}"
+            self._notes.append(f"who reads the {len(left)} parameters that {path} sets outside nodes: {some}")
+        return RosGraph(tuple(nodes), (f"the launch file {path}",), tuple(dict.fromkeys(self._notes)))
+
+    def _own(self, node: RosNode) -> dict[str, object]:
+        """The parameters that were set from outside where a node has its private ones."""
+        begin = f"{node.name}/"
+        return {
+            name[len(begin) :]: self._parameters.pop(name) for name in [*self._parameters] if name.startswith(begin)
+        }
+
+    def file(self, path: Path, scope: _Scope) -> None:
+        try:
+            root = parse_xml(path.read_bytes(), str(path))
+        except OSError as error:
+            mend = "name a launch file"
+            raise InputError.of(f"can't be read: {error.strerror}", file=str(path), mend=mend) from None
+        if root.name != "launch":
+            mend = "launch files of ROS 1 are XML with <launch>; import a live graph of others"
+            raise _fault(path, root, f"this is no launch file of ROS 1: it begins with <{root.name}>", mend)
+        self._inside(root, replace(scope, file=path))
+
+    def _inside(self, parent: XmlElement, scope: _Scope) -> _Scope:
+        for element in parent.children:
+            if self._holds(element, scope):
+                scope = self._element(element, scope)
+        return scope
+
+    def _element(self, element: XmlElement, scope: _Scope) -> _Scope:
+        """Read an element; returns what holds after it."""
+        match element.name:
+            case "arg":
+                return self._argument(element, scope)
+            case "remap":
+                pair = (self._needed(element, "from", scope), self._needed(element, "to", scope))
+                return replace(scope, remaps=(*scope.remaps, pair))
+            case "group":
+                self._inside(element, scope.below(self._value(element, "ns", scope)))
+            case "include":
+                self._include(element, scope)
+            case "node":
+                self._node(element, scope)
+            case "param" | "rosparam":
+                values = self._values(element, scope)
+                private = {name[1:].lstrip("/"): value for name, value in values.items() if name.startswith("~")}
+                shared = {name: value for name, value in values.items() if not name.startswith("~")}
+                self._parameters |= {resolved(name, scope.namespace, ""): value for name, value in shared.items()}
+                return replace(scope, private={**scope.private, **private})
+        return scope
+
+    def _argument(self, element: XmlElement, scope: _Scope) -> _Scope:
+        name = self._needed(element, "name", scope)
+        fixed, default = self._value(element, "value", scope), self._value(element, "default", scope)
+        if fixed is None and name not in scope.given and default is None:
+            mend = f"pass it: write {name}:=VALUE behind the file"
+            raise _fault(scope.file, element, f"the argument `{name}` has no value", mend)
+        value = fixed if fixed is not None else scope.given.get(name, default or "")
+        return replace(scope, arguments={**scope.arguments, name: value})
+
+    def _include(self, element: XmlElement, scope: _Scope) -> None:
+        try:
+            path = Path(self._needed(element, "file", scope, missing=True))
+        except PackageMissingError as error:
+            self._notes.append(f"what {scope.file}:{element.line} includes, since {error}: see ROS_PACKAGE_PATH")
+            return
+        if scope.depth >= _MOST_INCLUDES:
+            mend = "break the circle of includes"
+            raise _fault(scope.file, element, f"files are included more than {_MOST_INCLUDES} deep", mend)
+        if not path.is_file():
+            raise _fault(scope.file, element, f"the file {path} is not there", "mend its name")
+        given = dict(scope.arguments) if self._value(element, "pass_all_args", scope) in _TRUE else {}
+        inner = scope.below(self._value(element, "ns", scope))
+        for each in element.children:
+            if each.name == "arg" and self._holds(each, scope):
+                name = self._needed(each, "name", scope)
+                value = self._value(each, "value", scope)
+                default = self._value(each, "default", scope)
+                given[name] = value if value is not None else default or ""
+        self.file(path, replace(inner, given=given, arguments={}, depth=scope.depth + 1))
+
+    def _node(self, element: XmlElement, scope: _Scope) -> None:
+        scope = scope.below(self._value(element, "ns", scope))
+        package, kind = self._needed(element, "pkg", scope), self._needed(element, "type", scope)
+        name = resolved(self._needed(element, "name", scope), scope.namespace, "")
+        parameters = dict(scope.private)
+        remaps = [*scope.remaps]
+        for each in element.children:
+            if not self._holds(each, scope):
+                continue
+            if each.name == "remap":
+                remaps.append((self._needed(each, "from", scope), self._needed(each, "to", scope)))
+            elif each.name in ("param", "rosparam"):
+                values = self._values(each, scope)
+                parameters |= {key.lstrip("~"): value for key, value in values.items()}
+        words = self._words(element, scope)
+        remaps += [(a, b) for a, b in (word.split(":=", 1) for word in words if ":=" in word) if not a.startswith("_")]
+        arguments = tuple(word for word in words if ":=" not in word)
+        full = {resolved(a, scope.namespace, name): resolved(b, scope.namespace, name) for a, b in remaps}
+        renamed = tuple((a, b) for a, b in full.items() if a != b)
+        node = RosNode(name, (), package, kind, arguments=arguments, remappings=renamed, parameters=parameters)
+        if (package, kind) == (_NODELETS, _NODELETS) and arguments[:1] == ("load",) and len(arguments) > 2:
+            plugin, manager = arguments[1], resolved(arguments[2], scope.namespace, name)
+            node = replace(
+                node,
+                package=plugin.partition("/")[0],
+                executable=None,
+                plugin=plugin,
+                container=manager,
+                arguments=arguments[3:],
+            )
+        self._nodes.append(node)
+
+    def _words(self, element: XmlElement, scope: _Scope) -> list[str]:
+        try:
+            return shlex.split(self._value(element, "args", scope) or "")
+        except ValueError as error:
+            raise _fault(scope.file, element, f"args: {error}", "close what is quoted") from None
+
+    def _values(self, element: XmlElement, scope: _Scope) -> dict[str, object]:
+        """The parameters that an element sets, by their names."""
+        if element.name == "rosparam":
+            return self._of_rosparam(element, scope)
+        name = self._needed(element, "name", scope)
+        kind = element.attributes.get("type", "auto").strip().lower()
+        read = _TYPES.get(kind)
+        text = self._value(element, "value", scope)
+        if text is None and "textfile" in element.attributes:
+            text, read = self._text_of(element, "textfile", scope), str
+        if text is None:
+            how = "by a command" if "command" in element.attributes else "by a file"
+            self._notes.append(f"the value of {name}, which {scope.file}:{element.line} makes {how}")
+            return {}
+        if read is None:
+            raise _fault(scope.file, element, f"`{kind}` is no type of a parameter", f"one of {', '.join(_TYPES)}")
+        try:
+            return dict(_leaves({name: read(text)}))
+        except (ValueError, yaml.YAMLError):
+            raise _fault(scope.file, element, f"`{text}` is no {kind}", "mend the value or its type") from None
+
+    def _of_rosparam(self, element: XmlElement, scope: _Scope) -> dict[str, object]:
+        if (self._value(element, "command", scope) or "load") != "load":
+            return {}
+        text: str | None = "".join(piece for piece, _, _ in element.pieces)
+        if "file" in element.attributes:
+            text = self._text_of(element, "file", scope)
+        if text is None:
+            return {}
+        if self._value(element, "subst_value", scope) in _TRUE:
+            text = self._meant(element, text, scope)
+        names = [self._value(element, key, scope) or "" for key in ("ns", "param")]
+        name = "/".join(each.strip("/") if at else each.rstrip("/") for at, each in enumerate(names) if each)
+        try:
+            value: Any = yaml.safe_load(text)
+        except yaml.YAMLError:
+            raise _fault(scope.file, element, "what it loads is no YAML", "mend what it loads") from None
+        if value is None or not (name or isinstance(value, dict)):
+            return {}
+        return dict(_leaves({name: value} if name else value))
+
+    def _text_of(self, element: XmlElement, attribute: str, scope: _Scope) -> str | None:
+        """The text of a file that an attribute names; None, and a note, if it is not here."""
+        try:
+            return Path(self._needed(element, attribute, scope, missing=True)).read_text(encoding="utf-8")
+        except PackageMissingError as error:
+            self._notes.append(f"what {scope.file}:{element.line} loads, since {error}: see ROS_PACKAGE_PATH")
+        except (OSError, UnicodeDecodeError) as error:
+            self._notes.append(f"what {scope.file}:{element.line} loads: {error}")
+        return None
+
+    def _holds(self, element: XmlElement, scope: _Scope) -> bool:
+        """Whether the conditions of an element let it be."""
+        for key, wanted in (("if", _TRUE), ("unless", _FALSE)):
+            value = self._value(element, key, scope)
+            if value is not None:
+                if value.strip().lower() not in (*_TRUE, *_FALSE):
+                    raise _fault(scope.file, element, f"`{key}` is `{value}`", "make it true or false")
+                if value.strip().lower() not in wanted:
+                    return False
+        return True
+
+    def _needed(self, element: XmlElement, attribute: str, scope: _Scope, *, missing: bool = False) -> str:
+        value = self._value(element, attribute, scope, missing=missing)
+        if value is None:
+            raise _fault(scope.file, element, f"<{element.name}> has no `{attribute}`", "add it")
+        return value
+
+    def _value(self, element: XmlElement, attribute: str, scope: _Scope, *, missing: bool = False) -> str | None:
+        """The value of an attribute; None if it has none."""
+        text = element.attributes.get(attribute)
+        return None if text is None else self._meant(element, text, scope, missing=missing)
+
+    def _meant(self, element: XmlElement, text: str, scope: _Scope, *, missing: bool = False) -> str:
+        """A text with its substitutions; those of packages that are not here stay, unless `missing` asks to raise."""
+        try:
+            return Substitutions(scope.file, scope.arguments).text(text)
+        except PackageMissingError as error:
+            if missing:
+                raise
+            self._notes.append(f"what `{text}` at {scope.file}:{element.line} is, since {error}: see ROS_PACKAGE_PATH")
+            return text
+        except SubstitutionError as error:
+            mend = "pass arguments as NAME:=VALUE behind the file, or mend it"
+            raise _fault(scope.file, element, str(error), mend) from None
+
+
+def _leaves(values: Mapping[Any, object], above: str = "") -> Iterator[tuple[str, object]]:
+    """The values by their whole names, those within others too: what is loaded twice is put together."""
+    for key, value in values.items():
+        name = f"{above}/{key}" if above else str(key)
+        if isinstance(value, dict):
+            yield from _leaves(value, name)
+        else:
+            yield name, value
+
+
+def _fault(file: Path, element: XmlElement, message: str, mend: str) -> InputError:
+    return InputError([Fault(message, str(file), element.line, element.column, mend=mend)])
