@@ -42,6 +42,11 @@ def add_import(parser: argparse.ArgumentParser) -> None:
         "FILE",
         "ros1, ros2: what to believe of types, topics and nodes; `cfgplan help ros` tells how",
     )
+    parser.add_argument(
+        "--works",
+        action="store_true",
+        help="ros1, ros2: the graph works as it is: what nobody feeds may stay unfed, and who publishes is meant to",
+    )
     shared.add_out(parser)
     parser.set_defaults(run=_import)
 
@@ -82,7 +87,7 @@ def _import_ros(options: argparse.Namespace, screen: Screen) -> Exit:
     table = guess_table(map(Path, options.guesses))
     with screen.phase("read"):
         graph = (ros1_graph if options.what == "ros1" else ros2_graph)(options.path)
-    found = imported(graph, table)
+    found = imported(graph, table, works=options.works)
     shared.put(found.ontology, str(ontology), screen)
     shared.put(found.text(ontology.name), options.out, screen)
     if found.guesses:

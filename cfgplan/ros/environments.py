@@ -80,12 +80,13 @@ class Imported:
         return ", ".join(f"{number} {one if number == 1 else one + 's'}" for one, number in numbers.items())
 
 
-def imported(graph: RosGraph, table: GuessTable) -> Imported:
+def imported(graph: RosGraph, table: GuessTable, *, works: bool = False) -> Imported:
     """The environment in which the graph's nodes run, wired as the graph's topics and services wire them.
 
-    Each node becomes a transformation and a unit of it. Whose streams nobody takes is a target to run.
+    Each node becomes a transformation and a unit of it. Whose streams nobody takes is a target to run. If the graph
+    `works` as it is, inputs that nobody feeds may stay unfed, and who publishes is meant to, whatever the table says.
     """
-    return _Making(graph, table).imported
+    return _Making(graph, table, works=works).imported
 
 
 class _End(NamedTuple):
@@ -98,8 +99,9 @@ class _End(NamedTuple):
 class _Making:
     """One graph becoming an environment; guesses are noted on the way."""
 
-    def __init__(self, graph: RosGraph, table: GuessTable) -> None:
+    def __init__(self, graph: RosGraph, table: GuessTable, *, works: bool) -> None:
         self._table = table
+        self._works = works
         self._guesses: list[Guessed] = []
         self._graph = self._typed(self._without_noise(self._ported(graph)))
         self._words = RosVocabulary(self._graph)
@@ -207,7 +209,12 @@ class _Making:
             return InputPort(
                 end.port, tag, service=True, optional=is_optional, type=_type(port), remap=_own(node, port)
             )
+        if self._works and not feeds[end] and not optional:
+            optional = True
+            self._guess(about, "it may stay unfed", "nobody feeds it, and the graph works")
         row = self._table.says(node.name, port, "several")
+        if self._works and row is not None and not row.several and len(feeds[end]) > 1:
+            row = row.model_copy(update={"several": True, "why": "they publish, and the graph works"})
         several = len(feeds[end]) > 1 if row is None else bool(row.several)
         if row is not None and (several or len(feeds[end]) > 1):
             self._guess(about, "takes every stream" if several else "takes one stream", row.why)

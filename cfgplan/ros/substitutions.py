@@ -18,7 +18,7 @@ _SUBSTITUTION = re.compile(r"\$\(([^()]*)\)")
 _EVAL = re.compile(r"\$\(eval (.*)\)", re.DOTALL)
 _INSTALLED = ("/opt/ros/*/share/*", "/usr/share/*")
 _DEEPEST = 6
-_MARKS = ("CATKIN_IGNORE", "COLCON_IGNORE", ".git")
+_UNCRAWLED = ("CATKIN_IGNORE", "COLCON_IGNORE", ".git")
 
 
 class SubstitutionError(Exception):
@@ -139,9 +139,9 @@ def _package_folders(folder: Path, depth: int) -> Iterator[Path]:
     if (folder / "package.xml").is_file():
         yield folder
         return
-    if depth and not any((folder / mark).exists() for mark in _MARKS[:2]):
+    if depth and not any((folder / mark).exists() for mark in _UNCRAWLED[:2]):
         try:
-            inside = sorted(each for each in folder.iterdir() if each.is_dir() and each.name not in _MARKS)
+            inside = sorted(each for each in folder.iterdir() if each.is_dir() and each.name not in _UNCRAWLED)
         except OSError:
             return
         for each in inside:

@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from ros_graphs import graph, judged, node, read_back, written
+from ros_graphs import faults, graph, judged, node, read_back, written
 
 from cfgplan import api
 from cfgplan.domain import ALL
@@ -138,6 +138,29 @@ def test_whatever_the_graph_its_environment_is_read_back_and_breaks_no_other_rul
         assert rules <= {"FED", "MATCHING"}
         read = api.load(Path(folder) / "robot.yaml").environment
         assert read == imported(whole, guess_table()).environment
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(graphs())
+def test_a_graph_that_works_breaks_no_rule_but_where_types_differ(whole: RosGraph) -> None:
+    with TemporaryDirectory() as folder:
+        found = imported(whole, guess_table(), works=True)
+        problem = api.match(api.load(written(found, Path(folder))))
+        assert {violation.rule.name for violation in api.violations(problem.environment, problem.similarity)} <= {
+            "MATCHING"
+        }
+
+
+def test_a_graph_that_works_is_planned_to_stay_as_it_is(tmp_path: Path) -> None:
+    odd = merged([ROBOT, graph(node("/teleop", {"/cmd_vel": TWIST}), node("/mapper", {}, {"/points": SCAN}))])
+    assert {fault.suspicion.name for fault in faults(odd, tmp_path) if fault.violation} == {"NUMBER", "TAKEN"}
+    found = imported(odd, guess_table(), works=True)
+    told = {(guess.about, guess.guess, guess.why) for guess in found.guesses}
+    assert ("input points of mapper", "it may stay unfed", "nobody feeds it, and the graph works") in told
+    assert ("input cmd_vel of base", "takes every stream", "they publish, and the graph works") in told
+    change = api.plan(api.match(api.load(written(found, tmp_path)))).change_set
+    assert change is not None
+    assert not change
 
 
 def test_one_graph_gives_one_file_in_whatever_order_it_is_told(tmp_path: Path) -> None:
