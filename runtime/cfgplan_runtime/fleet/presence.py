@@ -1,0 +1,389 @@
+"""The hosts of a fleet as a manager sees them: whose agent is alive and obeys, what is said with it, and its clock."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from math import inf
+from pathlib import Path
+from typing import TypeAlias
+from urllib.parse import unquote
+
+import msgspec
+
+from cfgplan.domain import MANAGER
+from cfgplan.errors import InputError
+from cfgplan_runtime.fleet.agent import alive_key, clock_key
+from cfgplan_runtime.fleet.clocks import CALLS, CALLS_AGAIN, CLOCK_S, HostClock, Reading, corrected, has_moved
+from cfgplan_runtime.fleet.links import MISSED_SIGNS, Pulse, sign_period_s
+from cfgplan_runtime.fleet.orders import (
+    HEARD,
+    REFUSE,
+    SAY,
+    ClockOrder,
+    FromAgent,
+    GreetOrder,
+    Held,
+    LeaveOrder,
+    Order,
+    Session,
+    Talk,
+    Welcome,
+    read_session,
+)
+from cfgplan_runtime.streams.crossing import crossing_key
+from cfgplan_runtime.streams.run_folder import is_alive
+from cfgplan_runtime.streams.zenoh_link import ZenohLink
+
+_LEAVE_S = 2.0
+_CALL_S = 1.0
+
+
+@dataclass(slots=True, eq=False)
+class HostState:
+    """A host whose agent is alive. It counts as there once its clock is known."""
+
+    name: str
+    life: str
+    """What tells this agent from one of the same name before it."""
+    talk: Talk[FromAgent]
+    pulse: Pulse
+    is_there: bool = False
+    reading: Reading | None = None
+    """What its clock said last."""
+    ahead_ns: int | None = None
+    """How far its clock is ahead of the run's, as it was told."""
+    shown_ns: int = 0
+    """How far its time of day is ahead of that here, as was last told."""
+    gone: threading.Event = field(default_factory=threading.Event)
+    run: Path | None = None
+    """The folder of its topics' sockets, if that is on this computer."""
+    held: Held = field(default_factory=Held)
+    """What ran there when it was greeted."""
+
+
+@dataclass(frozen=True, slots=True)
+class AgentJoined:
+    """A host is there."""
+
+    host: HostState
+    day_ahead_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class AgentClockSet:
+    """The time of day of a host is another than was told."""
+
+    host: HostState
+    day_ahead_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class AgentGone:
+    """A host is not alive any more, or does not obey. It may not have been there yet."""
+
+    host: HostState
+    cause: str
+
+
+@dataclass(frozen=True, slots=True)
+class AgentSaid:
+    """What an agent says."""
+
+    host: HostState
+    message: FromAgent
+
+
+AgentNews: TypeAlias = AgentJoined | AgentClockSet | AgentGone | AgentSaid
+
+
+@dataclass(frozen=True, slots=True)
+class _Measured:
+    """What a host's clock says; None if it does not answer."""
+
+    host: HostState
+    reading: Reading | None
+
+
+_Arrival: TypeAlias = "tuple[str, bytes, bytes] | tuple[str, bool] | tuple[str, float] | _Measured | None"
+
+
+class Presence:
+    """The hosts that are linked with the manager `run`. All methods but `wake` are for the thread that made it.
+
+    `tell_clock` is told by how many nanoseconds the run's clock, which may be an earlier manager's, is ahead of the
+    monotonic one.
+    """
+
+    def __init__(self, link: ZenohLink, run: str, tell_clock: Callable[[int], None]) -> None:
+        self._link, self._run, self._tell_clock = link, run, tell_clock
+        self._inbox: queue.SimpleQueue[_Arrival] = queue.SimpleQueue()
+        self._happened: list[AgentNews] = []
+        self._hosts: dict[str, HostState] = {}
+        self._clock_offset_ns = time.time_ns() - time.monotonic_ns()
+        self._clock = HostClock(lambda: time.monotonic_ns() + self._clock_offset_ns)
+        self._run_ahead_ns = 0
+        """How far this process's clock is ahead of the run's."""
+        self._serial = 0
+        self._term = 1
+        self._is_beginning = True
+        """Until all hosts were waited for: what they run is adopted then, and ended later."""
+        self._takes_over = False
+        """Whether hosts are taken from a living manager; only at the beginning, so that nobody takes them back."""
+        self._seen: dict[str, str] = {}
+        """The hosts that were alive before any was greeted, and what tells their agents from earlier ones."""
+        self._is_greeting = False
+        self._round_s = inf
+        """When it was last looked what had arrived."""
+        self._left_alone: set[str] = set()
+        """Agents that are alive and can't be given orders; what tells them from others, as in `_seen`."""
+        self._rival = ""
+        """A host that obeys another manager."""
+        for kind in (SAY, HEARD, REFUSE):
+            link.hear(crossing_key(None, kind, MANAGER, "*"), lambda *came: self._inbox.put(came))
+        link.watch(f"{alive_key(None)}/*", lambda *came: self._inbox.put(came))
+        link.hear(f"{alive_key(None)}/*", lambda key, *_: self._inbox.put((key, time.monotonic())))
+        link.live(f"{alive_key(MANAGER)}/{run}")
+
+    @property
+    def there(self) -> Mapping[str, HostState]:
+        """The hosts that are there."""
+        return {name: host for name, host in self._hosts.items() if host.is_there}
+
+    def find(self, host: str | None) -> HostState | None:
+        """A host, or any (None): the first by its name. None if it is not there."""
+        if host is None:
+            host = min((name for name, one in self._hosts.items() if one.is_there), default="")
+        found = self._hosts.get(host)
+        return found if found is not None and found.is_there else None
+
+    def say(self, host: str | None, order: Order) -> None:
+        """Give an order to a host with the next `wait`; does nothing if it is not there, or None."""
+        found = None if host is None else self.find(host)
+        if found is not None:
+            found.talk.say(order)
+
+    def wake(self) -> None:
+        """Let `wait` return; for any thread."""
+        self._inbox.put(None)
+
+    def wait(self, end_s: float) -> tuple[list[AgentNews], bool]:
+        """What has happened, and whether to return to the caller; waits until a moment for the first of it."""
+        is_awake = self._hear_all()
+        while not (is_awake or self._happened or time.monotonic() >= end_s):
+            with suppress(queue.Empty):
+                arrival = self._inbox.get(timeout=self._patience_s(end_s))
+                is_awake = self._hear(arrival)
+            is_awake = self._hear_all() or is_awake
+        happened, self._happened = self._happened, []
+        return happened, is_awake
+
+    def await_all(self, hosts: Sequence[str], wait_s: float, *, takes_over: bool) -> list[AgentNews]:
+        """Wait until all hosts are there, at most `wait_s`. Returns what has happened.
+
+        Raises InputError if another manager has one, unless this one `takes_over`, and if that sees fewer than half.
+        """
+        self._takes_over = takes_over
+        end_s = time.monotonic() + wait_s
+        while not self._seen.keys() >= set(hosts) and time.monotonic() < end_s:
+            self._hear_once(end_s)
+        few = [host for host in hosts if host in self._seen]
+        if takes_over and 2 * len(few) < len(hosts):
+            message = f"{len(few)} of {len(hosts)} hosts can be reached: who sees fewer than half does not take over"
+            raise InputError.of(message, mend="run it where more hosts can be reached")
+        self._is_greeting = True
+        for name, life in self._seen.items():
+            self._greet(name, life, "")
+        while not self.there.keys() >= self._seen.keys() and time.monotonic() < end_s + _CALL_S:
+            self._hear_once(end_s + _CALL_S)
+            if self._rival:
+                mend = "stop the other run first, or add --take-over"
+                raise InputError.of(f"another run has host {self._rival!r}", mend=mend)
+        self._is_beginning = self._takes_over = False
+        self._begin_clocks()
+        happened, self._happened = self._happened, []
+        return happened
+
+    def leave(self) -> None:
+        """Tell all hosts that the run is over; wait a while until they have heard."""
+        for host in self._hosts.values():
+            host.gone.set()
+            self.say(host.name, LeaveOrder())
+        end_s = time.monotonic() + _LEAVE_S
+        while any(not host.talk.is_done for host in self._hosts.values()) and time.monotonic() < end_s:
+            self.wait(min(end_s, time.monotonic() + 0.05))
+
+    def _hear_once(self, end_s: float) -> None:
+        """Wait for something to arrive, or for something to be sent, and handle it."""
+        with suppress(queue.Empty):
+            self._hear(self._inbox.get(timeout=self._patience_s(end_s)))
+        self._hear_all()
+
+    def _patience_s(self, end_s: float) -> float:
+        """Seconds until something is to be sent, but never longer than signs of life take."""
+        due_s = min((host.talk.due_s() for host in self._hosts.values()), default=inf)
+        return max(0.0, min(min(end_s, due_s) - time.monotonic(), sign_period_s()))
+
+    def _hear_all(self) -> bool:
+        """Handle what has arrived, then send what is due. Returns whether to return to the caller."""
+        is_awake = False
+        with suppress(queue.Empty):
+            while True:
+                is_awake = self._hear(self._inbox.get_nowait()) or is_awake
+        for host in list(self._hosts.values()):
+            host.talk.pump(time.monotonic())
+            if host.talk.is_broken:
+                self._greet(host.name, host.life, "messages were lost")
+        self._lose_silent()
+        return is_awake
+
+    def _lose_silent(self) -> None:
+        """Lose hosts of which nothing was heard for a lease, unless it was this process that heard nothing."""
+        now_s = time.monotonic()
+        before_s, self._round_s = self._round_s, now_s
+        for host in list(self._hosts.values()):
+            if now_s - before_s >= MISSED_SIGNS * sign_period_s():
+                host.pulse.note(now_s)
+            elif host.pulse.is_lost(now_s):
+                self._lose(host, f"nothing was heard of it for {now_s - host.pulse.last_s:.1f} s")
+
+    def _hear(self, arrival: _Arrival) -> bool:
+        match arrival:
+            case None:
+                return True
+            case _Measured(host, Reading() as reading) if self._hosts.get(host.name) is host:
+                self._note_clock(host, reading)
+            case _Measured(host, None) if self._hosts.get(host.name) is host and not host.is_there:
+                self._greet(host.name, host.life, "its clock does not answer")
+            case (str(key), bool(is_alive)):
+                self._note_life(key, is_alive)
+            case (str(key), float(at_s)):
+                self._note_sign(key, at_s)
+            case (str(key), bytes(head), bytes(payload)):
+                self._hear_agent(key, head, payload)
+        return False
+
+    def _note_life(self, key: str, is_alive: bool) -> None:
+        _, name, _, life = key.split("/")
+        if name == MANAGER:
+            return
+        host = self._hosts.get(unquote(name))
+        if not self._is_greeting:
+            if is_alive:
+                self._seen[unquote(name)] = life
+            else:
+                self._seen.pop(unquote(name), None)
+        elif is_alive and (host is None or host.life != life):
+            self._greet(unquote(name), life, "its agent was started again")
+        elif is_alive and host is not None:
+            host.pulse.note(time.monotonic())
+        elif not is_alive and host is not None and host.life == life and host.pulse.is_steady(time.monotonic()):
+            self._lose(host, "its agent is gone")
+
+    def _note_sign(self, key: str, at_s: float) -> None:
+        """Note a sign of life. It is told of who is alive by Zenoh too, but not of everyone after a link was cut."""
+        _, name, _, life = key.split("/")
+        if life not in self._left_alone:
+            self._note_life(key, is_alive=True)
+        host = self._hosts.get(unquote(name))
+        if host is not None and host.life == life:
+            host.pulse.note(at_s)
+
+    def _greet(self, name: str, life: str, cause: str) -> None:
+        """Begin anew with a host."""
+        if name in self._hosts:
+            self._lose(self._hosts[name], cause)
+        self._serial += 1
+        session = Session(self._term, self._run, self._serial)
+        talk: Talk[FromAgent] = Talk(self._link, MANAGER, name, session, FromAgent)
+        now_s = time.monotonic()
+        self._hosts[name] = HostState(name, life, talk, Pulse(now_s, now_s))
+        talk.say(GreetOrder(adopts=self._is_beginning))
+
+    def _lose(self, host: HostState, cause: str) -> None:
+        del self._hosts[host.name]
+        host.gone.set()
+        self._happened.append(AgentGone(host, cause))
+
+    def _hear_agent(self, key: str, head: bytes, payload: bytes) -> None:
+        _, name, kind, _, session = key.split("/")
+        host = self._hosts.get(unquote(name))
+        if host is None or host.talk.session != read_session(session):
+            return
+        if kind == REFUSE:
+            self._heed(host, payload)
+            return
+        try:
+            for message in host.talk.hear(kind, head, payload, time.monotonic()):
+                if isinstance(message, Welcome):
+                    self._welcome(host, message)
+                else:
+                    self._happened.append(AgentSaid(host, message))
+        except msgspec.MsgspecError as error:
+            self.leave_alone(host, f"its agent is of another version of cfgplan: {error}")
+
+    def leave_alone(self, host: HostState, cause: str) -> None:
+        """Lose a host whose agent is alive and can't be given orders."""
+        self._left_alone.add(host.life)
+        if self._hosts.get(host.name) is host:
+            self._lose(host, cause)
+
+    def _heed(self, host: HostState, refusal: bytes) -> None:
+        """A host obeys a later manager: yield to it if that is alive, unless this one is to take over."""
+        try:
+            term, is_obeyed = map(int, refusal.split())
+        except ValueError:
+            return  # of another version, or of nobody
+        if is_obeyed and not self._takes_over:
+            self._rival = host.name
+            self.wake()
+            self.leave_alone(host, "it obeys a later manager")
+        else:
+            self._term = max(self._term, term + 1)
+            self._greet(host.name, host.life, "it obeyed a manager that is gone")
+
+    def _welcome(self, host: HostState, welcome: Welcome) -> None:
+        host.held, host.ahead_ns = welcome.held, welcome.held.ahead_ns
+        path = Path(welcome.run)
+        host.run = path if is_alive(path) else None
+        threading.Thread(target=self._measure, args=(host,), daemon=True).start()
+
+    def _measure(self, host: HostState) -> None:
+        """Read a host's clock again and again; runs in a thread of its own."""
+        calls, key = CALLS, clock_key(host.name)
+        while not host.gone.is_set():
+            reading = self._clock.read(lambda: (answer for _, answer in self._link.ask(key, _CALL_S)), calls)
+            self._inbox.put(_Measured(host, reading))
+            calls = CALLS_AGAIN
+            host.gone.wait(CLOCK_S)
+
+    def _note_clock(self, host: HostState, reading: Reading) -> None:
+        """A host whose clock is known is there."""
+        host.reading, was_there, host.is_there = reading, host.is_there, True
+        if not self._is_beginning:
+            self._correct(host, reading)
+        if not was_there or has_moved(host.shown_ns, reading):
+            host.shown_ns = reading.day_ahead_ns
+            self._happened.append((AgentClockSet if was_there else AgentJoined)(host, reading.day_ahead_ns))
+
+    def _begin_clocks(self) -> None:
+        """Go on with the clock of an earlier manager, so that no element is taken for older than it is."""
+        known = {host: host.reading for host in self._hosts.values() if host.reading is not None}
+        for host, reading in known.items():
+            if host.ahead_ns is not None:
+                self._run_ahead_ns = host.ahead_ns - reading.ahead_ns
+                break
+        self._tell_clock(self._clock_offset_ns - self._run_ahead_ns)
+        for host, reading in known.items():
+            self._correct(host, reading)
+
+    def _correct(self, host: HostState, reading: Reading) -> None:
+        """Have a host correct its clock by what is certain."""
+        before_ns, measured_ns = host.ahead_ns, reading.ahead_ns + self._run_ahead_ns
+        host.ahead_ns = measured_ns if before_ns is None else corrected(before_ns, measured_ns, reading.doubt_ns)
+        if host.ahead_ns != before_ns:
+            self.say(host.name, ClockOrder(host.ahead_ns))
