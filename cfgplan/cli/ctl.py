@@ -32,6 +32,7 @@ example:
   cfgplan ctl kill camera.1            (it is replaced at once)
   cfgplan ctl review
   cfgplan ctl plan --out plan.json     (what a review would do now)
+  cfgplan ctl why camera.1
   cfgplan ctl apply plan.json          (refused if something has changed since)
   cfgplan ctl stop
   cfgplan ctl state --connect tls/10.0.0.3:7447 --certificates /etc/cfgplan/manager      (from another computer)
@@ -67,6 +68,7 @@ _COMMANDS = (
     _Command("regain-host", "use a host again", "HOST", "its name", "regain_host", "host"),
     _Command("review", "plan now, as if the horizon were reached", method="review"),
     _Command("plan", "say what a review would do now, and change nothing"),
+    _Command("why", "say why a unit runs, and what doing without it would cost", "UNIT", "its id, such as camera.1"),
     _Command("apply", "carry out a plan that was made for what runs", "FILE", "what `ctl plan --out` wrote"),
     _Command("events", "print what happens, until the run ends"),
     _Command("socket", "print where the run's control socket is, for other programs"),
@@ -96,7 +98,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
             each.add_argument("--name", type=normal, metavar="NAME", help="the name to add it under (the file's)")
         if command.name == "plan":
             shared.add_out(each)
-        if command.method or command.name in ("add", "plan", "apply"):
+        if command.method or command.name in ("add", "plan", "why", "apply"):
             shared.add_time(each, "--wait", 60.0, "how long to wait for the review (60s)")
 
 
@@ -122,6 +124,10 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
                     return _change(control, screen, "add", params, f"Added {name}.", options.wait)
                 case "plan":
                     return _plan(control, screen, options)
+                case "why":
+                    reply = control.call("why", timeout_s=options.wait + 10, unit=options.operand, wait_s=options.wait)
+                    screen.show_json(reply) if screen.json else screen.show("\n".join(reply["says"]))
+                    return Exit.OK
                 case "apply":
                     params = {"name": options.operand, "text": text}
                     return _change(control, screen, "apply", params, "Done.", options.wait)

@@ -18,20 +18,25 @@ _FOLDERS = (_HERE.parents[1] / "worlds", _HERE.parents[2] / "models")
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
-    parser.epilog = "example:\n  cfgplan demo nao\n  cfgplan demo nao --step 2s --report page.html"
+    parser.epilog = (
+        "example:\n  cfgplan demo nao\n  cfgplan demo nao --page\n  cfgplan demo nao --step 2s --report page.html"
+    )
     parser.add_argument("world", metavar="WORLD", nargs="?", choices=("nao",), default="nao", help="nao (the only one)")
     shared.add_time(parser, "--step", 6.0, "how long each step is shown (6s)")
     page = "the page to write (nao.html)"
     parser.add_argument("--report", type=shared.out_file, metavar="FILE", default="nao.html", help=page)
+    shared.add_page(parser, "the play")
     shared.add_json(parser)
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
+    if options.page is not None:
+        shared.needed_for_pages()
     sys.path.insert(0, str(_folder(options.world)))
     from nao_demo.narrator import show
 
-    show(screen, options.step, Path(options.report))
+    show(screen, options.step, Path(options.report), options.page)
     return Exit.OK
 
 

@@ -11,11 +11,12 @@ from rich.text import Text
 from cfgplan.canonical import normal
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import OF_STATUS, Exit
-from cfgplan.cli.plan_text import amount, cpu
+from cfgplan.cli.plan_text import cpu
 from cfgplan.cli.screen import Screen
 from cfgplan.domain import Environment
 from cfgplan.errors import known
 from cfgplan.explaining import Blocked, Choice, Clash, Unfed, Unreachable, Unused, Why, WhyNot
+from cfgplan.explaining.why_words import amount, choice_line, named_labels, some, why_lines
 
 if TYPE_CHECKING:
     from cfgplan.answers import Subject
@@ -169,9 +170,9 @@ def unreachable_lines(environment: Environment, reason: Unreachable, opening: st
 
 def clash_line(clash: Clash) -> str:
     demands = clash.demands
-    parts = [_named("target", demands.targets)] if demands.targets else []
-    parts += [_named("required", demands.required)] if demands.required else []
-    parts += [_named("pinned", demands.pinned)] if demands.pinned else []
+    parts = [named_labels("target", demands.targets)] if demands.targets else []
+    parts += [named_labels("required", demands.required)] if demands.required else []
+    parts += [named_labels("pinned", demands.pinned)] if demands.pinned else []
     number = len(demands.targets) + len(demands.required) + len(demands.pinned)
     who = " with ".join(parts)
     if clash.cost_us is None or clash.max_cost_us is None:
@@ -203,49 +204,9 @@ def pinned_lines(environment: Environment, unit: str, why: Unreachable) -> Itera
 
 def why_text(why: Why) -> Text:
     """Why a plan uses something, or why not: what it serves, and what it would cost to do without."""
-    lines = []
-    if why.units:
-        named = [] if why.units == (why.subject,) else [f"runs as {some(why.units)}"]
-        idle = "is a spare for when something fails" if why.is_spare else "serves no target"
-        served = f"serves {_named('target', why.targets)}" if why.targets else idle
-        through = [f"feeds {some(why.consumers)}"] if why.consumers else []
-        lines.append(Text(f"{why.subject} {', '.join([*named, served, *through])}."))
-    lines.append(Text(choice_line(why), style="bold"))
-    for sign, labels, style in (("+", why.more, "green"), ("-", why.less, "red")):
-        if labels:
-            lines.append(Text(f"  {sign} {some(labels)}", style=style))
-    if why.units and why.difference_us is not None and not why.more and not why.less:
-        lines.append(Text("  another unit of its transformation would take its place"))
-    if why.choice is Choice.FORCED:
-        lines += [Text(f"  {reason}") for reason in why.otherwise.reasons.values()]
+    styles = {choice_line(why): "bold", "  + ": "green", "  - ": "red"}
+    lines = (Text(line, style=styles.get(line) or styles.get(line[:4], "")) for line in why_lines(why))
     return Text("\n").join(lines)
-
-
-def choice_line(why: Why) -> str:
-    """Forced, cheaper or a tie, as a sentence."""
-    how = "without it" if why.units else "with it"
-    more = why.difference or 0
-    match why.choice:
-        case Choice.FORCED:
-            return "Forced: there is no plan without it."
-        case Choice.CHEAPER:
-            used = "Used" if why.units else "Not used"
-            return f"{used} because the next best plan, {how}, costs {amount(why.decides, more)} more."
-        case Choice.LESS_CHANGE:
-            return f"A tie in cost: the next best plan, {how}, costs the same, but rewires or starts more units."
-        case Choice.TIE:
-            return f"A tie: there is a plan {how} that is as good."
-        case Choice.DEMANDED if more < 0:
-            less = f"would cost {amount(why.decides, -more)} less"
-            return f"Used because something is required or pinned: a plan {how} {less}."
-        case Choice.DEMANDED:
-            return f"Used because something is required or pinned: a plan {how} would be as cheap."
-        case Choice.IMPOSSIBLE:
-            return "Not used: no plan for these targets can use it."
-        case Choice.UNREAD:
-            return f"{why.subject} is read by nothing that the plan runs."
-        case Choice.UNDECIDED:
-            return "Not decided: the planner did not prove both plans."
 
 
 def table_lines(whys: Sequence[Why]) -> Iterator[str]:
@@ -331,13 +292,3 @@ def _outputs(environment: Environment) -> Mapping[str, tuple[str, ...]]:
         for port in transformation.outputs:
             found[port.tag] = (*found.get(port.tag, ()), f"{transformation.label}/{port.name}")
     return found
-
-
-def _named(what: str, labels: frozenset[str] | tuple[str, ...]) -> str:
-    plural = "s" if what == "target" and len(labels) > 1 else ""
-    return f"{what}{plural} {some(tuple(sorted(labels)))}"
-
-
-def some(names: Sequence[str], most: int = 6) -> str:
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + more

@@ -32,6 +32,17 @@ def add_environment(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("env", metavar="ENV", help="environment file (YAML or JSON), or the paper's XML")
 
 
+def add_page(parser: argparse.ArgumentParser, about: str) -> None:
+    """`--page`: serve a page while the verb works; None if it is not asked for."""
+    means = f"serve a page about {about} on 127.0.0.1:N (0: any that is free)"
+    parser.add_argument("--page", type=port, nargs="?", const=0, metavar="N", help=means)
+
+
+def needed_for_pages() -> None:
+    """Raises InputError if what pages need is not installed."""
+    needed("pages", "pygraphviz", "starlette", "uvicorn")
+
+
 def add_json(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print JSON for machines")
 

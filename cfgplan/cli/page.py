@@ -27,6 +27,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
+    shared.needed_for_pages()
     from cfgplan_runtime.operating.control_client import connect
     from cfgplan_runtime.page.server import PageServer
 

@@ -9,7 +9,8 @@ from rich.text import Text
 
 from cfgplan.cli.screen import counted, decided_by
 from cfgplan.costs import keep_cost_us, labor_us, standby_cost_us, upkeep_us
-from cfgplan.domain import CPU, MEMORY, POWER, ChangeSet, ComputationUnit, Environment, Host, Objective, Stream, Target
+from cfgplan.domain import CPU, MEMORY, POWER, ChangeSet, ComputationUnit, Environment, Host, Stream, Target
+from cfgplan.explaining.why_words import amount
 from cfgplan.figures import cost_parts, link_loads, loads, qualities_of_targets, transfers
 from cfgplan.planners import IGNORING_REQUIRED
 from cfgplan.planning import Failures, Plan, Problem, Status
@@ -19,12 +20,6 @@ from cfgplan.summary import cpu as cpu
 _STYLE = {"+": "green", "~": "yellow", "-": "red", "=": "dim"}
 MOST_OPEN_PAIRS, MOST_NAMES = 10, 3
 """More open pairs, and more ports of one tag, are left to `--json`."""
-_COUNTED = {
-    Objective.UNITS: "running unit",
-    Objective.HOSTS: "host",
-    Objective.REWIRED: "rewired unit",
-    Objective.STARTED: "started unit",
-}
 _VERB = {"+": "start", "~": "rewire", "-": "stop", "=": "keep"}
 
 
@@ -37,13 +32,6 @@ def update_text(problem: Problem, plan: Plan, given_up: Collection[str] = ()) ->
 def changes_text(before: Environment, changes: ChangeSet) -> Text:
     """What a change set starts, rewires, stops and keeps of an environment; ends with an empty line."""
     return Text("\n").join(_changes(before, changes))
-
-
-def amount(objective: Objective, value: int) -> str:
-    """So much of an objective: `2 hosts`, `1.25 s of rent`, `1.25 s`."""
-    if objective in _COUNTED:
-        return counted(value, _COUNTED[objective])
-    return cpu(value) if objective is Objective.COST else f"{cpu(value)} of rent"
 
 
 def _changes(before: Environment, changes: ChangeSet) -> Iterator[Text]:

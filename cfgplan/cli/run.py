@@ -21,7 +21,6 @@ from cfgplan.cli.interrupts import Interrupts
 from cfgplan.cli.run_output import JsonLines, Lines, RunOutput
 from cfgplan.cli.screen import Screen, counted
 from cfgplan.errors import Fault, InputError
-from cfgplan.extras import needed
 from cfgplan.planning import Decider, Problem
 
 if TYPE_CHECKING:
@@ -84,9 +83,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     longest = "longest wait until a failing transformation that nothing can replace is started again (3s)"
     shared.add_time(parser, "--back-off", 3.0, longest)
     shared.add_several(parser, "--preload", "MODULE", "import this module before units start (repeat)")
-    parser.add_argument(
-        "--page", type=shared.port, nargs="?", const=0, metavar="N", help="serve a page about the run on 127.0.0.1:N"
-    )
+    shared.add_page(parser, "the run")
     parser.add_argument(
         "--ros2", action="store_true", help="publish targets that say their message type as ROS 2 topics (rmw_zenoh)"
     )
@@ -108,7 +105,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan_runtime.lifecycle.worlds import refuse_hosts
 
     if options.page is not None:
-        needed("pages", "starlette", "uvicorn")
+        shared.needed_for_pages()
     if options.ros2:
         from cfgplan_runtime.ros2.ros_session import check_installed
 

@@ -15,6 +15,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
+import httpx
 import psutil
 import pytest
 from cfgplan_runtime import subscribe
@@ -105,12 +106,15 @@ def test_the_story_of_section_five_happens_and_is_put_on_a_page(
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_play_leaves_no_process(tmp_path: Path, end: signal.Signals) -> None:
     command = [sys.executable, "-c", "import sys; from cfgplan.cli import main; sys.exit(main())"]
-    arguments = ["demo", "nao", "--json", "--step", "60s", "--report", str(tmp_path / "page.html")]
+    arguments = ["demo", "nao", "--json", "--step", "60s", "--report", str(tmp_path / "page.html"), "--page"]
     with subprocess.Popen([*command, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as playing:
         assert playing.stdout is not None
+        assert playing.stderr is not None
+        url = playing.stderr.readline().removeprefix("The page is at ").strip()
         assert json.loads(playing.stdout.readline())["step"] == 0
         subscription = subscribe("/result", wait_s=PATIENCE_S, timeout_s=PATIENCE_S)
         next(iter(subscription))
+        assert "<title>cfgplan</title>" in httpx.get(url).text
         started = psutil.Process(playing.pid).children(recursive=True)
         assert len(started) > 6
         playing.send_signal(end)

@@ -21,7 +21,18 @@ from cfgplan_runtime.lifecycle.reports import (
 )
 from cfgplan_runtime.supervision.observation import Observation
 
-from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Publication, Stream, Subscription, Target
+from cfgplan.domain import (
+    ChangeSet,
+    ComputationUnit,
+    Environment,
+    InputPort,
+    OutputPort,
+    Publication,
+    Stream,
+    Subscription,
+    Target,
+    Transformation,
+)
 from cfgplan.planning import Problem, Similarity
 
 CAMERA = ComputationUnit("camera.1", "camera")
@@ -69,6 +80,15 @@ SNAPSHOT = Snapshot(
     cost_us=2_000_000,
 )
 
+FORESEEN_IN = Environment(
+    (CAMERA, DETECTOR),
+    (
+        Transformation("camera", outputs=(OutputPort("image", "Image"),)),
+        Transformation("detector", (InputPort("image", "Image"),), (OutputPort("ball", "Ball"),)),
+    ),
+    (Target("ball", "Ball", "/result"),),
+)
+
 
 class FakeManager:
     def __init__(self, snapshot: Snapshot = SNAPSHOT) -> None:
@@ -76,6 +96,7 @@ class FakeManager:
         self.listeners: list[Callable[[Report], None]] = []
         self.refuse: Exception | None = None
         self.is_slow = False
+        self.foreseen: Thought | None = None
         self._snapshot = snapshot
 
     def request(self, change: Change) -> Future[Review | None]:
@@ -90,10 +111,10 @@ class FakeManager:
     def preview(self) -> Future[Preview]:
         future: Future[Preview] = Future()
         if not self.is_slow:
-            thought = Thought(
+            thought = self.foreseen or Thought(
                 Environment((CAMERA,)), Environment(), unmet={"goal": "nothing gives Goal"}, cause="no time"
             )
-            problem = Problem(Environment((CAMERA,)), Similarity({}), 60)
+            problem = Problem(FORESEEN_IN, Similarity({tag: frozenset({tag}) for tag in ("Image", "Ball")}), 60)
             future.set_result(Preview(thought, problem, {"unit": {"camera.1": "1234"}}))
         return future
 

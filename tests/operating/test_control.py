@@ -12,11 +12,13 @@ from typing import Any
 import pytest
 from cfgplan_runtime.errors import ControlError, NoSuchRunError
 from cfgplan_runtime.lifecycle import changes
+from cfgplan_runtime.lifecycle.deliberation import Thought
+from cfgplan_runtime.lifecycle.reports import Decision
 from cfgplan_runtime.operating.control_client import Control, connect, connect_to
 from cfgplan_runtime.operating.control_server import MOST_CLIENTS, MOST_WAITING_EVENTS, ControlServer
 from cfgplan_runtime.operating.protocol import RefusedError
 from cfgplan_runtime.streams.run_folder import RunFolder, control_address
-from fake_manager import FakeManager
+from fake_manager import FORESEEN_IN, FakeManager
 
 from cfgplan.domain import ChangeSet
 from cfgplan.errors import Fault, InputError
@@ -124,6 +126,16 @@ def test_a_plan_is_told_with_what_it_was_made_for(control: Control, manager: Fak
     manager.is_slow = True
     with pytest.raises(RefusedError, match="no plan was made in time"):
         control.call("plan", wait_s=0.01)
+    assert manager.requested == []
+
+
+def test_it_is_told_why_a_unit_runs(control: Control, manager: FakeManager) -> None:
+    with pytest.raises(RefusedError, match="there is no plan to ask about: no time"):
+        control.call("why", unit="camera.1")
+    manager.foreseen = Thought(FORESEEN_IN, FORESEEN_IN, decision=Decision.KEPT, change_set=ChangeSet(), cost_us=0)
+    assert control.call("why", unit="camera.1")["says"][0] == ("camera.1 serves target ball, feeds detector.1/image.")
+    with pytest.raises(RefusedError, match=r"did you mean `camera\.1`"):
+        control.call("why", unit="camera.2")
     assert manager.requested == []
 
 

@@ -11,17 +11,18 @@ from typing import Any
 
 import httpx
 import pytest
-from cfgplan_runtime.lifecycle.changes import KillUnit, LoseHost
-from cfgplan_runtime.lifecycle.reports import UnitView
+from cfgplan_runtime.lifecycle.changes import Declare, KillUnit, LoseHost, Withdraw
+from cfgplan_runtime.lifecycle.deliberation import Thought
+from cfgplan_runtime.lifecycle.reports import Decision, UnitView
 from cfgplan_runtime.operating.control_client import connect
 from cfgplan_runtime.operating.control_server import ControlServer
 from cfgplan_runtime.operating.records import snapshot_record
 from cfgplan_runtime.page.pictures import configuration, svg
 from cfgplan_runtime.page.server import PageServer
-from fake_manager import DETECTOR, SNAPSHOT, FakeManager, observation
+from fake_manager import DETECTOR, FORESEEN_IN, SNAPSHOT, FakeManager, observation
 from operated_world import PATIENCE_S, eventually
 
-from cfgplan.domain import ComputationUnit, Publication, Stream, Subscription
+from cfgplan.domain import ChangeSet, ComputationUnit, Publication, Stream, Subscription
 from cfgplan.errors import InputError
 
 CHROMIUM = Path("/usr/bin/chromium")
@@ -75,14 +76,20 @@ def test_who_has_the_token_may_change_the_run(page: PageServer, manager: FakeMan
         ("kill", {"X-Token": "wrong"}, 403),
         ("kill", {"Origin": "http://elsewhere"}, 403),
         ("kill", {"Host": "elsewhere"}, 400),
-        ("add", {}, 400),
-        ("lose_host", {}, 409),
+        ("dance", {}, 400),
     ],
 )
 def test_nobody_else_may_and_only_what_the_page_does(
     page: PageServer, manager: FakeManager, method: str, more: dict[str, str], status: int
 ) -> None:
     assert asking(page, method, **more).status_code == status
+    assert manager.requested == []
+
+
+def test_what_the_run_refuses_is_an_answer(page: PageServer, manager: FakeManager) -> None:
+    reply = asking(page, "lose_host")
+    assert reply.status_code == 200
+    assert "there is no parameter `unit`" in reply.json()["refused"]
     assert manager.requested == []
 
 
@@ -154,6 +161,18 @@ def test_a_browser_shows_the_run_and_its_buttons_and_keys_work(page: PageServer,
         eventually(lambda: manager.requested == [KillUnit("camera.1")])
         tab.click("#hosts button")
         eventually(lambda: LoseHost("nao1", "told through the control socket") in manager.requested)
+        manager.foreseen = Thought(FORESEEN_IN, FORESEEN_IN, decision=Decision.KEPT, change_set=ChangeSet(), cost_us=0)
+        tab.click("#ask-why")
+        tab.wait_for_selector("#why li:has-text('camera.1 serves target ball, feeds detector.1/image.')")
+        tab.fill("#add-name", "robot3")
+        tab.fill("#add-text", "targets: [{label: more, topic: /more, tag: Ball}]")
+        tab.click("#add")
+        eventually(lambda: any(isinstance(one, Declare) and one.name == "robot3" for one in manager.requested))
+        tab.fill("#add-text", "- nothing")
+        tab.click("#add")
+        tab.wait_for_selector("#answer:has-text('this declares nothing')")
+        tab.click("#declared button")
+        eventually(lambda: Withdraw("robot2") in manager.requested)
         assert "✗ goal" in tab.inner_text("#targets")
         box = tab.get_attribute("#picture svg", "viewBox")
         tab.focus("#picture")

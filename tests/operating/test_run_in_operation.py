@@ -436,6 +436,7 @@ def test_a_plan_is_written_read_and_carried_out_unless_it_is_stale(
     assert f"Wrote {file}." in said.err
     assert ctl(capsys, "plan")["change_set"] == json.loads(file.read_text())["change_set"]
 
+    assert ctl(capsys, "why", "camera(piff).1")["says"][0].startswith("camera(piff).1 serves target ball, feeds ")
     applied = ctl(capsys, "apply", file)
     assert applied["review"]["decision"] == "applied"
     assert {unit["id"] for unit in state_now(capsys)["units"]} == {"camera(piff).1", "cheaper(piff).1"}

@@ -21,10 +21,13 @@ from nao_demo.playing import play
 from nao_demo.story import SECTION_V, Step
 
 
-def show(screen: Screen, step_s: float, out: Path) -> None:
-    """Play the story, each step watched for `step_s` seconds, and write the page about it to `out`."""
+def show(screen: Screen, step_s: float, out: Path, port: int | None = None) -> None:
+    """Play the story, each step watched for `step_s` seconds, and write the report about it to `out`.
+
+    With a `port` (0: any) a page about the run is served there meanwhile.
+    """
     with Interrupts(), Narrator(screen) as narrator:
-        played = play(SECTION_V, step_s, narrator)
+        played = play(SECTION_V, step_s, narrator, port)
     with screen.phase("compare robots and draw the page"):
         api.write_file(out, page(played, __version__).encode())
     screen.note(f"Wrote {out}.")
@@ -43,6 +46,9 @@ class Narrator:
 
     def __exit__(self, *_: object) -> None:
         self._now.stop()
+
+    def is_served(self, url: str) -> None:
+        self._screen.note(f"The page is at {url}")
 
     def begins(self, step: Step) -> None:
         self._number += 1

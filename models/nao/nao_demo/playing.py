@@ -6,7 +6,8 @@ import os
 import queue
 import signal
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from typing import Protocol
 
@@ -16,7 +17,14 @@ from cfgplan_runtime.lifecycle.manager import Manager
 from cfgplan_runtime.lifecycle.perturbations import UnitGone
 from cfgplan_runtime.lifecycle.reports import Decision, Report, Review, Reviewed
 from cfgplan_runtime.lifecycle.seams import DeclaredCosts
+from cfgplan_runtime.operating.control_client import connect
+from cfgplan_runtime.operating.control_server import ControlServer, about_this_process
+from cfgplan_runtime.operating.flows import Flows
+from cfgplan_runtime.operating.methods import Methods
+from cfgplan_runtime.operating.records import report_record
+from cfgplan_runtime.operating.sentences import sentence
 from cfgplan_runtime.runtime import Runtime
+from cfgplan_runtime.streams.run_folder import base_folder
 
 from cfgplan import api
 from cfgplan.explaining.what_if import requiring
@@ -39,6 +47,9 @@ LONGEST_S = 120.0
 class Audience(Protocol):
     """Whoever is told how the play goes on."""
 
+    def is_served(self, url: str) -> None:
+        """There is a page about the play, for those who have its address."""
+
     def begins(self, step: Step) -> None:
         """A step begins."""
 
@@ -52,8 +63,8 @@ class Audience(Protocol):
         """A step has ended."""
 
 
-def play(story: Sequence[Step], step_s: float, audience: Audience) -> tuple[Played, ...]:
-    """Play the story; each step is watched for `step_s` seconds.
+def play(story: Sequence[Step], step_s: float, audience: Audience, port: int | None = None) -> tuple[Played, ...]:
+    """Play the story; each step is watched for `step_s` seconds. With a `port` (0: any) a page about it is served.
 
     Raises RuntimeFaultError if a step does not come to its end.
     """
@@ -63,8 +74,9 @@ def play(story: Sequence[Step], step_s: float, audience: Audience) -> tuple[Play
         listener = Listener(TOPIC, runtime.id)
         try:
             player = _Player(runtime, listener, step_s)
-            audience.begins(story[0])
-            with Manager(world, runtime, estimator=DeclaredCosts(failure_us=0), report=player.hear) as manager:
+            manager = Manager(world, runtime, estimator=DeclaredCosts(failure_us=0), report=player.hear)
+            with _served(manager, runtime, port, audience):
+                audience.begins(story[0])
                 for step in story:
                     if step is not story[0]:
                         audience.begins(step)
@@ -76,6 +88,26 @@ def play(story: Sequence[Step], step_s: float, audience: Audience) -> tuple[Play
             runtime.close()
             listener.close()
     return _without_gaps(played, listener)
+
+
+@contextmanager
+def _served(manager: Manager, runtime: Runtime, port: int | None, audience: Audience) -> Iterator[None]:
+    """The manager at work; `cfgplan ctl` reaches it, and a page shows it where a port is named."""
+    flows = Flows()
+    runtime.listen(flows.hear)
+    about = about_this_process(str(WORLD / "0-target-only.yaml"))
+    with (
+        ControlServer(base_folder() / runtime.id, Methods(manager, flows).by_name(), about) as server,
+        ExitStack() as more,
+    ):
+        manager.listen(lambda report: server.publish({**report_record(report), "says": sentence(report)}))
+        if port is not None:
+            from cfgplan_runtime.page.server import PageServer
+
+            page = more.enter_context(PageServer(lambda: connect(runtime.id), port=port))
+            audience.is_served(page.url)
+        with manager:
+            yield
 
 
 def _without_gaps(played: Sequence[Played], listener: Listener) -> tuple[Played, ...]:

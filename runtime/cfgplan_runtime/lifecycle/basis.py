@@ -57,11 +57,11 @@ def basis_of(world: World, running: Environment) -> Basis:
     return {**named, "setting": {name: _digest(value) for name, value in settings.items()}}
 
 
-def plan_text(preview: Preview) -> str:
-    """The plan file (JSON) of what a review would do."""
+def previewed(preview: Preview) -> Plan:
+    """What a review would do, as a plan."""
     thought = preview.thought
     status = Status.UNKNOWN if thought.change_set is None else Status.FEASIBLE
-    plan = Plan(
+    return Plan(
         "review",
         Status.OPTIMAL if thought.is_proven else status,
         thought.change_set if thought.decision is not Decision.KEPT else ChangeSet(),
@@ -71,8 +71,12 @@ def plan_text(preview: Preview) -> str:
         undecided=thought.undecided,
         seconds=thought.seconds,
     )
+
+
+def plan_text(preview: Preview) -> str:
+    """The plan file (JSON) of what a review would do."""
     digest = hashlib.sha256(msgspec.json.encode(preview.basis, order="deterministic")).hexdigest()
-    return dump_plan(plan, preview.problem, digest, preview.basis)
+    return dump_plan(previewed(preview), preview.problem, digest, preview.basis)
 
 
 def staleness(then: Basis, now: Basis) -> tuple[Fault, ...]:

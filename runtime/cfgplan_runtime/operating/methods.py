@@ -9,9 +9,11 @@ from concurrent.futures import CancelledError, Future
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from typing import Any, Protocol, TypeVar
 
+from cfgplan import answers
 from cfgplan.errors import CfgplanError, InputError
+from cfgplan.explaining.why_words import why_lines
 from cfgplan.formats import read_run_plan
-from cfgplan_runtime.lifecycle.basis import Preview, plan_text
+from cfgplan_runtime.lifecycle.basis import Preview, plan_text, previewed
 from cfgplan_runtime.lifecycle.changes import (
     ApplyPlan,
     Change,
@@ -37,6 +39,8 @@ REQUEST_PATIENCE_S = 60.0
 
 
 LONGEST_WAIT_S = 1_000_000
+_WHY_S = 10.0
+"""How long the next best plan is looked for."""
 
 T = TypeVar("T")
 
@@ -76,6 +80,7 @@ class Methods:
             "review": self._review,
             "plan": self._plan,
             "apply": self._apply,
+            "why": self._why,
             "stop": self._stop,
             **{name: self._changing(key, change) for name, (key, change) in one_name.items()},
         }
@@ -122,6 +127,21 @@ class Methods:
             "unmet": dict(thought.unmet),
             "running": [wired(unit) for unit in thought.running.units],
         }
+
+    def _why(self, params: Mapping[str, Any]) -> Record:
+        _only(params, "unit", "wait_s")
+        unit = _text(params, "unit")
+        try:
+            preview = _waited_for(self._manager.preview(), params)
+        except FutureTimeoutError:
+            raise RefusedError("busy", "no plan was made in time", "ask again when the reviews are over") from None
+        if preview.thought.change_set is None:
+            raise RefusedError("refused", f"there is no plan to ask about: {preview.thought.cause}")
+        try:
+            why = answers.why(preview.problem, previewed(preview), "unit", unit, time_limit_s=_WHY_S)
+        except CfgplanError as error:
+            raise _refusal(error) from None
+        return {"says": list(why_lines(why))}
 
     def _apply(self, params: Mapping[str, Any]) -> Record:
         _only(params, "text", "name", "wait_s")

@@ -73,6 +73,7 @@ function refresh() {
   targets();
   hosts();
   reviews();
+  declared();
   if (chosen) choose(chosen);
   document.body.dataset.frames = ++frames;
 }
@@ -144,8 +145,9 @@ function choose(id) {
   chosen = unit ? id : null;
   byId("chosen").hidden = !unit;
   if (!unit) return;
+  if (byId("chosen-name").textContent !== unit.id) byId("why").replaceChildren();
   byId("chosen-name").textContent = unit.id;
-  byId("kill").hidden = !token;
+  byId("kill").hidden = byId("ask-why").hidden = !token;
   const fed = Object.entries(unit.inputs).map(([port, from]) => `${port} ← ${[from].flat().join(", ")}`);
   const rows = { transformation: unit.transformation, host: unit.host, inputs: fed.join("; "),
     "nothing feeds": (unit.unfed || []).join(", "),
@@ -157,15 +159,44 @@ function choose(id) {
   byId("chosen-facts").replaceChildren(...Object.entries(rows)
     .filter(([, value]) => value || value === 0).flatMap(([name, value]) => [made("dt", name), made("dd", String(value))]));
 }
+async function why(unit) {
+  byId("why").replaceChildren(made("li", "..."));
+  const answer = await ask("why", { unit });
+  if (byId("chosen-name").textContent !== unit) return;
+  byId("why").replaceChildren(...(answer && answer.says ? answer.says.map((line) => made("li", line)) : []));
+}
+function declared() {
+  const list = byId("declared"), key = JSON.stringify(state.declared);
+  byId("adding").hidden = !token;
+  if (list.dataset.key === key) return;
+  list.dataset.key = key;
+  list.replaceChildren(...state.declared.map((name) => {
+    const row = made("li", `${name} `);
+    if (token) {
+      const button = made("button", "Withdraw");
+      button.addEventListener("click", () => ask("withdraw", { name }));
+      row.append(button);
+    }
+    return row;
+  }));
+}
+async function add() {
+  const text = byId("add-text").value, name = byId("add-name").value.trim();
+  const answer = await ask("add", name ? { name, text } : { text });
+  if (answer) byId("add-text").value = byId("add-name").value = "";
+}
 async function ask(method, params = {}) {
   byId("answer").textContent = "...";
   const headers = { "Content-Type": "application/json", "X-Token": token };
   try {
     const reply = await fetch("do", { method: "POST", headers, body: JSON.stringify({ method, params }) });
     const answer = await reply.json();
-    byId("answer").textContent = reply.ok ? (answer.review ? answer.review.says : "Done.") : answer.message;
+    const wrong = reply.ok ? answer.refused : answer.message;
+    byId("answer").textContent = wrong || (answer.review ? answer.review.says : answer.says ? "" : "Done.");
+    return wrong ? null : answer;
   } catch {
     byId("answer").textContent = "The run does not answer.";
+    return null;
   }
 }
 function happened(event) {
@@ -193,6 +224,8 @@ byId("wider").addEventListener("click", () => zoom(1.25));
 byId("fit").addEventListener("click", fit);
 byId("close").addEventListener("click", () => choose(null));
 byId("kill").addEventListener("click", () => chosen && ask("kill", { unit: chosen.slice("node ".length) }));
+byId("ask-why").addEventListener("click", () => chosen && why(chosen.slice("node ".length)));
+byId("add").addEventListener("click", add);
 byId("review").addEventListener("click", () => ask("review"));
 byId("stop").addEventListener("click", () => confirm("Stop the run?") && ask("stop"));
 const picture = byId("picture");

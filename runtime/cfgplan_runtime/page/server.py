@@ -27,10 +27,22 @@ from cfgplan_runtime.operating.protocol import RefusedError
 from cfgplan_runtime.page.watched import Watched
 
 THIS_COMPUTER = "127.0.0.1"
-METHODS = ("kill", "lose_host", "regain_host", "review", "remove_target", "remove_transformation", "restore", "stop")
+METHODS = (
+    "add",
+    "kill",
+    "lose_host",
+    "regain_host",
+    "remove_target",
+    "remove_transformation",
+    "restore",
+    "review",
+    "stop",
+    "why",
+    "withdraw",
+)
 """What the page may ask of a run."""
 _ALIVE_S = 5.0
-_LARGEST_REQUEST = 10_000
+_LARGEST_REQUEST = 1_000_000
 _FILES = Path(__file__).parent
 _HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
@@ -133,8 +145,12 @@ class PageServer:
             return JSONResponse({"message": f"the page does not do {method}"}, 400, headers=_HEADERS)
         try:
             return JSONResponse(await asyncio.to_thread(self.watched.call, method, params), headers=_HEADERS)
-        except (RefusedError, ControlError) as error:
-            return JSONResponse({"message": str(error)}, 409, headers=_HEADERS)
+        except RefusedError as error:
+            refused = "; ".join(map(str, error.faults)) or str(error)
+        except ControlError as error:
+            refused = str(error)
+        # What the run refuses is an answer, and none of the page's own errors, which browsers tell.
+        return JSONResponse({"refused": refused}, headers=_HEADERS)
 
 
 def _event(kind: str, data: str) -> str:

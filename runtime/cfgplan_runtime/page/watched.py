@@ -24,6 +24,8 @@ _MOST_NEWS = 100
 _MOST_WAITING = 200
 """A viewer that does not fetch more messages than these loses the oldest."""
 _RUN_S = 10.0
+_REVIEWED_S = 80.0
+"""A change is answered when its review is over."""
 
 ToViewer = tuple[str, str]
 """A kind and its data as JSON."""
@@ -72,7 +74,7 @@ class Watched:
     def call(self, method: str, params: dict[str, Any]) -> Any:
         """Ask the run for something. Raises RefusedError and ControlError."""
         with self._reach() as control:
-            return control.call(method, timeout_s=_RUN_S, **params)
+            return control.call(method, timeout_s=_REVIEWED_S, **params)
 
     def _until_the_end(self, work: Callable[[], None]) -> None:
         try:

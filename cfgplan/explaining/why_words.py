@@ -1,0 +1,80 @@
+"""Why a plan uses something, in words: for the terminal, the page and other programs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from cfgplan.domain import Objective
+from cfgplan.explaining.why_this import Choice, Why
+from cfgplan.summary import counted, cpu
+
+_COUNTED = {
+    Objective.UNITS: "running unit",
+    Objective.HOSTS: "host",
+    Objective.REWIRED: "rewired unit",
+    Objective.STARTED: "started unit",
+}
+
+
+def why_lines(why: Why) -> Iterator[str]:
+    """What it serves, how the planner chose, and what else would run."""
+    if why.units:
+        named = [] if why.units == (why.subject,) else [f"runs as {some(why.units)}"]
+        idle = "is a spare for when something fails" if why.is_spare else "serves no target"
+        served = f"serves {named_labels('target', why.targets)}" if why.targets else idle
+        through = [f"feeds {some(why.consumers)}"] if why.consumers else []
+        yield f"{why.subject} {', '.join([*named, served, *through])}."
+    yield choice_line(why)
+    for sign, labels in (("+", why.more), ("-", why.less)):
+        if labels:
+            yield f"  {sign} {some(labels)}"
+    if why.units and why.difference_us is not None and not why.more and not why.less:
+        yield "  another unit of its transformation would take its place"
+    if why.choice is Choice.FORCED:
+        yield from (f"  {reason}" for reason in why.otherwise.reasons.values())
+
+
+def choice_line(why: Why) -> str:
+    """Forced, cheaper or a tie, as a sentence."""
+    how = "without it" if why.units else "with it"
+    more = why.difference or 0
+    match why.choice:
+        case Choice.FORCED:
+            return "Forced: there is no plan without it."
+        case Choice.CHEAPER:
+            used = "Used" if why.units else "Not used"
+            return f"{used} because the next best plan, {how}, costs {amount(why.decides, more)} more."
+        case Choice.LESS_CHANGE:
+            return f"A tie in cost: the next best plan, {how}, costs the same, but rewires or starts more units."
+        case Choice.TIE:
+            return f"A tie: there is a plan {how} that is as good."
+        case Choice.DEMANDED if more < 0:
+            less = f"would cost {amount(why.decides, -more)} less"
+            return f"Used because something is required or pinned: a plan {how} {less}."
+        case Choice.DEMANDED:
+            return f"Used because something is required or pinned: a plan {how} would be as cheap."
+        case Choice.IMPOSSIBLE:
+            return "Not used: no plan for these targets can use it."
+        case Choice.UNREAD:
+            return f"{why.subject} is read by nothing that the plan runs."
+        case Choice.UNDECIDED:
+            return "Not decided: the planner did not prove both plans."
+
+
+def amount(objective: Objective, value: int) -> str:
+    """So much of an objective: `2 hosts`, `1.25 s of rent`, `1.25 s`."""
+    if objective in _COUNTED:
+        return counted(value, _COUNTED[objective])
+    return cpu(value) if objective is Objective.COST else f"{cpu(value)} of rent"
+
+
+def named_labels(what: str, labels: frozenset[str] | tuple[str, ...]) -> str:
+    """Labels with what they are: `targets a, b`."""
+    plural = "s" if what == "target" and len(labels) > 1 else ""
+    return f"{what}{plural} {some(tuple(sorted(labels)))}"
+
+
+def some(names: Sequence[str], most: int = 6) -> str:
+    """The first names, and how many more there are."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
