@@ -25,8 +25,8 @@ from cfgplan.errors import CfgplanError, InputError, InvalidValueError
 from cfgplan.qualities import price_us
 from cfgplan.summary import Summary, counted, cpu, summarised, summary
 
-MOST_INSTANCES = 8
-"""A plan starts at most so many units of one transformation, whatever `max_instances` says."""
+MOST_INSTANCES = 64
+"""A plan starts at most so many units of one transformation, or as many as one input takes streams."""
 
 
 class Failures(StrEnum):
@@ -137,14 +137,15 @@ class Problem:
         Of one that others run with it is one for each host; where inputs that its outputs may feed count streams, the
         largest count. Where failures are to be survived it is one more.
         """
+        tags = [output.tag for output in transformation.outputs]
+        most = max((n for tag, n in self._counts.items() if any(self._may_feed(o, tag) for o in tags)), default=0)
         if transformation.max_instances is not None:
-            return min(transformation.max_instances, MOST_INSTANCES)
+            return min(transformation.max_instances, max(most, MOST_INSTANCES))
         spares = 0 if self.survive is None else 1
         usual = 1 + spares
         if transformation.label in self.environment.companions:
             usual = max(usual, len(self.environment.hosts_for(transformation)))
-        counted = (n for tag, n in self._counts.items() for o in transformation.outputs if self._may_feed(o.tag, tag))
-        return max(min(max(usual, transformation.min_instances), MOST_INSTANCES), max(counted, default=0) + spares)
+        return max(usual, transformation.min_instances, most + spares)
 
     @cached_property
     def _counts(self) -> Mapping[str, int]:

@@ -25,6 +25,7 @@ LIBRARIES = "random libraries, seeds 20 to 45"
 TIMED = "timed beside `scale/tables.md`"
 AT_REST = "`benchmark.py replan`"
 FLEETS = "`fleets.py`"
+DEPLOYMENTS = "`deployments.py`, seeds 0 to 4"
 
 
 def said(value: Number, unit: str, what: str, origin: str) -> Number:
@@ -145,6 +146,7 @@ class Fleets:
     )
     look: float = said(0.5, "the engine's s", "Each look among few takes so long.", FLEETS)
     fewer: float = said(1.2, "times", "A relaxation's labels are looked among if so many are there in all.", FLEETS)
+    place: float = said(5.0, "the engine's s", "Counted units may take so long to be placed.", DEPLOYMENTS)
     small: int = said(20_000, "booleans", "Below this size of a fleet's model, probing takes too long.", FLEETS)
 
 
@@ -164,7 +166,10 @@ class Quality:
 
 @dataclass(frozen=True)
 class Tuning:
-    """All tuning. With `is_solver_only` there are no bounds, no first plans and no search of the planner's own."""
+    """All tuning. With `is_solver_only` there are no bounds, no first plans and no search of the planner's own.
+
+    With `counts`, units are counted where names do not matter.
+    """
 
     decide: Decide = Decide()
     begin: Begin = Begin()
@@ -176,11 +181,12 @@ class Tuning:
     quality: Quality = Quality()
     seconds_per_step: float = said(1e-6, "s/step", "Work counts so long where it is set against a time limit.", TIMED)
     is_solver_only: bool = False
+    counts: bool = True
 
     @classmethod
     def solver_only(cls) -> Tuning:
         """A tuning with which the solver finds and proves every plan by itself: for tests of the model."""
-        return cls(is_solver_only=True)
+        return cls(is_solver_only=True, counts=False)
 
     def without_search(self) -> Tuning:
         """The same without a search of the planner's own."""

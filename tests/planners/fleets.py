@@ -54,6 +54,8 @@ def fleets(draw: st.DrawFn, notions: frozenset[Notion], *, most: int = 3) -> Pro
     rents = st.sampled_from([0, 0, 1, 4])
     energies = st.sampled_from([None, None, plain.horizon_s, 2 * plain.horizon_s + 1])
     hosts = tuple(replace(h, speed=draw(SPEEDS), rent_us=draw(rents), energy=draw(energies)) for h in hosts)
+    if hosts and draw(st.integers(0, 3)) == 0:
+        hosts = tuple(replace(hosts[0], name=host.name) for host in hosts)
     qualities = draw(attributes()) if Notion.QUALITY in notions else ()
     labels = [t.label for t in environment.library]
     library = [draw(transformations(t, labels, hosts, qualities, notions)) for t in environment.library]

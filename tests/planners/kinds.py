@@ -16,6 +16,8 @@ from worlds import fusions, histories, oracle_of, problems
 from cfgplan.domain import Similarity
 from cfgplan.planners import PLANNERS
 from cfgplan.planners.cpsat import PlannerSession
+from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.groups import is_countable
 from cfgplan.planning import Notion, Plan, Problem
 from cfgplan.validity import plan_violations
 
@@ -77,6 +79,13 @@ RUNS = frozenset({Notion.RUNS})
 ORDER = frozenset({Notion.ORDER})
 OPTIONAL, COUNTS = (frozenset({notion}) for notion in (Notion.OPTIONAL, Notion.COUNTS))
 
+COUNTABLE = st.one_of(
+    fleets(COUNTS | LIMITS | NUMBERS | HOSTS, most=2),
+    fleets(COUNTS | LIMITS | NUMBERS | BESIDE | RUNS | ORDER | HOSTS, most=2),
+    fleets(COUNTS | LIMITS | NUMBERS, most=3),
+).filter(lambda problem: is_countable(Candidates(problem)))
+"""Problems whose units are counted."""
+
 KINDS: Mapping[str, Kind] = MappingProxyType(
     {
         "plain": Kind(st.one_of(problems(special=False), problems(most=5), fusions()), of_one),
@@ -114,6 +123,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         "counts": Kind(st.one_of(fleets(COUNTS), fleets(WIRING)), of_one),
         "limits": Kind(st.one_of(fleets(LIMITS, most=4), fleets(LIMITS | OPTIONAL)), of_one),
         "order": Kind(st.one_of(fleets(ORDER), fleets(ORDER | HOSTS), fleets(ORDER | WIRING | HOSTS, most=2)), of_one),
+        "counting": Kind(COUNTABLE, of_one),
         "wiring": Kind(fleets(WIRING | NUMBERS | HOSTS, most=2), of_one),
         "runs": Kind(
             st.one_of(

@@ -88,7 +88,7 @@ class Separator:
 
     def _cut(self, fractions: Floats, feeding: Ints, goal: int) -> tuple[float, Ints]:
         """The value of a minimum cut that separates `goal`, and the smallest zone behind such a cut."""
-        from ortools.graph.python.max_flow import SimpleMaxFlow  # type: ignore[import-untyped]
+        from ortools.graph.python.max_flow import SimpleMaxFlow
 
         core, facts = self._core, len(self._core.givers)
         unlimited = np.full(core.goal, 10 * WHOLE)

@@ -13,6 +13,7 @@ from ortools.sat.python.cp_model import (
     OPTIMAL,
     UNKNOWN,
     CpSolver,
+    CpSolverSolutionCallback,
     IntVar,
     LinearExpr,
     LinearExprT,
@@ -261,13 +262,13 @@ class Search:
             return None
         return self.standing.offer(named(self.model.candidates, lean(self.model.candidates, units)))
 
-    def _look_at(self, holds: Callable[[IntVar], bool]) -> bool:
+    def _look_at(self, solution: CpSolverSolutionCallback) -> bool:
         """Consider a solution on the way. Returns whether the solver goes on, as it does after a plan.
 
         What is no plan is forbidden at once, since to find the best solution beside it takes long; but with hosts, to
         begin anew takes longer.
         """
-        return self.consider(self.true_of(holds)) is not None or self._has_hosts
+        return self.consider(self.true_of(solution.boolean_value)) is not None or self._has_hosts
 
     def forbid(self, true: set[int]) -> None:
         """Forbid a solution that is no plan, and all others that fail for the same reason.

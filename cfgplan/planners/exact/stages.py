@@ -39,9 +39,12 @@ def plan_fleet(work: Work) -> bool:
     """What asks for more than the paper is planned in stages of its own."""
     if work.problem.is_plain and not work.clock.tuning.is_solver_only:
         return False
-    from cfgplan.planners.exact import fleet
+    from cfgplan.planners.exact import deployment, fleet, groups
 
     candidates = Candidates(work.problem, work.structure.closure, clock=work.clock)
+    if work.clock.tuning.counts and groups.is_countable(candidates):
+        deployment.plan_by_counting(candidates, work.standing)
+        return True
     fleet.plan_fleet(candidates, work.standing, work.memory.last)
     return True
 

@@ -79,12 +79,12 @@ def solve(solver: CpSolver, model: CpModel, callback: CpSolverSolutionCallback, 
 
 
 class OnSolution(CpSolverSolutionCallback):
-    """Calls `look_at` at each solution with a function that says which booleans hold; it returns whether to go on."""
+    """Calls `look_at` at each solution, with itself, which knows the values; it returns whether to go on."""
 
-    def __init__(self, look_at: Callable[[Callable[[IntVar], bool]], bool]) -> None:
+    def __init__(self, look_at: Callable[[CpSolverSolutionCallback], bool]) -> None:
         super().__init__()
         self._look_at = look_at
 
     def on_solution_callback(self) -> None:
-        if not self._look_at(self.boolean_value):
+        if not self._look_at(self):
             self.stop_search()

@@ -1,0 +1,129 @@
+"""Units and hosts of which it does not matter which one is taken, so that they can be counted."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain
+
+from networkx import DiGraph, is_directed_acyclic_graph
+
+from cfgplan.domain import ALL, InputPort
+from cfgplan.planners.exact.candidates import Candidate, Candidates, HostName
+from cfgplan.planning import Notion
+
+COUNTABLE = frozenset(
+    {
+        Notion.HOSTS,
+        Notion.CONFLICTS,
+        Notion.BESIDE,
+        Notion.INSTANCES,
+        Notion.COUNTS,
+        Notion.LIMITS,
+        Notion.RUNS,
+        Notion.ORDER,
+    }
+)
+"""What may be asked where units are counted."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Candidates that may take each other's place: the new units of a transformation, or one that runs."""
+
+    units: tuple[int, ...]
+    first: Candidate
+
+    @property
+    def label(self) -> str:
+        return self.first.transformation.label
+
+
+@dataclass(frozen=True)
+class HostKind:
+    """Hosts that may take each other's place, or the one place that there is without hosts."""
+
+    names: tuple[HostName, ...]
+    rooms: Mapping[str, int]
+    rent_us: int = 0
+    """Over the horizon."""
+
+    @property
+    def first(self) -> HostName:
+        return self.names[0]
+
+    def apart(self) -> list[HostKind]:
+        """Each of the hosts as a kind of its own."""
+        return [HostKind((name,), self.rooms, self.rent_us) for name in self.names]
+
+
+def is_countable(candidates: Candidates) -> bool:
+    """Whether nothing asks who is wired to whom, apart from numbers of streams, and there is something to be counted.
+
+    No stream has a price on its way, and wirings close no cycles, whichever of the streams that match are taken.
+    """
+    problem, environment = candidates.problem, candidates.environment
+    kinds = {c.transformation.label: c.transformation for c in candidates.all}
+    is_carried = any(port.bytes_per_s for kind in kinds.values() for port in kind.outputs)
+    return (
+        problem.notions <= COUNTABLE
+        and not environment.required
+        and not environment.links
+        and not (environment.transfer_us and is_carried and environment.hosts)
+        and not (Notion.ORDER in problem.notions and problem.max_cost_us is not None)
+        and all(map(_is_usual, chain.from_iterable(kind.inputs for kind in kinds.values())))
+        and _are_there_several(candidates)
+        and is_directed_acyclic_graph(_feeds(candidates))
+    )
+
+
+def _is_usual(port: InputPort) -> bool:
+    return not (port.feedback or port.optional or port.distinct is not None or port.count == ALL)
+
+
+def _are_there_several(candidates: Candidates) -> bool:
+    """Whether there are new units of one transformation, or hosts, that may take each other's place."""
+    groups = groups_of(candidates)
+    return len(groups) < len(candidates.all) or any(len(kind.names) > 1 for kind in host_kinds(candidates, groups))
+
+
+def _feeds(candidates: Candidates) -> DiGraph[str]:
+    kinds = {c.transformation.label: c.transformation for c in candidates.all}
+    tags = {port.tag for kind in kinds.values() for port in kind.inputs}
+    givers = {tag: {candidates.all[i].transformation.label for i in candidates.feeders(tag)} for tag in tags}
+    return DiGraph(
+        (giver, label) for label, kind in kinds.items() for port in kind.inputs for giver in givers[port.tag]
+    )
+
+
+def groups_of(candidates: Candidates) -> list[Group]:
+    """The groups of all candidates, in their order."""
+    new: dict[str, list[int]] = defaultdict(list)
+    running: list[Group] = []
+    for i, candidate in enumerate(candidates.all):
+        if candidate.running is None:
+            new[candidate.transformation.label].append(i)
+        else:
+            running.append(Group((i,), candidate))
+    return [*running, *(Group(tuple(units), candidates.all[units[0]]) for units in new.values())]
+
+
+def host_kinds(candidates: Candidates, groups: Sequence[Group]) -> list[HostKind]:
+    """The kinds of hosts that units may be on; one where something runs is of its own kind."""
+    environment, horizon_s = candidates.environment, candidates.problem.horizon_s
+    if not environment.hosts:
+        return [HostKind((None,), {})]
+    occupied = {host for group in groups if group.first.running for host in group.first.hosts}
+    resources = sorted({r for group in groups for place in group.first.places.values() for r in place.takes})
+    kinds: dict[object, list[HostName]] = defaultdict(list)
+    rooms_of: dict[HostName, dict[str, int]] = {}
+    for host in environment.hosts:
+        rooms = {each: room for each in resources if (room := host.room(each, horizon_s)) is not None}
+        places = [(n, group.first.places.get(host.name)) for n, group in enumerate(groups)]
+        there = tuple((n, place.cost_us, *sorted(place.takes.items())) for n, place in places if place is not None)
+        own = host.name if host.name in occupied else None
+        rooms_of[host.name] = rooms
+        kinds[own, host.rent_us, tuple(rooms.items()), there].append(host.name)
+    rents_us = {host.name: host.rent_us * horizon_s for host in environment.hosts}
+    return [HostKind(tuple(names), rooms_of[names[0]], rents_us[str(names[0])]) for names in kinds.values()]

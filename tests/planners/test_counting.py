@@ -1,0 +1,129 @@
+"""Planning by counting: what it takes on, and that it says what the planner of named units says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from fixed import kind, world
+from hypothesis import given, settings
+from kinds import COUNTABLE, as_good, differences
+from worlds import oracle_of
+
+from cfgplan.domain import ComputationUnit, Host, InputPort, Objective, OutputPort, Transformation
+from cfgplan.planners.cpsat import PlannerSession
+from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.groups import groups_of, host_kinds, is_countable
+from cfgplan.planners.tuning import Tuning
+from cfgplan.planning import Failures, Plan, Problem, Status
+from cfgplan.validity import plan_violations
+from experiments.families.deployments import deployment
+
+THREE = tuple(Host(f"h{n}", memory_mb=4) for n in range(3))
+
+
+def counted(problem: Problem) -> Plan:
+    """The plan, which is made by counting."""
+    assert is_countable(Candidates(problem))
+    found = PlannerSession().plan(problem)
+    assert not plan_violations(problem, found)
+    assert "groups" in found.counts
+    return found
+
+
+def named(problem: Problem) -> Plan:
+    """The plan of the solver that names each unit and host."""
+    return PlannerSession(Tuning.solver_only()).plan(problem)
+
+
+def replicas(number: int, **more: object) -> Transformation:
+    return replace(kind("s", gives="A"), min_instances=number, max_instances=number, memory_mb=2, **more)  # type: ignore[arg-type]
+
+
+@settings(max_examples=60, deadline=None)
+@given(COUNTABLE)
+def test_counting_agrees_with_naming_and_with_the_oracle(problem: Problem) -> None:
+    found = PlannerSession().plan(problem)
+    assert not differences(problem, found, oracle_of(problem))
+    assert as_good(found) == as_good(named(problem))
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("minimise", [(Objective.COST,), (Objective.HOSTS, Objective.UNITS)])
+def test_a_deployment_is_proven_as_with_names(seed: int, minimise: tuple[Objective, ...]) -> None:
+    problem = deployment(seed, minimise=minimise)
+    found = counted(problem)
+    assert found.status is Status.OPTIMAL
+    assert as_good(found) == as_good(named(problem))
+
+
+def test_new_units_of_a_transformation_are_one_group_and_hosts_alike_are_one_kind() -> None:
+    candidates = Candidates(world("A", replicas(4), hosts=THREE))
+    groups = groups_of(candidates)
+    assert [len(group.units) for group in groups] == [4]
+    assert [one.names for one in host_kinds(candidates, groups)] == [("h0", "h1", "h2")]
+
+
+def test_a_host_where_something_runs_is_of_its_own_kind() -> None:
+    candidates = Candidates(world("A", replicas(4), hosts=THREE, units=(ComputationUnit("s.1", "s", host="h1"),)))
+    kinds = host_kinds(candidates, groups_of(candidates))
+    assert sorted(one.names for one in kinds) == [("h0", "h2"), ("h1",)]
+
+
+def test_a_host_with_another_price_is_of_another_kind() -> None:
+    hosts = (*THREE[:2], replace(THREE[2], rent_us=1))
+    candidates = Candidates(world("A", replicas(4), hosts=hosts))
+    assert [one.names for one in host_kinds(candidates, groups_of(candidates))] == [("h0", "h1"), ("h2",)]
+
+
+@pytest.mark.parametrize(
+    "problem",
+    [
+        world("A", replicas(4), hosts=THREE, survive=Failures.UNITS),
+        world("B", replicas(4), kind("f", "AB", "B", feedback=[1]), hosts=THREE),
+        world("B", replicas(4), kind("f", "A", "B"), kind("g", "B", "A"), hosts=THREE),
+        world("B", replicas(4), kind("t", gives="A"), kind("f", "AA", "B", distinct=[0, 1]), hosts=THREE),
+        world("A", kind("s", gives="A"), kind("t", gives="A", conflicts=("s",))),
+        world("A", replicas(4, required=True), hosts=THREE),
+    ],
+    ids=["failures", "feedback", "cycle", "distinct", "nothing to count", "required"],
+)
+def test_where_it_matters_who_is_wired_to_whom_units_are_named(problem: Problem) -> None:
+    assert not is_countable(Candidates(problem))
+
+
+def test_a_stream_with_a_price_on_its_way_makes_units_named() -> None:
+    carried = replace(replicas(4), outputs=(OutputPort("o", "A", (), 1_000_000, 1_000_000),))
+    assert not is_countable(Candidates(world("A", carried, hosts=THREE, transfer_us=1)))
+    assert is_countable(Candidates(world("A", carried, hosts=THREE)))
+
+
+def test_twelve_streams_of_twenty_that_may_run_are_taken() -> None:
+    many = replace(kind("s", gives="A"), max_instances=20)
+    balancer = Transformation("f", (InputPort("i", "A", count=12),), (OutputPort("o", "B"),))
+    found = counted(world("B", many, balancer))
+    assert found.status is Status.OPTIMAL
+    assert found.change_set is not None and len(found.change_set.started) == 13
+
+
+def test_a_hundred_hosts_each_have_the_company_that_a_unit_needs() -> None:
+    users = replace(kind("s", gives="A"), min_instances=20, max_instances=20, per_host=1, beside=("agent",))
+    hosts = tuple(Host(f"h{n:03}") for n in range(100))
+    found = counted(world("A", users, kind("agent", gives="Z"), hosts=hosts))
+    assert found.change_set is not None and len(found.change_set.started) == 40
+
+
+def test_units_that_do_not_fit_together_are_placed_host_by_host() -> None:
+    """Of memory alone three hosts would do for four units of 3, but each bears one."""
+    big = replace(kind("s", gives="A"), min_instances=4, max_instances=4, memory_mb=3)
+    assert counted(world("A", big, hosts=THREE)).status is Status.INFEASIBLE
+    assert counted(world("A", big, hosts=(*THREE, Host("h3", memory_mb=4)))).status is Status.OPTIMAL
+
+
+def test_a_running_unit_stays_as_it_is_where_that_costs_nothing() -> None:
+    reader = Transformation("f", (InputPort("i", "A", count=2),), (OutputPort("o", "B"),))
+    problem = world("B", replicas(3), reader)
+    first = counted(problem)
+    again = replace(problem, environment=problem.after(first))
+    found = counted(again)
+    assert found.change_set is not None and not found.change_set
