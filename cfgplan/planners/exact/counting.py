@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
 from typing import Final
@@ -18,6 +19,17 @@ Where = tuple[int, int]
 """The number of a group, and that of a kind of hosts."""
 GroupOutput = tuple[int, str]
 """The number of a group, and an output port of its units."""
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """Numbers of units, by their groups, that do not fit on so many hosts of a kind."""
+
+    kind: int
+    hosts: int
+    units: Mapping[int, int]
+    company: frozenset[int]
+    """The groups that others need beside them: with another number of these it may be otherwise."""
 
 
 class CountingModel:
@@ -54,6 +66,18 @@ class CountingModel:
         """How many streams units of a group take at an input from another group: where some serve only so many."""
         for rule in COUNTED if rules is None else rules:
             rule(self)
+
+    def forbid(self, misfit: Misfit) -> None:
+        """Demand fewer of some units that do not fit, or more hosts."""
+        more = self.cp.new_bool_var("")
+        self.cp.add(self.used[misfit.kind] > misfit.hosts).only_enforce_if(more)
+        ways = [more]
+        for n, number in misfit.units.items():
+            there = self.there[n, misfit.kind]
+            for is_other in (there < number, there > number) if n in misfit.company else (there < number,):
+                ways.append(self.cp.new_bool_var(""))
+                self.cp.add(is_other).only_enforce_if(ways[-1])
+        self.cp.add_bool_or(ways)
 
     @cached_property
     def of_label(self) -> dict[str, list[int]]:
@@ -129,6 +153,7 @@ def hosts_of_a_kind_bear_their_units(counts: CountingModel) -> None:
         here = [n for n, group in enumerate(counts.groups) if kind.first in group.first.places]
         for n in here:
             _units_are_on_hosts(counts, n, k)
+        counts.cp.add(counts.used[k] <= LinearExpr.sum([counts.there[n, k] for n in here]))
         takes = {n: counts.groups[n].first.places[kind.first].takes for n in here}
         for resource, room in kind.rooms.items():
             taken = LinearExpr.sum([takes[n].get(resource, 0) * counts.there[n, k] for n in here])

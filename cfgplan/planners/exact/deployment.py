@@ -27,7 +27,7 @@ from ortools.sat.python.cp_model import (
 
 from cfgplan.domain import ComputationUnit, Objective, Publication, Stream, Subscription
 from cfgplan.planners.exact.candidates import Candidates, HostName
-from cfgplan.planners.exact.counting import PLACED, CountingModel
+from cfgplan.planners.exact.counting import PLACED, CountingModel, Misfit
 from cfgplan.planners.exact.decode import lean, named
 from cfgplan.planners.exact.groups import Group, HostKind, groups_of, host_kinds
 from cfgplan.planners.exact.standing import Standing
@@ -43,11 +43,13 @@ def plan_by_counting(candidates: Candidates, standing: Standing) -> None:
     kinds = host_kinds(candidates, groups)
     standing.counts |= {"groups": len(groups), "kinds of hosts": len(kinds), "rounds": 0, "conflicts": 0}
     deployment = _Deployment(candidates, standing, groups)
-    if any(len(kind.names) > 1 for kind in kinds):
+    for _ in range(standing.clock.tuning.fleet.recounts if any(len(kind.names) > 1 for kind in kinds) else 0):
+        known = len(deployment.misfits)
         if deployment.count(kinds) or standing.is_over:
             return
-        kinds = [one for kind in kinds for one in kind.apart()]
-    deployment.count(kinds)
+        if len(deployment.misfits) == known:
+            break
+    deployment.count(deployment.apart(kinds))
 
 
 class _Step(NamedTuple):
@@ -58,9 +60,21 @@ class _Step(NamedTuple):
     learn: Callable[[int], None]
 
 
+class _Placed(NamedTuple):
+    """The hosts of each group's units if they fit; a misfit if that is disproven."""
+
+    hosts: Mapping[int, Sequence[HostName]]
+    is_fit: bool = False
+    is_misfit: bool = False
+
+
 class _Deployment:
     def __init__(self, candidates: Candidates, standing: Standing, groups: Sequence[Group]) -> None:
         self.candidates, self.standing, self.groups = candidates, standing, groups
+        self.misfits: tuple[Misfit, ...] = ()
+        """Numbers of units that are known not to fit."""
+        self._least = 0
+        """What is minimised first is at least so much."""
 
     def count(self, kinds: Sequence[HostKind]) -> bool:
         """Minimise all that is asked, one after the other. Returns whether all is proven.
@@ -68,18 +82,22 @@ class _Deployment:
         Where each kind is one host, each solution is a plan. Else what is best has to be placed, and before that only
         the bound of what is minimised first is one.
         """
-        standing, counts = self.standing, CountingModel(self.candidates, self.groups, kinds)
+        standing, is_placed = self.standing, all(len(kind.names) == 1 for kind in kinds)
+        counts = CountingModel(self.candidates, self.groups, kinds) if is_placed else self._alike(kinds)
         standing.counts["counts"] = len(counts.cp.proto.variables)
-        is_placed, steps = all(len(kind.names) == 1 for kind in kinds), list(self._steps(counts))
-        if is_placed and not standing.problem.notions & {Notion.ORDER} and standing.largest_us is not None:
-            counts.cp.add(counts.objective(Objective.COST) <= standing.largest_us)
+        steps = list(self._steps(counts))
+        counts.cp.add(steps[0].what >= self._least)
+        if is_placed and standing.best is not None:
+            counts.cp.add(steps[0].what <= steps[0].value(standing.best.key))
+            self._hint(counts)
         values: Sequence[int] = ()
         for number, step in enumerate(steps):
-            learns = step.learn if is_placed or not number else None
-            found = self._minimise(counts, step.what, values, learns, is_placed=is_placed)
+            learn = step.learn if is_placed or not number else None
+            found = self._minimise(counts, step.what, values, learn, is_placed=is_placed)
             if found is None:
                 return standing.is_infeasible
             values, least = found
+            self._least = self._least if number else least
             counts.cp.add(step.what <= least)
         if not is_placed and not self._offer(counts, values):
             return False
@@ -112,7 +130,8 @@ class _Deployment:
         """The best numbers and their value; None if there are none, or the time is over before they are proven best."""
         clock = self.standing.clock
         counts.cp.minimize(what)
-        counts.cp.clear_hints()  # type: ignore[no-untyped-call]
+        if known:
+            counts.cp.clear_hints()  # type: ignore[no-untyped-call]
         for index, value in enumerate(known):
             counts.cp.add_hint(counts.cp.get_int_var_from_proto_index(index), value)
         solver = _solver(clock)
@@ -139,35 +158,111 @@ class _Deployment:
         return list(solver.response_proto.solution), int(solver.value(what))
 
     def _offer(self, counts: CountingModel, values: Sequence[int]) -> bool:
-        """Offer the plan that numbers say; False if their units can't be placed."""
+        """Offer the plan that numbers say, with more hosts if their units do not fit on so many; False then."""
         hosts_of: dict[int, list[HostName]] = defaultdict(list)
+        is_fit = True
         for k, kind in enumerate(counts.kinds):
             here = {n: values[on.index] for (n, at), on in counts.there.items() if at == k and values[on.index]}
-            placed = self._placed(kind, here, values[counts.used[k].index])
-            if placed is None:
-                return False
-            for n, hosts in placed.items():
+            used = values[counts.used[k].index]
+            placed = self._placed(kind, here, used)
+            if not placed.is_fit:
+                is_fit = False
+                if placed.is_misfit:
+                    self.misfits = (*self.misfits, self._misfit(kind, k, here, used))
+                more = (self._placed(kind, here, n, has_more_company=True) for n in _more(used, len(kind.names)))
+                placed = next((found for found in more if found.is_fit), placed)
+                if not placed.is_fit:
+                    return False
+            for n, hosts in placed.hosts.items():
                 hosts_of[n] += hosts
-        units = _Wiring(counts, values, hosts_of).units()
+        units = _WiringByNumber(counts, values, hosts_of).units()
         self.standing.offer(named(self.candidates, lean(self.candidates, units)))
-        return True
+        return is_fit
 
-    def _placed(self, kind: HostKind, here: Mapping[int, int], used: int) -> dict[int, list[HostName]] | None:
-        """The hosts of each group's units, of so many that are used; None if none are found soon."""
+    def _misfit(self, kind: HostKind, k: int, here: Mapping[int, int], used: int) -> Misfit:
+        """Units that do not fit on so many hosts, as few of `here` as are found by leaving out one group each."""
+        left, tuning = dict(here), self.standing.clock.tuning.fleet
+        company = {n for n in here if self.groups[n].label in self.candidates.environment.companions}
+        size = {n: sum(self.groups[n].first.places[kind.first].takes.values()) for n in here}
+        for n in sorted(here.keys() - company, key=size.__getitem__):
+            fewer = {m: number for m, number in left.items() if m != n}
+            if self._placed(kind, fewer, used, limit_s=tuning.misfit).is_misfit:
+                left = fewer
+        return Misfit(k, used, left, frozenset(company))
+
+    def _placed(
+        self,
+        kind: HostKind,
+        here: Mapping[int, int],
+        used: int,
+        *,
+        limit_s: float | None = None,
+        has_more_company: bool = False,
+    ) -> _Placed:
+        """Place units of groups on so many hosts of a kind; those that others run with may become more.
+
+        `limit_s` is in the engine's own seconds.
+        """
         if len(kind.names) == 1 or not here:
-            return {n: [kind.first] * number for n, number in here.items()}
-        groups, hosts = [self.groups[n] for n in here], kind.apart()[:used]
+            return _Placed({n: [kind.first] * number for n, number in here.items()}, is_fit=True)
+        groups, hosts, clock = [self.groups[n] for n in here], kind.apart()[:used], self.standing.clock
         counts = CountingModel(self.candidates, groups, hosts, PLACED)
-        for number, units in zip(counts.number, here.values(), strict=True):
-            counts.cp.add(number == units)
-        solver = _solver(self.standing.clock)
-        solver.parameters.max_deterministic_time = self.standing.clock.tuning.fleet.place
-        status = solve(solver, counts.cp, OnSolution(lambda _: True), self.standing.clock)
+        for group, number, units in zip(groups, counts.number, here.values(), strict=True):
+            is_free = has_more_company and group.label in self.candidates.environment.companions
+            counts.cp.add(number >= units if is_free else number == units)
+        solver = _solver(clock)
+        solver.parameters.max_deterministic_time = clock.tuning.fleet.place if limit_s is None else limit_s
+        status = solve(solver, counts.cp, OnSolution(lambda _: True), clock)
         if status not in (OPTIMAL, FEASIBLE):
-            return None
-        places = [(n, hosts[k].first, solver.value(on)) for (n, k), on in counts.there.items()]
+            return _Placed({}, is_misfit=status == INFEASIBLE)
+        found: dict[int, list[HostName]] = defaultdict(list)
         of = list(here)
-        return {of[n]: [host for m, host, number in places if m == n for _ in range(number)] for n in range(len(of))}
+        for (n, k), on in counts.there.items():
+            found[of[n]] += [hosts[k].first] * solver.value(on)
+        return _Placed(found, is_fit=True)
+
+    def _hint(self, counts: CountingModel) -> None:
+        """Hint the incumbent's units and hosts."""
+        if self.standing.best is None:
+            return
+        new = {group.label: n for n, group in enumerate(self.groups) if group.first.running is None}
+        running = {group.first.id: n for n, group in enumerate(self.groups) if group.first.running is not None}
+        units = self.standing.best.units
+        number = Counter((running.get(unit.id, new.get(unit.transformation)), unit.host) for unit in units)
+        for (n, k), there in counts.there.items():
+            counts.cp.add_hint(there, number[n, counts.kinds[k].first])
+
+    def _alike(self, kinds: Sequence[HostKind]) -> CountingModel:
+        """The model in which hosts are counted, less what is known not to fit."""
+        counts = CountingModel(self.candidates, self.groups, kinds)
+        for misfit in self.misfits:
+            counts.forbid(misfit)
+        return counts
+
+    def apart(self, kinds: Sequence[HostKind]) -> list[HostKind]:
+        """So many hosts of each kind as a plan may use that is no worse than the incumbent, each by itself."""
+        found: list[HostKind] = []
+        for k, kind in enumerate(kinds):
+            most = len(kind.names)
+            if most > 1 and self.standing.best is not None:
+                counts = self._alike(kinds)
+                first = next(self._steps(counts))
+                counts.cp.add(first.what <= first.value(self.standing.best.key))
+                counts.cp.maximize(counts.used[k])
+                solver = _solver(self.standing.clock)
+                if solve(solver, counts.cp, OnSolution(lambda _: True), self.standing.clock) == OPTIMAL:
+                    most = solver.value(counts.used[k])
+            found += kind.apart()[:most]
+        return found
+
+
+def _more(used: int, most: int) -> Iterator[int]:
+    """A number of hosts, and more and more of them up to the most."""
+    step = 0
+    while used + step < most:
+        yield used + step
+        step = 2 * step or 1
+    yield most
 
 
 def _of_order(place: int, key: Key) -> int:
@@ -190,7 +285,7 @@ class _Taker(NamedTuple):
     old: Sequence[Stream] = ()
 
 
-class _Wiring:
+class _WiringByNumber:
     """Who takes whose streams, once it is known how many units of each group run, and where."""
 
     def __init__(
