@@ -265,7 +265,7 @@ class FleetBackend:
                     self._presence.leave_alone(host, f"its agent is of another version of cfgplan: {error}")
 
     def _lose(self, host: HostState, cause: str) -> None:
-        self._reaching.lose(host.name, host.life)
+        self._reaching.lose(host.life)
         helpers = self._told.pop(host.name, _Told()).helpers
         self._events += [HelperAlive(f"{host.name}: {helper}", inf) for helper in helpers]
         if not host.is_there:

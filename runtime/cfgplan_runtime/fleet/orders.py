@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Generic, NamedTuple, TypeAlias, TypeVar, get_args
 
 import msgspec
@@ -11,12 +10,10 @@ from cfgplan.domain import Stream
 from cfgplan_runtime.children.messages import CrossingCounts, Export, Import, ImportUnused, ToRelay, UnitOrder
 from cfgplan_runtime.streams.crossing import (
     PIECES_UNDER_WAY,
+    Conversation,
     Piece,
-    Receiving,
     Sending,
     crossing_key,
-    read_credit,
-    read_frame,
 )
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 from cfgplan_runtime.supervision import events
@@ -272,8 +269,8 @@ class Talk(Generic[Spoken]):
         """Whether messages were lost for good: a new session is needed."""
         self._decoder: msgspec.msgpack.Decoder[list[Spoken]] = msgspec.msgpack.Decoder(list[incoming])  # type: ignore[valid-type]
         self._unsent: list[msgspec.Struct] = []
-        self._sending, self._receiving = Sending(granted=PIECES_UNDER_WAY), Receiving()
-        self._put: Callable[[bytes, bytes], None] = link.publisher(crossing_key(me, SAY, other, str(session)), "orders")
+        self._both = Conversation(Sending(granted=PIECES_UNDER_WAY))
+        self._put = link.publisher(crossing_key(me, SAY, other, str(session)), "orders")
         self._put_credit = link.publisher(crossing_key(me, HEARD, other, str(session)), "orders")
 
     def say(self, message: msgspec.Struct) -> None:
@@ -285,36 +282,22 @@ class Talk(Generic[Spoken]):
 
         Raises msgspec.MsgspecError for a message of another version.
         """
-        if kind == HEARD:
-            credit = read_credit(payload)
-            if credit is not None:
-                self._sending.hear(credit)
-            return []
-        frame = read_frame(head, payload)
-        pieces = [] if frame is None else self._receiving.take(frame, now_s)
-        self.is_broken = self.is_broken or self._receiving.dropped > 0
+        pieces = self._both.take(kind == HEARD, head, payload, now_s)
+        self.is_broken = self.is_broken or self._both.receiving.dropped > 0
         return [message for piece in pieces for message in self._decoder.decode(piece.payload)]
 
     def pump(self, now_s: float) -> None:
         """Send what is due."""
         if self._unsent:
-            self._sending.offer(Piece(0, 0, msgspec.msgpack.encode(self._unsent)))
+            self._both.sending.offer(Piece(0, 0, msgspec.msgpack.encode(self._unsent)))
             self._unsent.clear()
-        for frame in self._sending.due(now_s):
-            payload = b"" if frame.piece is None else bytes(frame.piece.payload)
-            self._put(frame.head(), payload)
-        credit = self._receiving.credit(now_s)
-        if credit is not None:
-            self._put_credit(b"", credit.packed())
+        self._both.pump(self._put, self._put_credit, now_s)
 
     @property
     def is_done(self) -> bool:
         """Whether everything that was said has arrived."""
-        return not (self._unsent or self._sending.depth)
+        return not (self._unsent or self._both.sending.depth)
 
     def due_s(self) -> float:
         """When `pump` has something to do, if nothing is heard before."""
-        if self._unsent:
-            return 0.0
-        times = [due_s for due_s in (self._sending.due_s, self._receiving.due_s) if due_s is not None]
-        return min(times, default=float("inf"))
+        return 0.0 if self._unsent else self._both.due_s

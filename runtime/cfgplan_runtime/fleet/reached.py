@@ -159,7 +159,7 @@ class ReachedFleet:
             if not lives:
                 del self._lives[host]
         if not is_alive:
-            self._client.lose(host, life)
+            self._client.lose(life)
 
 
 @dataclass(slots=True)

@@ -16,6 +16,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
+from itertools import count
 from math import inf
 from pathlib import Path
 
@@ -25,12 +26,12 @@ from cfgplan_runtime.streams.channel import Bell
 from cfgplan_runtime.streams.crossing import (
     LAST_PIECE,
     PIECES_UNDER_WAY,
+    Conversation,
     Piece,
-    Receiving,
+    Put,
     Sending,
     crossing_key,
     host_key,
-    read_credit,
     read_frame,
 )
 from cfgplan_runtime.streams.run_folder import RunFolder, address, control_address
@@ -47,22 +48,19 @@ _MOST_UNREAD = 1 << 20
 _LINGER_S = 2.0
 """Seconds that the last of what was written may take after one end was closed."""
 
-_Put = Callable[[bytes, bytes], None]
-
 
 class _Tunnel:
     """One end of a tunnel: a thread that lives until either end is closed. `find` connects when asked for something."""
 
     def __init__(
         self,
-        declare: Callable[[], tuple[_Put, _Put]],
+        declare: Callable[[], tuple[Put, Put]],
         ended: Callable[[], None],
         find: Callable[[str], socket.socket | None] = lambda _: None,
     ) -> None:
         self._declare, self._ended, self._find = declare, ended, find
         self._end: socket.socket | None = None
-        self._sending = Sending(blocks=True, most=_MOST_TUNNEL_CHUNKS, granted=PIECES_UNDER_WAY)
-        self._receiving = Receiving()
+        self._both = Conversation(Sending(blocks=True, most=_MOST_TUNNEL_CHUNKS, granted=PIECES_UNDER_WAY))
         self._arrived: deque[tuple[bool, bytes, bytes]] = deque()
         self._unread = bytearray()
         self._is_closing = False
@@ -76,7 +74,7 @@ class _Tunnel:
         if end is not None:
             self._join(end)
         if wanted is not None:
-            self._sending.offer(Piece(0, 0, wanted.encode()))
+            self._both.sending.offer(Piece(0, 0, wanted.encode()))
         threading.Thread(target=self._run, name="cfgplan-tunnel", daemon=True).start()
 
     def take(self, is_credit: bool, head: bytes, payload: bytes) -> None:
@@ -104,23 +102,17 @@ class _Tunnel:
         put, put_credit = self._declare()
         while not self._is_closing and time.monotonic() < self._close_s:
             self._step(put, put_credit)
-            if self._close_s < inf and not (self._sending.depth or self._unread):
+            if self._close_s < inf and not (self._both.sending.depth or self._unread):
                 break
-        last = self._receiving.credit(inf)
+        last = self._both.receiving.credit(inf)
         if last is not None:
             put_credit(b"", last.packed())
 
-    def _step(self, put: _Put, put_credit: _Put) -> None:
+    def _step(self, put: Put, put_credit: Put) -> None:
         """Send what is due, then wait for more, and take it."""
-        now_s = time.monotonic()
-        for frame in self._sending.due(now_s):
-            put(frame.head(), b"" if frame.piece is None else bytes(frame.piece.payload))
-        credit = self._receiving.credit(now_s, has_room=len(self._unread) < _MOST_UNREAD)
-        if credit is not None:
-            put_credit(b"", credit.packed())
+        self._both.pump(put, put_credit, time.monotonic(), has_room=len(self._unread) < _MOST_UNREAD)
         self._watch()
-        times = [due_s for due_s in (self._sending.due_s, self._receiving.due_s) if due_s is not None]
-        due_s = min([*times, self._close_s])
+        due_s = min(self._both.due_s, self._close_s)
         found = self._selector.select(None if due_s == inf else max(0.0, due_s - time.monotonic()))
         self._bell.hear()
         while self._arrived:
@@ -133,7 +125,7 @@ class _Tunnel:
         """Read from the end unless the other one is behind; write as soon as there is room."""
         if self._end is None:
             return
-        is_read = self._close_s == inf and not self._sending.is_full
+        is_read = self._close_s == inf and not self._both.sending.is_full
         events = (selectors.EVENT_READ if is_read else 0) | (selectors.EVENT_WRITE if self._unread else 0)
         is_known = self._end in self._selector.get_map()
         if events and is_known:
@@ -144,13 +136,7 @@ class _Tunnel:
             self._selector.unregister(self._end)
 
     def _understand(self, is_credit: bool, head: bytes, payload: bytes) -> None:
-        if is_credit:
-            credit = read_credit(payload)
-            if credit is not None:
-                self._sending.hear(credit)
-            return
-        frame = read_frame(head, payload)
-        for piece in () if frame is None else self._receiving.take(frame, time.monotonic()):
+        for piece in self._both.take(is_credit, head, payload, time.monotonic()):
             if piece.is_last:
                 self._begin_close()
             elif self._end is not None:
@@ -175,7 +161,7 @@ class _Tunnel:
         except OSError:
             chunk = b""
         if chunk:
-            self._sending.offer(Piece(0, 0, chunk))
+            self._both.sending.offer(Piece(0, 0, chunk))
         else:
             self._finish()
 
@@ -193,11 +179,39 @@ class _Tunnel:
     def _finish(self) -> None:
         """Our end is closed: have the other one told, after all that was written."""
         if self._close_s == inf:
-            self._sending.offer(LAST_PIECE)
+            self._both.sending.offer(LAST_PIECE)
             self._begin_close()
 
     def _begin_close(self) -> None:
         self._close_s = min(self._close_s, time.monotonic() + _LINGER_S)
+
+
+class _Tunnels:
+    """The tunnels that have one end here, by name; for any thread."""
+
+    def __init__(self) -> None:
+        self._tunnels: dict[str, _Tunnel] = {}
+        self._lock = threading.Lock()
+
+    def find(self, name: str, make: Callable[[], _Tunnel | None] = lambda: None) -> _Tunnel | None:
+        """The tunnel of a name; if there is none, the one that is made, if it is."""
+        with self._lock:
+            found = self._tunnels.get(name) or make()
+            if found is not None:
+                self._tunnels[name] = found
+            return found
+
+    def forget(self, name: str) -> None:
+        """A tunnel has ended."""
+        with self._lock:
+            self._tunnels.pop(name, None)
+
+    def close(self, beginning: str = "") -> None:
+        """Close those whose names begin so."""
+        with self._lock:
+            tunnels = [tunnel for name, tunnel in self._tunnels.items() if name.startswith(beginning)]
+        for tunnel in tunnels:
+            tunnel.close()
 
 
 class TunnelServer:
@@ -208,32 +222,29 @@ class TunnelServer:
 
     def __init__(self, link: ZenohLink, host: str, life: str, run: Path) -> None:
         self._link, self._host, self._life, self._run = link, host, life, run
-        self._tunnels: dict[str, _Tunnel] = {}
+        self._tunnels = _Tunnels()
         self._ended: set[str] = set()
         """The tunnels that were there, so that what is sent again makes no new one; until their client is gone."""
-        self._lock = threading.Lock()
         for kind in _TUNNEL_IN:
             link.hear(crossing_key(MANAGER, kind, host, f"{life}/*/*"), self._take)
         link.watch(_client_key("*"), self._note_client)
 
     def close(self) -> None:
         """Close all tunnels."""
-        with self._lock:
-            tunnels = list(self._tunnels.values())
-        for tunnel in tunnels:
-            tunnel.close()
+        self._tunnels.close()
 
     def _take(self, key: str, head: bytes, payload: bytes) -> None:
         _, _, kind, _, _, client, number = key.split("/")
-        name = f"{client}/{number}"
-        with self._lock:
-            tunnel = self._tunnels.get(name)
-            if tunnel is None:
-                frame = read_frame(head, payload) if kind == _TUNNEL_IN[0] else None
-                if frame is None or frame.number or frame.piece is None or name in self._ended:
-                    return
-                tunnel = self._tunnels[name] = self._made(name)
-        tunnel.take(kind == _TUNNEL_IN[1], head, payload)
+        name, is_credit = f"{client}/{number}", kind == _TUNNEL_IN[1]
+
+        def made() -> _Tunnel | None:
+            frame = None if is_credit else read_frame(head, payload)
+            is_first = frame is not None and frame.number == 0 and frame.piece is not None
+            return self._made(name) if is_first and name not in self._ended else None
+
+        tunnel = self._tunnels.find(name, made)
+        if tunnel is not None:
+            tunnel.take(is_credit, head, payload)
 
     def _made(self, name: str) -> _Tunnel:
         keys = [crossing_key(self._host, kind, MANAGER, f"{self._life}/{name}") for kind in _TUNNEL_OUT]
@@ -251,18 +262,14 @@ class TunnelServer:
         return end
 
     def _forget(self, name: str) -> None:
-        with self._lock:
-            self._tunnels.pop(name, None)
-            self._ended.add(name)
+        self._ended.add(name)
+        self._tunnels.forget(name)
 
     def _note_client(self, key: str, is_alive: bool) -> None:
         if not is_alive:
             client = key.rpartition("/")[2]
-            with self._lock:
-                gone = [tunnel for name, tunnel in self._tunnels.items() if name.startswith(f"{client}/")]
-                self._ended = {name for name in self._ended if not name.startswith(f"{client}/")}
-            for tunnel in gone:
-                tunnel.close()
+            self._tunnels.close(f"{client}/")
+            self._ended.difference_update(name for name in self._ended.copy() if name.startswith(f"{client}/"))
 
 
 class TunnelClient:
@@ -271,11 +278,9 @@ class TunnelClient:
     def __init__(self, link: ZenohLink) -> None:
         self._link = link
         self._id = secrets.token_hex(4)
-        self._tunnels: dict[str, _Tunnel] = {}
-        self._hosts: dict[str, tuple[str, str]] = {}
-        """By tunnel: the host, and the life of its agent or manager."""
-        self._count = 0
-        self._lock = threading.Lock()
+        self._tunnels = _Tunnels()
+        """Their names begin with the life of the agent, or manager, at the other end."""
+        self._numbers = count(1)
         for kind in _TUNNEL_OUT:
             link.hear(crossing_key(None, kind, MANAGER, f"*/{self._id}/*"), self._take)
         link.live(_client_key(self._id))
@@ -288,39 +293,26 @@ class TunnelClient:
 
     def join(self, end: socket.socket, host: str, life: str, wanted: str) -> None:
         """Have `end` connected, and closed with the tunnel."""
-        with self._lock:
-            self._count += 1
-            name = str(self._count)
-            keys = [crossing_key(MANAGER, kind, host, f"{life}/{self._id}/{name}") for kind in _TUNNEL_IN]
-            tunnel = _Tunnel(lambda: _declared(self._link, *keys), lambda: self._forget(name))
-            self._tunnels[name], self._hosts[name] = tunnel, (host, life)
+        number = next(self._numbers)
+        name = f"{life}/{number}"
+        keys = [crossing_key(MANAGER, kind, host, f"{life}/{self._id}/{number}") for kind in _TUNNEL_IN]
+        tunnel = _Tunnel(lambda: _declared(self._link, *keys), lambda: self._tunnels.forget(name))
+        self._tunnels.find(name, lambda: tunnel)
         tunnel.start(end, wanted)
 
-    def lose(self, host: str, life: str) -> None:
+    def lose(self, life: str) -> None:
         """A host's agent, or a manager, is gone: its tunnels are too."""
-        with self._lock:
-            gone = [self._tunnels[name] for name, at in self._hosts.items() if at == (host, life)]
-        for tunnel in gone:
-            tunnel.close()
+        self._tunnels.close(f"{life}/")
 
     def close(self) -> None:
         """Close all tunnels."""
-        with self._lock:
-            tunnels = list(self._tunnels.values())
-        for tunnel in tunnels:
-            tunnel.close()
+        self._tunnels.close()
 
     def _take(self, key: str, head: bytes, payload: bytes) -> None:
-        _, _, kind, _, _, _, name = key.split("/")
-        with self._lock:
-            tunnel = self._tunnels.get(name)
+        _, _, kind, _, life, _, number = key.split("/")
+        tunnel = self._tunnels.find(f"{life}/{number}")
         if tunnel is not None:
             tunnel.take(kind == _TUNNEL_OUT[1], head, payload)
-
-    def _forget(self, name: str) -> None:
-        with self._lock:
-            self._tunnels.pop(name, None)
-            self._hosts.pop(name, None)
 
 
 class RemoteTopics:
@@ -358,7 +350,7 @@ class RemoteTopics:
                 self._client.join(end, host, life, topic)
 
 
-def _declared(link: ZenohLink, data_key: str, credit_key: str) -> tuple[_Put, _Put]:
+def _declared(link: ZenohLink, data_key: str, credit_key: str) -> tuple[Put, Put]:
     """What puts at the keys of a tunnel. What runs is not delayed by what is looked at."""
     return link.publisher(data_key, "large"), link.publisher(credit_key, "orders")
 

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import struct
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from math import inf
+from typing import NamedTuple, TypeAlias
 from urllib.parse import quote
 
 from cfgplan_runtime.streams.channel import MOST_WAITING_BYTES
@@ -33,6 +35,9 @@ _FIRST_ASK_S = 0.01
 """Seconds until a sender asks for its first credit, doubled each time: what was told before it was there is lost."""
 _ASK_AGAIN_S = 0.1
 _MOST_MISSING = 64
+
+Put: TypeAlias = Callable[[bytes, bytes], None]
+"""Puts a head and a payload into the network."""
 
 _HEAD = struct.Struct("<QQqIB")
 _CREDIT = struct.Struct("<QQ")
@@ -279,3 +284,35 @@ class Receiving:
     def due_s(self) -> float | None:
         """When something is to be told; None if nothing is."""
         return self._tell_s
+
+
+class Conversation:
+    """One end of what goes both ways: what is offered goes on until it has come, and what comes is acknowledged."""
+
+    def __init__(self, sending: Sending) -> None:
+        self.sending = sending
+        self.receiving = Receiving()
+
+    def take(self, is_credit: bool, head: bytes, payload: bytes, now_s: float) -> list[Piece]:
+        """Take what came: a credit, or a frame. Returns the pieces to hand on now, in order."""
+        if is_credit:
+            credit = read_credit(payload)
+            if credit is not None:
+                self.sending.hear(credit)
+            return []
+        frame = read_frame(head, payload)
+        return [] if frame is None else self.receiving.take(frame, now_s)
+
+    def pump(self, put: Put, put_credit: Put, now_s: float, *, has_room: bool = True) -> None:
+        """Put what is due. Without room the other end is told not to go on."""
+        for frame in self.sending.due(now_s):
+            put(frame.head(), b"" if frame.piece is None else bytes(frame.piece.payload))
+        credit = self.receiving.credit(now_s, has_room=has_room)
+        if credit is not None:
+            put_credit(b"", credit.packed())
+
+    @property
+    def due_s(self) -> float:
+        """When `pump` has something to do, if nothing comes before; infinite if it has not."""
+        times = [due_s for due_s in (self.sending.due_s, self.receiving.due_s) if due_s is not None]
+        return min(times, default=inf)
