@@ -48,6 +48,13 @@ def clock() -> None:
         ticks.publish(tick)
 
 
+def mapper() -> None:
+    """Says one thing once, `~first`, for whoever comes, however late."""
+    rospy.init_node("mapper")
+    rospy.Publisher("chatter", String, queue_size=1, latch=True).publish(str(rospy.get_param("~first")))
+    rospy.spin()
+
+
 def oracle() -> None:
     """Answers with its name, `~called`."""
     rospy.init_node("oracle")
@@ -86,4 +93,4 @@ def mute() -> None:
 
 
 if __name__ == "__main__":
-    {each.__name__: each for each in (talker, shouter, clock, oracle, asker, camera, mute)}[sys.argv[1]]()
+    {each.__name__: each for each in (talker, shouter, clock, mapper, oracle, asker, camera, mute)}[sys.argv[1]]()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import queue
 import struct
 import subprocess
 from collections.abc import Iterator
@@ -11,6 +12,7 @@ from itertools import islice
 import pytest
 from cfgplan_runtime import ApplyError, Runtime
 from cfgplan_runtime.ros1.ros1_backend import Ros1Backend
+from cfgplan_runtime.supervision.events import UnitPrinted
 from words import NODES, eventually, listening, messages, pid_of
 
 from cfgplan.domain import (
@@ -162,3 +164,37 @@ def test_a_node_that_somebody_else_runs_is_connected_and_never_stopped(runtime: 
         somebodys.kill()
         somebodys.wait()
     eventually(lambda: not runtime.environment.units)
+
+
+def test_what_is_said_once_for_all_comes_later_too(runtime: Runtime) -> None:
+    """A latched message reaches late listeners, topics that are led there later, and who changes its source."""
+    first, second = (
+        replace(talker(label, at), source="node:./talking.py mapper") for label, at in (("a", 1), ("b", 2))
+    )
+    target = Target("map", "Word", "/map")
+    maps = (unit_of("a.1", "/map"), unit_of("b.1"))
+    runtime.apply(ChangeSet(maps, added_transformations=(first, second), added_targets=(target,)))
+    for _ in range(2):
+        with listening("/map") as said:
+            assert next(said) == "1"
+    again = Target("again", "Word", "/again")
+    runtime.apply(ChangeSet(rewired=(unit_of("a.1", "/map", "/again"),), added_targets=(again,)))
+    with listening("/again") as said:
+        assert next(said) == "1"
+    runtime.apply(ChangeSet(rewired=(unit_of("b.1", "/map"),), stopped=("a.1",), removed_targets=("again",)))
+    with listening("/map") as said:
+        assert next(said) == "2"
+
+
+def unit_of(of: str, *topics: str) -> ComputationUnit:
+    published = tuple(Publication("words", topic) for topic in topics)
+    return ComputationUnit(of, of.partition(".")[0], (), published)
+
+
+def test_a_node_that_wants_another_message_type_is_told_of(runtime: Runtime) -> None:
+    heard: queue.SimpleQueue[str] = queue.SimpleQueue()
+    runtime.listen(lambda event: heard.put(event.line) if isinstance(event, UnitPrinted) else None)
+    shouter = unit("shouter.1", (Subscription("quiet", Stream("clock.1", "ticks")),))
+    runtime.apply(ChangeSet((unit("clock.1"), shouter), added_transformations=(CLOCK, SHOUTER)))
+    told = next(line for line in iter(lambda: heard.get(timeout=60), None) if line.startswith("cfgplan:"))
+    assert "/shouter_1 wants std_msgs/String, and what comes there is geometry_msgs/PointStamped" in told

@@ -108,6 +108,8 @@ class _SourceTopic:
     header: Header | None = None
     has_stamp: bool = False
     messages: int = 0
+    latched: Framed | None = None
+    """The last message, if whoever comes later is to have it too."""
     last: Moment = (0, 0)
 
     def moment(self, message: Framed, now_ns: int) -> Moment:
@@ -251,6 +253,10 @@ class TopicRelay:
         source.wires[order.wire], source.offered[order.wire] = inlet, 0
         inlet.queue.attach(order.wire)
         self._tell_switch(inlet)
+        if source.latched is not None:
+            source.offered[order.wire] = 1
+            latched = Element(time.time_ns(), 0, 0, source.latched)
+            self._hand_on(inlet, inlet.queue.accept(order.wire, latched))
 
     def _end(self, wire: int, *, drains: bool) -> None:
         found = next((source for source in self._sources.values() if wire in source.wires), None)
@@ -331,7 +337,7 @@ class TopicRelay:
         if address not in source.wanted or address in source.readers:
             end.close()
             return
-        source.header = header
+        source.header, source.latched = header, None
         source.has_stamp = header.get("message_definition", "").lstrip().startswith(_STAMPED)
         reader = source.readers[address] = MessageReader(end)
         self._selector.register(end, selectors.EVENT_READ, lambda: self._read(source, address, reader))
@@ -341,6 +347,8 @@ class TopicRelay:
     def _read(self, source: _SourceTopic, address: str, reader: MessageReader) -> None:
         for message in reader.read():
             source.messages += 1
+            if source.header is not None and source.header.get("latching") == "1":
+                source.latched = message
             time_ns, turn = source.moment(message, time.time_ns())
             for wire, inlet in list(source.wires.items()):
                 number = source.offered[wire]
@@ -400,6 +408,8 @@ class TopicRelay:
             then()
         else:
             self._to_master.submit(self._register, publication, of["type"], then)
+        if publication.header["latching"] == "0":
+            publication.latched = None
         if before is not None and before["md5sum"] != of["md5sum"]:
             publication.latched = None
             for writer in publication.writers:  # who can take the other type comes back
