@@ -131,8 +131,10 @@ class Target:
     def __post_init__(self) -> None:
         if self.run is not None:
             object.__setattr__(self, "tag", f"{A_UNIT_OF}{self.run}")
-            if self.topic or self.quality or self.host is not None:
-                raise InvalidValueError(f"target {self.label!r} wants no stream: it has no topic, quality or host")
+            if self.topic or self.quality or self.host is not None or self.type is not None:
+                raise InvalidValueError(
+                    f"target {self.label!r} wants no stream: it has no topic, type, quality or host"
+                )
         if self.quality:
             store_sorted(self, "quality", self.quality, attrgetter("attribute"))
             refuse_duplicates(f"quality attribute of target {self.label!r}", [q.attribute for q in self.quality])

@@ -90,6 +90,7 @@ TARGET = "targets: [{label: t, topic: /t, tag: T}]\n"
             "a transformation",
         ),
         ("transformations: [{label: a}]\ntargets: [{label: t, run: a, topic: /t}]\n", (3, 30), "no `topic`", "remove"),
+        ("transformations: [{label: a}]\ntargets: [{label: t, run: a, type: b/C}]\n", (3, 30), "no `type`", "remove"),
         ("targets: [{label: t, topic: /t, tag: T, priority: high}]\n", (2, 51), "a whole number", None),
         (
             "targets: [{label: t, topic: /t, tag: T}, {label: t, topic: /u, tag: T}]\n",

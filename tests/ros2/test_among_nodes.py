@@ -215,3 +215,23 @@ def test_without_the_extra_its_name_is_told_before_the_file_is_read(
 def test_what_nodes_of_ros_1_publish_is_not_for_ros_2(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", str(env), "--ros2", "--middleware", "ros1"]) == 30
     assert "--ros2 does not know what nodes of ROS 1 publish" in " ".join(capsys.readouterr().err.split())
+
+
+def test_what_a_fleet_gives_is_published_too(env: Path, heard: Callable[..., list[Any]]) -> None:
+    (env.parent / "counting.py").write_text("def count():\n    yield from range(10**9)\n")
+    env.write_text(
+        "format: cfgplan/1\n"
+        "hosts: [{name: here}, {name: there}]\n"
+        "transformations:\n"
+        "  - {label: counter, host: there, source: 'counting.py:count', run: {rate: 50}, outputs: {number: Number}}\n"
+        "targets:\n"
+        "  - {label: number, topic: /number, tag: Number, type: std_msgs/UInt64}\n"
+    )
+    numbers = heard("/number", "std_msgs/msg/UInt64", "uint64 data\n")
+    with running(env, "--local", "--ros2") as process:
+        await_event(process, "Running")
+        eventually(lambda: len(numbers) >= 20)
+        process.terminate()
+        process.communicate()
+    got = [message.data for message in numbers]
+    assert got == sorted(set(got))
