@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 
@@ -13,6 +16,7 @@ from words import ENVIRONMENT, eventually, listening, node_names, write_words
 from cfgplan.cli import main
 from cfgplan.errors import InputError
 from cfgplan.ros.master import master_graph
+from cfgplan.ros.node_api import asked, peer
 
 
 @pytest.fixture
@@ -36,6 +40,36 @@ def test_nodes_are_started_connected_and_stopped_and_nothing_is_left(env: Path) 
     eventually(lambda: not any(child.is_running() for child in children))
     with pytest.raises(InputError, match="no ROS 1 master answers"):
         master_graph()
+
+
+def test_a_master_that_is_there_is_used_and_knows_nothing_of_the_run_afterwards(
+    env: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_NAMESPACE", "elsewhere")  # names of nodes are the run's
+    address = os.environ["ROS_MASTER_URI"]
+    command = ["rosmaster", "--core", "-p", address.rpartition(":")[2]]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as master:
+        try:
+            eventually(is_answered)
+            before = asked(peer(address), "/test", "getSystemState")
+            with running("--middleware", "ros1", env) as process:
+                await_event(process, "Running")
+                with listening("/shout") as shouts:
+                    next(shouts)
+                assert {"/talker_1", "/shouter_1"} <= node_names()
+                process.terminate()
+                process.communicate()
+            assert process.returncode == 0
+            assert asked(peer(address), "/test", "getSystemState") == before
+        finally:
+            master.kill()
+
+
+def is_answered() -> bool:
+    with suppress(InputError):
+        master_graph()
+        return True
+    return False
 
 
 def test_nothing_is_left_of_a_run_that_is_killed(env: Path) -> None:

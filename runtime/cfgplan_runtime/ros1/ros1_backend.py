@@ -43,6 +43,7 @@ from cfgplan_runtime.supervision.events import (
     InputLost,
     OutletsLost,
     OutletsOpened,
+    OutOfDescriptors,
     TopicsStatus,
     UnitDied,
     UnitPrinted,
@@ -243,7 +244,10 @@ class Ros1Backend:
             self._bury(node, "")
         if self._relay is not None:
             self._relay.close()
-        self._to_master.shutdown()
+        is_own = self.master.ended is not None
+        if not is_own and self._relay_address:
+            self._to_master.submit(forget_node, self.master.address, self._relay_node, self._relay_address)
+        self._to_master.shutdown(cancel_futures=is_own)
         self.master.close()
         self._selector.close()
         self._bell.close()
@@ -481,7 +485,12 @@ class Ros1Backend:
     def _start_relay(self) -> None:
         self._relay_due_s = None
         order = RelayOrder(self._relay_node, self.master.address, self.master.host)
-        relay = self._relay = RelayLink(order)
+        try:
+            relay = self._relay = RelayLink(order)
+        except OSError as error:
+            self._events.append(OutOfDescriptors(f"the relay of topics can't be started: {error.strerror}"))
+            self._plan_relay()
+            return
         self._selector.register(relay.control.socket, selectors.EVENT_READ, lambda: self._hear_relay(relay))
         self._events.append(HelperAlive(_RELAY_HELPER, _RELAY_START_S))
         for topic in self._topics:
@@ -533,9 +542,12 @@ class Ros1Backend:
         self._selector.unregister(self._relay.control.socket)
         status = self._relay.close()
         self._relay = None
+        self._plan_relay()
+        self._events += [HelperAlive(_RELAY_HELPER, inf), OutletsLost(f"the relay was {end_of_process(status)}")]
+
+    def _plan_relay(self) -> None:
         self._relay_losses += 1
         self._relay_due_s = self.now() + doubling_s(self._relay_losses, _RELAY_AGAIN_S, _MOST_RELAY_AGAIN_S)
-        self._events += [HelperAlive(_RELAY_HELPER, inf), OutletsLost(f"the relay was {end_of_process(status)}")]
 
     def _watch_relay(self, relay: RelayLink) -> None:
         events = selectors.EVENT_READ | (selectors.EVENT_WRITE if relay.control.is_waiting else 0)

@@ -59,7 +59,8 @@ class RosMaster:
         """The environment of nodes: with a master on this computer, nobody else reaches them unless it says so."""
         is_said = any(os.environ.get(name) for name in _HOST_VARIABLES)
         host = {} if is_said or not self.is_local else {"ROS_IP": self.host}
-        return {**os.environ, MASTER_VARIABLE: self.address, "PYTHONUNBUFFERED": "1", **host}
+        inherited = {name: value for name, value in os.environ.items() if name != "ROS_NAMESPACE"}
+        return {**inherited, MASTER_VARIABLE: self.address, "PYTHONUNBUFFERED": "1", **host}
 
     def answers(self) -> bool:
         """Whether the master is there."""
