@@ -306,7 +306,7 @@ def source_ends_in_cut(fleet: Fleet, short: bool) -> Seen:
             if label == "count":
                 # What it has given is known by the clock alone: elements have the time of the manager's.
                 os.kill(runtime.pid("count.1"), 9)
-                last = listener.values[-1] + int((time.monotonic() - listener.times_ns[-1] / 1e9) * RATE_HZ)
+                last = listener.values[-1] + int((time.time_ns() - listener.times_ns[-1]) * RATE_HZ / 1e9)
             with contextlib.suppress(TimeoutError):
                 eventually(lambda listener=listener, last=last: listener.values[-1] >= last, 2 * span_s + 2)
             texts.append(f"{label}: up to {listener.values[-1]} of {last}, {listener.wrong()} wrong")
