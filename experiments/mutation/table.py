@@ -435,6 +435,29 @@ JUDGE = _room(
     ("too few units run", "environments.py", "if len(running[label]) < transformation.min_instances:", "if False:"),
 )
 
+SURVIVAL = _room(
+    "cfgplan/planners/exact",
+    ("tests/planners/test_planners.py",),
+    (
+        "what is left serves any number",
+        "sharing.py",
+        "LinearExpr.sum(taking) <= most)",
+        "LinearExpr.sum(taking) <= 99)",
+    ),
+    (
+        "one unit is as good as several after a failure",
+        "survivors.py",
+        "return number if are_counted(candidates) else",
+        "return number if False else",
+    ),
+    (
+        "a needless unit is a spare",
+        "survival.py",
+        "if can_do_without(self.candidates, units, unit)]",
+        "if False]",
+    ),
+)
+
 BOUNDS = _room(
     "cfgplan/planners/bounding",
     ("tests/planners/test_preprocessing.py::test_bounds_do_not_exceed_the_optimum_and_fixing_keeps_optimal_plans",),
@@ -760,4 +783,4 @@ LIFECYCLE = _room(
     ),
 )
 
-MUTANTS = (*MODEL, *JUDGE, *BOUNDS, *CLOSING, *SATURATION, *SUPERVISION, *SPARES, *LIFECYCLE)
+MUTANTS = (*MODEL, *SURVIVAL, *JUDGE, *BOUNDS, *CLOSING, *SATURATION, *SUPERVISION, *SPARES, *LIFECYCLE)

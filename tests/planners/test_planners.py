@@ -417,3 +417,21 @@ def test_an_input_that_starts_nothing_is_fed_by_a_unit_that_runs_for_a_failure_a
     assert fragile.change_set.stopped == ("other.1", "screen.2")
     assert [str(s.stream) for u in fragile.change_set.rewired for s in u.subscriptions] == ["one.1/out0"]
     assert (firm.status, firm.change_set) == (Status.OPTIMAL, ChangeSet())
+
+
+def test_of_two_units_that_may_be_the_spare_one_runs_though_both_feed_inputs_that_start_nothing() -> None:
+    sources = [make(label, gives="A", labor=9) for label in ("one", "other", "third")]
+    screens = [replace(make(f"screen_{tag}", "A", tag), inputs=(InputPort("in0", "A", optional=True),)) for tag in "DE"]
+    firm = [replace(screen, outputs=(*screen.outputs, OutputPort("more", "F"))) for screen in screens]
+    runs = (
+        unit("one", topics={"/A": "out0"}),
+        unit("other"),
+        unit("third"),
+        unit("screen_D", "other.1/out0", topics={"/F": "more"}),
+        unit("screen_E", "third.1/out0"),
+    )
+    problem = replace(world("AF", *sources, *firm, units=runs), survive=Failures.UNITS)
+    plan = cpsat_plan(problem)
+    assert (plan_violations(problem, plan), plan.status) == ([], Status.OPTIMAL)
+    assert plan.change_set is not None
+    assert (len(plan.change_set.rewired), len(plan.change_set.stopped)) == (1, 1)
