@@ -26,6 +26,7 @@ TIMED = "timed beside `scale/tables.md`"
 AT_REST = "`benchmark.py replan`"
 FLEETS = "`fleets.py`"
 DEPLOYMENTS = "`deployments.py`, seeds 0 to 4"
+SERVED = "`count`, `optional` and `serves`, below"
 
 
 def said(value: Number, unit: str, what: str, origin: str) -> Number:
@@ -150,6 +151,7 @@ class Fleets:
     misfit: float = said(0.1, "the engine's s", "The same for each group that is tried to be left out.", DEPLOYMENTS)
     recounts: int = said(3, "times", "Units that can't be placed are counted again this often.", DEPLOYMENTS)
     small: int = said(20_000, "booleans", "Below this size of a fleet's model, probing takes too long.", FLEETS)
+    wired: int = said(12_000, "booleans", "Below it, relaxing who feeds counted inputs in full takes too long.", SERVED)
 
 
 @dataclass(frozen=True)

@@ -305,6 +305,8 @@ class Search:
         is_large = self._has_hosts or self.model.asks_for_quality
         small = size < (tuning.fleet.small if is_large else tuning.solve.small)
         solver = repeatable_solver(small=small, time_limit_s=self.standing.clock.left_s())
+        if ONLY_IN_THE_MODEL & self.problem.notions and size < tuning.fleet.wired:
+            solver.parameters.linearization_level = 1
         if size < tuning.solve.tiny:
             solver.parameters.max_presolve_iterations = 1
         if self._left_s < inf:
