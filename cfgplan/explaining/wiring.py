@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cache
+from itertools import islice
 
 from cfgplan.domain import ComputationUnit, Environment, InputPort, Stream, Subscription
 from cfgplan.matching import Nearest
@@ -28,41 +29,49 @@ _SERVICE = re.compile(r"\b(srv|action)\b")
 class Suspicion(IntEnum):
     """How probable it is that a fault is the one to mend first: the smaller the more."""
 
-    CLASH = 0
+    STOPPED = 0
+    """An input is not fed, and what would feed it does not run."""
+    CLASH = 1
     """A stream comes to an input that does not match it."""
-    PAIR = 1
+    PAIR = 2
     """An input is not fed, and nobody takes a stream that comes near."""
-    NUMBER = 2
+    NUMBER = 3
     """An input takes too many streams or too few."""
-    PERHAPS = 3
+    PERHAPS = 4
     """An input that may stay unfed is one of a pair."""
-    TAKEN = 4
+    TAKEN = 5
     """An input is not fed, and others take what comes near."""
-    NAMESAKE = 5
+    NAMESAKE = 6
     """An input is not fed, and what comes near does so by name only."""
-    OTHER = 6
+    OTHER = 7
     """Another rule is broken."""
-    ALONE = 7
+    ALONE = 8
     """An input is not fed, and nothing comes near."""
-    NEEDLESS = 8
+    NEEDLESS = 9
     """A unit runs that no target needs, mostly because it feeds an input no more."""
-    UNTAKEN = 9
+    UNTAKEN = 10
     """Nobody takes a stream."""
 
 
 @dataclass(frozen=True, slots=True)
 class NearStream:
-    """A stream that comes near to what an input needs, whether anyone takes it, and how like it is (0 to 1)."""
+    """A stream that comes near to what an input needs, whether anyone takes it, and how like it is (0 to 1).
+
+    One that does not run is named by its transformation instead of a unit.
+    """
 
     stream: Stream
     offer: Nearest
     is_taken: bool
     likeness: float
     by_name: bool = False
+    runs: bool = True
 
     @property
     def verdict(self) -> str:
         """What it gives, what that lacks, and whether it is free, in words."""
+        if not self.runs:
+            return f"{self.offer.offered}: {self.offer.verdict}, but does not run"
         return f"{self.offer.offered}: {self.offer.verdict}{'' if self.is_taken else '; nobody takes it'}"
 
 
@@ -147,6 +156,9 @@ class _Wiring:
                 if output.type is not None and _SERVICE.search(output.type):
                     self._taken.add(Stream(unit.id, output.name))
 
+        there = {unit.transformation for unit in running}
+        self._stopped = [each for each in environment.library if each.label not in there]
+
     def faults(self, violations: Sequence[Violation]) -> Iterator[WiringFault]:
         told, paired = set(), set()
         for violation in violations:
@@ -175,11 +187,22 @@ class _Wiring:
         elif violation.rule is Rule.FED and is_fed:
             suspicion = Suspicion.NUMBER
         elif violation.rule in (Rule.FED, Rule.MATCHING):
-            near = self._nearest(*found) if found else ()
+            near = (self._stopped_givers(found[1]) if not is_fed else ()) or self._nearest(*found) if found else ()
             suspicion = _of_unfed(near)
             if violation.rule is Rule.MATCHING:
                 near, suspicion = tuple(each for each in near if not each.by_name), Suspicion.CLASH
         return WiringFault(suspicion, violation.text, violation, violation.unit, violation.port, near)
+
+    def _stopped_givers(self, port: InputPort) -> tuple[NearStream, ...]:
+        """The outputs that would feed an input if they ran."""
+        whole = {near.offered: near for near in self._near.get(port.tag, ()) if not near.missing and not near.undecided}
+        streams = (
+            NearStream(Stream(kind.label, output.name), whole[output.tag], False, 1.0, runs=False)
+            for kind in self._stopped
+            for output in kind.outputs
+            if output.tag in whole
+        )
+        return tuple(islice(streams, MOST_NEAR))
 
     def _nearest(self, unit: ComputationUnit, port: InputPort) -> tuple[NearStream, ...]:
         """The streams of others that come nearest to what an input needs, or else are called nearly so."""
@@ -205,6 +228,8 @@ class _Wiring:
 def _of_unfed(near: Sequence[NearStream]) -> Suspicion:
     if not near:
         return Suspicion.ALONE
+    if not near[0].runs:
+        return Suspicion.STOPPED
     if near[0].by_name:
         return Suspicion.NAMESAKE
     return Suspicion.TAKEN if all(each.is_taken for each in near) else Suspicion.PAIR

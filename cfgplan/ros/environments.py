@@ -106,6 +106,7 @@ class _Making:
         self._graph = self._typed(self._without_noise(self._ported(graph)))
         self._words = RosVocabulary(self._graph)
         self._labels = {node.name: node.name.strip("/") or "node" for node in self._graph.nodes}
+        self._stopped = {self._labels[node.name] for node in self._graph.nodes if node.runs is False}
         self._names = {node.name: port_names(node) for node in self._graph.nodes}
 
     @property
@@ -121,10 +122,10 @@ class _Making:
         feeds = {end: self._taken(end, streams, ports[end]) for end, streams in feeds.items()}
         ports |= self._closing(ports, feeds, inputs)
         environment = Environment(
-            units=tuple(self._unit(node, feeds) for node in self._graph.nodes),
+            units=tuple(self._unit(node, feeds) for node in self._graph.nodes if node.runs is not False),
             library=tuple(self._transformation(node, ports) for node in self._graph.nodes),
+            targets=tuple(self._targets(ports, feeds)),
         )
-        environment = replace(environment, targets=tuple(self._targets(environment)))
         return Imported(self._graph, environment, self._words.text, tuple(self._guesses))
 
     def _guess(self, about: str, guess: str, why: str) -> None:
@@ -209,7 +210,7 @@ class _Making:
             return InputPort(
                 end.port, tag, service=True, optional=is_optional, type=_type(port), remap=_own(node, port)
             )
-        if self._works and not feeds[end] and not optional:
+        if self._works and not optional and all(stream.node in self._stopped for stream in feeds[end]):
             optional = True
             self._guess(about, "it may stay unfed", "nobody feeds it, and the graph works")
         row = self._table.says(node.name, port, "several")
@@ -297,6 +298,7 @@ class _Making:
             for end, streams in feeds.items()
             if end.node == label
             for stream in streams
+            if stream.node not in self._stopped
         )
         return ComputationUnit(_unit_of(label), label, tuple(wires))
 
@@ -322,7 +324,7 @@ class _Making:
             params=node.parameters,
         )
 
-    def _targets(self, environment: Environment) -> Iterator[Target]:
+    def _targets(self, ports: Mapping[_End, InputPort], feeds: Mapping[_End, list[_End]]) -> Iterator[Target]:
         """A target for each node that is wanted for itself: all that is needed then feeds one of them."""
         wanted = self._table.wanted
         if wanted is not None:
@@ -330,7 +332,8 @@ class _Making:
                 if any(fnmatchcase(node.name, pattern) for pattern in wanted):
                     yield _to_run(self._labels[node.name])
             return
-        for label in _ends(environment):
+        needs = {end: streams for end, streams in feeds.items() if not ports[end].starts_nothing}
+        for label in _ends(self._labels.values(), needs):
             self._guess(label, "it is wanted for itself", "nobody needs its streams")
             yield _to_run(label)
 
@@ -340,8 +343,18 @@ def _type(port: RosPort) -> str | None:
 
 
 def _own(node: RosNode, port: RosPort) -> str:
-    """What the node itself calls a topic or service: before remapping, where that is known."""
-    return port.own or next((own for own, name in node.remappings if name == port.name), port.name)
+    """What the node itself calls a topic or service, as far as that is known: before remapping.
+
+    What lies below the node's name is taken for private, and below its namespace for relative: so it is understood
+    wherever the node is started.
+    """
+    if port.own is not None:
+        return port.own
+    full = next((own for own, name in node.remappings if name == port.name), port.name)
+    for above, mark in ((f"{node.name}/", "~"), (f"{node.name.rpartition('/')[0]}/", "")):
+        if full.startswith(above) and full != above:
+            return mark + full.removeprefix(above)
+    return full
 
 
 def _source(node: RosNode) -> NodeSource:
@@ -374,14 +387,12 @@ def _depths(graph: networkx.MultiDiGraph) -> dict[str, int]:
     return depths
 
 
-def _ends(environment: Environment) -> list[str]:
-    """One label of each group of nodes that feed each other and nobody else, but by inputs that start nothing."""
+def _ends(labels: Iterable[str], needs: Mapping[_End, list[_End]]) -> list[str]:
+    """One label of each group of nodes that need each other's streams, and whose streams nobody else needs."""
     graph = networkx.DiGraph()
-    graph.add_nodes_from(transformation.label for transformation in environment.library)
-    for unit in environment.units:
-        idle = environment.transformation[unit.transformation].idle_inputs
-        feeders = (environment.unit[s.stream.unit].transformation for s in unit.subscriptions if s.port not in idle)
-        graph.add_edges_from((feeder, unit.transformation) for feeder in feeders)
+    graph.add_nodes_from(labels)
+    for end, streams in needs.items():
+        graph.add_edges_from((stream.node, end.node) for stream in streams)
     groups = networkx.condensation(graph)
     ends = (sorted(groups.nodes[group]["members"]) for group in groups if not groups.out_degree(group))
     return sorted(members[0] for members in ends)

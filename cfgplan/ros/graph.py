@@ -59,7 +59,7 @@ class RosNode:
     `package` and `executable` say how it is started, and `plugin` what a container or nodelet manager of the name
     `container` loads; each is None where no source tells it. `remappings` are full names, from the node's own to
     those used; `parameters` are as a launch file writes them. A `player` gives what was recorded, of which nobody knows
-    who published it.
+    who published it. `runs` is None where no source looked whether it does.
     """
 
     name: str
@@ -72,6 +72,7 @@ class RosNode:
     remappings: tuple[tuple[str, str], ...] = ()
     parameters: Mapping[str, object] = field(default_factory=dict, hash=False)
     player: bool = False
+    runs: bool | None = None
 
     def __post_init__(self) -> None:
         unique = {_port_key(port): port for port in reversed(self.ports)}
@@ -113,12 +114,14 @@ def merged(graphs: Iterable[RosGraph]) -> RosGraph:
     """One graph of several: nodes of one name are one node; the first source that tells how it starts is believed.
 
     A player gives what no other node publishes. Where one does, the recording tells how often, and the type if nobody
-    else does.
+    else does. If a source looked what runs, what it has not seen does not, and players are gone.
     """
     graphs = list(graphs)
     nodes: dict[str, RosNode] = {}
     for node in [node for graph in graphs for node in graph.nodes]:
         nodes[node.name] = _joined(nodes[node.name], node) if node.name in nodes else node
+    if any(node.runs is not None for node in nodes.values()):
+        nodes = {name: replace(node, runs=bool(node.runs)) for name, node in nodes.items()}
     return RosGraph(
         tuple(_with_recorded([*nodes.values()])),
         tuple(source for graph in graphs for source in graph.sources),
@@ -143,6 +146,7 @@ def _joined(one: RosNode, other: RosNode) -> RosNode:
         remappings=one.remappings or other.remappings,
         parameters={**other.parameters, **one.parameters},
         player=one.player and other.player,
+        runs=one.runs if one.runs or other.runs is None else other.runs,
         **known,
     )
 
@@ -173,7 +177,7 @@ def _with_recorded(nodes: Sequence[RosNode]) -> Iterator[RosNode]:
                     port = _filled(port, replace(known, rate_hz=rate_hz, own=None))
                 ports.append(port)
             yield replace(node, ports=tuple(ports))
-        elif left := tuple(port for port in node.ports if port.name not in publishers):
+        elif node.runs is None and (left := tuple(port for port in node.ports if port.name not in publishers)):
             yield replace(node, ports=left)
 
 

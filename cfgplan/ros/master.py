@@ -7,6 +7,7 @@ import socket
 import struct
 from collections import defaultdict
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from urllib.parse import urlparse
 from xmlrpc.client import ServerProxy
@@ -26,7 +27,8 @@ _CALLER = "/cfgplan_import"
 def master_graph(address: str | None = None) -> RosGraph:
     """The nodes that a master knows, `address` or else that of ROS_MASTER_URI. Raises InputError if it is not there.
 
-    A node that does not answer has the types that the master tells. A master knows no clients of services.
+    A node that does not answer has the types that the master tells, and does not run. A master knows no clients of
+    services.
     """
     address = address or os.environ.get(MASTER_VARIABLE) or USUAL_MASTER
     master = peer(address)
@@ -67,7 +69,7 @@ def _node(
             Role.SUBSCRIBES: dict(asked(at, _CALLER, "getSubscriptions")),
         }
     except (SilentError, TypeError, ValueError):
-        notes.append(f"whether {name} is alive, since it does not answer: the types of its topics are the master's")
+        notes.append(f"whether {name} is alive, since it does not answer: it counts as not running")
     ports = [
         RosPort(
             role, topic, types[topic] if role.is_service else _type(own.get(role, {}).get(topic) or topics.get(topic))
@@ -75,7 +77,7 @@ def _node(
         for role, topic in ends
     ]
     command = _command(at, address) if own and at is not None and address is not None else ()
-    return _started_by(RosNode(name, tuple(ports)), command)
+    return _started_by(RosNode(name, tuple(ports), runs=bool(own)), command)
 
 
 def _type(text: str | None) -> MessageType | None:
@@ -129,11 +131,10 @@ def _started_by(node: RosNode, command: tuple[str, ...]) -> RosNode:
     words = command[at + 1 :]
     namespace = node.name.rpartition("/")[0]
     remappings = [word.split(":=", 1) for word in words if ":=" in word and not word.startswith("_")]
-    return RosNode(
-        node.name,
-        node.ports,
-        _package(program),
-        program.name,
+    return replace(
+        node,
+        package=_package(program),
+        executable=program.name,
         arguments=tuple(word for word in words if ":=" not in word),
         remappings=tuple((resolved(a, namespace, node.name), resolved(b, namespace, node.name)) for a, b in remappings),
     )

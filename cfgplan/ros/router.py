@@ -56,7 +56,7 @@ def token_graph(tokens: Iterable[LivelinessToken], source: str, notes: Iterable[
     for name, several in sorted(nodes.items()):
         if len(several) > 1:
             notes.append(f"which of the {len(several)} nodes called {name} has which of their topics")
-    return RosGraph(tuple(RosNode(name, tuple(ports[name])) for name in nodes), (source,), tuple(notes))
+    return RosGraph(tuple(RosNode(name, tuple(ports[name]), runs=True) for name in nodes), (source,), tuple(notes))
 
 
 def _ports(token: EndpointToken) -> Iterator[RosPort]:

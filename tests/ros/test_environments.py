@@ -173,7 +173,11 @@ def test_one_graph_gives_one_file_in_whatever_order_it_is_told(tmp_path: Path) -
 def test_the_file_says_how_nodes_are_started_and_what_they_call_their_ports(tmp_path: Path) -> None:
     nodes = [
         RosNode(
-            "/eyes/talk", (RosPort(Role.PUBLISHES, "/b"),), "rospy_tutorials", "talker", remappings=(("/a", "/b"),)
+            "/eyes/talk",
+            tuple(RosPort(Role.PUBLISHES, name) for name in ("/b", "/eyes/d", "/eyes/talk/e", "/tf")),
+            "rospy_tutorials",
+            "talker",
+            remappings=(("/eyes/a", "/b"),),
         ),
         RosNode("/eyes/rect", (), "image_proc", None, "image_proc/rectify", "/eyes/manager"),
         RosNode("/eyes/crop", (), "image_proc", None, "image_proc::CropNode"),
@@ -186,9 +190,10 @@ def test_the_file_says_how_nodes_are_started_and_what_they_call_their_ports(tmp_
         "eyes/crop": "component:image_proc/image_proc::CropNode",
         "unknown": "external:/unknown",
     }
-    assert library["eyes/talk"].output["b"].remap == "/a"
+    called = {port.name: port.remap for port in library["eyes/talk"].outputs}
+    assert called == {"b": "a", "d": "d", "e": "~e", "tf": "/tf"}
     heard = library["unknown"].input["b"]
-    assert (heard.remap, heard.type) == ("/b", "std_msgs/msg/String")
+    assert (heard.remap, heard.type) == ("b", "std_msgs/msg/String")
 
 
 def test_a_recording_tells_how_often_messages_come() -> None:

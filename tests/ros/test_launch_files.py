@@ -300,4 +300,4 @@ def test_a_fault_in_a_launch_file_is_told_with_its_line_and_a_mend(
 def test_a_node_whose_ports_are_known_keeps_them(tmp_path: Path) -> None:
     amcl = RosNode("/amcl", (RosPort(Role.SUBSCRIBES, "/scan"),), "amcl", "amcl")
     (port,) = read_back(graph(amcl), tmp_path).environment.transformation["amcl"].inputs
-    assert port.remap == "/scan"
+    assert port.remap == "scan"

@@ -85,6 +85,18 @@ def _graph(address: str, is_whole: Callable[[RosGraph], bool]) -> RosGraph:
 
 
 @live
+def test_a_node_of_a_package_runs_and_says_how_it_was_started(master: Master, tmp_path: Path) -> None:
+    package = tmp_path / "my_robot"
+    package.mkdir()
+    (package / "package.xml").write_text("<package><name>my_robot</name></package>")
+    program = Path(shutil.copy(NODES, package / "driver.py"))
+    master.start(PYTHON, str(program), "lidar", "scan:=/base_scan", "__ns:=robot")
+    (node,) = _graph(master.address, lambda seen: "/base_scan" in seen.topics).nodes
+    assert (node.package, node.executable, node.arguments) == ("my_robot", "driver.py", ("lidar",))
+    assert (node.remappings, node.runs) == ((("/robot/scan", "/base_scan"),), True)
+
+
+@live
 def test_a_live_graph_has_its_nodes_with_types_and_services(master: Master) -> None:
     address = master.address
     lidar = master.start(PYTHON, str(NODES), "lidar", "scan:=/base_scan", "__ns:=robot")
@@ -103,6 +115,7 @@ def test_a_live_graph_has_its_nodes_with_types_and_services(master: Master) -> N
     lidar.wait()
     dead = master_graph(address)  # a master forgets nobody that does not say goodbye
     assert any("whether /robot/lidar is alive" in note for note in dead.notes)
+    assert {node.name: node.runs for node in dead.nodes} == {"/robot/lidar": False, "/planner": True}
     assert {port.name for node in dead.nodes for port in node.ports} >= {"/base_scan"}
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -88,6 +89,12 @@ def test_what_others_publish_a_recording_only_tells_the_rate_of(tmp_path: Path) 
         "/lidar": [("/odom", "nav_msgs/msg/Odometry", None), ("/scan", SCAN, 20.25)],
         "/rear": [("/scan", SCAN, 20.25)],
     }
+
+
+def test_beside_a_live_graph_a_recording_is_not_played(tmp_path: Path) -> None:
+    recorded = recorded_graph(bag2(tmp_path / "run", {"/scan": 81, "/odom": 5}, rosbag2.StoragePlugin.MCAP))
+    live = graph(replace(node("/lidar", {"/scan": SCAN}), runs=True))
+    assert told(merged([live, recorded])) == {"/lidar": [("/scan", SCAN, 40.5)]}
 
 
 def test_a_node_that_two_sources_know_has_each_port_once(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from cfgplan.cli import main
 from cfgplan.domain import Stream
 from cfgplan.explaining import Suspicion, WiringFault
 from cfgplan.ros.environments import imported
-from cfgplan.ros.graph import RosGraph, RosNode
+from cfgplan.ros.graph import RosGraph, RosNode, merged
 from cfgplan.ros.guesses import guess_table
 
 SCAN, ODOM, TWIST, IMU = "sensor_msgs/LaserScan", "nav_msgs/Odometry", "geometry_msgs/Twist", "sensor_msgs/Imu"
@@ -63,6 +63,44 @@ def test_of_two_that_come_near_the_one_that_nobody_takes_is_told_first(tmp_path:
         ("lidar.1/rear_scan", False),
         ("lidar.1/scan", True),
     ]
+
+
+def looked_at(whole: RosGraph, *stopped: str) -> RosGraph:
+    """A graph of which somebody looked what runs: all nodes but some."""
+    return replace(whole, nodes=tuple(replace(each, runs=each.name not in stopped) for each in whole.nodes))
+
+
+def test_what_does_not_run_comes_first_and_a_plan_starts_it(tmp_path: Path) -> None:
+    clash = node("/other", {}, {"/odom": IMU})
+    dead = looked_at(merged([SOUND, graph(clash)]), "/lidar")
+    one, other = [fault for fault in faults(dead, tmp_path) if fault.violation]
+    assert (one.suspicion, one.unit, one.port) == (Suspicion.STOPPED, "mover.1", "scan")
+    assert [(str(near.stream), near.verdict) for near in one.near] == [
+        ("lidar/scan", "sensor_msgs-LaserScan and scan: would match, but does not run")
+    ]
+    assert other.suspicion is Suspicion.CLASH
+
+    change = api.plan(api.match(read_back(looked_at(SOUND, "/lidar"), tmp_path))).change_set
+    assert change is not None
+    assert [unit.transformation for unit in change.started] == ["lidar"]
+    assert [unit.id for unit in change.rewired] == ["mover.1"]
+
+
+def test_a_node_that_nobody_needs_is_wanted_though_it_does_not_run(tmp_path: Path) -> None:
+    world = read_back(looked_at(SOUND, "/base", "/mover"), tmp_path)
+    assert [target.run for target in world.environment.targets] == ["base"]
+    assert [unit.id for unit in world.environment.units] == ["lidar.1"]
+
+
+def test_what_is_launched_but_not_seen_to_run_does_not() -> None:
+    launched = graph(RosNode("/lidar", (), "hokuyo", "hokuyo_node"), RosNode("/mover", (), "move_base", "move_base"))
+    live = looked_at(graph(node("/lidar", {"/scan": SCAN})))
+    for order in ([launched, live], [live, launched]):
+        assert {each.name: (each.package, each.runs) for each in merged(order).nodes} == {
+            "/lidar": ("hokuyo", True),
+            "/mover": ("move_base", False),
+        }
+    assert {each.runs for each in merged([launched]).nodes} == {None}
 
 
 def test_a_clash_of_types_comes_before_an_input_that_nobody_feeds(tmp_path: Path) -> None:
