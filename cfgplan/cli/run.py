@@ -127,6 +127,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     if not options.dry_run and options.middleware == ROS1:
         _check_nodes(options, loaded)
     else:
+        if not options.dry_run:
+            _refuse_nodes(options, loaded)
         _check_ros2(options, loaded)
     said = loaded.environment if options.compared else None
     if loaded.environment.units and said is None:
@@ -156,6 +158,16 @@ def _check_can_start(world: World) -> None:
         message = f"nothing can be started: {labels}{more} are left out, since none names its unit code"
         mend = "add `source: units.py:Class` to them, or plan with `solve`"
         raise InputError.of(message, file=str(world.file.path) if world.file else None, mend=mend)
+
+
+def _refuse_nodes(options: argparse.Namespace, world: World) -> None:
+    from cfgplan.ros.sources import NodeSource
+
+    nodes = [one for one in world.environment.library if NodeSource.read(one.source) is not None]
+    if nodes:
+        mend = "add --middleware ros1; for ROS 2 there is `cfgplan export launch`"
+        what = f"{nodes[0].label} is a node of ROS (`{nodes[0].source}`)"
+        raise InputError.of(what, file=options.env, mend=mend)
 
 
 def _check_nodes(options: argparse.Namespace, world: World) -> None:

@@ -82,6 +82,15 @@ def test_nothing_is_left_of_a_run_that_is_killed(env: Path) -> None:
     eventually(lambda: not any(child.is_running() and child.status() != "zombie" for child in children))
 
 
+def test_nodes_that_are_run_as_processes_are_told_of_their_middleware(
+    env: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["run", str(env)]) == 30
+    said = " ".join(capsys.readouterr().err.split())
+    assert "shouter is a node of ROS (`node:./talking.py shouter`)" in said
+    assert "--middleware ros1" in said
+
+
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
