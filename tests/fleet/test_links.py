@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.fleet.links import LEASE_S, Pulse, ReachedAt, config, reach, sign_period_s
-from cfgplan_runtime.streams.zenoh_link import ZenohLink
+from cfgplan_runtime.streams.zenoh_link import Taken, ZenohLink, taken
 from small_fleet import PATIENCE_S, eventually
 
 from cfgplan.cli import main
@@ -66,6 +66,20 @@ def test_a_connection_that_zenoh_has_left_unread_is_given_up_and_others_are_not(
         eventually(is_given_up)
         read.sendall(b"more")
         assert reading.recv(4) == b"more"
+
+
+def test_what_is_not_taken_is_counted_by_looks_as_a_stalled_process_has_looked_only_once() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server, ExitStack() as stack:
+        sending = stack.enter_context(socket.create_connection(server.getsockname(), PATIENCE_S))
+        taking = stack.enter_context(server.accept()[0])
+        looks = [taken(taking, None)]
+        for number in range(3):
+            sending.sendall(b"12")
+            assert taking.recv(2, socket.MSG_PEEK | socket.MSG_WAITALL) == b"12"
+            if number == 2:
+                taking.recv(1)
+            looks.append(taken(taking, looks[-1]))
+        assert looks == [Taken(0, 0), Taken(0, 1), Taken(0, 2), Taken(1, 0)]
 
 
 CFGPLAN = (sys.executable, "-c", "import sys; from cfgplan.cli import main; sys.exit(main())")

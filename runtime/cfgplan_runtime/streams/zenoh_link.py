@@ -14,7 +14,6 @@ import stat
 import struct
 import termios
 import threading
-import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -36,6 +35,8 @@ _GIVE_UP: int | None = getattr(socket, "TCP_USER_TIMEOUT", None)
 _WAITING = struct.Struct("@i")
 _CAME, _CAME_AT = struct.Struct("@Q"), 128
 """How many bytes came, and where Linux has that number in what it tells of a TCP connection."""
+_LOOKS = 4
+"""It is looked after connections so often in a lease. A process that was stalled has looked once meanwhile."""
 _LINK_CLOSE_S = 2.0
 """Zenoh may wait long for a peer that is gone when a session is closed."""
 
@@ -81,14 +82,14 @@ class ZenohLink:
         other, which hears it, and for good.
         """
         known: dict[tuple[object, object], Taken] = {}
-        while not self._is_closed.wait(lease_ms / 4000):
-            before, known, now_s = known, {}, time.monotonic()
+        while not self._is_closed.wait(lease_ms / 1000 / _LOOKS):
+            before, known = known, {}
             for connection in _connections(ports):
                 with suppress(OSError):
                     connection.setsockopt(socket.IPPROTO_TCP, option, lease_ms)
                     ends = connection.getsockname(), connection.getpeername()
-                    known[ends] = taken(connection, now_s, before.get(ends))
-                    if now_s - known[ends].since_s >= lease_ms / 1000:
+                    known[ends] = taken(connection, before.get(ends))
+                    if known[ends].idle >= _LOOKS:
                         connection.shutdown(socket.SHUT_RDWR)
 
     def hear(self, keys: str, take: Callable[[str, bytes, bytes], None]) -> None:
@@ -167,19 +168,21 @@ class ZenohLink:
 
 
 class Taken(NamedTuple):
-    """How many of the bytes that came to a connection were taken, and since when no more were though some wait."""
+    """How many of the bytes that came to a connection were taken, and at how many looks in a row no more were though
+    some wait.
+    """
 
     bytes: int
-    since_s: float
+    idle: int
 
 
-def taken(connection: socket.socket, now_s: float, before: Taken | None) -> Taken:
-    """What is taken of a TCP connection's data now, if that was so before. Raises OSError."""
+def taken(connection: socket.socket, before: Taken | None) -> Taken:
+    """What is taken of a TCP connection's data at this look, if that was so at the one before. Raises OSError."""
     (waiting,) = _WAITING.unpack(fcntl.ioctl(connection, termios.FIONREAD, bytes(_WAITING.size)))
     told = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _CAME_AT + _CAME.size)
     (came,) = _CAME.unpack_from(told, _CAME_AT)
-    is_unread = before is not None and waiting and came - waiting == before.bytes
-    return before if before is not None and is_unread else Taken(came - waiting, now_s)
+    is_idle = before is not None and waiting and came - waiting == before.bytes
+    return Taken(came - waiting, before.idle + 1 if before is not None and is_idle else 0)
 
 
 def _ports(endpoints: Iterable[str]) -> frozenset[int]:
