@@ -10,9 +10,28 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 from cfgplan.costs import keep_cost_us, labor_us, standby_cost_us, taken, transfer_cost_us
-from cfgplan.domain import CPU, MEMORY, ComputationUnit, Environment, Host, InputPort, Link, Stream, Transformation
+from cfgplan.domain import (
+    CPU,
+    MEMORY,
+    ComputationUnit,
+    Environment,
+    Host,
+    InputPort,
+    Link,
+    Objective,
+    Stream,
+    Transformation,
+)
 from cfgplan.planning import Problem
 from cfgplan.qualities import QualityAttribute, delayed, price_us, propagated
+from cfgplan.summary import counted, cpu
+
+_COUNTED = {
+    Objective.UNITS: "running unit",
+    Objective.HOSTS: "host",
+    Objective.REWIRED: "rewired unit",
+    Objective.STARTED: "started unit",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,3 +213,10 @@ def _value(
         values[stream] = propagated(attribute, stated.get(attribute.name), inputs)
         ahead.pop()
     return values[wanted]
+
+
+def amount(objective: Objective, value: int) -> str:
+    """So much of an objective: `2 hosts`, `1.25 s of rent`, `1.25 s`."""
+    if objective in _COUNTED:
+        return counted(value, _COUNTED[objective])
+    return cpu(value) if objective is Objective.COST else f"{cpu(value)} of rent"

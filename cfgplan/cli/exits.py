@@ -1,8 +1,7 @@
 """The exit codes of the command line."""
 
+from collections.abc import Mapping
 from enum import IntEnum
-
-from cfgplan.planning import Status
 
 
 class Exit(IntEnum):
@@ -24,10 +23,11 @@ class Exit(IntEnum):
     INTERRUPTED = 130
 
 
-OF_STATUS = {
-    Status.OPTIMAL: Exit.OK,
-    Status.FEASIBLE: Exit.NOT_PROVEN,
-    Status.INFEASIBLE: Exit.NO_PLAN,
-    Status.TOO_EXPENSIVE: Exit.TOO_EXPENSIVE,
-    Status.UNKNOWN: Exit.NO_ANSWER,
+OF_STATUS: Mapping[str, Exit] = {
+    "optimal": Exit.OK,
+    "feasible": Exit.NOT_PROVEN,
+    "infeasible": Exit.NO_PLAN,
+    "too expensive": Exit.TOO_EXPENSIVE,
+    "unknown": Exit.NO_ANSWER,
 }
+"""By a plan's `Status`, which is a text: to import it takes longer than to show the help."""

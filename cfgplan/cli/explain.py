@@ -16,7 +16,8 @@ from cfgplan.cli.screen import Screen
 from cfgplan.domain import Environment
 from cfgplan.errors import known
 from cfgplan.explaining import Blocked, Choice, Clash, Unfed, Unreachable, Unused, Why, WhyNot
-from cfgplan.explaining.why_words import amount, choice_line, named_labels, some, why_lines
+from cfgplan.explaining.why_words import choice_line, named_labels, some, why_lines
+from cfgplan.figures import amount
 
 if TYPE_CHECKING:
     from cfgplan.answers import Subject

@@ -18,7 +18,6 @@ from cfgplan.cli.interrupts import Ending, ended_cleanly
 from cfgplan.cli.screen import FULL_DISK, Screen
 from cfgplan.errors import CfgplanError, Fault, InputError, known
 from cfgplan.extras import install
-from cfgplan.planning import OwnPlannerError, PlannerFaultError
 
 VERBS: Mapping[str, str] = MappingProxyType(
     {
@@ -80,6 +79,8 @@ def _main(arguments: Sequence[str], ending: Ending) -> int:
             refuse_overwriting(options)
             code = Exit(options.run(options, screen))
         except (CfgplanError, ModuleNotFoundError) as error:
+            from cfgplan.planning import OwnPlannerError, PlannerFaultError
+
             missing = error.name or "" if isinstance(error, ModuleNotFoundError) else ""
             if isinstance(error, PlannerFaultError) or missing.startswith("cfgplan"):
                 raise
@@ -110,6 +111,8 @@ def _main(arguments: Sequence[str], ending: Ending) -> int:
 
 def _tell(error: CfgplanError | ModuleNotFoundError, screen: Screen, env: str | None) -> None:
     """Show what is wrong with the input, the command line or the installation."""
+    from cfgplan.planning import OwnPlannerError
+
     match error:
         case InputError(faults=faults):
             screen.faults(faults)

@@ -10,8 +10,7 @@ from rich.text import Text
 from cfgplan.cli.screen import counted, decided_by
 from cfgplan.costs import keep_cost_us, labor_us, standby_cost_us, upkeep_us
 from cfgplan.domain import CPU, MEMORY, POWER, ChangeSet, ComputationUnit, Environment, Host, Stream, Target
-from cfgplan.explaining.why_words import amount
-from cfgplan.figures import cost_parts, link_loads, loads, qualities_of_targets, transfers
+from cfgplan.figures import amount, cost_parts, link_loads, loads, qualities_of_targets, transfers
 from cfgplan.planners import IGNORING_REQUIRED
 from cfgplan.planning import Failures, Plan, Problem, Status
 from cfgplan.qualities import Better, QualityAttribute, Wish, units

@@ -17,11 +17,12 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from cfgplan.errors import Fault
-from cfgplan.planning import Plan, PlannerFaultError, Progress
 from cfgplan.summary import counted as counted
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
+
+    from cfgplan.planning import Progress
 
 OUTPUT_VERSION = 1
 FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
@@ -204,6 +205,8 @@ class Screen:
 
 def blamed(error: Exception) -> str:
     """Whose fault an internal error is, and what to do about it."""
+    from cfgplan.planning import PlannerFaultError
+
     planner = error.plan.planner if isinstance(error, PlannerFaultError) else ""
     if ":" in planner:
         return f"this is a bug in the planner {planner}, not in cfgplan"
@@ -212,6 +215,8 @@ def blamed(error: Exception) -> str:
 
 def _plain(value: object) -> Any:
     """An explanation as JSON values. A plan becomes its status, cost and bound; a fraction becomes text."""
+    from cfgplan.planning import Plan
+
     match value:
         case Enum():
             return value.value

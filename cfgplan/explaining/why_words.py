@@ -4,16 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from cfgplan.domain import Objective
 from cfgplan.explaining.why_this import Choice, Why
-from cfgplan.summary import counted, cpu
-
-_COUNTED = {
-    Objective.UNITS: "running unit",
-    Objective.HOSTS: "host",
-    Objective.REWIRED: "rewired unit",
-    Objective.STARTED: "started unit",
-}
+from cfgplan.figures import amount
 
 
 def why_lines(why: Why) -> Iterator[str]:
@@ -59,13 +51,6 @@ def choice_line(why: Why) -> str:
             return f"{why.subject} is read by nothing that the plan runs."
         case Choice.UNDECIDED:
             return "Not decided: the planner did not prove both plans."
-
-
-def amount(objective: Objective, value: int) -> str:
-    """So much of an objective: `2 hosts`, `1.25 s of rent`, `1.25 s`."""
-    if objective in _COUNTED:
-        return counted(value, _COUNTED[objective])
-    return cpu(value) if objective is Objective.COST else f"{cpu(value)} of rent"
 
 
 def named_labels(what: str, labels: frozenset[str] | tuple[str, ...]) -> str:

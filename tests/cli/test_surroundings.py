@@ -287,3 +287,12 @@ def test_who_reads_stderr_may_go(tmp_path: Path) -> None:
     assert result.returncode == 0
     assert b"Optimal" in result.stdout
     assert json.loads(plan.read_text())["status"] == "optimal"
+
+
+def test_the_help_is_there_before_anything_that_plans_is_imported() -> None:
+    heavy = {"cfgplan.domain", "cfgplan.planning", "numpy", "ortools", "pydantic", "rich", "yaml"}
+    code = "import sys; from cfgplan.cli import main\ntry: main(['--help'])\nfinally: "
+    code += f"print(*{heavy} & sys.modules.keys())"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stdout.startswith("usage: cfgplan")
+    assert done.stdout.splitlines()[-1] == ""
