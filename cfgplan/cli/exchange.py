@@ -62,10 +62,14 @@ def _import(options: argparse.Namespace, screen: Screen) -> Exit:
     if options.what == "xml":
         shared.put(api.converted(Path(path), "yaml"), options.out, screen)
         return Exit.OK
+    from cfgplan.formats import unread
+
     ontology = _beside(options.out, "a test set becomes two files, the environment and its ontology", ".ofn")
     environment_text, ontology_text = api.converted_test_set(Path(path), options.objective, ontology.name)
     shared.put(ontology_text, str(ontology), screen)
     shared.put(environment_text, options.out, screen)
+    if dropped := unread(Path(path)):
+        screen.warn(f"not read: {', '.join(dropped)}; costs are the number of services, concepts those of taxonomy.xml")
     return Exit.OK
 
 

@@ -22,6 +22,8 @@ _DECISIONS = {"failed": "red", "undecided": "red", "kept": "dim", "deferred": "d
 _FEWEST_LOG_LINES = 4
 _MOST_REVIEWS = 4
 _MOST_REVIEWS_TOLD = 5
+_NARROW = 80
+"""Columns of a terminal with less room than all figures and names need."""
 _OLD_S = 2.0
 """A stream that is silent for longer is shown as that."""
 
@@ -83,9 +85,9 @@ class RunPicture:
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         height = options.height or console.height
-        yield Group(*self._parts(max(8, height)))
+        yield Group(*self._parts(max(8, height), is_narrow=options.max_width < _NARROW))
 
-    def _parts(self, height: int) -> Iterator[RenderableType]:
+    def _parts(self, height: int, *, is_narrow: bool) -> Iterator[RenderableType]:
         state = self.state
         reviews = state["reviews"][-_MOST_REVIEWS:]
         rows = len(state["units"]) + len(state["backing_off"])
@@ -109,7 +111,7 @@ class RunPicture:
         yield _title(f"targets  {met} of {len(state['targets'])} met")
         yield _targets(state, targets)
         yield _title(f"units  {len(state['units'])}")
-        yield _units(state, units)
+        yield _units(state, units, is_narrow=is_narrow)
         yield _title("reviews")
         yield from (_clipped(_review(review)) for review in reviews)
         if not reviews:
@@ -172,9 +174,9 @@ def _target(target: Mapping[str, Any]) -> Iterator[Text]:
         yield Text(target["stream"])
 
 
-def _units(state: Mapping[str, Any], room: int | None = None) -> RenderableType:
+def _units(state: Mapping[str, Any], room: int | None = None, *, is_narrow: bool = False) -> RenderableType:
     """Transformations that wait, then the units; odd ones first where there is not room for all. Process ids are shown
-    where there is room for everything.
+    where there is room for everything; on a narrow terminal names have room before memory and before counts of 0.
     """
     units, waiting = list(state["units"]), state["backing_off"]
     if room is not None and len(units) + len(waiting) > room:
@@ -184,6 +186,11 @@ def _units(state: Mapping[str, Any], room: int | None = None) -> RenderableType:
     columns = (("unit", 1), *((key, 0) for key in keys), *numbers, ("state", 2))
     rows = [_waiting(each, len(columns)) for each in waiting]
     rows += [_unit(unit, [Text(str(unit.get(key) or "")) for key in keys]) for unit in units]
+    if is_narrow:
+        left_out = {"memory", *(name for name in ("dropped", "errors") if not any(unit.get(name) for unit in units))}
+        shown = [place for place, (name, _) in enumerate(columns) if name.lstrip(">") not in left_out]
+        columns = tuple((columns[place][0], {"unit": 2, "state": 1}.get(columns[place][0], 0)) for place in shown)
+        rows = [[row[place] for place in shown] for row in rows]
     return _drawn(columns, rows, room, "unit")
 
 

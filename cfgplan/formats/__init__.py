@@ -9,6 +9,7 @@ from cfgplan.formats.places import Place
 from cfgplan.formats.plan_file import dump_plan, load_plan, read_run_plan
 from cfgplan.formats.tags import TagVocabulary
 from cfgplan.formats.wsc import read_wsc, wsc_texts
+from cfgplan.formats.wsc_files import unread
 from cfgplan.formats.xml_dump import dump_xml
 
 __all__ = [
@@ -29,5 +30,6 @@ __all__ = [
     "read_document",
     "read_run_plan",
     "read_wsc",
+    "unread",
     "wsc_texts",
 ]

@@ -56,6 +56,14 @@ def read_test_set(folder: Path) -> TestSet:
     return TestSet(parent, concept, found, provided, wanted)
 
 
+def unread(folder: Path) -> tuple[str, ...]:
+    """What a set says and nobody reads: attributes of services, such as their quality, and other files beside it."""
+    services = _SetFile(folder / "services.xml").root.children
+    attributes = {name for service in services for name in service.attributes} - {"name"}
+    files = {path.name for path in folder.iterdir() if path.suffix.lower() in (".owl", ".wsla", ".wsdl", ".bpel")}
+    return (*(f"the attribute {name} of services" for name in sorted(attributes)), *sorted(files))
+
+
 class _SetFile:
     """One file of a set. `faults` are its instances that are not in `concept`, and what is missing."""
 

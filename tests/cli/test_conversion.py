@@ -80,3 +80,19 @@ def test_one_xml_specification_is_converted_at_a_time(run: Run, tmp_path: Path) 
     result = run("import", "xml", tmp_path / "a.xml", tmp_path / "b.xml")
     assert result.code == 30
     assert "one path too many" in result.err
+
+
+def test_what_a_test_set_says_and_nobody_reads_is_told(run: Run, tmp_path: Path) -> None:
+    taxonomy = '<taxonomy><concept name="thing"><instance name="a"/><instance name="b"/></concept></taxonomy>'
+    service = '<service name="s"><inputs><instance name="a"/></inputs><outputs><instance name="b"/></outputs></service>'
+    ends = '<provided><instance name="a"/></provided><wanted><instance name="b"/></wanted>'
+    (tmp_path / "taxonomy.xml").write_text(taxonomy)
+    (tmp_path / "problem.xml").write_text(f'<problemStructure><task name="t">{ends}</task></problemStructure>')
+    (tmp_path / "services.xml").write_text(f"<services>{service}</services>")
+    assert "not read" not in run("import", "wsc", tmp_path, "--out", tmp_path / "env.yaml").err
+    with_quality = service.replace("<service ", '<service responseTime="5" ')
+    (tmp_path / "services.xml").write_text(f"<services>{with_quality}</services>")
+    (tmp_path / "taxonomy.owl").write_text("")
+    said = run("import", "wsc", tmp_path, "--out", tmp_path / "env.yaml")
+    assert said.code == 0, said.err
+    assert "not read: the attribute responseTime of services, taxonomy.owl; " in said.err

@@ -174,3 +174,17 @@ def test_in_a_terminal_a_run_shows_it_and_leaves_the_terminal_as_it_was(tmp_path
     assert b"1 of 1 met" in shown[on:off]
     assert b"detector(piff).1" in shown[off:]
     assert shown.rindex(b"\x1b[?25h") > shown.rindex(b"\x1b[?25l"), "the cursor is shown again"
+
+
+@pytest.mark.parametrize("width", [60, 79])
+def test_a_narrow_terminal_keeps_the_names_of_units(width: int) -> None:
+    unit = ComputationUnit("ball_detector.1", "ball_detector")
+    seen = observation(unit.id)
+    snapshot = replace(SNAPSHOT, units=(*SNAPSHOT.units, UnitView(unit, "nao1", seen)))
+    text = "\n".join(drawn(snapshot, width=width))
+    for name in ("camera.1 ", "detector.1 ", "ball_detector.1 ", "segmenter ", "2.0 %", "30.0"):
+        assert name in text
+    for figure in ("memory", "dropped", "errors"):
+        assert figure not in text
+    failing = replace(SNAPSHOT, units=(UnitView(unit, None, replace(seen, errors=3)),))
+    assert "errors" in "\n".join(drawn(failing, width=width)), "what is wrong is shown"
