@@ -783,4 +783,52 @@ LIFECYCLE = _room(
     ),
 )
 
-MUTANTS = (*MODEL, *SURVIVAL, *JUDGE, *BOUNDS, *CLOSING, *SATURATION, *SUPERVISION, *SPARES, *LIFECYCLE)
+COUNTING = _room(
+    "cfgplan/planners/exact",
+    ("tests/planners/test_counting.py",),
+    (
+        "hosts that are counted bear any number",
+        "counting.py",
+        "counts.cp.add(taken <= room * counts.used[k])",
+        "pass",
+    ),
+    ("a host that is used is not paid", "counting.py", "counts.cp.add(has <= counts.used[kind])", "pass"),
+    (
+        "units that run with others are counted without them",
+        "counting.py",
+        "counts.cp.add(counts.has[n, k] <= LinearExpr.sum(company))",
+        "pass",
+    ),
+    (
+        "units that conflict on a host are counted together",
+        "counting.py",
+        "counts.cp.add(counts.has[one, k] + counts.has[second, k] <= counts.used[k])",
+        "pass",
+    ),
+    (
+        "an input takes fewer streams than it counts",
+        "counting.py",
+        "feeders]) >= port.count",
+        "feeders]) >= 1",
+    ),
+    (
+        "a stream that is counted serves any number",
+        "counting.py",
+        "counts.cp.add(LinearExpr.sum(taken) <= most * counts.number[source[0]])",
+        "pass",
+    ),
+    (
+        "a counted unit stays whatever it publishes",
+        "counting.py",
+        "counts.cp.add_implication(stays, publishes if is_old else publishes.negated())",
+        "pass",
+    ),
+    ("a cycle is counted", "groups.py", "and is_directed_acyclic_graph(_feeds(candidates))", ""),
+    (
+        "hosts of any room are alike",
+        "groups.py",
+        "kinds[own, host.rent_us, tuple(rooms.items()), there]",
+        "kinds[own, host.rent_us, there]",
+    ),
+)
+MUTANTS = (*MODEL, *SURVIVAL, *COUNTING, *JUDGE, *BOUNDS, *CLOSING, *SATURATION, *SUPERVISION, *SPARES, *LIFECYCLE)

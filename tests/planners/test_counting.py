@@ -127,3 +127,26 @@ def test_a_running_unit_stays_as_it_is_where_that_costs_nothing() -> None:
     again = replace(problem, environment=problem.after(first))
     found = counted(again)
     assert found.change_set is not None and not found.change_set
+
+
+@pytest.mark.parametrize("rents_us", [(5, 1), (1, 5)])
+def test_a_host_is_paid_where_something_is_on_it(rents_us: tuple[int, ...]) -> None:
+    hosts = tuple(Host(f"h{n}", rent_us=rent_us) for n, rent_us in enumerate(rents_us))
+    problem = world("A", replicas(4), hosts=hosts)
+    assert counted(problem).cost_us == named(problem).cost_us == problem.horizon_s * 1 + 4
+
+
+def test_a_unit_that_gets_another_topic_is_wired_anew() -> None:
+    problem = world("A", replicas(3), hosts=THREE)
+    first = counted(problem)
+    target = replace(problem.environment.targets[0], label="more", topic="/more")
+    more = replace(problem.after(first), targets=(*problem.environment.targets, target))
+    found = counted(replace(problem, environment=more))
+    assert found.change_set is not None and len(found.change_set.rewired) == 1 and not found.change_set.started
+
+
+@pytest.mark.parametrize("rooms_mb", [(8, 2), (2, 8)])
+def test_hosts_of_different_room_are_not_alike(rooms_mb: tuple[int, ...]) -> None:
+    hosts = tuple(Host(f"h{n}", memory_mb=room) for n, room in enumerate(rooms_mb))
+    assert counted(world("A", replicas(5), hosts=hosts)).status is Status.OPTIMAL
+    assert counted(world("A", replicas(6), hosts=hosts)).status is Status.INFEASIBLE
