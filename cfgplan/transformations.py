@@ -17,6 +17,10 @@ ALL = 0
 """The `count` of an input that takes every stream there is for it."""
 
 
+DEFAULT_LABOR_US = 1_000_000
+"""What a start costs where nobody has said it: it is not for nothing."""
+
+
 @dataclass(frozen=True, slots=True, order=True)
 class InputPort:
     """A named input of a transformation and the tag that says what it needs.
@@ -145,8 +149,8 @@ class RunOptions:
 class Transformation:
     """A streaming function that can be instantiated (Definition 2, section IV-A).
 
-    `labor_us` is the CPU time of one start in microseconds, `upkeep_us` the CPU time in
-    microseconds that a running unit takes each second. The running units of a `pinned`
+    `labor_us` is the CPU time of one start in microseconds, one second if nothing is said, and `upkeep_us` the CPU time
+    in microseconds that a running unit takes each second. The running units of a `pinned`
     transformation are kept even where no target needs them; a `required` one is used by some target
     wherever that is possible at all (section V-C).
 
@@ -164,7 +168,7 @@ class Transformation:
     label: str
     inputs: tuple[InputPort, ...] = ()
     outputs: tuple[OutputPort, ...] = ()
-    labor_us: int = 0
+    labor_us: int = DEFAULT_LABOR_US
     upkeep_us: int = 0
     pinned: bool = False
     required: bool = False

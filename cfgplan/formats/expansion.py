@@ -9,7 +9,6 @@ from typing import Any
 from cfgplan.domain import CPU, MEMORY, START_MODES, InputPort, OutputPort, RunOptions, Transformation
 from cfgplan.errors import MatchingError, TagError, UnknownNameError, did_you_mean
 from cfgplan.formats.fields import (
-    DEFAULT_LABOR_US,
     DEFAULT_UPKEEP_US,
     ConflictsPart,
     DefaultsPart,
@@ -32,6 +31,7 @@ from cfgplan.formats.templates import (
     texts,
     variables,
 )
+from cfgplan.transformations import DEFAULT_LABOR_US
 
 VariableValues = Mapping[Variable, str]
 _PORT_TYPES: dict[Any, Any] = {"inputs": InputPort, "outputs": OutputPort}

@@ -75,9 +75,8 @@ def _provided(test_set: TestSet, length: int | None) -> Transformation:
     start = "" if length is None else _by(0)
     taken = {service.name for service in test_set.services}
     label = next(label for label in _labels("provided") if label not in taken)
-    return Transformation(
-        label, outputs=tuple(OutputPort(instance, test_set.concept[instance] + start) for instance in test_set.provided)
-    )
+    given = tuple(OutputPort(instance, test_set.concept[instance] + start) for instance in test_set.provided)
+    return Transformation(label, outputs=given, labor_us=0)
 
 
 def _labels(label: str) -> Iterator[str]:

@@ -23,7 +23,7 @@ from cfgplan.domain import (
     Transformation,
 )
 from cfgplan.formats import dump_yaml, plain_environment
-from cfgplan.formats.fields import DEFAULT_HORIZON_S, DEFAULT_LABOR_US
+from cfgplan.formats.fields import DEFAULT_HORIZON_S
 from cfgplan.qualities import MICRO
 from cfgplan.ros.graph import RosGraph, RosNode, RosPort
 from cfgplan.ros.guesses import GuessTable
@@ -319,7 +319,6 @@ class _Making:
                 for port in node.ports
                 if port.role.gives
             ),
-            labor_us=DEFAULT_LABOR_US,
             source=str(_source(node)),
             params=node.parameters,
         )

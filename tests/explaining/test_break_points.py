@@ -161,7 +161,7 @@ def test_the_upkeep_at_which_another_way_is_cheaper_is_found() -> None:
 
 
 def test_a_cold_spare_may_cost_more_than_what_runs() -> None:
-    ready = Transformation("t", (), (OutputPort("o", "A"),), standby_us=1)
+    ready = Transformation("t", (), (OutputPort("o", "A"),), labor_us=0, standby_us=1)
     environment = Environment((), (ready,), (Target("t", "A", "/t"),))
     problem = Problem(environment, Similarity({"A": frozenset({"A"})}), 1, survive=Failures.UNITS)
     found = upkeep_sensitivity(problem, cpsat, "t")
