@@ -91,6 +91,7 @@ class _Deployment:
             counts.cp.add(steps[0].what <= steps[0].value(standing.best.key))
             self._hint(counts)
         values: Sequence[int] = ()
+        proven: list[int] = []
         for number, step in enumerate(steps):
             learn = step.learn if is_placed or not number else None
             found = self._minimise(counts, step.what, values, learn, is_placed=is_placed)
@@ -99,11 +100,14 @@ class _Deployment:
             values, least = found
             self._least = self._least if number else least
             counts.cp.add(step.what <= least)
+            proven.append(least)
         if not is_placed and not self._offer(counts, values):
             return False
         assert standing.best is not None
-        for step in steps:
-            step.learn(step.value(standing.best.key))
+        for step, least in zip(steps, proven, strict=True):
+            if step.value(standing.best.key) > least:
+                raise ContradictionError("a plan costs or changes more than the numbers of its units say")
+            step.learn(least)
         standing.prove_all()
         return True
 
