@@ -88,16 +88,25 @@ class Bench:
 
     def await_event(self, kind: type[events.UnitDied | events.HostLost | events.HostJoined], name: str) -> None:
         """Wait until an event of a unit or a host is told."""
+
+        def is_told() -> bool:
+            return any(isinstance(event, kind) and name == _who(event) for event in self.told)
+
+        assert self._becomes(is_told), f"{kind.__name__} of {name} is never told"
+
+    def _becomes(self, so: Callable[[], bool]) -> bool:
+        """Wait until something is so. Returns whether it is, within PATIENCE_S."""
         waited_s = 0.0
-        while not any(isinstance(event, kind) and name == _who(event) for event in self.told):
-            assert waited_s < PATIENCE_S, f"{kind.__name__} of {name} is never told"
+        while not so() and waited_s < PATIENCE_S:
             self.wait(0.01)
             waited_s += 0.01
+        return so()
 
     def expect(self, environment: Environment, what: str) -> None:
-        """What runs is what is said to run."""
+        """What runs is what is said to run; a new unit that is kept may still be on its way."""
         believed = {unit.id: unit for unit in self.middleware.environment.units}
         assert believed == {unit.id: unit for unit in environment.units}, f"{what}: the environment is another one"
+        self._becomes(lambda: believed.keys() <= set(self.units()))
         assert set(self.units()) == set(believed), f"{what}: other units run than the environment has"
         published = {publication.topic for unit in environment.units for publication in unit.publications}
         assert published <= set(self.topics()), f"{what}: a topic that a unit publishes on is not there"

@@ -20,6 +20,8 @@ _MANAGER_START_S = 30.0
 _MANAGER_LOOK_S = 0.05
 _LOAD_S = 30.0
 """Seconds that loading a nodelet may take: its constructor is part of that."""
+_SEE = "can't be loaded: see what it printed"
+"""A manager that refuses gives no reason, but prints one."""
 
 
 class NodeletGroup:
@@ -60,9 +62,9 @@ class NodeletGroup:
         def work() -> None:
             try:
                 self._await_services()
-                cause = "" if self._asked("load_nodelet", request, _LOAD_S) else "can't be loaded: see what it printed"
+                cause = "" if self._asked("load_nodelet", request, _LOAD_S) else _SEE
             except (SilentError, OSError) as error:
-                cause = f"can't be loaded: {error}"
+                cause = f"can't be loaded: {error}" if str(error) else _SEE
             tell(cause, max(0, self._now_us() - before_us))
 
         threading.Thread(target=work, daemon=True).start()
