@@ -198,6 +198,7 @@ def test_distinct_inputs_are_fed_by_different_transformations(planner: Planner) 
         "fusion",
         (InputPort("left", "A", distinct="sources"), InputPort("right", "A", distinct="sources")),
         (OutputPort("out", "B"),),
+        labor_us=0,
     )
     detectors = (make("cheap", gives="A", labor=1), make("dear", gives="A", labor=9))
     assert planner(world("B", fusion, *detectors)).cost_us == 10

@@ -107,8 +107,8 @@ def test_a_fleet_too_large_for_the_relaxation_gets_no_cuts() -> None:
 def test_a_required_unit_is_used_although_another_is_better() -> None:
     tag, worse = "D", Contribution("e", QualityRule.ADD, 0)
     library = (
-        Transformation("better", outputs=(OutputPort("x", tag, (Contribution("e", QualityRule.ADD, 9),)),)),
-        Transformation("wanted", outputs=(OutputPort("x", tag, (worse,)),), required=True),
+        Transformation("better", labor_us=0, outputs=(OutputPort("x", tag, (Contribution("e", QualityRule.ADD, 9),)),)),
+        Transformation("wanted", labor_us=0, outputs=(OutputPort("x", tag, (worse,)),), required=True),
     )
     attribute = QualityAttribute("e", Better.HIGHER, worst=0, best=9)
     target = Target("t", tag, "/t", quality=(Wish("e", bound=0, weight_us=MICRO),))

@@ -30,6 +30,7 @@ from watching import Listener, StartRuntime, seen
 from world import RESULT, eventually, source, start, unit, worker
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Host, RunOptions
+from cfgplan.transformations import DEFAULT_LABOR_US
 
 HOSTS = (Host("r1"), Host("r2"))
 
@@ -64,7 +65,7 @@ WORK = unit("work.1", x="count.1/n")
 
 def test_a_cold_spare_is_prepared_when_its_update_is_over_and_a_unit_begins_in_it_at_once() -> None:
     life = InThought()
-    assert life.told(SparePrepared, SpareLost) == [SparePrepared("work.9", 0)]
+    assert life.told(SparePrepared, SpareLost) == [SparePrepared("work.9", DEFAULT_LABOR_US)]
     assert "work.9" not in life.supervisor.alive
     assert life.apply(at("r2", WORK), stopped=("work.9",)) == 0.0
     assert life.told(SpareUsed) == [SpareUsed("work.1", "work.9")]
@@ -132,7 +133,7 @@ def test_a_spare_that_dies_after_a_good_life_is_prepared_again_at_once() -> None
         life.backend.tell(SpareLost("work.9", "killed by SIGKILL"))
         life.pass_time(61.5)
     assert len(life.asked("prepare")) == 4
-    assert life.told(SparePrepared)[1:] == [SparePrepared("work.9", 0)] * 3
+    assert life.told(SparePrepared)[1:] == [SparePrepared("work.9", DEFAULT_LABOR_US)] * 3
 
 
 def test_a_spare_that_grows_too_large_is_ended_and_prepared_again() -> None:

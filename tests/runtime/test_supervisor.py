@@ -31,6 +31,7 @@ from in_simulation import InSimulation
 from world import RESULT, source, start, unit, worker
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Host, RunOptions, Stream, Target, Transformation
+from cfgplan.transformations import DEFAULT_LABOR_US
 
 TOPIC = Inlet("", "/result")
 ONE = (unit("count.1"), unit("work.1", topic="/result", x="count.1/n"))
@@ -330,7 +331,7 @@ def test_a_unit_that_an_earlier_supervisor_has_started_is_awaited_as_long_as_one
     while not any(isinstance(event, UnitDied) for event in events):
         supervisor.pump(1.0)
     assert [event for event in events if isinstance(event, UnitReady | UnitDied)] == [
-        UnitReady("count.1", 0),
+        UnitReady("count.1", DEFAULT_LABOR_US),
         UnitDied("work.1", "killed by SIGKILL"),
     ]
     assert [event.unit for event in events if isinstance(event, UnitHung)] == ["work.1"]
@@ -355,7 +356,7 @@ def test_a_stall_does_not_use_up_the_patience_with_a_start() -> None:
     backend = SimulatedBackend({"work": Behaviour(start_s=20.0)})
 
     def stall_once(event: Event) -> None:
-        if event == UnitReady("count.1", 0):
+        if event == UnitReady("count.1", DEFAULT_LABOR_US):
             backend.stall(60.0)
 
     supervisor = Supervisor(backend, Environment((), (source(), worker()), (RESULT,)), stall_once)
