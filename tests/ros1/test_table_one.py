@@ -50,8 +50,8 @@ def test_table_one_runs_as_nodes_is_mended_and_goes_over_to_the_fusion(nao: Path
             eventually(lambda: next(errors) < 0.5)
 
             nao.write_text((NAO / "ros1" / "5-fusion-required.yaml").read_text())
-            eventually(lambda: "/fuse_ball_pos_1" in node_names())
-            assert {f"/{label}_{robot}_1" for label in PIFF for robot in ("piff", "puff")} <= node_names()
+            both = {f"/{label}_{robot}_1" for label in PIFF for robot in ("piff", "puff")}
+            eventually(lambda: {"/fuse_ball_pos_1", *both} <= node_names())
             eventually(lambda: next(errors) < 0.5)
         process.terminate()
         process.communicate()
