@@ -41,7 +41,7 @@ def test_an_early_verdict_is_right_however_the_stream_goes_on(
         assert meant == verdict
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(formulas_that_look_far([Atom(name) for name in ATOMS]), st.integers(0, 2**32), st.sampled_from([5, 50, 95]))
 def test_many_intervals_that_have_not_begun_are_followed_together(formula: Formula, seed: int, percent: int) -> None:
     source = Random(seed)
