@@ -75,7 +75,7 @@ class OutletChild:
         self._ports.say(Ready(time.process_time_ns()))
         due = time.monotonic()
         while not self._ports.has_ended and not self._is_finishing:
-            self._ports.wait(max(0.0, due - time.monotonic()))
+            self._ports.ends.wait(max(0.0, due - time.monotonic()))
             if time.monotonic() >= due:
                 due = time.monotonic() + _STATUS_PERIOD_S
                 self._ports.say(Flowing(self._flows()))
@@ -95,7 +95,7 @@ class OutletChild:
             case OpenOutlet(topic):
                 self._run_short(topic)
             case CloseOutlet(topic) if topic in self._listeners:
-                self._ports.unwatch(self._listeners[topic])
+                self._ports.ends.unwatch(self._listeners[topic])
                 self._paused.pop(topic, None)
                 self._listeners.pop(topic).close()
                 self._ports.close_input(topic)
@@ -118,7 +118,7 @@ class OutletChild:
         self._watch(topic, listener)
 
     def _watch(self, topic: str, listener: socket.socket) -> None:
-        self._ports.watch(listener, lambda: self._accept(topic, listener))
+        self._ports.ends.watch(listener, lambda: self._accept(topic, listener))
 
     def _accept(self, topic: str, listener: socket.socket) -> None:
         try:
@@ -126,7 +126,7 @@ class OutletChild:
         except BlockingIOError:
             return
         except OSError:
-            self._ports.unwatch(listener)
+            self._ports.ends.unwatch(listener)
             self._paused[topic] = listener
             self._run_short(topic)
             return

@@ -1,12 +1,10 @@
-"""The ports of a child process: inlets and outputs on one selector, rewired by control messages."""
+"""The ports of a child process: inlets and outputs, rewired by control messages."""
 
 from __future__ import annotations
 
-import selectors
 import socket
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, field
 
 from cfgplan_runtime.children.control import ControlConnection
@@ -26,6 +24,7 @@ from cfgplan_runtime.children.messages import (
 )
 from cfgplan_runtime.streams.channel import Receiver, Sender
 from cfgplan_runtime.streams.element import Element, Outgoing
+from cfgplan_runtime.streams.ends import Ends
 from cfgplan_runtime.streams.inlet import InputQueue
 
 _MOST_SAID = 1 << 16
@@ -90,22 +89,8 @@ class Ports:
         self._order = order
         self._make_input = make_input
         self._clock_offset_ns = clock_offset_ns
-        self._selector = selectors.DefaultSelector()
-        self.watch(control.socket, self._hear)
-
-    def watch(self, end: socket.socket, call: Callable[[], None]) -> None:
-        """Call whenever `end` can be read."""
-        self._selector.register(end, selectors.EVENT_READ, call)
-
-    def unwatch(self, end: socket.socket) -> None:
-        with suppress(KeyError, ValueError):
-            self._selector.unregister(end)
-
-    def wait(self, timeout_s: float | None) -> None:
-        """Wait at most `timeout_s` until a socket is ready, then read and write everything that is ready."""
-        for key, _ in self._selector.select(timeout_s):
-            if key.fileobj.fileno() != -1:  # type: ignore[union-attr]
-                key.data()
+        self.ends = Ends()
+        self.ends.watch(control.socket, self._hear)
 
     def now_ns(self) -> int:
         """The time by the run's clock."""
@@ -114,8 +99,7 @@ class Ports:
     def say(self, message: FromChild) -> None:
         """Send a message to the supervisor."""
         self._control.send(message)
-        if self._control.is_waiting:
-            self._modify(self._control.socket, self._hear)
+        self.ends.write(self._control.socket, is_waiting=self._control.is_waiting)
 
     def emit(self, port: str, element: Outgoing) -> None:
         """Send an element to every subscriber of an output."""
@@ -160,7 +144,7 @@ class Ports:
         output = self.outputs[port]
         output.senders.append(sender)
         output.served += 1
-        self._selector.register(sender.socket, selectors.EVENT_READ, lambda: self._peer_spoke(output, sender))
+        self.ends.watch(sender.socket, lambda: self._peer_spoke(output, sender))
 
     def close_output(self, port: str) -> None:
         for sender in list(self.outputs[port].senders):
@@ -204,7 +188,7 @@ class Ports:
     def _hear(self) -> None:
         if not self._control.flush():
             return
-        self._modify(self._control.socket, self._hear)
+        self.ends.write(self._control.socket, is_waiting=self._control.is_waiting)
         for message, sockets in self._control.receive():
             match message:
                 case Feed(port, wire) if not self._has_input(port) or not sockets:  # there was no descriptor left
@@ -265,7 +249,7 @@ class Ports:
         self._settle(port, port.inlet.switch((self.now_ns(), 0)))
 
     def _watch_receiver(self, port: UnitInput, wire: int) -> None:
-        self.watch(port.receivers[wire].socket, lambda: self._read(port, wire))
+        self.ends.watch(port.receivers[wire].socket, lambda: self._read(port, wire))
 
     def _read(self, port: UnitInput, wire: int) -> None:
         receiver = port.receivers.get(wire)
@@ -281,7 +265,7 @@ class Ports:
         if not port.is_paused and not port.has_room():
             port.is_paused = True
             for other in port.receivers.values():
-                self.unwatch(other.socket)
+                self.ends.unwatch(other.socket)
 
     def _settle(self, port: UnitInput, elements: list[Element]) -> None:
         """Hand elements on, close the receivers that the inlet no longer needs, and report a switch."""
@@ -297,7 +281,7 @@ class Ports:
                 self.say(Switched(port.name, port.announced))
 
     def _close(self, receiver: Receiver) -> None:
-        self.unwatch(receiver.socket)
+        self.ends.unwatch(receiver.socket)
         receiver.close()
 
     def _peer_spoke(self, output: UnitOutput, sender: Sender) -> None:
@@ -318,19 +302,14 @@ class Ports:
         if sender.is_closed:
             self._remove_sender(output, sender)
             return
-        events = selectors.EVENT_READ | (selectors.EVENT_WRITE if sender.depth else 0)
-        self._selector.modify(sender.socket, events, lambda: self._peer_spoke(output, sender))
+        self.ends.write(sender.socket, is_waiting=sender.depth > 0)
 
     def _remove_sender(self, output: UnitOutput, sender: Sender) -> None:
         output.dropped_before += sender.dropped
         output.senders = [other for other in output.senders if other is not sender]
-        self.unwatch(sender.socket)
+        self.ends.unwatch(sender.socket)
         sender.give_up()
         sender.socket.close()
-
-    def _modify(self, end: socket.socket, call: Callable[[], None]) -> None:
-        events = selectors.EVENT_READ | (selectors.EVENT_WRITE if self._control.is_waiting else 0)
-        self._selector.modify(end, events, call)
 
 
 def _ignore(_: Element) -> None:

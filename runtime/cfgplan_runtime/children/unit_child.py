@@ -87,7 +87,7 @@ class UnitChild:
         """Wait, as a spare, until told to be a unit. Returns its id; None if the supervisor is gone."""
         self._ports.say(Prepared(time.process_time_ns(), imported_files(Path(self._order.folder))))
         while self._begun is None and not self._ports.has_ended:
-            self._ports.wait(None)
+            self._ports.ends.wait(None)
         return self._begun
 
     def run(self) -> None:
@@ -98,7 +98,7 @@ class UnitChild:
         self._ports.say(Ready(time.process_time_ns()))
         self._status_ns = self._tick_ns = time.monotonic_ns()
         while not self._ports.has_ended:
-            self._ports.wait(self._patience_s())
+            self._ports.ends.wait(self._patience_s())
             self._work()
             if time.monotonic_ns() >= self._status_ns:
                 self._say_status()

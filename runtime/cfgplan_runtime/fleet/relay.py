@@ -26,7 +26,6 @@ from cfgplan_runtime.children.messages import (
     ToChild,
 )
 from cfgplan_runtime.children.ports import Ports, UnitInput, UnitOutput
-from cfgplan_runtime.streams.channel import Bell
 from cfgplan_runtime.streams.crossing import (
     LAST_PIECE,
     Piece,
@@ -37,6 +36,7 @@ from cfgplan_runtime.streams.crossing import (
     read_frame,
 )
 from cfgplan_runtime.streams.element import Element, Outgoing
+from cfgplan_runtime.streams.ends import Bell
 from cfgplan_runtime.streams.inlet import InputQueue
 from cfgplan_runtime.streams.zenoh_link import Lane, PutThread, ZenohLink
 
@@ -86,7 +86,7 @@ class Relay:
         self._arrived: deque[tuple[str, bytes, bytes]] = deque()
         self._is_closing = self._has_rung = False
         self._bell = Bell()
-        self._ports.watch(self._bell.socket, self._bell.hear)
+        self._ports.ends.watch(self._bell.socket, self._bell.hear)
         for kind in ("data", "credit"):
             link.hear(crossing_key(None, kind, host, "*"), self._take)
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -122,7 +122,7 @@ class Relay:
         look_s = time.monotonic()
         while not self._is_closing:
             due_s = min(look_s if self._imports else inf, self._due_s())
-            self._ports.wait(None if due_s == inf else max(0.0, due_s - time.monotonic()))
+            self._ports.ends.wait(None if due_s == inf else max(0.0, due_s - time.monotonic()))
             now_s = time.monotonic()
             self._take_what_came(now_s)
             for name, export in self._exports.items():

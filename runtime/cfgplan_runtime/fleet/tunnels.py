@@ -22,7 +22,6 @@ from pathlib import Path
 
 from cfgplan.domain import MANAGER
 from cfgplan_runtime.errors import RuntimeFaultError
-from cfgplan_runtime.streams.channel import Bell
 from cfgplan_runtime.streams.crossing import (
     LAST_PIECE,
     PIECES_UNDER_WAY,
@@ -34,6 +33,7 @@ from cfgplan_runtime.streams.crossing import (
     host_key,
     read_frame,
 )
+from cfgplan_runtime.streams.ends import Bell
 from cfgplan_runtime.streams.run_folder import RunFolder, address, control_address
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 

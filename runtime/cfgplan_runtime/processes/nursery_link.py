@@ -15,6 +15,30 @@ _CODE = "import sys; from cfgplan_runtime.processes.nursery import main; main(sy
 _PATIENCE_AT_CLOSE_S = 5.0
 
 
+def start_helper(
+    code: str, *arguments: str, in_own_session: bool = False
+) -> tuple[subprocess.Popen[bytes], socket.socket]:
+    """A process that runs `code`, and our end of its control connection. Raises OSError.
+
+    Before its arguments it gets the number of its own end and the id of this process.
+    """
+    ours, theirs = socket.socketpair()
+    number = theirs.fileno()
+    try:
+        process = subprocess.Popen(
+            [sys.executable, "-c", code, str(number), str(os.getpid()), *arguments],
+            pass_fds=[number],
+            stdin=subprocess.DEVNULL,
+            start_new_session=in_own_session,
+        )
+    except OSError:
+        ours.close()
+        raise
+    finally:
+        theirs.close()
+    return process, ours
+
+
 class NurseryLink:
     """A nursery and the connection to it. It is made by the thread that calls `open`, and ends with that thread."""
 
@@ -30,19 +54,7 @@ class NurseryLink:
 
     def open(self) -> socket.socket:
         """Start a nursery. Returns the socket to watch; call `hear` when it is readable. Raises OSError."""
-        ours, theirs = socket.socketpair()
-        number = theirs.fileno()
-        try:
-            self._process = subprocess.Popen(
-                [sys.executable, "-c", _CODE, str(number), str(os.getpid()), self._run, *self._preload],
-                pass_fds=[number],
-                stdin=subprocess.DEVNULL,
-            )
-        except OSError:
-            ours.close()
-            raise
-        finally:
-            theirs.close()
+        self._process, ours = start_helper(_CODE, self._run, *self._preload)
         self._control = ControlConnection(ours, FromNursery)
         return ours
 

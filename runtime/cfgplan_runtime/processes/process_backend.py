@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import resource
-import selectors
 import socket
 import time
 from collections.abc import Sequence
@@ -62,7 +61,8 @@ from cfgplan_runtime.processes.child_process import (
 )
 from cfgplan_runtime.processes.cpu_group import CpuGroup
 from cfgplan_runtime.processes.nursery_link import NurseryLink
-from cfgplan_runtime.streams.channel import Bell, socket_pair
+from cfgplan_runtime.streams.channel import socket_pair
+from cfgplan_runtime.streams.ends import Bell, Ends
 from cfgplan_runtime.streams.run_folder import RunFolder
 from cfgplan_runtime.supervision.backend import Inlet, Usage
 from cfgplan_runtime.supervision.delays import doubling_s
@@ -125,9 +125,9 @@ class ProcessBackend:
         self.run_folder = RunFolder(base)
         self._cpu = cpu
         self._code_folder = str((folder or Path.cwd()).resolve())
-        self._selector = selectors.DefaultSelector()
+        self._ends = Ends()
         self._bell = Bell()
-        self._selector.register(self._bell.socket, selectors.EVENT_READ, self._bell.hear)
+        self._ends.watch(self._bell.socket, self._bell.hear)
         self._events: list[Event] = []
         self._children: dict[int, ChildProcess] = {}
         self._by_name: dict[str, ChildProcess] = {}
@@ -178,9 +178,7 @@ class ProcessBackend:
             timeout_s = left_s if timeout_s is None else min(timeout_s, left_s)
         if self._events:
             timeout_s = 0.0
-        for key, _ in self._selector.select(timeout_s):
-            if key.fileobj.fileno() != -1:  # type: ignore[union-attr]
-                key.data()
+        self._ends.wait(timeout_s)
         if self._outlets_due_s is not None and self._outlets_due_s <= self.now():
             self._start_outlets()
         if self._look_due_s <= self.now():
@@ -243,14 +241,14 @@ class ProcessBackend:
         ours, theirs = socket.socketpair()
         relay = ChildProcess(_NO_PROCESS, RELAY, ControlConnection(ours, FromChild), PrintedLines(ours))
         self._children[_NO_PROCESS] = self._by_name[RELAY] = relay
-        self._selector.register(ours, selectors.EVENT_READ, lambda: self._hear(relay))
+        self._ends.watch(ours, lambda: self._hear(relay))
         return theirs
 
     def warm_up(self) -> None:
         """Start the nursery now, so that it is there when units are started. Raises OSError."""
         if not self._nursery.is_open:
             self._nursery_socket = self._nursery.open()
-            self._selector.register(self._nursery_socket, selectors.EVENT_READ, self._hear_nursery)
+            self._ends.watch(self._nursery_socket, self._hear_nursery)
             self._events.append(HelperAlive(NURSERY_HELPER, _HELPER_START_S))
 
     def tell_relay(self, message: ToRelay) -> None:
@@ -345,7 +343,7 @@ class ProcessBackend:
         self._nursery.close()
         for child in list(self._children.values()):
             self._forget(child)
-        self._selector.close()
+        self._ends.close()
         self._bell.close()
         self.run_folder.close()
         if self._cpu is not None:
@@ -405,8 +403,8 @@ class ProcessBackend:
         child = ChildProcess(self._serial, name, ControlConnection(ours, FromChild), PrintedLines(printed))
         child.is_spare = isinstance(order, SpareOrder)
         self._children[child.serial] = (self._spares if child.is_spare else self._by_name)[name] = child
-        self._selector.register(ours, selectors.EVENT_READ, lambda: self._hear(child))
-        self._selector.register(printed, selectors.EVENT_READ, lambda: self._hear_print(child))
+        self._ends.watch(ours, lambda: self._hear(child))
+        self._ends.watch(printed, lambda: self._hear_print(child))
         self._nursery.fork(child.serial, order, [theirs, printing])
         return child
 
@@ -430,7 +428,7 @@ class ProcessBackend:
 
     def _lose_nursery(self) -> None:
         assert self._nursery_socket is not None
-        self._selector.unregister(self._nursery_socket)
+        self._ends.unwatch(self._nursery_socket)
         self._nursery.close()
         self._events.append(HelperAlive(NURSERY_HELPER, inf))
         for child in [child for child in self._children.values() if child.serial != _NO_PROCESS]:
@@ -463,8 +461,7 @@ class ProcessBackend:
         if names.get(child.name) is child:
             del names[child.name]
         for end in (child.control.socket, child.printed.socket):
-            with suppress(KeyError, ValueError):
-                self._selector.unregister(end)
+            self._ends.unwatch(end)
         child.control.close()
         child.printed.socket.close()
 
@@ -474,17 +471,16 @@ class ProcessBackend:
             self._understand(child, message)
         if child.control.has_ended:
             # The nursery reports how the child ended; if only the connection has, the nursery kills the child.
-            self._selector.unregister(child.control.socket)
+            self._ends.unwatch(child.control.socket)
             self._nursery.kill(child.serial)
         else:
-            self._watch_control(child)
+            self._ends.write(child.control.socket, is_waiting=child.control.is_waiting)
 
     def _hear_print(self, child: ChildProcess) -> bool:
         lines, is_open = child.printed.read()
         self._events.extend(UnitPrinted(child.name, line) for line in lines)
         if not is_open:
-            with suppress(KeyError, ValueError):
-                self._selector.unregister(child.printed.socket)
+            self._ends.unwatch(child.printed.socket)
         return bool(lines) and is_open
 
     def _understand(self, child: ChildProcess, message: FromChild) -> None:
@@ -543,12 +539,7 @@ class ProcessBackend:
     def _tell(self, child: ChildProcess, message: object, sockets: Sequence[socket.socket] = ()) -> None:
         child.control.send(message, sockets)  # type: ignore[arg-type]
         if not child.control.has_ended:
-            self._watch_control(child)
-
-    def _watch_control(self, child: ChildProcess) -> None:
-        events = selectors.EVENT_READ | (selectors.EVENT_WRITE if child.control.is_waiting else 0)
-        with suppress(KeyError):
-            self._selector.modify(child.control.socket, events, lambda: self._hear(child))
+            self._ends.write(child.control.socket, is_waiting=child.control.is_waiting)
 
 
 def _raise_descriptor_limit() -> None:

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import selectors
 import time
-from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from math import inf
 from pathlib import Path
 
+import msgspec
+
 from cfgplan.domain import Stream, Transformation
 from cfgplan.errors import InputError
 from cfgplan.ros.node_api import SilentError
+from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.messages import (
     CloseOutlet,
     Cut,
@@ -26,14 +27,23 @@ from cfgplan_runtime.children.messages import (
     SwitchNow,
 )
 from cfgplan_runtime.processes.child_process import cpu_us, end_of_process, memory_bytes
+from cfgplan_runtime.processes.nursery_link import start_helper
 from cfgplan_runtime.ros1.node_process import NodeProcess
 from cfgplan_runtime.ros1.node_watch import NodeWatch
 from cfgplan_runtime.ros1.nodelet_group import NodeletGroup
-from cfgplan_runtime.ros1.relay_link import RelayLink
-from cfgplan_runtime.ros1.relay_messages import CloseInlets, Lead, Listening, Passed, Refused, RelayOrder, ToTopicRelay
+from cfgplan_runtime.ros1.relay_messages import (
+    CloseInlets,
+    FromTopicRelay,
+    Lead,
+    Listening,
+    Passed,
+    Refused,
+    RelayOrder,
+    ToTopicRelay,
+)
 from cfgplan_runtime.ros1.ros_master import RosMaster, forget_node
 from cfgplan_runtime.ros1.ros_unit import RosUnit, executable, graph_word, node_source
-from cfgplan_runtime.streams.channel import Bell
+from cfgplan_runtime.streams.ends import Ends, Posted
 from cfgplan_runtime.streams.run_folder import RunFolder
 from cfgplan_runtime.supervision.backend import Inlet, Usage
 from cfgplan_runtime.supervision.delays import doubling_s
@@ -53,9 +63,10 @@ from cfgplan_runtime.supervision.events import (
     WireSwitched,
 )
 
+_RELAY_CODE = "from cfgplan_runtime.ros1.topic_relay import main; main()"
 _RELAY_HELPER = "relay of topics"
-_RELAY_S, _RELAY_START_S = 10.0, 60.0
-"""Seconds that the relay may be silent, and that its start may take."""
+_RELAY_S, _RELAY_START_S, _RELAY_END_S = 10.0, 60.0, 5.0
+"""Seconds that the relay may be silent, and that its start and its end may take."""
 _RELAY_AGAIN_S, _MOST_RELAY_AGAIN_S = 0.05, 5.0
 """Seconds until a relay that was lost twice in a row is made anew, doubled for each further loss."""
 
@@ -78,6 +89,27 @@ class _UnitNode:
     is_stopping: bool = False
 
 
+class _Relay:
+    """The relay of topics and the connection to it. It ends with the thread that made it. Raises OSError."""
+
+    def __init__(self, order: RelayOrder) -> None:
+        self._process, ours = start_helper(_RELAY_CODE, msgspec.json.encode(order).decode(), in_own_session=True)
+        self.control: ControlConnection[FromTopicRelay] = ControlConnection(ours, FromTopicRelay)
+
+    def hear(self) -> Iterator[FromTopicRelay]:
+        """What it has said."""
+        self.control.flush()
+        for message, _ in self.control.receive():
+            yield message
+
+    def close(self) -> int:
+        """End it. Returns its exit status."""
+        self._process.kill()
+        status = self._process.wait(_RELAY_END_S)
+        self.control.close()
+        return status
+
+
 class Ros1Backend:
     """A backend of ROS 1 nodes. All its methods are called from one thread, which must outlive it.
 
@@ -89,10 +121,8 @@ class Ros1Backend:
         self.master = RosMaster()
         self.run_folder = RunFolder(base)
         self._folder = (folder or Path.cwd()).resolve()
-        self._selector = selectors.DefaultSelector()
-        self._bell = Bell()
-        self._selector.register(self._bell.socket, selectors.EVENT_READ, self._bell.hear)
-        self._posted: deque[Callable[[], None]] = deque()
+        self._ends = Ends()
+        self._posted = Posted(self._ends)
         self._events: list[Event] = []
         self._nodes: dict[str, _UnitNode] = {}
         self._units: dict[str, str] = {}
@@ -102,7 +132,7 @@ class Ros1Backend:
         """Wires that the relay has, or is to have."""
         self._topics: list[str] = []
         self._passed = Passed({}, {}, {})
-        self._relay: RelayLink | None = None
+        self._relay: _Relay | None = None
         self._relay_node = f"/cfgplan_relay_{self.id}"
         self._relay_address = ""
         self._relay_losses = 0
@@ -123,16 +153,14 @@ class Ros1Backend:
         return time.monotonic()
 
     def wake(self) -> None:
-        self._bell.ring()
+        self._posted.wake()
 
     def wait(self, timeout_s: float | None) -> Sequence[Event]:
         if self._relay_due_s is not None:
             left_s = max(0.0, self._relay_due_s - self.now())
             timeout_s = left_s if timeout_s is None else min(timeout_s, left_s)
-        for key, _ in self._selector.select(0.0 if self._events or self._posted else timeout_s):
-            key.data()
-        while self._posted:
-            self._posted.popleft()()
+        self._ends.wait(0.0 if self._events or self._posted else timeout_s)
+        self._posted.do()
         if self._relay_due_s is not None and self._relay_due_s <= self.now():
             self._start_relay()
         events, self._events = self._events, []
@@ -249,8 +277,8 @@ class Ros1Backend:
             self._to_master.submit(forget_node, self.master.address, self._relay_node, self._relay_address)
         self._to_master.shutdown(cancel_futures=is_own)
         self.master.close()
-        self._selector.close()
-        self._bell.close()
+        self._ends.close()
+        self._posted.close()
         self.run_folder.close()
 
     # What watches tell, from their threads.
@@ -279,8 +307,7 @@ class Ros1Backend:
                 if known.group is None or known.is_loaded:
                     call(known)
 
-        self._posted.append(do)
-        self._bell.ring()
+        self._posted.post(do)
 
     def _tell_ready(self, node: _UnitNode, address: str) -> None:
         node.address = address
@@ -342,15 +369,14 @@ class Ros1Backend:
 
     def _attend(self, process: NodeProcess, end: Callable[[], None], unit: Callable[[], str]) -> None:
         """Hear what a process prints, for a unit, and that it has ended."""
-        self._selector.register(process.ended, selectors.EVENT_READ, end)
-        self._selector.register(process.printed.socket, selectors.EVENT_READ, lambda: self._hear_print(process, unit()))
+        self._ends.watch(process.ended, end)
+        self._ends.watch(process.printed.socket, lambda: self._hear_print(process, unit()))
 
     def _hear_print(self, process: NodeProcess, unit: str) -> bool:
         lines, is_open = process.printed.read()
         self._events.extend(UnitPrinted(unit, line) for line in lines)
         if not is_open:
-            with suppress(KeyError, ValueError):
-                self._selector.unregister(process.printed.socket)
+            self._ends.unwatch(process.printed.socket)
         return bool(lines) and is_open
 
     def _end_of(self, node: _UnitNode, process: NodeProcess) -> None:
@@ -362,9 +388,8 @@ class Ros1Backend:
         process.kill()
         while self._hear_print(process, unit):
             pass
-        for end in (process.ended, process.printed.socket):
-            with suppress(KeyError, ValueError):
-                self._selector.unregister(end)
+        self._ends.unwatch(process.ended)
+        self._ends.unwatch(process.printed.socket)
         return end_of_process(process.reap())
 
     def _bury(self, node: _UnitNode, cause: str) -> None:
@@ -432,8 +457,7 @@ class Ros1Backend:
         group.unload(node.ros, lambda is_done: self._post_of(node.unit, lambda known: do(known, is_done=is_done)))
 
     def _post_of(self, unit: str, call: Callable[[_UnitNode], None]) -> None:
-        self._posted.append(lambda: call(self._nodes[unit]) if unit in self._nodes else None)
-        self._bell.ring()
+        self._posted.post(lambda: call(self._nodes[unit]) if unit in self._nodes else None)
 
     def _end_group(self, group: NodeletGroup) -> None:
         """End a manager with all its nodelets; one that somebody else runs is given up."""
@@ -459,12 +483,12 @@ class Ros1Backend:
 
     def _watch_master(self) -> None:
         if self.master.ended is not None:
-            self._selector.register(self.master.ended, selectors.EVENT_READ, self._lose_master)
+            self._ends.watch(self.master.ended, self._lose_master)
 
     def _lose_master(self) -> None:
         """Start this run's own master anew, and with it all that it knew: nodes tell of themselves only once."""
         assert self.master.ended is not None
-        self._selector.unregister(self.master.ended)
+        self._ends.unwatch(self.master.ended)
         for group in list(self._groups.values()):
             self._end_group(group)
         for node in list(self._nodes.values()):
@@ -479,19 +503,19 @@ class Ros1Backend:
 
     def _tell(self, message: ToTopicRelay) -> None:
         if self._relay is not None:
-            self._relay.tell(message)
-            self._watch_relay(self._relay)
+            self._relay.control.send(message)
+            self._wait_to_tell(self._relay)
 
     def _start_relay(self) -> None:
         self._relay_due_s = None
         order = RelayOrder(self._relay_node, self.master.address, self.master.host)
         try:
-            relay = self._relay = RelayLink(order)
+            relay = self._relay = _Relay(order)
         except OSError as error:
             self._events.append(OutOfDescriptors(f"the relay of topics can't be started: {error.strerror}"))
             self._plan_relay()
             return
-        self._selector.register(relay.control.socket, selectors.EVENT_READ, lambda: self._hear_relay(relay))
+        self._ends.watch(relay.control.socket, lambda: self._hear_relay(relay))
         self._events.append(HelperAlive(_RELAY_HELPER, _RELAY_START_S))
         for topic in self._topics:
             self._tell(OpenOutlet(topic))
@@ -501,7 +525,7 @@ class Ros1Backend:
                 self._tell(lead)
             self._events.append(OutletsOpened())
 
-    def _hear_relay(self, relay: RelayLink) -> None:
+    def _hear_relay(self, relay: _Relay) -> None:
         for message in relay.hear():
             match message:
                 case Listening(address):
@@ -520,7 +544,10 @@ class Ros1Backend:
         if relay.control.has_ended:
             self._lose_relay()
         else:
-            self._watch_relay(relay)
+            self._wait_to_tell(relay)
+
+    def _wait_to_tell(self, relay: _Relay) -> None:
+        self._ends.write(relay.control.socket, is_waiting=relay.control.is_waiting)
 
     def _note_switch(self, wire: int) -> None:
         if wire in self._leads:
@@ -539,7 +566,7 @@ class Ros1Backend:
         """End the relay and report that. It is made anew at once the first time, later after losses in a row."""
         if self._relay is None:
             return
-        self._selector.unregister(self._relay.control.socket)
+        self._ends.unwatch(self._relay.control.socket)
         status = self._relay.close()
         self._relay = None
         self._plan_relay()
@@ -548,8 +575,3 @@ class Ros1Backend:
     def _plan_relay(self) -> None:
         self._relay_losses += 1
         self._relay_due_s = self.now() + doubling_s(self._relay_losses, _RELAY_AGAIN_S, _MOST_RELAY_AGAIN_S)
-
-    def _watch_relay(self, relay: RelayLink) -> None:
-        events = selectors.EVENT_READ | (selectors.EVENT_WRITE if relay.control.is_waiting else 0)
-        with suppress(KeyError):
-            self._selector.modify(relay.control.socket, events, lambda: self._hear_relay(relay))

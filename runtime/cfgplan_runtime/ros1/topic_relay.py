@@ -7,13 +7,11 @@ from one output after the other, as wires say, so that no node has to know of it
 from __future__ import annotations
 
 import os
-import selectors
 import socket
 import struct
 import sys
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -50,8 +48,8 @@ from cfgplan_runtime.ros1.relay_messages import (
 )
 from cfgplan_runtime.ros1.service_relay import ServiceRelay
 from cfgplan_runtime.ros1.tcpros import Framed, Header, MessageReader, MessageWriter, read_header, subscribed
-from cfgplan_runtime.streams.channel import Bell
 from cfgplan_runtime.streams.element import Element, Moment
+from cfgplan_runtime.streams.ends import Ends, Posted
 from cfgplan_runtime.streams.inlet import InputQueue
 
 SIGN_S = 1.0
@@ -134,10 +132,9 @@ class TopicRelay:
         self._inlets: dict[str, _LedInlet] = {}
         self._publications: dict[str, _Publication] = {}
         self._meters: dict[str, Meter] = {}
-        self._posted: deque[Callable[[], None]] = deque()
-        self._bell = Bell()
         self._is_finishing = False
-        self._selector = selectors.DefaultSelector()
+        self._ends = Ends()
+        self._posted = Posted(self._ends)
         self._services: dict[str, Lead] = {}
         """By service that the relay offers: the first order to do so."""
         self._service_relay = ServiceRelay(order.master)
@@ -147,20 +144,16 @@ class TopicRelay:
         self._api = RelayApi(self, order.master, self._host, self._port)
         self._to_master = ThreadPoolExecutor(1, "to-master")
         """What the master is told, in order."""
-        self._selector.register(control.socket, selectors.EVENT_READ, self._hear)
-        self._selector.register(self._bell.socket, selectors.EVENT_READ, self._bell.hear)
-        self._selector.register(self._listener, selectors.EVENT_READ, self._accept)
+        self._ends.watch(control.socket, self._hear)
+        self._ends.watch(self._listener, self._accept)
 
     def run(self) -> None:
         """Relay until told to finish, or until the run is gone."""
         self._say(Listening(self._api.address))
         due = time.monotonic()
         while not self._control.has_ended and not self._is_finishing:
-            for key, _ in self._selector.select(max(0.0, due - time.monotonic())):
-                if key.fileobj.fileno() != -1:  # type: ignore[union-attr]
-                    key.data()
-            while self._posted:
-                self._posted.popleft()()
+            self._ends.wait(max(0.0, due - time.monotonic()))
+            self._posted.do()
             if time.monotonic() >= due:
                 due = time.monotonic() + SIGN_S
                 self._say(self._sign())
@@ -185,15 +178,11 @@ class TopicRelay:
             if source.publisher is not None:
                 with suppress(SilentError):
                     wanted &= {str(asked(peer(self._master), self._node, "lookupNode", source.publisher))}
-            self._post(partial(self._want, source, wanted, adds=adds))
+            self._posted.post(partial(self._want, source, wanted, adds=adds))
 
     def finish(self) -> None:
         self._is_finishing = True
-        self._bell.ring()
-
-    def _post(self, call: Callable[[], None]) -> None:
-        self._posted.append(call)
-        self._bell.ring()
+        self._posted.wake()
 
     # What the run asks.
 
@@ -328,7 +317,7 @@ class TopicRelay:
         while address in source.wanted:
             with suppress(SilentError, OSError):
                 connection = subscribed(address, self._node, source.topic)
-                self._post(partial(self._connected, source, address, *connection))
+                self._posted.post(partial(self._connected, source, address, *connection))
                 return
             time.sleep(again_s)
             again_s = min(2 * again_s, _MOST_CONNECT_AGAIN_S)
@@ -340,7 +329,7 @@ class TopicRelay:
         source.header, source.latched = header, None
         source.has_stamp = header.get("message_definition", "").lstrip().startswith(_STAMPED)
         reader = source.readers[address] = MessageReader(end)
-        self._selector.register(end, selectors.EVENT_READ, lambda: self._read(source, address, reader))
+        self._ends.watch(end, lambda: self._read(source, address, reader))
         for inlet in set(source.wires.values()):
             self._tell_switch(inlet)
 
@@ -361,8 +350,7 @@ class TopicRelay:
 
     def _forget_reader(self, source: _SourceTopic, address: str, reader: MessageReader) -> None:
         del source.readers[address]
-        with suppress(KeyError, ValueError):
-            self._selector.unregister(reader.socket)
+        self._ends.unwatch(reader.socket)
         reader.socket.close()
 
     def _hand_on(self, inlet: _LedInlet, elements: list[Element]) -> None:
@@ -435,7 +423,7 @@ class TopicRelay:
                 raise SilentError(f"{asks.get('topic')} is not published here")
             if asks.get("md5sum") not in ("*", header["md5sum"]) and header["md5sum"] != "*":
                 cause = f"{asks.get('callerid')} wants {asks.get('type')}, and what comes there is {header['type']}"
-                self._post(lambda: self._say(Refused(publication.topic, cause)))
+                self._posted.post(lambda: self._say(Refused(publication.topic, cause)))
                 raise SilentError(cause)
             end.sendall(header_of(header))
             end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -444,7 +432,7 @@ class TopicRelay:
                 end.sendall(header_of({"error": str(error)}))
             end.close()
         else:
-            self._post(lambda: self._add_writer(publication, end))
+            self._posted.post(lambda: self._add_writer(publication, end))
 
     def _add_writer(self, publication: _Publication, end: socket.socket) -> None:
         if self._publications.get(publication.topic) is not publication:
@@ -452,7 +440,7 @@ class TopicRelay:
             return
         writer = MessageWriter(end, publication.queue)
         publication.writers.append(writer)
-        self._selector.register(end, selectors.EVENT_READ, lambda: self._hear_subscriber(publication, writer))
+        self._ends.watch(end, lambda: self._hear_subscriber(publication, writer))
         if publication.latched is not None:
             writer.offer(publication.latched)
             self._watch_writers(publication)
@@ -475,14 +463,10 @@ class TopicRelay:
                 publication.dropped += writer.dropped
                 self._forget_writer(writer)
                 continue
-            events = selectors.EVENT_READ | (selectors.EVENT_WRITE if writer.is_waiting else 0)
-            key = self._selector.get_key(writer.socket)
-            if key.events != events:
-                self._selector.modify(writer.socket, events, key.data)
+            self._ends.write(writer.socket, is_waiting=writer.is_waiting)
 
     def _forget_writer(self, writer: MessageWriter) -> None:
-        with suppress(KeyError, ValueError):
-            self._selector.unregister(writer.socket)
+        self._ends.unwatch(writer.socket)
         writer.socket.close()
 
     # What the master is told, in the thread for that.
@@ -501,7 +485,7 @@ class TopicRelay:
         if not publication.is_known:
             self._ask_master("registerPublisher", publication.topic, kind, self._api.address)
         publication.is_known = True
-        self._post(then)
+        self._posted.post(then)
 
     def _ask_master(self, method: str, *arguments: str) -> list[str] | None:
         """What the master answers; None if it does not."""
@@ -534,9 +518,7 @@ class TopicRelay:
         self._watch_control()
 
     def _watch_control(self) -> None:
-        events = selectors.EVENT_READ | (selectors.EVENT_WRITE if self._control.is_waiting else 0)
-        if self._selector.get_key(self._control.socket).events != events:
-            self._selector.modify(self._control.socket, events, self._hear)
+        self._ends.write(self._control.socket, is_waiting=self._control.is_waiting)
 
 
 def main() -> None:

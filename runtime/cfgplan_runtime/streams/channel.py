@@ -9,7 +9,6 @@ from __future__ import annotations
 import socket
 from collections import deque
 from collections.abc import Iterator
-from contextlib import suppress
 
 from cfgplan_runtime.streams.element import HEADER, LONGEST_PAYLOAD, Element, Outgoing
 from cfgplan_runtime.streams.payload import Buffer
@@ -32,29 +31,6 @@ def socket_pair() -> tuple[socket.socket, socket.socket]:
 def widen(sender: socket.socket) -> None:
     """Enlarge a socket's send buffer, as far as the system allows, so that it takes an image at once."""
     sender.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SOCKET_BUFFER)
-
-
-class Bell:
-    """Lets any thread wake the one that waits for `socket`."""
-
-    def __init__(self) -> None:
-        self.socket, self._rope = socket.socketpair()
-        for end in (self.socket, self._rope):
-            end.setblocking(False)
-
-    def ring(self) -> None:
-        """Wake it; for any thread."""
-        with suppress(OSError):  # it rings already, or is closed
-            self._rope.send(b"!")
-
-    def hear(self) -> None:
-        """Have it wait again."""
-        with suppress(BlockingIOError):
-            self.socket.recv(4096)
-
-    def close(self) -> None:
-        self.socket.close()
-        self._rope.close()
 
 
 class Sender:
