@@ -99,9 +99,12 @@ def test_a_page_loads_nothing_from_elsewhere_and_runs_no_other_script(page: Page
     assert "script-src 'self'" in policy
 
 
-def test_an_address_that_is_taken_is_refused(page: PageServer) -> None:
-    with pytest.raises(InputError, match="name another port"):
-        PageServer(connect, port=int(page.url.rpartition(":")[2].partition("/")[0]))
+def test_an_address_that_is_taken_is_refused_from_the_beginning(server: ControlServer) -> None:
+    assert server is not None
+    page = PageServer(connect)
+    port = int(page.url.rpartition(":")[2].partition("/")[0])
+    with page, pytest.raises(InputError, match="name another port"):
+        PageServer(connect, port=port)
 
 
 def test_a_picture_marks_what_an_update_has_changed_and_keeps_markup_text() -> None:

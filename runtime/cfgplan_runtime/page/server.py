@@ -71,6 +71,7 @@ class PageServer:
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             self._socket.bind((address, port))
+            self._socket.listen()  # at once: two may be bound to an address while neither listens
         except (OSError, OverflowError) as error:
             self._socket.close()
             raise InputError.of(f"{address}:{port} can't be served: {error}", mend="name another port") from None
