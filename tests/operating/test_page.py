@@ -17,8 +17,8 @@ from cfgplan_runtime.lifecycle.reports import Decision, UnitView
 from cfgplan_runtime.operating.control_client import connect
 from cfgplan_runtime.operating.control_server import ControlServer
 from cfgplan_runtime.operating.records import snapshot_record
-from cfgplan_runtime.page.pictures import configuration, svg
 from cfgplan_runtime.page.server import PageServer
+from cfgplan_runtime.page.watched import configuration, svg
 from fake_manager import DETECTOR, FORESEEN_IN, SNAPSHOT, FakeManager, observation
 from operated_world import PATIENCE_S, eventually
 

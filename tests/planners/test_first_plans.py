@@ -22,7 +22,7 @@ from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.first_plans import FirstPlans
 from cfgplan.planners.exact.grounded import Grounded
 from cfgplan.planners.exact.reach import Reach
-from cfgplan.planners.exact.running import offer_what_runs
+from cfgplan.planners.exact.session import offer_what_runs
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.exact.survivors import can_do_without
 from cfgplan.planners.solving.clock import Clock

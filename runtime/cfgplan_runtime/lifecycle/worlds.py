@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from functools import cached_property
@@ -15,7 +15,7 @@ from cfgplan.domain import Environment, Target, Transformation
 from cfgplan.errors import Fault, InputError, InvalidValueError
 from cfgplan.formats import Document, read_declared, read_document
 from cfgplan.formats.fields import FORMAT, EnvironmentPart
-from cfgplan.matching import Ontology, TagError, check_tag
+from cfgplan.matching import Ontology, TagError, UnknownNameError, check_tag
 from cfgplan_runtime.lifecycle.changes import (
     Add,
     Declare,
@@ -26,7 +26,6 @@ from cfgplan_runtime.lifecycle.changes import (
     Withdraw,
     WorldChange,
 )
-from cfgplan_runtime.lifecycle.individuals import with_individuals
 
 T = TypeVar("T")
 
@@ -252,3 +251,59 @@ def _exact(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_exact(item) for item in value]
     return value
+
+
+def with_individuals(ontology: Ontology, come: Iterable[Individual], gone: Collection[str]) -> Ontology:
+    """Add the individuals `come` to an ontology, and remove those named in `gone` with every axiom about them.
+
+    Raises InputError for a name that the ontology does not know, and for an environment without an ontology.
+    """
+    come = tuple(come)
+    if not come and not gone:
+        return ontology
+    if ontology.is_open:
+        mend = "name an ontology in the environment file by `ontology:`"
+        raise InputError.of("without an ontology there are no individuals", mend=mend)
+    without = {f"<{iri}>" for name in gone if (iri := ontology.individual_names.find(name)) is not None}
+    kept = {axiom for axiom in ontology.axioms if not any(iri in axiom for iri in without)}
+    iris = {one.name: _own_iri(one, ontology) for one in come}
+    faults: list[Fault] = []
+    for one in come:
+        try:
+            kept.update(_axioms(one, iris, ontology))
+        except UnknownNameError as error:
+            faults.append(Fault(f"individual {one.name}: {error.message}", mend=error.mend))
+    if faults:
+        raise InputError(faults)
+    return Ontology(kept, ontology.prefixes, files=ontology.files, dropped=ontology.dropped, ignored=ontology.ignored)
+
+
+def _axioms(one: Individual, iris: dict[str, str], ontology: Ontology) -> Iterable[str]:
+    me = iris[one.name]
+    yield f"Declaration(NamedIndividual(<{me}>))"
+    for name in one.classes:
+        yield f"ClassAssertion(<{_iri(name, 'class', ontology)}> <{me}>)"
+    for role, other in one.relations:
+        whom = iris.get(other) or _iri(other, "individual", ontology)
+        yield f"ObjectPropertyAssertion(<{_iri(role, 'property', ontology)}> <{me}> <{whom}>)"
+
+
+def _iri(name: str, kind: str, ontology: Ontology) -> str:
+    names = {"class": ontology.class_names, "property": ontology.property_names}.get(kind, ontology.individual_names)
+    found = ontology.find(name, [names])
+    assert found is not None  # the ontology is not open
+    return found[1]
+
+
+def _own_iri(one: Individual, ontology: Ontology) -> str:
+    """The IRI of an individual: a known one, the one that its name spells, or one in its first class's namespace."""
+    try:
+        known = ontology.individual_names.find(one.name)
+        if known is not None:
+            return known
+        if ":" in one.name or one.name.startswith("<"):
+            return ontology.free_iri(one.name)
+        beside = _iri(one.classes[0], "class", ontology) if one.classes else next(iter(ontology.prefixes.values()), ":")
+    except UnknownNameError as error:
+        raise InputError([Fault(f"individual {one.name}: {error.message}", mend=error.mend)]) from None
+    return beside[: max(beside.rfind("#"), beside.rfind("/")) + 1] + one.name

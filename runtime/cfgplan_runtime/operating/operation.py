@@ -6,7 +6,8 @@ import contextlib
 import queue
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field
 from math import inf
@@ -16,28 +17,29 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from cfgplan import __version__
 from cfgplan.api import World
-from cfgplan.domain import Environment
+from cfgplan.domain import ComputationUnit, Environment
 from cfgplan.errors import InputError
 from cfgplan.extras import needed
+from cfgplan.transformations import Transformation
 from cfgplan_runtime.children.messages import Flow
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.estimating.estimates_file import EstimatesError, load, save
 from cfgplan_runtime.estimating.estimator import make_estimator
 from cfgplan_runtime.lifecycle.changes import ReplaceWorld
+from cfgplan_runtime.lifecycle.file_watch import FileWatch
 from cfgplan_runtime.lifecycle.manager import Manager
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Decision, Ended, Observed, Report, Reviewed
 from cfgplan_runtime.lifecycle.watching import Watching
-from cfgplan_runtime.operating.code_watch import code_watch
 from cfgplan_runtime.operating.control_server import ControlServer, about_this_process
 from cfgplan_runtime.operating.flows import Flows, Following
-from cfgplan_runtime.operating.ledger import Ledger
 from cfgplan_runtime.operating.methods import Methods
 from cfgplan_runtime.operating.recorder import Recorder
 from cfgplan_runtime.operating.records import logging_to, report_record
-from cfgplan_runtime.operating.sentences import sentence
+from cfgplan_runtime.operating.sentences import named, sentence
 from cfgplan_runtime.runtime import Runtime
 from cfgplan_runtime.streams.run_folder import base_folder
+from cfgplan_runtime.supervision.observation import Ledger
 from cfgplan_runtime.supervision.run_log import RunLog
 
 if TYPE_CHECKING:
@@ -315,3 +317,38 @@ def _open_log(path: Path) -> RunLog:
         return RunLog(path)
     except OSError as error:
         raise InputError.of(f"can't be written: {error.strerror}", file=str(path)) from None
+
+
+def code_watch(
+    folder: Path,
+    library: Callable[[], Iterable[Transformation]],
+    running: Callable[[], Iterable[ComputationUnit]],
+    tell: Callable[[str], object],
+) -> FileWatch:
+    """A watch that calls `tell` with the units that were started before a file with their code changed.
+
+    `library` and `running` give what can be started and what runs at present; `units.py` in `source: units.py:Class`
+    is relative to `folder`. Modules that are named with dots are not watched, nor what code imports.
+    """
+
+    def labels_of_files() -> dict[Path, list[str]]:
+        labels = defaultdict(list)
+        for one in library():
+            place, _, _ = (one.source or "").rpartition(":")
+            if place.endswith(".py"):
+                labels[folder / place].append(one.label)
+        return labels
+
+    def tell_of(changed: frozenset[Path]) -> None:
+        for path, labels in sorted(labels_of_files().items()):
+            known = [unit for unit in running() if unit.transformation in labels] if path in changed else []
+            units = [unit.id for unit in known if not unit.standby]
+            if units:
+                tell(_sentence(path, units))
+
+    return FileWatch(labels_of_files, tell_of)
+
+
+def _sentence(path: Path, units: list[str]) -> str:
+    again = f"`cfgplan ctl kill {units[0]}` has it started anew"
+    return f"{path.name} has changed, and these units run with the code from before: {named(units)}; {again}"

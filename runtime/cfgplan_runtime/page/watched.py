@@ -7,14 +7,24 @@ import threading
 import time
 from asyncio import AbstractEventLoop, Queue
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from typing import Any
 
-from cfgplan.domain import Environment
+from cfgplan.domain import (
+    A_UNIT_OF,
+    ChangeSet,
+    ComputationUnit,
+    Environment,
+    Host,
+    Target,
+)
+from cfgplan.drawing import picture
 from cfgplan_runtime.errors import ControlError
 from cfgplan_runtime.operating.control_client import Control
-from cfgplan_runtime.page.pictures import anew, configuration, svg, without
+from cfgplan_runtime.operating.protocol import Record
+from cfgplan_runtime.operating.records import units_of
 
 FRAME_S = 0.1
 """Viewers are told of the state so often."""
@@ -144,3 +154,42 @@ def _put(messages: Queue[ToViewer], message: ToViewer) -> None:
     while messages.qsize() >= _MOST_WAITING:
         messages.get_nowait()
     messages.put_nowait(message)
+
+
+def configuration(state: Record) -> Environment:
+    """The units and targets of a run's state (`cfgplan/manual/control.md`), without any library."""
+    units = units_of(state["units"])
+    return Environment(units, targets=tuple(map(_target, state["targets"])), hosts=_hosts(units))
+
+
+def anew(review: Record) -> tuple[str, ...]:
+    """The ids of the units that a review has started."""
+    return tuple(unit["id"] for unit in (review["change_set"] or {"started": ()})["started"])
+
+
+def without(environment: Environment, units: Collection[str]) -> Environment:
+    """The environment without some units; what they fed names them still."""
+    return replace(environment, units=tuple(unit for unit in environment.units if unit.id not in units))
+
+
+def svg(before: Environment, now: Environment) -> str:
+    """What runs now; what has been started, rewired and stopped since `before` is marked."""
+    there, was = now.unit, before.unit
+    changes = ChangeSet(
+        started=tuple(unit for unit in now.units if unit.id not in was),
+        rewired=tuple(unit for unit in now.units if unit.id in was and was[unit.id] != unit),
+        stopped=tuple(unit.id for unit in before.units if unit.id not in there),
+    )
+    hosts = _hosts((*before.units, *now.units))
+    text = picture(Environment(before.units, targets=now.targets, hosts=hosts), changes).render("svg").decode()
+    return text[text.index("<svg") :]
+
+
+def _hosts(units: Iterable[ComputationUnit]) -> tuple[Host, ...]:
+    return tuple(map(Host, sorted({unit.host for unit in units if unit.host is not None})))
+
+
+def _target(target: Record) -> Target:
+    if not target["topic"]:
+        return Target(target["label"], run=target["tag"].removeprefix(A_UNIT_OF))
+    return Target(target["label"], target["tag"], target["topic"], target["priority"])
