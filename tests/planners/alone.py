@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.fleet import plan_fleet
-from cfgplan.planners.exact.model import ModelRule
-from cfgplan.planners.exact.rules import RULES
 from cfgplan.planners.exact.search import Search
 from cfgplan.planners.exact.session import PlannerSession
 from cfgplan.planners.exact.standing import Standing
@@ -16,9 +12,9 @@ from cfgplan.planners.tuning import Tuning
 from cfgplan.planning import Plan, Problem
 
 
-def search_alone(problem: Problem, *, is_apart: bool = False, rules: Sequence[ModelRule] = RULES) -> Search:
+def search_alone(problem: Problem, *, is_apart: bool = False) -> Search:
     """A search in the one model, from nothing; with `is_apart` every subscription has a boolean."""
-    return Search(Candidates(problem), Standing(problem, Clock(), None), is_apart=is_apart, rules=rules)
+    return Search(Candidates(problem), Standing(problem, Clock(), None), is_apart=is_apart)
 
 
 def plan_alone(problem: Problem) -> Plan:
