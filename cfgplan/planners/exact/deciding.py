@@ -10,9 +10,8 @@ from dataclasses import replace
 from cfgplan.planners.bounding.bounds import chained_bound
 from cfgplan.planners.bounding.branching import Branching
 from cfgplan.planners.exact.work import Left, Work, numbers
-from cfgplan.planners.networks.core import Ints
-from cfgplan.planners.networks.greedy import first_plan, without_redundant
-from cfgplan.planners.networks.network import Network, Weighing
+from cfgplan.planners.networks.greedy import first_plan
+from cfgplan.planners.networks.network import Weighing
 
 
 def decide(work: Work) -> bool:
@@ -59,7 +58,6 @@ def _proves(work: Work, weighing: Weighing, plan: set[int]) -> bool:
         work.memory.keep_landmarks(search.bound, weighing.scale)
         if search.best is not None:
             plan = search.best.union(network.pinned)
-    plan = _lean(network, weighing.weight, plan)
     labels = numbers(plan)
     value = weighing.of_plan(labels) if is_proven else weighing.least(least)
     left = Left(network, weighing, labels, value, labels, is_complete=False)
@@ -78,13 +76,3 @@ def _takes_others(work: Work, left: Left, plan: set[int]) -> bool:
     if others is not None:
         work.take(replace(left, labels=numbers(plan | others), is_complete=True))
     return others is not None
-
-
-def _lean(network: Network, weight: Ints, plan: set[int]) -> set[int]:
-    """Drop redundant members from a plan that has members of no weight."""
-    while not weight[numbers(plan)].all():
-        lean = without_redundant(network, weight, plan)
-        if lean == plan:
-            break
-        plan = lean
-    return plan
