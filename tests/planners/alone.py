@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from cfgplan.domain import Similarity
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.fleet import plan_fleet
 from cfgplan.planners.exact.search import Search
 from cfgplan.planners.exact.session import PlannerSession
 from cfgplan.planners.exact.standing import Standing
+from cfgplan.planners.networks.core import Core
+from cfgplan.planners.networks.network import Network
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import Tuning
 from cfgplan.planning import Plan, Problem
+from cfgplan.reasons import Givers
 
 
 def search_alone(problem: Problem, *, is_apart: bool = False) -> Search:
@@ -34,3 +38,10 @@ def plan_as_fleet(problem: Problem) -> Plan:
     standing = Standing(problem, Clock(), None)
     plan_fleet(Candidates(problem), standing, ())
     return standing.plan()
+
+
+def network_of(core: Core) -> Network:
+    """A core by itself: its labels have no names, none has to run, and no input is distinct or fed back."""
+    network = Network((), (), (), Givers((), Similarity({})))
+    network.core = core
+    return network

@@ -6,6 +6,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from alone import network_of
 from fixed import kind, world
 from hypothesis import given
 from test_against_the_oracle import fewer
@@ -15,7 +16,6 @@ from worlds import problems
 from cfgplan.planners.closing.program import LandmarkProgram, alike
 from cfgplan.planners.exact.memory import Structure
 from cfgplan.planners.networks.core import Core, Rows
-from cfgplan.planners.networks.network import Graph
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Problem
 
@@ -34,7 +34,7 @@ def any_two_of_three() -> Core:
 
 def test_labels_alike_need_together_what_some_of_them_need() -> None:
     cost = np.array([10, 10, 10, 1, 1, 1])
-    kinds = alike(Graph(any_two_of_three()), cost)
+    kinds = alike(network_of(any_two_of_three()), cost)
     assert kinds.tolist() == [0, 1, 2, 3, 3, 3]
     together = LandmarkProgram(any_two_of_three(), kinds, cost)
     apart = LandmarkProgram(any_two_of_three(), np.arange(6), cost)
@@ -58,7 +58,7 @@ def test_labels_that_feed_distinct_inputs_are_alike_with_none() -> None:
 
 
 def test_labels_that_cost_nothing_are_alike_with_none() -> None:
-    assert alike(Graph(any_two_of_three()), np.array([1, 1, 1, 0, 0, 1])).tolist() == [0, 1, 2, 3, 4, 5]
+    assert alike(network_of(any_two_of_three()), np.array([1, 1, 1, 0, 0, 1])).tolist() == [0, 1, 2, 3, 4, 5]
 
 
 @fewer

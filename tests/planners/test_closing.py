@@ -7,6 +7,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
+from alone import network_of
 from hypothesis import given
 from test_against_the_oracle import fewer
 from test_preprocessing import Stage
@@ -22,7 +23,7 @@ from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planners.exact.memory import Structure
 from cfgplan.planners.networks.core import Core, Rows
 from cfgplan.planners.networks.greedy import first_plan, is_plan
-from cfgplan.planners.networks.network import Graph, costs
+from cfgplan.planners.networks.network import costs
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import Close, Tuning
 from cfgplan.planning import Problem, Status
@@ -136,7 +137,7 @@ def test_a_landmark_that_is_known_twice_is_charged_once() -> None:
     core = Core(Rows.of([[], [], [], [0, 1, 2]]), Rows.of(pairs), np.arange(3), np.arange(3))
     landmarks = [landmark_of(core, [fact]) for fact in (0, 0, 1, 2)]
     cost = np.array([10, 10, 10])
-    both = Closing(Graph(core), Bound(core, cost, landmarks, [5, 5, 0, 0], 10), cost, np.array([0, 1]), 1, LONG)
+    both = Closing(network_of(core), Bound(core, cost, landmarks, [5, 5, 0, 0], 10), cost, np.array([0, 1]), 1, LONG)
     both.go_on(Clock())
     assert both.bound.value == 15
 

@@ -12,7 +12,7 @@ from cfgplan.planners.closing.program import LandmarkProgram, alike
 from cfgplan.planners.closing.separation import Separator
 from cfgplan.planners.networks.core import Floats, Ints
 from cfgplan.planners.networks.greedy import FREE, cost_of, plan_at
-from cfgplan.planners.networks.network import Graph
+from cfgplan.planners.networks.network import Network
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import USUAL, Close, Tuning
 
@@ -23,7 +23,9 @@ class Closing:
     `cost` holds the costs of all labels of the network, multiples of `step`.
     """
 
-    def __init__(self, network: Graph, bound: Bound, cost: Ints, plan: Ints, step: int, tuning: Tuning = USUAL) -> None:
+    def __init__(
+        self, network: Network, bound: Bound, cost: Ints, plan: Ints, step: int, tuning: Tuning = USUAL
+    ) -> None:
         self.bound = bound
         self._tuning = own = tuning.close
         self._cost = cost
@@ -146,7 +148,7 @@ class Repairs:
     prices is the next start. The random numbers are seeded. `best` is the best plan so far, a set of labels.
     """
 
-    def __init__(self, network: Graph, cost: Ints, plan: set[int], tuning: Close = USUAL.close) -> None:
+    def __init__(self, network: Network, cost: Ints, plan: set[int], tuning: Close = USUAL.close) -> None:
         self._tuning = tuning
         self.best = plan
         self._network = network

@@ -14,7 +14,7 @@ import numpy as np
 from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.bounding.landmarks import Landmark
 from cfgplan.planners.networks.core import Core, Floats, Ints
-from cfgplan.planners.networks.network import Graph
+from cfgplan.planners.networks.network import Network
 from cfgplan.planners.solving.clock import Clock
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ FINE, LARGEST_CHARGES = 1024, 2**58
 """Charges are integers in 1/FINE of a cost unit, or in coarser parts if their sum would exceed LARGEST."""
 
 
-def alike(network: Graph, cost: Ints) -> Ints:
+def alike(network: Network, cost: Ints) -> Ints:
     """A number for each label, equal for those of which a cheapest plan has at most one: they meet the same demands.
 
     If a plan had two, the later one in a grounded order could go: all that it gives is given by the earlier one. So the

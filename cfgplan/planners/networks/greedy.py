@@ -11,7 +11,7 @@ from heapq import nsmallest
 import numpy as np
 
 from cfgplan.planners.networks.core import MOST_PASSES, Floats, Ints
-from cfgplan.planners.networks.network import Graph
+from cfgplan.planners.networks.network import Network
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.reasons import Each, assign_different, distinct_groups
 
@@ -21,7 +21,7 @@ FREE = 1e-3
 """The price of a label that is there already: of two such supports the smaller one is better."""
 
 
-def first_plan(network: Graph, cost: Ints, attempts: int, clock: Clock) -> set[int] | None:
+def first_plan(network: Network, cost: Ints, attempts: int, clock: Clock) -> set[int] | None:
     """A plan, after up to `attempts` attempts to do without one of its members; None if none was found.
 
     Raises OutOfTimeError if there is no time for a first one.
@@ -30,7 +30,7 @@ def first_plan(network: Graph, cost: Ints, attempts: int, clock: Clock) -> set[i
     return None if plan is None else with_less(network, cost, plan, attempts, clock)
 
 
-def with_less(network: Graph, cost: Ints, plan: set[int], attempts: int, clock: Clock) -> set[int]:
+def with_less(network: Network, cost: Ints, plan: set[int], attempts: int, clock: Clock) -> set[int]:
     """The plan, or a cheaper one after up to `attempts` attempts to do without one of its members."""
     tried: set[int] = set()
     while len(tried) < attempts and not clock.is_over():
@@ -45,7 +45,7 @@ def with_less(network: Graph, cost: Ints, plan: set[int], attempts: int, clock: 
     return plan
 
 
-def improved(network: Graph, cost: Ints, plan: set[int], doubtful: set[int], clock: Clock) -> set[int]:
+def improved(network: Network, cost: Ints, plan: set[int], doubtful: set[int], clock: Clock) -> set[int]:
     """The plan, or a cheaper one without some of its doubtful members."""
     for label in sorted(doubtful.difference(network.pinned)):
         if label in plan and not clock.is_over():
@@ -53,7 +53,7 @@ def improved(network: Graph, cost: Ints, plan: set[int], doubtful: set[int], clo
     return plan
 
 
-def _without(network: Graph, cost: Ints, plan: set[int], label: int) -> set[int]:
+def _without(network: Network, cost: Ints, plan: set[int], label: int) -> set[int]:
     """The plan, or a cheaper one that avoids `label` and has the other members for nothing."""
     price = cost.astype(np.float64) + 1.0
     price[list(plan)] = FREE
@@ -67,7 +67,7 @@ def cost_of(cost: Ints, labels: Iterable[int]) -> int:
     return int(cost[list(labels)].sum())
 
 
-def plan_at(network: Graph, cost: Ints, price: Floats, each: Each = iter) -> set[int] | None:
+def plan_at(network: Network, cost: Ints, price: Floats, each: Each = iter) -> set[int] | None:
     """A cheapest support of the goal by h_add at these prices, without redundant labels; None if it is no plan."""
     total = _total(network, price)
     if total is None:
@@ -76,13 +76,13 @@ def plan_at(network: Graph, cost: Ints, price: Floats, each: Each = iter) -> set
     return without_redundant(network, cost, chosen) if is_plan(network, chosen, each) else None
 
 
-def support_of(network: Graph, cost: Ints, label: int) -> set[int]:
+def support_of(network: Network, cost: Ints, label: int) -> set[int]:
     """The labels by which the label is fed most cheaply, by h_add."""
     total = _total(network, cost.astype(np.float64) + 1.0)
     return set() if total is None else _below(network, [label], total) - {label}
 
 
-def _total(network: Graph, price: Floats) -> list[float] | None:
+def _total(network: Network, price: Floats) -> list[float] | None:
     """h_add of each label with its own price; None if the goal is out of reach."""
     core = network.core
     facts = np.full(len(core.givers), np.inf)
@@ -103,7 +103,7 @@ def _added(values: list[float]) -> float:
     return min(sum(values), DEAREST) if max(values) < np.inf else np.inf
 
 
-def _below(network: Graph, labels: list[int], total: list[float], each: Each = iter) -> set[int]:
+def _below(network: Network, labels: list[int], total: list[float], each: Each = iter) -> set[int]:
     """These labels but the goal, and the cheapest givers of all facts needed, directly or through others."""
     chosen = set(labels)
     fed: set[int] = set()
@@ -116,7 +116,7 @@ def _below(network: Graph, labels: list[int], total: list[float], each: Each = i
     return chosen - {network.core.goal}
 
 
-def _feeders(network: Graph, label: int, total: list[float], fed: set[int]) -> list[int]:
+def _feeders(network: Network, label: int, total: list[float], fed: set[int]) -> list[int]:
     feeders = []
     for fact in network.core.needs.lists[label]:
         if fact not in fed:
@@ -138,12 +138,12 @@ def _feeders(network: Graph, label: int, total: list[float], fed: set[int]) -> l
     return feeders
 
 
-def _assigned(network: Graph, by_price: dict[str, list[int]]) -> list[str]:
+def _assigned(network: Network, by_price: dict[str, list[int]]) -> list[str]:
     chosen = assign_different({name: [network.labels[i] for i in order] for name, order in by_price.items()})
     return sorted(chosen.values()) if chosen is not None else []
 
 
-def without_redundant(network: Graph, cost: Ints, chosen: set[int]) -> set[int]:
+def without_redundant(network: Network, cost: Ints, chosen: set[int]) -> set[int]:
     """The plan without redundant labels; the dearest are dropped first."""
     gives_of, needs, takes = network.core.gives.lists, network.core.needs.lists, network.core.crowd_takes
     givers_left: dict[int, int] = {}
@@ -164,7 +164,7 @@ def without_redundant(network: Graph, cost: Ints, chosen: set[int]) -> set[int]:
     return chosen
 
 
-def is_plan(network: Graph, chosen: set[int], each: Each = iter) -> bool:
+def is_plan(network: Network, chosen: set[int], each: Each = iter) -> bool:
     """Whether the labels have a grounded wiring among themselves that meets the goal."""
     waiting: dict[int, list[int]] = {}
     missing: dict[int, int] = {}
@@ -193,7 +193,7 @@ def is_plan(network: Graph, chosen: set[int], each: Each = iter) -> bool:
     return len(before) == len(chosen) + 1
 
 
-def _special_inputs_are_fed(network: Graph, label: int, before: set[int], chosen: set[int]) -> bool:
+def _special_inputs_are_fed(network: Network, label: int, before: set[int], chosen: set[int]) -> bool:
     """Whether distinct groups can be filled and feedback inputs fed; in doubt (a later feeder) False."""
     transformation = network.transformations[label]
 

@@ -23,26 +23,11 @@ from cfgplan.planning import Problem
 from cfgplan.reasons import Each, Givers, distinct_groups
 
 
-class Graph:
-    """A core by itself: labels without names, of which none has to run, and no distinct or feedback inputs.
-
-    `special` are the labels with distinct or feedback inputs, `pinned` those that run in every plan.
-    """
-
-    def __init__(self, core: Core) -> None:
-        self.core = core
-        self.transformations: Sequence[Transformation] = ()
-        self.labels: list[str] = []
-        self.number: dict[str, int] = {}
-        self.fact_of_tag: dict[str, int] = {}
-        self.pinned: list[int] = []
-        self.special: frozenset[int] = frozenset()
-
-
-class Network(Graph):
+class Network:
     """The core of a problem with the names of its labels and the facts of its tags.
 
-    Labels that are the only ones to feed a target or a pinned label run in every plan, so they are pinned too.
+    `special` are the labels with distinct or feedback inputs, `pinned` those that run in every plan. Those that are the
+    only ones to feed a target or a pinned label are pinned too.
     """
 
     def __init__(
