@@ -21,8 +21,8 @@ from cfgplan.planners.undecided import Deciding
 from cfgplan.planning import OwnPlannerError, Plan, Planner, Problem, Progress
 
 
-def _imported_on_use(module: str) -> Planner:
-    """The module's function `plan`, in a `Deciding` where pairs are open; the module is imported at the first call."""
+def _deciding(found: Callable[[], Planner]) -> Planner:
+    """What is `found` when it is called; in a `Deciding` where pairs are open."""
 
     def planner(
         problem: Problem,
@@ -30,12 +30,15 @@ def _imported_on_use(module: str) -> Planner:
         time_limit_s: float | None = None,
         report: Callable[[Progress], None] | None = None,
     ) -> Plan:
-        plan: Planner = import_module(module).plan
-        if problem.similarity.open:
-            plan = Deciding(plan)
+        plan = Deciding(found()) if problem.similarity.open else found()
         return plan(problem, time_limit_s=time_limit_s, report=report)
 
     return planner
+
+
+def _imported_on_use(module: str) -> Planner:
+    """The module's function `plan`; the module is imported at the first call."""
+    return _deciding(lambda: import_module(module).plan)
 
 
 IGNORING_REQUIRED = frozenset({"branch-and-bound"})
@@ -77,17 +80,12 @@ def function_at(name: str) -> Callable[..., Any]:
 
 
 def _own(name: str, function: Planner) -> Planner:
-    """A function as a planner of this name, in a `Deciding` where pairs are open; what it raises is its own fault."""
+    """A function as a planner of this name; what it raises is its own fault."""
+    deciding = _deciding(lambda: function)
 
-    def planner(
-        problem: Problem,
-        *,
-        time_limit_s: float | None = None,
-        report: Callable[[Progress], None] | None = None,
-    ) -> Plan:
-        plan = Deciding(function) if problem.similarity.open else function
+    def planner(problem: Problem, **how: Any) -> Plan:
         try:
-            found = plan(problem, time_limit_s=time_limit_s, report=report)
+            found = deciding(problem, **how)
         except CfgplanError:
             raise
         except Exception as error:

@@ -146,22 +146,20 @@ def _may_rewire(may_do: Callable[[OracleRank], bool], least: OracleRank, rewired
 
 def _answer(problem: Problem, best: tuple[OracleRank, Environment] | None, steps: _Steps, *, stopped: bool) -> Plan:
     seconds, counts = {"search": time.monotonic() - steps.began}, {"wirings": steps.wirings}
+    plan = partial(Plan, "exhaustive", seconds=seconds, counts=counts)
     if best is None:
-        if stopped:
-            return Plan("exhaustive", Status.UNKNOWN, seconds=seconds, counts=counts)
-        return Plan("exhaustive", Status.INFEASIBLE, reasons=_reasons(problem), seconds=seconds, counts=counts)
+        return plan(Status.UNKNOWN) if stopped else plan(Status.INFEASIBLE, reasons=_reasons(problem))
     rank, after = best
     bound_us = 0 if stopped else rank.cost_us
-    if rank.first and rank.first[0]:
-        status, bound_us = (Status.UNKNOWN, 0) if stopped else (Status.TOO_EXPENSIVE, (problem.max_cost_us or 0) + 1)
-        return Plan("exhaustive", status, None, None, bound_us, seconds=seconds, counts=counts)
     if problem.max_cost_us is not None and rank.cost_us > problem.max_cost_us:
-        status, known = (Status.UNKNOWN, None) if stopped else (Status.TOO_EXPENSIVE, rank.cost_us)
-        return Plan("exhaustive", status, None, known, bound_us, seconds=seconds, counts=counts)
+        if stopped:
+            return plan(Status.UNKNOWN)
+        if rank.first:
+            return plan(Status.TOO_EXPENSIVE, bound_us=problem.max_cost_us + 1)
+        return plan(Status.TOO_EXPENSIVE, None, rank.cost_us, bound_us)
     unused, named = unused_required(after), zip(problem.environment.minimise, rank.first[1:], strict=False)
     objectives = tuple(Measured(each, value, 0 if stopped else value) for each, value in named)
-    return Plan(
-        "exhaustive",
+    return plan(
         Status.of_plan(rank.cost_us, bound_us, objectives),
         problem.environment.change_to(after.units),
         rank.cost_us,
@@ -169,8 +167,6 @@ def _answer(problem: Problem, best: tuple[OracleRank, Environment] | None, steps
         unused_required=unused,
         ties_proven=not stopped,
         required_proven=not (stopped and unused),
-        seconds=seconds,
-        counts=counts,
         objectives=objectives,
     )
 

@@ -6,6 +6,7 @@ Nothing here needs the constraint solver: where the first plan meets the bound i
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 from cfgplan.domain import ComputationUnit, Objective
@@ -122,20 +123,19 @@ class Standing:
 
     def plan(self) -> Plan:
         """The answer so far."""
-        problem, counts, seconds, bound_us = self.problem, self.counts, self.clock.seconds, self.valid_bound_us
+        problem, bound_us = self.problem, self.valid_bound_us
+        plan = partial(Plan, "cpsat", seconds=self.clock.seconds, counts=self.counts)
         if self.is_infeasible:
-            reasons = self.reasons or joint_reasons(problem)
-            return Plan("cpsat", Status.INFEASIBLE, reasons=reasons, seconds=seconds, counts=counts)
+            return plan(Status.INFEASIBLE, reasons=self.reasons or joint_reasons(problem))
         largest = problem.max_cost_us
         if largest is not None and bound_us > largest:
             cost_us = self.best.key.cost_us if self.best is not None and self.is_cost_proven else None
-            return Plan("cpsat", Status.TOO_EXPENSIVE, None, cost_us, bound_us, seconds=seconds, counts=counts)
+            return plan(Status.TOO_EXPENSIVE, None, cost_us, bound_us)
         if self.best is None or (largest is not None and self.best.key.cost_us > largest):
-            return Plan("cpsat", Status.UNKNOWN, bound_us=bound_us, seconds=seconds, counts=counts)
+            return plan(Status.UNKNOWN, bound_us=bound_us)
         key, units = self.best
         objectives = self.measured()
-        return Plan(
-            "cpsat",
+        return plan(
             Status.of_plan(key.cost_us, bound_us, objectives),
             problem.environment.change_to([in_order(problem.environment, unit) for unit in units]),
             key.cost_us,
@@ -143,7 +143,5 @@ class Standing:
             unused_required=unused_required(problem, units),
             ties_proven=self.are_ties_proven,
             required_proven=key.unused <= self.fewest_unused,
-            seconds=seconds,
-            counts=counts,
             objectives=objectives,
         )
