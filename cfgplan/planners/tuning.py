@@ -148,7 +148,6 @@ class Fleets:
     look: float = said(0.5, "the engine's s", "Each look among few takes so long.", FLEETS)
     fewer: float = said(1.2, "times", "A relaxation's labels are looked among if so many are there in all.", FLEETS)
     place: float = said(1.0, "the engine's s", "Counted units may take so long to be placed.", DEPLOYMENTS)
-    misfit: float = said(0.1, "the engine's s", "The same for each group that is tried to be left out.", DEPLOYMENTS)
     recounts: int = said(3, "times", "Units that can't be placed are counted again this often.", DEPLOYMENTS)
     small: int = said(20_000, "booleans", "Below this size of a fleet's model, probing takes too long.", FLEETS)
     wired: int = said(12_000, "booleans", "Below it, relaxing who feeds counted inputs in full takes too long.", SERVED)

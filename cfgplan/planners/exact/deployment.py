@@ -172,7 +172,8 @@ class _Deployment:
             if not placed.is_fit:
                 is_fit = False
                 if placed.is_misfit:
-                    self.misfits = (*self.misfits, self._misfit(kind, k, here, used))
+                    company = {n for n in here if self.groups[n].label in self.candidates.environment.companions}
+                    self.misfits = (*self.misfits, Misfit(k, used, here, frozenset(company)))
                 more = (self._placed(kind, here, n, has_more_company=True) for n in _more(used, len(kind.names)))
                 placed = next((found for found in more if found.is_fit), placed)
                 if not placed.is_fit:
@@ -183,30 +184,15 @@ class _Deployment:
         self.standing.offer(named(self.candidates, lean(self.candidates, units)))
         return is_fit
 
-    def _misfit(self, kind: HostKind, k: int, here: Mapping[int, int], used: int) -> Misfit:
-        """Units that do not fit on so many hosts, as few of `here` as are found by leaving out one group each."""
-        left, tuning = dict(here), self.standing.clock.tuning.fleet
-        company = {n for n in here if self.groups[n].label in self.candidates.environment.companions}
-        size = {n: sum(self.groups[n].first.places[kind.first].takes.values()) for n in here}
-        for n in sorted(here.keys() - company, key=size.__getitem__):
-            fewer = {m: number for m, number in left.items() if m != n}
-            if self._placed(kind, fewer, used, limit_s=tuning.misfit).is_misfit:
-                left = fewer
-        return Misfit(k, used, left, frozenset(company))
-
     def _placed(
         self,
         kind: HostKind,
         here: Mapping[int, int],
         used: int,
         *,
-        limit_s: float | None = None,
         has_more_company: bool = False,
     ) -> _Placed:
-        """Place units of groups on so many hosts of a kind; those that others run with may become more.
-
-        `limit_s` is in the engine's own seconds.
-        """
+        """Place units of groups on so many hosts of a kind; those that others run with may become more."""
         if len(kind.names) == 1 or not here:
             return _Placed({n: [kind.first] * number for n, number in here.items()}, is_fit=True)
         groups, hosts, clock = [self.groups[n] for n in here], kind.apart()[:used], self.standing.clock
@@ -215,7 +201,7 @@ class _Deployment:
             is_free = has_more_company and group.label in self.candidates.environment.companions
             counts.cp.add(number >= units if is_free else number == units)
         solver = _solver(clock)
-        solver.parameters.max_deterministic_time = clock.tuning.fleet.place if limit_s is None else limit_s
+        solver.parameters.max_deterministic_time = clock.tuning.fleet.place
         status = solve(solver, counts.cp, OnSolution(lambda _: True), clock)
         if status not in (OPTIMAL, FEASIBLE):
             return _Placed({}, is_misfit=status == INFEASIBLE)
