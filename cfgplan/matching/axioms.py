@@ -80,7 +80,7 @@ def _disjoint_union(parts: Sequence[Tree]) -> Sequence[Statement]:
 
 
 def _linked(parts: Sequence[Tree]) -> tuple[Tree, Tree]:
-    """The individual that an assertion is about, and the class of what is linked as it says."""
+    """The nominal of the individual that an assertion is about, and the class of all things that have such a link."""
     role, one, other = parts if isinstance(parts[0], str) else (inverse(parts[0]), parts[2], parts[1])
     return ("ObjectOneOf", one), ("ObjectHasValue", role, other)
 

@@ -53,16 +53,14 @@ class _OutOfTimeError(Exception):
 
 @dataclass
 class _Rule:
-    """What is on the left of the statement is to be on its right, too. `seen` is the clock when that was last looked
-    at.
-    """
+    """What is in a statement's left side is put into its right one. `seen` is the clock at its last application."""
 
     statement: Subclass | Subrole | Subvalue
     seen: int = -1
 
 
 class _Program:
-    """The axioms as rules: what a thing that is in one class expression also gets."""
+    """The axioms as rules, which say what the members of a class expression get."""
 
     def __init__(self, trees: Iterable[Tree]) -> None:
         trees = [tree for tree in trees if tree[0] != "Declaration"]
@@ -73,7 +71,7 @@ class _Program:
 
 
 def _rules_of(statement: Statement) -> Iterator[Subclass | Subrole | Subvalue]:
-    """The parts of a statement that building can make hold."""
+    """The parts of a statement that a model under construction can be made to satisfy."""
     match statement:
         case Subrole() | Subvalue():
             yield statement
@@ -91,7 +89,7 @@ def _rules_of(statement: Statement) -> Iterator[Subclass | Subrole | Subvalue]:
 
 
 def _some(changes: Iterable[bool]) -> bool:
-    """Whether any of the changes did something; all of them are carried out."""
+    """Carry out all changes. Returns whether any did something."""
     return sum(changes) > 0
 
 
@@ -242,7 +240,7 @@ class _Model:
         return False
 
     def _mark(self, things: Set[int], tree: Tree) -> bool:
-        """Put things into a marker class whose rule brings a requirement later, when more is known of them."""
+        """Postpone a requirement: things are put into a marker class, whose rule applies once more is known of them."""
         marker = self._markers.get(tree)
         if marker is None:
             marker = self._markers[tree] = f"\0marker {len(self._markers)}"

@@ -58,7 +58,7 @@ class _Trace:
         return None
 
     def clash(self) -> tuple[str, ...]:
-        """The steps to something that must exist and can't; () if there is none."""
+        """The steps to ⊥ in a context that every model has; () if there are none."""
         for fact in list(self._reasons):
             if fact[0].exists and fact[1:] == (BOTTOM_ATOM,):
                 return self._told(fact)

@@ -34,7 +34,7 @@ from cfgplan.matching.translation import translate
 MOST_DISJUNCTS: Final = 64
 """The most disjuncts of an offered concept that the engine takes; the reference decides those with more."""
 _FEW_CONCEPTS: Final = 64
-"""An engine keeps so many concepts that are gone, and as many as there are, before another should take its place."""
+"""An engine is replaced once it knows this many more withdrawn concepts than there are present ones."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -90,8 +90,9 @@ class Saturation:
         return known
 
     def _more_of_individuals(self, key: _ContextKey, individuals: Iterable[int]) -> Context:
-        """The context of things that are some individuals and more. It is conditional, unless it adds nothing to one
-        individual: then it is that one's own.
+        """The context of things that are these individuals and have further atoms. It is conditional.
+
+        An individual's own context is returned if nothing is added to it.
         """
         own = [self.context((atom,)) for atom in individuals]
         found = self._context(*key)

@@ -226,7 +226,7 @@ class Matcher:
         return frozenset() if self._countermodels is None else self._countermodels.refuted(demand)
 
     def _for_certain(self, demand: Concept, denied: frozenset[Concept]) -> frozenset[Concept]:
-        """Those of the denied offers that can't match by what was dropped from the ontology either."""
+        """The denied offers that would not match either if what was dropped from the ontology held."""
         if not self._ontology.dropped:
             return denied
         return frozenset(offered for offered in denied if not self._losses.concern(offered, demand))

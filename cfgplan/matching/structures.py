@@ -109,13 +109,11 @@ class Interpretation:
         return self._touch(name)
 
     def successors(self, role: Tree) -> RoleLinks:
-        """What each thing is linked to."""
         if isinstance(role, tuple):
             return self.predecessors(role[1])
         return self._links.get(role, {})
 
     def predecessors(self, role: Tree) -> RoleLinks:
-        """What is linked to each thing."""
         if isinstance(role, tuple):
             return self.successors(role[1])
         return self._back.get(role, {})

@@ -40,9 +40,9 @@ class Verdicts:
         self._answered: defaultdict[Concept, frozenset[Concept]] = defaultdict(frozenset)
         self._accepted: defaultdict[Concept, frozenset[Concept]] = defaultdict(frozenset)
         self.possible: set[Concept] = set()
-        """Concepts that something can have; with any, the ontology does not contradict itself."""
+        """Satisfiable concepts. If one is known, the ontology does not contradict itself."""
         self.unsatisfiable: set[Concept] = set()
-        """The offered concepts that nothing can have."""
+        """Unsatisfiable offered concepts."""
         self._too_hard: list[tuple[int, float]] = []
         """Attempts to classify that ran out of time: number of tags, seconds."""
 
@@ -55,7 +55,7 @@ class Verdicts:
         return self._answered.get(demanded, frozenset()) - self.accepted(demanded)
 
     def check(self, concepts: Collection[Concept], time_limit_s: float | None) -> None:
-        """Ask which concepts something can have; about ⊤ only while no concept is known that something can have.
+        """Ask which concepts are satisfiable; about ⊤ only while no satisfiable concept is known.
 
         Raises what the reasoner raises, such as InconsistentOntologyError.
         """

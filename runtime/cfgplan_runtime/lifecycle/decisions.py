@@ -204,7 +204,7 @@ def _planning(turn: Turn, planning: Planning) -> Turn:
 
 
 def _seen_to(turn: Turn, time_s: float) -> Turn:
-    """Have the first plan that was given judged, if it was made for what runs and what is wanted; or make previews."""
+    """Have the first given plan judged, unless its basis is stale. Make previews if no plan was given."""
     state, at_s = turn.state, turn.at_s
     if not state.given:
         order = MakePreview(state.living.world, state.running, state.situation, state.previews)

@@ -283,7 +283,7 @@ def _given(problem: Problem, change_set: ChangeSet) -> BestEffort:
     plan = Plan(
         "given", Status.FEASIBLE, change_set, values[Objective.COST], objectives=objectives, unused_required=unused
     )
-    is_proven = all(one.is_proven for one in plan.measured)  # nothing is less than nothing
+    is_proven = all(one.is_proven for one in plan.measured)  # what is 0 can't be less
     return BestEffort(replace(plan, status=Status.OPTIMAL) if is_proven else plan, problem, {}, exact=False)
 
 
@@ -355,7 +355,7 @@ def _exchanged(before: Environment, plan: Plan, new: ComputationUnit, spare: Com
 def _judged(thought: Thought, found: BestEffort, *, optimises: bool) -> Thought:
     found = replace(found, plan=where_spares_are(found.problem, found.plan))
     plan, planned = found.plan, thought.planned
-    # The planner does not know of what is left out, which may be all that is missing.
+    # The planner gives reasons without knowing what is left out, which may be all that is missing.
     left_out = f" (left out for now: {', '.join(sorted(thought.avoided))})" if thought.avoided else ""
     given_up = {label: f"{reason}{left_out}" for label, reason in found.given_up.items()}
     asked = found.problem

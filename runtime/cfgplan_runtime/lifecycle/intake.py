@@ -208,7 +208,7 @@ def _host_joined(turn: Turn, host: str, ahead_us: int) -> Turn:
 
 
 def _told_of_host(turn: Turn, told: HostGone | HostBack, outcomes: Sequence[Outcome] = ()) -> Turn:
-    """A review is due. The first one of all waits until it is known of each host whether it is there."""
+    """Ask for a review. The very first one waits until the middleware has spoken of each host."""
     state = turn.state
     if outcomes or not any(isinstance(entry.perturbation, Started) for entry in state.entries):
         return turn.perturbed(told, outcomes)
@@ -245,7 +245,7 @@ def _still_failing(turn: Turn, status: UnitStatus) -> Turn:
     well_s, steps, well_errors = note.well or (turn.at_s, status.steps, status.errors)
     errors = status.errors - well_errors
     if note.well is not None and errors == 0:
-        return turn  # good steps are noted once they are between errors: notes on a thousand units take time
+        return turn  # nothing is noted while nothing fails: notes on a thousand units take time
     # The step that has begun last may not have failed yet.
     if errors == 0 or status.steps - steps > errors + 1:
         return _noted(turn, unit, replace(note, well=(turn.at_s, status.steps, status.errors)))

@@ -213,25 +213,22 @@ class Turn:
     effects: tuple[Effect, ...] = ()
 
     def to(self, state: State) -> Turn:
-        """With another state."""
         return replace(self, state=state)
 
     def also(self, *effects: Effect) -> Turn:
-        """With more to do."""
         return replace(self, effects=(*self.effects, *effects))
 
     def situated(self, situation: Situation) -> Turn:
-        """With another situation."""
         return self.to(replace(self.state, situation=situation))
 
     def perturbed(self, perturbation: Perturbation, outcomes: Iterable[Outcome] = (), *, delay_s: float = 0.0) -> Turn:
-        """With a review that is due, at once or later."""
+        """Tell of a perturbation, and have a review answer it after a delay."""
         entry = Entry(perturbation, self.at_s, self.at_s + delay_s, tuple(outcomes))
         entries = (*self.state.entries, entry)
         return self.to(replace(self.state, entries=entries)).also(Tell(Perturbed(perturbation)))
 
     def blamed(self, label: str, lived_s: float, cause: str, *, is_costly: bool = False) -> Turn:
-        """With a failure of a transformation whose unit has lived so long; see `BackOffs.after_failure`."""
+        """Note a failure of a transformation whose unit has lived so long; see `BackOffs.after_failure`."""
         situation = self.state.situation
         back_offs = situation.back_offs.after_failure(label, lived_s, self.at_s, cause, is_costly=is_costly)
         turn = self.also(LearnOfFailure(label)).situated(replace(situation, back_offs=back_offs))
