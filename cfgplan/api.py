@@ -38,7 +38,8 @@ from cfgplan.summary import Summary, summarised, summary
 from cfgplan.validity import Violation
 
 if TYPE_CHECKING:
-    from cfgplan import formats
+    from cfgplan.formats.document import Document
+    from cfgplan.formats.environment_file import EnvironmentFile
 
 PLANNER_NAMES = tuple(PLANNERS)
 REASONER_NAMES = tuple(REASONERS)
@@ -77,15 +78,15 @@ class World:
     ontology: Ontology
     horizon_s: int
     max_cost_us: int | None = None
-    file: formats.EnvironmentFile | None = None
+    file: EnvironmentFile | None = None
     survive: Failures | None = None
 
     @cached_property
     def digest(self) -> str:
         """A hash of all that a plan depends on; a plan file carries it, so that a stale plan is noticed."""
-        from cfgplan import formats
+        from cfgplan.formats.environment_file import EnvironmentFile
 
-        file = self.file or formats.EnvironmentFile(
+        file = self.file or EnvironmentFile(
             Path(), self.environment, self.horizon_s, self.max_cost_us, survive=self.survive
         )
         return file.digest
@@ -96,13 +97,13 @@ def load(path: str | os.PathLike[str], *, also: Sequence[str | os.PathLike[str]]
 
     Files named `also` count as included. Raises InputError with every fault that was found.
     """
-    from cfgplan.formats import read_document
+    from cfgplan.formats.document import read_document
 
     document = read_document(path, also)
     return world_of(document, ontology_of(document))
 
 
-def ontology_of(document: formats.Document) -> Ontology:
+def ontology_of(document: Document) -> Ontology:
     """The union of the ontologies that a document names.
 
     Raises InputError with the document's faults and those of the ontologies.
@@ -113,12 +114,12 @@ def ontology_of(document: formats.Document) -> Ontology:
         raise InputError((*document.faults, *map(document.at_ontology, error.faults))) from None
 
 
-def world_of(document: formats.Document, ontology: Ontology) -> World:
+def world_of(document: Document, ontology: Ontology) -> World:
     """The world that a document describes, with its templates expanded by an ontology.
 
     Raises InputError with every fault of the document too.
     """
-    from cfgplan.formats import build
+    from cfgplan.formats.assembly import build
 
     file = build(document, _OntologyVocabulary(ontology))
     return World(file.environment, ontology, file.horizon_s, file.max_cost_us, file, file.survive)
@@ -355,7 +356,7 @@ def plan_violations(problem: Problem, plan: Plan) -> list[Violation]:
 
 def plan_text(world: World, problem: Problem, plan: Plan) -> str:
     """The plan file (JSON) of a plan: what `solve --out` writes."""
-    from cfgplan.formats import dump_plan
+    from cfgplan.formats.plan_file import dump_plan
 
     return dump_plan(plan, problem, world.digest)
 
@@ -368,7 +369,7 @@ def load_plan(world: World, problem: Problem, path: str | os.PathLike[str]) -> P
     does not make a plan stale when it changes; the judge holds the plan against what matches now all the same.
     Raises InputError for a file that is broken, stale or has been changed.
     """
-    from cfgplan.formats import load_plan as read_plan
+    from cfgplan.formats.plan_file import load_plan as read_plan
 
     answer = read_plan(path, world.digest)
     found = plan_violations(problem, answer) or validity.silent_stops(problem, answer)
@@ -380,7 +381,7 @@ def load_plan(world: World, problem: Problem, path: str | os.PathLike[str]) -> P
 
 def schema_text() -> str:
     """The JSON Schema of the environment file."""
-    from cfgplan.formats import environment_schema
+    from cfgplan.formats.fields import environment_schema
 
     return json.dumps(environment_schema(), indent=2, ensure_ascii=False) + "\n"
 
@@ -390,7 +391,8 @@ def converted(path: str | os.PathLike[str], to: Literal["yaml", "xml"]) -> str:
 
     What it includes is written into it. Raises InputError.
     """
-    from cfgplan.formats import as_xml, as_yaml, read_document
+    from cfgplan.formats.document import read_document
+    from cfgplan.formats.dump import as_xml, as_yaml
 
     document = read_document(path)
     return as_xml(document) if to == "xml" else as_yaml(document)
@@ -400,7 +402,7 @@ def converted_test_set(
     folder: str | os.PathLike[str], objective: Literal["services", "length"], ontology: str
 ) -> tuple[str, str]:
     """A web service composition test set as an environment file, and the ontology file that it names `ontology`."""
-    from cfgplan.formats import wsc_texts
+    from cfgplan.formats.wsc import wsc_texts
 
     return wsc_texts(folder, objective, ontology=ontology)
 

@@ -62,7 +62,7 @@ def _import(options: argparse.Namespace, screen: Screen) -> Exit:
     if options.what == "xml":
         shared.put(api.converted(Path(path), "yaml"), options.out, screen)
         return Exit.OK
-    from cfgplan.formats import unread
+    from cfgplan.formats.wsc_files import unread
 
     ontology = _beside(options.out, "a test set becomes two files, the environment and its ontology", ".ofn")
     environment_text, ontology_text = api.converted_test_set(Path(path), options.objective, ontology.name)

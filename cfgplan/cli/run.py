@@ -458,7 +458,7 @@ def _exit_of(found: BestEffort) -> Exit:
 def _show_first(found: BestEffort, digest: str, screen: Screen) -> None:
     """Print the first update: as text, or as a plan file (JSON)."""
     if screen.json:
-        from cfgplan.formats import dump_plan
+        from cfgplan.formats.plan_file import dump_plan
 
         screen.write(dump_plan(found.plan, found.problem, digest))
     else:

@@ -113,7 +113,7 @@ def row(
 class Part(BaseModel):
     """A mapping in the file, and its fields."""
 
-    model_config = ConfigDict(extra="forbid", strict=True)
+    model_config = ConfigDict(extra="forbid", strict=True, defer_build=True)
     USUAL_USE: ClassVar[Use] = Use.PLANNING
 
     @classmethod

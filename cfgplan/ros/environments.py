@@ -22,7 +22,7 @@ from cfgplan.domain import (
     Target,
     Transformation,
 )
-from cfgplan.formats import dump_yaml, plain_environment
+from cfgplan.formats.dump import dump_yaml, plain_environment
 from cfgplan.formats.fields import DEFAULT_HORIZON_S
 from cfgplan.qualities import MICRO
 from cfgplan.ros.graph import RosGraph, RosNode, RosPort

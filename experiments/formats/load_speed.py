@@ -19,9 +19,11 @@ from typing import TypeVar
 
 import yaml
 
-from cfgplan.formats import build, dump_xml, read_document
+from cfgplan.formats.assembly import build
+from cfgplan.formats.document import read_document
 from cfgplan.formats.fields import EnvironmentPart
 from cfgplan.formats.json_text import read_json
+from cfgplan.formats.xml_dump import dump_xml
 from cfgplan.formats.yaml_text import read_yaml
 
 T = TypeVar("T")

@@ -14,7 +14,7 @@ from command import MODELS, Run
 from cfgplan.cli.plan_text import why_unused
 from cfgplan.domain import ChangeSet
 from cfgplan.errors import InputError
-from cfgplan.formats import load_plan
+from cfgplan.formats.plan_file import load_plan
 from cfgplan.planning import Plan, Status
 
 LOST = MODELS / "nao" / "2-segmenter-lost.yaml"

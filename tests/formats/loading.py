@@ -5,7 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from cfgplan.errors import Fault, InputError, TagError, UnknownNameError
-from cfgplan.formats import EnvironmentFile, build, read_document
+from cfgplan.formats.assembly import build
+from cfgplan.formats.document import read_document
+from cfgplan.formats.environment_file import EnvironmentFile
 
 CLASSES = {"NAO": ("piff", "puff"), "Room": ("r1", "r2", "r3"), "Nothing": (), "Café": ("x",)}
 

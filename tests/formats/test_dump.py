@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from loading import load_text
 
 from cfgplan.domain import Environment, OutputPort, Transformation
-from cfgplan.formats import dump_yaml, plain_environment
+from cfgplan.formats.dump import dump_yaml, plain_environment
 
 
 @given(environments(), st.integers(0, 10**9), st.none() | st.integers(0, 2**53 - 1))

@@ -9,7 +9,8 @@ import pytest
 from loading import faults_of, load, only_fault, place_of
 
 from cfgplan.errors import InputError
-from cfgplan.formats import files, read_document
+from cfgplan.formats import files
+from cfgplan.formats.document import read_document
 
 HEAD = "format: cfgplan/1\n"
 A = "transformations:\n  - {label: a, inputs: {i: T}, outputs: {o: T, p: T}}\n"

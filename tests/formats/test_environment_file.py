@@ -22,7 +22,7 @@ from cfgplan.domain import (
     Transformation,
 )
 from cfgplan.errors import InputError
-from cfgplan.formats import environment_schema
+from cfgplan.formats.fields import environment_schema
 
 WHOLE = """\
 format: cfgplan/1

@@ -26,7 +26,8 @@ from cfgplan.domain import (
     Target,
     Transformation,
 )
-from cfgplan.formats import EnvironmentFile, fields
+from cfgplan.formats import fields
+from cfgplan.formats.environment_file import EnvironmentFile
 from cfgplan.formats.fields import Part, Use
 from cfgplan.qualities import QualityAttribute, Wish
 
@@ -105,7 +106,10 @@ import sys
 from loading import load
 from experiments.study.instances import given
 from cfgplan.domain import Similarity
-from cfgplan.formats import dump_xml, dump_yaml, environment_schema, fields, plain_environment
+from cfgplan.formats import fields
+from cfgplan.formats.dump import dump_yaml, plain_environment
+from cfgplan.formats.fields import environment_schema
+from cfgplan.formats.xml_dump import dump_xml
 from cfgplan.planning import Problem
 
 text = "format: cfgplan/1\\ntransformations:\\n- {label: t, outputs: {o: O}GPU}\\n"

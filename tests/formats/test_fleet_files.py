@@ -9,7 +9,7 @@ from loading import load, load_text, only_fault, place_of
 
 from cfgplan.domain import Host
 from cfgplan.errors import InvalidValueError
-from cfgplan.formats import dump_yaml, plain_environment
+from cfgplan.formats.dump import dump_yaml, plain_environment
 from cfgplan.formats.xml_dump import dump_xml
 from cfgplan.planning import Failures
 from cfgplan.qualities import Better, Contribution, Over, QualityAttribute, QualityRule, Wish

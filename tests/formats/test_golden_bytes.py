@@ -15,14 +15,10 @@ import pytest
 
 import cfgplan
 from cfgplan.errors import InputError, InvalidValueError
-from cfgplan.formats import (
-    as_yaml,
-    dump_xml,
-    environment_schema,
-    plain_environment,
-    read_document,
-)
-from cfgplan.formats.dump import dump_yaml, plain_document
+from cfgplan.formats.document import read_document
+from cfgplan.formats.dump import as_yaml, dump_yaml, plain_document, plain_environment
+from cfgplan.formats.fields import environment_schema
+from cfgplan.formats.xml_dump import dump_xml
 
 HERE = Path(__file__).parent
 MODELS = HERE.parent.parent / "models"

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from loading import load, load_text
 
 from cfgplan.errors import InputError
-from cfgplan.formats import dump_xml, dump_yaml, plain_environment
+from cfgplan.formats.dump import dump_yaml, plain_environment
+from cfgplan.formats.xml_dump import dump_xml
 from cfgplan.formats.yaml_text import read_yaml
 
 VALID = """\

@@ -23,8 +23,8 @@ from cfgplan.domain import (
     Transformation,
 )
 from cfgplan.errors import InputError, InvalidValueError
-from cfgplan.formats import EnvironmentFile, dump_plan, load_plan, read_run_plan
-from cfgplan.formats.plan_file import PlanPart
+from cfgplan.formats.environment_file import EnvironmentFile
+from cfgplan.formats.plan_file import PlanPart, dump_plan, load_plan, read_run_plan
 from cfgplan.planning import Measured, Plan, Problem, Status
 
 LIBRARY = (Transformation("a", labor_us=7, upkeep_us=3),)

@@ -64,7 +64,8 @@ def test_expansions_with_one_label_are_refused(tmp_path: Path) -> None:
     from loading import SmallVocabulary
 
     from cfgplan.errors import InputError
-    from cfgplan.formats import build, read_document
+    from cfgplan.formats.assembly import build
+    from cfgplan.formats.document import read_document
 
     class Ambiguous(SmallVocabulary):
         def instances(self, _class_name: str) -> tuple[str, ...]:

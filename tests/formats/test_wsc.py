@@ -11,8 +11,8 @@ import pytest
 from cfgplan import api
 from cfgplan.domain import InputPort, OutputPort, Similarity
 from cfgplan.errors import InputError
-from cfgplan.formats import EnvironmentFile, read_wsc, wsc_texts
-from cfgplan.formats.wsc import WscObjective, shortest_length
+from cfgplan.formats.environment_file import EnvironmentFile
+from cfgplan.formats.wsc import WscObjective, read_wsc, shortest_length, wsc_texts
 from cfgplan.formats.wsc_files import read_test_set
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Problem, Status

@@ -14,7 +14,10 @@ from loading import SmallVocabulary, faults_of, load, load_text, only_fault, pla
 
 from cfgplan.domain import Environment, InputPort, OutputPort, Target, Transformation
 from cfgplan.errors import InputError, InvalidValueError
-from cfgplan.formats import as_xml, as_yaml, build, dump_xml, dump_yaml, plain_environment, read_document
+from cfgplan.formats.assembly import build
+from cfgplan.formats.document import read_document
+from cfgplan.formats.dump import as_xml, as_yaml, dump_yaml, plain_environment
+from cfgplan.formats.xml_dump import dump_xml
 
 LISTING_1 = """\
 <transformation type="nodelet">

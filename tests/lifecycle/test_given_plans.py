@@ -17,7 +17,7 @@ from living import HORIZON_S, RESULT, Life, source, started, worker
 from cfgplan import api
 from cfgplan.domain import Target
 from cfgplan.errors import InputError
-from cfgplan.formats import read_run_plan
+from cfgplan.formats.plan_file import read_run_plan
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Plan, Problem
 

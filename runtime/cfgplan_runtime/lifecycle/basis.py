@@ -12,7 +12,7 @@ import msgspec
 from cfgplan.api import World
 from cfgplan.domain import ChangeSet, Environment
 from cfgplan.errors import Fault
-from cfgplan.formats import dump_plan
+from cfgplan.formats.plan_file import dump_plan
 from cfgplan.planning import Plan, Problem, Status
 from cfgplan_runtime.lifecycle.deliberation import Thought
 from cfgplan_runtime.lifecycle.reports import Decision

@@ -9,7 +9,7 @@ from pathlib import Path
 from cfgplan import api
 from cfgplan.api import World
 from cfgplan.errors import Fault, InputError
-from cfgplan.formats import Document, read_document
+from cfgplan.formats.document import Document, read_document
 from cfgplan_runtime.lifecycle.changes import ReplaceWorld
 from cfgplan_runtime.lifecycle.file_watch import FileWatch
 from cfgplan_runtime.lifecycle.manager import Manager

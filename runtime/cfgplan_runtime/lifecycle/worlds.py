@@ -13,7 +13,7 @@ from cfgplan import api
 from cfgplan.api import World
 from cfgplan.domain import Environment, Target, Transformation
 from cfgplan.errors import Fault, InputError, InvalidValueError
-from cfgplan.formats import Document, read_declared, read_document
+from cfgplan.formats.document import Document, read_declared, read_document
 from cfgplan.formats.fields import FORMAT, EnvironmentPart
 from cfgplan.matching import Ontology, TagError, UnknownNameError, check_tag
 from cfgplan_runtime.lifecycle.changes import (

@@ -12,7 +12,7 @@ from typing import Any, Protocol, TypeVar
 from cfgplan import answers
 from cfgplan.errors import CfgplanError, InputError
 from cfgplan.explaining.why_words import why_lines
-from cfgplan.formats import read_run_plan
+from cfgplan.formats.plan_file import read_run_plan
 from cfgplan_runtime.lifecycle.basis import Preview, plan_text, previewed
 from cfgplan_runtime.lifecycle.changes import (
     ApplyPlan,
