@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
-
 import pytest
-from hypothesis import HealthCheck, assume, given, settings
-from worlds import oracle_of, problems
+from hypothesis import assume, given
+from worlds import examples, oracle_of, problems
 
 from cfgplan.domain import Environment, OutputPort, Similarity, Target, Transformation
 from cfgplan.errors import InputError
@@ -18,12 +16,7 @@ from experiments.peers import sharing
 search = sharing.plan
 
 
-@settings(
-    max_examples=int(os.environ.get("CFGPLAN_EXAMPLES", "250")),
-    deadline=None,
-    derandomize="CFGPLAN_EXAMPLES" not in os.environ,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
-)
+@examples(250)
 @given(problems(most=6))
 def test_it_proves_the_cost_that_the_oracle_finds(problem: Problem) -> None:
     assume(not any(transformation.required for transformation in problem.environment.library))

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 from typing import Any
 
 import pytest
 from fleets import fleets
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
-from worlds import problems
+from worlds import examples, problems
 
 from cfgplan.domain import ComputationUnit, Environment, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.errors import InputError
@@ -20,13 +19,7 @@ from cfgplan.planners.exhaustive import OracleRank
 from cfgplan.planning import Failures, Notion, Plan, Problem
 from cfgplan.validity import plan_violations
 
-EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "50"))
-many = settings(
-    max_examples=EXAMPLES,
-    deadline=None,
-    derandomize="CFGPLAN_EXAMPLES" not in os.environ,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much],
-)
+many = examples(50)
 cpsat = PLANNERS["cpsat"]
 
 

@@ -5,15 +5,14 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from dataclasses import replace
 from itertools import combinations
 from typing import Any
 
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
-from worlds import TAGS, problems
+from worlds import TAGS, examples, problems
 
 from cfgplan.domain import Environment, OutputPort, Similarity, Target, Transformation
 from cfgplan.explaining import BestEffort, best_effort
@@ -24,13 +23,7 @@ from cfgplan.planning import Plan, Problem, Status
 from cfgplan.reasons import unmet_reasons
 from cfgplan.validity import plan_violations
 
-EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "100"))
-many = settings(
-    max_examples=EXAMPLES,
-    deadline=None,
-    derandomize="CFGPLAN_EXAMPLES" not in os.environ,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
-)
+many = examples(100)
 oracle, cpsat = PLANNERS["exhaustive"], PLANNERS["cpsat"]
 
 

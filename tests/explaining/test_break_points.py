@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 from fractions import Fraction
 
 import pytest
 from fleets import fleets
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
-from worlds import problems
+from worlds import examples, problems
 
 from cfgplan.costs import LARGEST_COST_US
 from cfgplan.domain import Environment, OutputPort, Similarity, Target, Transformation
@@ -20,14 +19,8 @@ from cfgplan.planners import PLANNERS
 from cfgplan.planning import Failures, Notion, Plan, Problem, Status
 from cfgplan.qualities import MICRO
 
-EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "60"))
-many = settings(
-    max_examples=EXAMPLES,
-    deadline=None,
-    derandomize="CFGPLAN_EXAMPLES" not in os.environ,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much],
-)
-few = settings(many, max_examples=EXAMPLES // 2)
+many = examples(60)
+few = examples(60, part=2)
 cpsat = PLANNERS["cpsat"]
 
 

@@ -2,25 +2,18 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Collection
 from dataclasses import replace
 
-from hypothesis import HealthCheck, assume, given, settings
-from worlds import problems
+from hypothesis import assume, given
+from worlds import examples, problems
 
 from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.explaining.unfed import Unreachable, unreachable
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Problem, Status
 
-EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "200"))
-many = settings(
-    max_examples=EXAMPLES,
-    deadline=None,
-    derandomize="CFGPLAN_EXAMPLES" not in os.environ,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much],
-)
+many = examples(200)
 
 
 def named_alone(problem: Problem, target: str, named: Collection[tuple[str, str]]) -> Problem:

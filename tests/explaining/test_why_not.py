@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 
 import pytest
 from fleets import fleets
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
-from worlds import problems
+from worlds import examples, problems
 
 from cfgplan.domain import Environment, Host, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.explaining.limits import Limit, limits_of, without_limits
@@ -18,14 +17,8 @@ from cfgplan.explaining.why_not import WhyNot, demanding, why_not
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import REFUSED, Notion, Plan, Problem, Status
 
-EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "80"))
-many = settings(
-    max_examples=EXAMPLES,
-    deadline=None,
-    derandomize="CFGPLAN_EXAMPLES" not in os.environ,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much],
-)
-fewer = settings(many, max_examples=EXAMPLES // 2)
+many = examples(80)
+fewer = examples(80, part=2)
 cpsat = PLANNERS["cpsat"]
 
 
@@ -55,7 +48,7 @@ def test_a_clash_is_minimal_and_there_is_one_for_each_plan_that_fails_though_all
         assert oracle(demanding(problem, found.clash.demands.without(each))).status is Status.OPTIMAL
 
 
-@settings(many, max_examples=EXAMPLES // 8)
+@examples(80, part=8)
 @given(fleets(frozenset({Notion.HOSTS, Notion.INSTANCES, Notion.CONFLICTS, Notion.BESIDE, Notion.COUNTS}), most=2))
 def test_of_the_limits_those_in_the_way_are_minimal(problem: Problem) -> None:
     found = why_not(problem, cpsat)

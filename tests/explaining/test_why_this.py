@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
-from worlds import problems
+from worlds import examples, problems
 
 from cfgplan.domain import (
     ComputationUnit,
@@ -24,13 +23,7 @@ from cfgplan.explaining.what_if import without_transformations
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Plan, Problem, Status
 
-EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "60"))
-many = settings(
-    max_examples=EXAMPLES,
-    deadline=None,
-    derandomize="CFGPLAN_EXAMPLES" not in os.environ,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much],
-)
+many = examples(60)
 cpsat = PLANNERS["cpsat"]
 
 

@@ -5,13 +5,11 @@
 
 from __future__ import annotations
 
-import os
-
 import pytest
 from alone import plan_alone
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
-from worlds import histories, oracle_of, problems, reordered
+from worlds import examples, histories, oracle_of, problems, reordered
 
 from cfgplan.planners import PLANNERS
 from cfgplan.planners.cpsat import PlannerSession
@@ -20,14 +18,8 @@ from cfgplan.planning import Plan, Problem, Status
 from cfgplan.validity import plan_violations
 from experiments.families.random_library import random_library
 
-EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "400"))
-many = settings(
-    max_examples=EXAMPLES,
-    deadline=None,
-    derandomize="CFGPLAN_EXAMPLES" not in os.environ,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
-)
-fewer = settings(many, max_examples=EXAMPLES // 4)
+many = examples(400)
+fewer = examples(400, part=4)
 
 
 def quality(plan: Plan) -> tuple[object, ...]:

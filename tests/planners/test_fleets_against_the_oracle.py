@@ -5,15 +5,14 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 
 import pytest
 from alone import plan_alone, plan_apart, plan_as_fleet
 from fleets import TOGETHER, fleets, reordered
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from worlds import oracle_of, problems
+from worlds import examples, oracle_of, problems
 
 from cfgplan.errors import InputError
 from cfgplan.planners import PLANNERS
@@ -24,13 +23,7 @@ from cfgplan.qualities import Better, Wish
 from cfgplan.reasons import unmet_reasons
 from cfgplan.validity import plan_violations
 
-EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "40"))
-some = settings(
-    max_examples=EXAMPLES,
-    deadline=None,
-    derandomize="CFGPLAN_EXAMPLES" not in os.environ,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much],
-)
+some = examples(40)
 
 
 def quality(plan: Plan) -> tuple[object, ...]:
@@ -76,13 +69,13 @@ def asking_for_nothing(draw: st.DrawFn, notions: frozenset[Notion], most: int) -
     return replace(problem, environment=replace(environment, targets=targets))
 
 
-@settings(some, max_examples=2 * EXAMPLES)
+@examples(80)
 @given(asking_for_nothing(frozenset({Notion.QUALITY}), 3))
 def test_bounds_at_the_worst_of_the_scale_and_beyond_equal_the_oracle(problem: Problem) -> None:
     agree(problem)
 
 
-@settings(some, max_examples=2 * EXAMPLES)
+@examples(80)
 @given(asking_for_nothing(frozenset({Notion.QUALITY}), 9))
 def test_bounds_at_the_worst_of_the_scale_and_beyond_ask_for_nothing(problem: Problem) -> None:
     free = tuple(
@@ -119,7 +112,7 @@ def test_survival_of_units_equals_the_oracle(problem: Problem) -> None:
     agree(problem)
 
 
-@settings(some, max_examples=EXAMPLES // 2)
+@examples(40, part=2)
 @given(fleets(frozenset({Notion.SURVIVAL, Notion.HOSTS}), most=2))
 def test_survival_of_hosts_equals_the_oracle(problem: Problem) -> None:
     agree(problem)
@@ -138,7 +131,7 @@ def test_the_oracle_and_the_planner_for_fleets_agree_on_what_the_paper_asks(prob
     assert len({quality(plan) for plan in plans}) == 1
 
 
-@settings(some, max_examples=EXAMPLES // 2)
+@examples(40, part=2)
 @given(fleets(TOGETHER, most=3), st.data())
 def test_the_plan_for_a_fleet_does_not_depend_on_the_run_or_the_order_of_lists(
     problem: Problem, data: st.DataObject
@@ -148,7 +141,7 @@ def test_the_plan_for_a_fleet_does_not_depend_on_the_run_or_the_order_of_lists(
     assert PLANNERS["cpsat"](reordered(problem, data.draw)) == plan
 
 
-@settings(some, max_examples=EXAMPLES // 2)
+@examples(40, part=2)
 @given(fleets(TOGETHER, most=3))
 def test_the_plan_for_a_fleet_leaves_nothing_to_do(problem: Problem) -> None:
     plan = PLANNERS["cpsat"](problem)

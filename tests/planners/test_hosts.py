@@ -10,8 +10,9 @@ from dataclasses import replace
 import pytest
 from fixed import Hubs, kind, runs, unit, world
 from fleets import fleets
-from hypothesis import assume, given, settings
-from test_fleets_against_the_oracle import EXAMPLES, agree_with_the_explicit_model, some
+from hypothesis import assume, given
+from test_fleets_against_the_oracle import agree_with_the_explicit_model, some
+from worlds import examples
 
 from cfgplan.domain import Environment, Host, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.planners import PLANNERS
@@ -40,7 +41,7 @@ def test_looking_among_few_units_first_changes_no_answer(problem: Problem) -> No
     agree_with_the_explicit_model(problem, IN_PARTS)
 
 
-@settings(some, max_examples=EXAMPLES // 2)
+@examples(40, part=2)
 @given(on_hosts)
 def test_rounds_that_are_too_short_change_no_answer(problem: Problem) -> None:
     agree_with_the_explicit_model(problem, Tuning(fleet=replace(IN_PARTS.fleet, round=1e-4, look=1e-5)))

@@ -14,10 +14,10 @@ from threading import Event
 from unittest.mock import patch
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from test_against_the_oracle import quality
-from worlds import changed, problems
+from worlds import changed, examples, problems
 
 from cfgplan import api
 from cfgplan.domain import (
@@ -41,8 +41,6 @@ from cfgplan.planners.exact.memory import Structure
 from cfgplan.planning import Problem, Progress, Status
 from cfgplan.validity import plan_violations
 from experiments.fleet import instances
-
-EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "400"))
 
 
 @pytest.mark.parametrize("planner", ["cpsat", "exhaustive"])
@@ -85,12 +83,7 @@ def test_a_unit_that_became_free_to_start_is_replaced_rather_than_rewired() -> N
     assert quality(session.plan(broken)) == quality(plan(broken)) == quality(PLANNERS["exhaustive"](broken))
 
 
-@settings(
-    max_examples=EXAMPLES // 2,
-    deadline=None,
-    derandomize="CFGPLAN_EXAMPLES" not in os.environ,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
-)
+@examples(400, part=2)
 @given(st.data())
 def test_a_warm_session_is_as_good_as_a_cold_planner_through_any_changes(data: st.DataObject) -> None:
     session = PlannerSession()
@@ -104,12 +97,7 @@ def test_a_warm_session_is_as_good_as_a_cold_planner_through_any_changes(data: s
         problem = data.draw(changed(problem))
 
 
-@settings(
-    max_examples=EXAMPLES // 2,
-    deadline=None,
-    derandomize="CFGPLAN_EXAMPLES" not in os.environ,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
-)
+@examples(400, part=2)
 @given(st.data())
 def test_after_rest_failures_and_moved_costs_are_answered_as_well_as_a_cold_planner_does(data: st.DataObject) -> None:
     session = PlannerSession()

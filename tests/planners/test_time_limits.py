@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import ast
 import itertools
-import os
 from collections.abc import Collection, Iterator
 from dataclasses import replace
 from math import inf
@@ -18,9 +17,9 @@ from unittest.mock import patch
 
 import pytest
 from fleets import TOGETHER, fleets
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
-from worlds import problems
+from worlds import examples, problems
 
 import cfgplan.planners
 from cfgplan.figures import cost_parts
@@ -36,7 +35,6 @@ from experiments.fleet import instances
 FEW_MORE = 40
 """So often somebody may look at the clock once the time is over."""
 NEVER_S = 10**9
-EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "200"))
 
 
 def with_a_required_one(problem: Problem) -> Problem:
@@ -131,12 +129,7 @@ def at_work(draw: st.DrawFn, drawn: st.SearchStrategy[Problem]) -> tuple[Problem
     return problem, (unused, cost_parts(problem, problem.environment.units).total_us)
 
 
-@settings(
-    max_examples=EXAMPLES,
-    deadline=None,
-    derandomize="CFGPLAN_EXAMPLES" not in os.environ,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
-)
+@examples(200)
 @given(
     at_work(st.one_of(problems(most=8), problems(most=8, special=False), fleets(TOGETHER, most=3))),
     st.integers(0, 60),

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 
 import pytest
 from fleets import TOGETHER, fleets
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from kinds import of_open_pairs
 from undecided import Truthful, differences, undecided
-from worlds import problems
+from worlds import examples, problems
 
 from cfgplan.domain import (
     ComputationUnit,
@@ -30,13 +29,7 @@ from cfgplan.planners.undecided import Deciding
 from cfgplan.planning import Plan, Problem, Status
 from cfgplan.validity import plan_violations
 
-EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "50"))
-many = settings(
-    max_examples=EXAMPLES,
-    deadline=None,
-    derandomize="CFGPLAN_EXAMPLES" not in os.environ,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much],
-)
+many = examples(50)
 
 DEAR = Transformation("dear", (), (OutputPort("o", "W"),), 100_000_000, 1_000_000)
 CHEAP = Transformation("cheap", (), (OutputPort("o", "C"),), 1_000_000, 100_000)
@@ -52,7 +45,7 @@ def test_what_is_asked_ends_in_the_truth_and_what_is_not_claims_nothing(case: tu
     assert differences(*case) == []
 
 
-@settings(many, max_examples=EXAMPLES // 5)
+@examples(50, part=5)
 @given(undecided(fleets(TOGETHER, most=2)))
 def test_so_it_is_with_hosts_quality_instances_and_spares(case: tuple[Problem, Similarity]) -> None:
     assert of_open_pairs(case) == []

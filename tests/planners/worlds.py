@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 
-from hypothesis import assume
+from hypothesis import HealthCheck, assume, settings
 from hypothesis import strategies as st
 
 from cfgplan.domain import (
@@ -25,6 +26,16 @@ from cfgplan.planning import Plan, Problem
 
 TAGS = ("A", "B", "C", "D")
 COSTS = st.sampled_from([0, 0, 1, 1, 2, 3, 5, 8])
+
+
+def examples(usual: int, *, part: int = 1) -> settings:
+    """As many new examples as CFGPLAN_EXAMPLES says, else so many of the same each time; or a `part` of these."""
+    return settings(
+        max_examples=int(os.environ.get("CFGPLAN_EXAMPLES", usual)) // part,
+        deadline=None,
+        derandomize="CFGPLAN_EXAMPLES" not in os.environ,
+        suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much],
+    )
 
 
 @st.composite
