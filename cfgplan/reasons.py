@@ -84,12 +84,6 @@ class Givers:
         """The same for a part of the library."""
         return Givers([t for t in self._library if t.label in labels], self._similarity)
 
-    def restricted(self, rows: Mapping[str, tuple[str, ...]]) -> Givers:
-        """The same with other rows for some tags."""
-        part = Givers(self._library, self._similarity)
-        part._rows.update(rows)
-        return part
-
     @cached_property
     def _offering(self) -> Mapping[str, list[str]]:
         """The labels of the transformations that offer a tag."""

@@ -138,9 +138,6 @@ class Solve:
 class Fleets:
     """Fleets: quality, hosts, conflicts, numbers, spares."""
 
-    round: float = said(2.0, "the engine's s", "The first round of the solver takes so long, for quality.", FLEETS)
-    growth: float = said(4.0, "times", "Each next round takes this much longer.", FLEETS)
-    rounds: int = said(5, "rounds", "After this many, the next one has no end of its own.", FLEETS)
     many: int = said(400, "labels", "From here on, bounded quality is first looked for among few.", FLEETS)
     sizes: tuple[int, ...] = said(
         (50, 100, 200), "labels", "These many are the few, of at least twice as many.", FLEETS

@@ -43,8 +43,8 @@ def test_looking_among_few_units_first_changes_no_answer(problem: Problem) -> No
 
 @examples(40, part=2)
 @given(on_hosts)
-def test_rounds_that_are_too_short_change_no_answer(problem: Problem) -> None:
-    agree_with_the_explicit_model(problem, Tuning(fleet=replace(IN_PARTS.fleet, round=1e-4, look=1e-5)))
+def test_looks_that_are_too_short_change_no_answer(problem: Problem) -> None:
+    agree_with_the_explicit_model(problem, Tuning(fleet=replace(IN_PARTS.fleet, look=1e-5)))
 
 
 @some

@@ -19,21 +19,6 @@ Demand = tuple[Stream, ...]
 """What inputs or a target ask for: the streams that would do."""
 
 
-def leave_out_what_is_too_bad(candidates: Candidates) -> None:
-    """Leave out, where a tag is demanded, the streams that would miss the bounds of all targets."""
-    for name in sorted({attribute for _, attribute in candidates.bounds}):
-        attribute = candidates.environment.quality[name]
-        least = least_badness(candidates, attribute)
-        candidates.leave_out(
-            {
-                (tag, stream)
-                for tag, most in most_badness(candidates, attribute).items()
-                for stream in candidates.streams(tag)
-                if stream not in least or least[stream] > most
-            }
-        )
-
-
 def least_prices_us(candidates: Candidates) -> dict[tuple[str, str], int]:
     """The least price of each target for each attribute, whatever the plan."""
     prices: dict[tuple[str, str], int] = {}
@@ -74,20 +59,6 @@ def _has_lost_a_feed(candidate: Candidate) -> bool:
     if unit is None or unit.standby:
         return False
     return any(port.name not in unit.feeds for port in candidate.transformation.inputs)
-
-
-def bound_by_price(candidates: Candidates, most_us: int) -> None:
-    """Turn weights of targets into bounds on quality: all prices together are at most `most_us`."""
-    least = least_prices_us(candidates)
-    for target in candidates.environment.targets:
-        for wish in target.quality:
-            place = target.label, wish.attribute
-            if place not in least:
-                continue
-            most = max(0, (most_us - sum(least.values()) + least[place]) * MICRO // wish.weight_us)
-            scale = candidates.environment.quality[wish.attribute].scale
-            candidates.bounds[place] = min(candidates.bounds.get(place, scale), most)
-    leave_out_what_is_too_bad(candidates)
 
 
 def least_badness(candidates: Candidates, attribute: QualityAttribute) -> dict[Stream, int]:
@@ -195,10 +166,9 @@ def most_badness(candidates: Candidates, attribute: QualityAttribute) -> dict[st
     """For each demanded tag the badness up to which a stream is of use for it; tags of no use are left out."""
     if ONLY_IN_THE_MODEL & candidates.problem.notions:
         return {}
-    key = attribute, *sorted(candidates.bounds.items())
-    if key not in candidates.most:
-        candidates.most[key] = _most_badness(candidates, attribute)
-    return candidates.most[key]
+    if attribute not in candidates.most:
+        candidates.most[attribute] = _most_badness(candidates, attribute)
+    return candidates.most[attribute]
 
 
 def _most_badness(candidates: Candidates, attribute: QualityAttribute) -> dict[str, int]:

@@ -115,7 +115,6 @@ class Candidates:
         self._streams: dict[str, tuple[Stream, ...]] = {}
         self._feeders: dict[str, tuple[int, ...]] = {}
         self._may_stay: dict[int, bool] = {}
-        self._useless: set[tuple[str, Stream]] = set()
         self.bounds = {
             (target.label, wish.attribute): attribute.badness(worst_allowed(attribute, wish))
             for target in problem.environment.targets
@@ -123,18 +122,16 @@ class Candidates:
             for attribute in [problem.environment.quality[wish.attribute]]
             if wish.bound is not None
         }
-        """By how much a target's stream may miss the best of an attribute, as far as is known."""
+        """By how much a target's stream may miss the best of an attribute."""
         self.least: dict[QualityAttribute, dict[Stream, int]] = {}
-        self.most: dict[tuple[object, ...], dict[str, int]] = {}
-        """Caches of `best_case`: the least badness of each stream, and the largest of use with some bounds."""
+        self.most: dict[QualityAttribute, dict[str, int]] = {}
+        """Caches of `best_case`: the least badness of each stream, and the largest of use for each demanded tag."""
         self.can_share: dict[tuple[object, ...], bool] = {}
         """A cache of `survivors`: whether so many units of each site can meet some targets."""
 
     def among(self, labels: Collection[str]) -> Candidates:
-        """The candidates of some transformations, with the bounds and useless streams known so far."""
-        part = Candidates(self.problem, self.closure, labels, self.clock)
-        part.bounds, part._useless = dict(self.bounds), set(self._useless)
-        return part
+        """The candidates of some transformations."""
+        return Candidates(self.problem, self.closure, labels, self.clock)
 
     @property
     def labels(self) -> Set[str]:
@@ -151,23 +148,11 @@ class Candidates:
         if not self._is_closed:
             left = startable(Environment((), library), self.givers, self.clock.each)
             library = tuple(t for t in library if t.label in left)
-        if not self._useless:
-            return self._network_of(library, self.givers)
-        useful = {tag: {self.label_of(stream) for stream in self.streams(tag)} for tag, _ in self._useless}
-        givers = self.givers.restricted({tag: tuple(sorted(labels)) for tag, labels in useful.items()})
-        network = self._network_of(library, givers)
-        if network.special:
-            return network
-        reached = network.core.facts_one_by_one([np.int64(0)] * len(library), max)
-        fed = [t for n, t in enumerate(library) if reached.keys() >= set(network.core.needs.lists[n])]
-        return network if len(fed) == len(library) else self._network_of(fed, givers)
-
-    def _network_of(self, library: Sequence[Transformation], givers: Givers) -> Network:
         labels = {t.label for t in library}
         asked = {c.transformation.label for i, c in enumerate(self.all) if self.is_asked_for(i)}
         targets = [target.tag for target in self.environment.targets]
-        met = [tag for tag in targets if not labels.isdisjoint(givers.of(tag))]
-        return Network(library, met, asked & labels, givers, self.clock.each)
+        met = [tag for tag in targets if not labels.isdisjoint(self.givers.of(tag))]
+        return Network(library, met, asked & labels, self.givers, self.clock.each)
 
     @cached_property
     def least_us(self) -> Ints:
@@ -205,7 +190,6 @@ class Candidates:
                 if self.all[i].may_run
                 for port in self.all[i].transformation.outputs
                 if self.problem.similarity.holds(port.tag, tag)
-                and (tag, Stream(self.all[i].id, port.name)) not in self._useless
             )
         return self._streams[tag]
 
@@ -216,17 +200,10 @@ class Candidates:
             self._feeders[tag] = tuple(i for i in units if self.all[i].may_run)
         return self._feeders[tag]
 
-    def leave_out(self, useless: Collection[tuple[str, Stream]]) -> None:
-        """Note pairs of a demanded tag and a stream that no plan uses for it."""
-        self._useless.update(useless)
-        self._may_stay.clear()
-        for tag, _ in useless:
-            self._streams.pop(tag, None)
-
     def gives(self, stream: Stream, tag: str) -> bool:
         """Whether the stream is one of a candidate that may run, and matches the demanded tag."""
         index = self.index_of.get(stream.unit)
-        if index is None or not self.all[index].may_run or (tag, stream) in self._useless:
+        if index is None or not self.all[index].may_run:
             return False
         output = self.all[index].transformation.output.get(stream.port)
         return output is not None and self.problem.similarity.holds(output.tag, tag)

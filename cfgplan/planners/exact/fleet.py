@@ -9,12 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
-from math import inf
 
 import numpy as np
 
 from cfgplan.planners.bounding.bounds import Bound, cheapest_way, tightened
-from cfgplan.planners.exact.best_case import bound_by_price, least_of_all, least_prices_us, leave_out_what_is_too_bad
+from cfgplan.planners.exact.best_case import least_of_all, least_prices_us
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.first_plans import FirstPlans
 from cfgplan.planners.exact.quality_chains import ChainCut, has_chains
@@ -45,36 +44,28 @@ def plan_fleet(candidates: Candidates, standing: Standing, last: Collection[str]
         standing.prove_cost()
         standing.are_ties_proven = True
         return
-    if Notion.SURVIVAL not in problem.notions:  # a hot spare may get any quality
-        leave_out_what_is_too_bad(candidates)
-        candidates = candidates.among(candidates.labels)
     _search(candidates, standing, first)
 
 
 def _search(candidates: Candidates, standing: Standing, first: FirstPlans) -> None:
     """Search among few transformations, then among all that bounds leave.
 
-    Where quality is priced, the few are those that the linear relaxation with chains uses. Prices narrow its bounds.
+    Where quality is priced, the few are those that the linear relaxation with chains uses.
     """
     clock, tuning = standing.clock, standing.clock.tuning.fleet
     is_chained = has_chains(candidates)
     is_cut = is_chained and bool(least_prices_us(candidates))
     if not is_chained or (not is_cut and len(candidates.network.labels) >= tuning.many):
         look_among_few(candidates, standing, first)
-    slices = [tuning.round * tuning.growth**number for number in range(tuning.rounds if is_chained else 0)]
-    for slice_s in (*slices, inf):
-        if standing.is_over:
-            break
-        left = left_by_bounds(candidates, standing)
-        if is_chained and standing.largest_us is not None:
-            bound_by_price(candidates, standing.largest_us - left.least_us)
-        candidates = candidates.among(left.labels)
-        cuts, share = chain_cuts(candidates, left.landmarks, clock) if is_cut else ([], None)
-        clock.end("bounds")
-        if share is not None:
-            _look_among_used(candidates, standing, cuts, share)
-        _solve(candidates, standing, left.landmarks, cuts, slice_s)
-        is_cut = is_chained
+    if standing.is_over:
+        return
+    left = left_by_bounds(candidates, standing)
+    candidates = candidates.among(left.labels)
+    cuts, share = chain_cuts(candidates, left.landmarks, clock) if is_cut else ([], None)
+    clock.end("bounds")
+    if share is not None:
+        _look_among_used(candidates, standing, cuts, share)
+    _solve(candidates, standing, left.landmarks, cuts)
 
 
 def _look_among_used(candidates: Candidates, standing: Standing, cuts: Iterable[ChainCut], share: Floats) -> None:
@@ -94,14 +85,12 @@ def _solve(
     standing: Standing,
     landmarks: Iterable[tuple[list[str], int]] = (),
     cuts: Iterable[ChainCut] = (),
-    slice_s: float = inf,
 ) -> None:
-    """Run the solver for `slice_s` of its own seconds, without bounds to the end."""
     from cfgplan.planners.exact.search import Search
 
     search = Search(candidates, standing, landmarks=landmarks, cuts=cuts)
     standing.clock.end("model")
-    search.run(slice_s)
+    search.run()
     standing.clock.end("search")
 
 
@@ -109,11 +98,10 @@ def _solve(
 class Shortlist:
     """The transformations that a plan no dearer than the incumbent may have, and landmarks that every such plan hits.
 
-    `order` sorts the transformations by reduced cost, the least first. Running them costs `least_us` or more.
+    `order` sorts the transformations by reduced cost, the least first.
     """
 
     labels: frozenset[str]
-    least_us: int = 0
     order: tuple[str, ...] = ()
     landmarks: tuple[tuple[list[str], int], ...] = ()
 
@@ -141,12 +129,12 @@ def left_by_bounds(candidates: Candidates, standing: Standing) -> Shortlist:
     order = tuple(name for _, name in sorted(zip(least, names, strict=True)))
     standing.counts["landmarks"] = len(landmarks)
     if largest_us is None:
-        return Shortlist(everything, bound.value, order, landmarks)
+        return Shortlist(everything, order, landmarks)
     left = {name for name, may in zip(names, bound.may_be_used(most).tolist(), strict=True) if may}
     left |= {network.labels[i] for i in network.pinned}
     left |= {c.transformation.label for c in candidates.all if c.may_wait and bound.value + c.waiting_cost_us <= most}
     standing.counts["left by bounds"] = len(left)
-    return Shortlist(frozenset(left), bound.value, order, landmarks)
+    return Shortlist(frozenset(left), order, landmarks)
 
 
 def look_among_few(candidates: Candidates, standing: Standing, first: FirstPlans) -> None:
