@@ -8,10 +8,9 @@ from dataclasses import replace
 from math import inf
 
 from fleets import TOGETHER, fleets
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
-from test_against_the_oracle import EXAMPLES, many
-from worlds import problems
+from worlds import examples, problems
 
 from cfgplan.domain import Transformation
 from cfgplan.planners import PLANNERS
@@ -84,7 +83,7 @@ def with_less_forbidden(problem: Problem) -> Iterator[tuple[str, Problem]]:
         yield "without failures", replace(with_library(problem, as_many), survive=None)
 
 
-@settings(many, max_examples=EXAMPLES // 10)
+@examples(400, part=10)
 @given(ANY)
 def test_without_required_ones_a_target_or_a_pin_nothing_is_dearer(problem: Problem) -> None:
     free = without(problem, "required")
@@ -94,7 +93,7 @@ def test_without_required_ones_a_target_or_a_pin_nothing_is_dearer(problem: Prob
     assert not dearer
 
 
-@settings(many, max_examples=EXAMPLES // 10)
+@examples(400, part=10)
 @given(ANY)
 def test_without_a_rule_that_forbids_something_nothing_is_dearer(problem: Problem) -> None:
     """Nothing is pinned: units that can't be fed are let go, and may have to go on where less is forbidden."""
