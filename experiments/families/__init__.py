@@ -12,6 +12,7 @@ from cfgplan.planning import Problem
 from experiments.families.adversarial import adversarial
 from experiments.families.nao import nao
 from experiments.families.random_library import random_library, replanning
+from experiments.families.transport import transport
 
 FAMILIES: Mapping[str, Callable[..., Problem]] = MappingProxyType(
     {
@@ -19,8 +20,9 @@ FAMILIES: Mapping[str, Callable[..., Problem]] = MappingProxyType(
         "nao": nao,
         "random_library": random_library,
         "replanning": replanning,
+        "transport": transport,
     }
 )
 """Each is called with a seed and keyword parameters; see its docstring for what these mean."""
 
-__all__ = ["FAMILIES", "adversarial", "nao", "random_library", "replanning"]
+__all__ = ["FAMILIES", "adversarial", "nao", "random_library", "replanning", "transport"]

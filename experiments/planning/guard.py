@@ -27,6 +27,7 @@ from scale_suite import SCALE
 from cfgplan.domain import ChangeSet
 from cfgplan.planning import Problem, Status
 from experiments.families.random_library import random_library
+from experiments.families.transport import transport
 from experiments.fleet import instances
 
 SLOWER = 1.1
@@ -67,6 +68,8 @@ OTHERS: dict[str, Callable[[int], Made]] = {
     "required, 5,000": lambda seed: [_required(seed, 5_000)],
     "replanning, 500": lambda seed: _replanning(seed, 500, 3),
     "replanning, 1,000, 10 targets": lambda seed: _replanning(seed, 1_000, 10),
+    "transport, 6 crates": lambda seed: [transport(seed, crates=6)],
+    "transport, 10 crates": lambda seed: [transport(seed, places=5, trucks=3, crates=10)],
     "latency weighed, 150": lambda seed: [instances.weighted(seed, 150)],
     "latency weighed, 415": lambda seed: [instances.weighted(seed, 415)],
     "latency bounded, 415": lambda seed: [instances.bounded(seed, 415)],

@@ -19,6 +19,7 @@ def tiny() -> Iterator[Instance]:
     yield generated("replanning", 3, transformations=12, depth=3, targets=2)
     yield generated("adversarial", kind="dedicated", size=4)
     yield generated("adversarial", kind="ring", size=3)
+    yield generated("transport", places=2, trucks=1, crates=2)
 
 
 def short() -> Iterator[Instance]:

@@ -9,7 +9,7 @@ from cfgplan.planners import PLANNERS
 from cfgplan.planning import Problem, Status
 from cfgplan.reasons import unmet_reasons
 from cfgplan.validity import Rule, violations
-from experiments.families import FAMILIES, adversarial, nao, random_library, replanning
+from experiments.families import FAMILIES, adversarial, nao, random_library, replanning, transport
 from experiments.families.adversarial import KINDS
 from experiments.families.configurations import cheap_configuration
 from experiments.study.suites import wsc_sets
@@ -19,6 +19,7 @@ SMALL: list[tuple[str, dict[str, object]]] = [
     ("random_library", {"transformations": 40, "running": 0.4, "outputs": 2}),
     ("replanning", {"transformations": 40, "failures": 2, "gone": 0.5}),
     ("adversarial", {"kind": "cover", "size": 8}),
+    ("transport", {"crates": 3}),
 ]
 
 
@@ -89,6 +90,23 @@ def test_the_configuration_that_a_replanning_starts_from_is_valid(seed: int) -> 
     failed = replanning(seed, targets=5, failures=2).environment
     assert set(running.unit) > set(failed.unit)
     assert len(running.units) - len(failed.units) == 2
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_to_bring_a_crate_elsewhere_takes_one_action_of_each_kind(seed: int) -> None:
+    plan = PLANNERS["cpsat"](transport(seed, places=2, trucks=1, crates=1, pallets=1))
+    assert plan.cost_us == 5_000_000
+    assert plan.change_set is not None
+    kinds = sorted(unit.transformation.split("_")[0] for unit in plan.change_set.started)
+    assert kinds == ["drive", "drop", "lift", "load", "unload"]
+
+
+def test_facts_of_a_transport_give_each_other_back() -> None:
+    library = transport(0).environment.library
+    by_label = {t.label: t for t in library}
+    forth, back = by_label["load_crate0_truck0_1"], by_label["unload_crate0_truck0_1"]
+    assert {port.tag for port in forth.outputs} <= {port.tag for port in back.inputs}
+    assert {port.tag for port in back.outputs} <= {port.tag for port in forth.inputs}
 
 
 def test_the_paper_mends_the_lost_segmenter_by_one_new_unit() -> None:
