@@ -10,7 +10,7 @@ from cfgplan.errors import Fault, InputError, did_you_mean
 from cfgplan.formats.document import Document, File
 from cfgplan.formats.environment_file import EnvironmentFile
 from cfgplan.formats.expansion import Expander
-from cfgplan.formats.fields import TargetPart
+from cfgplan.formats.fields import OF_A_STREAM, TargetPart
 from cfgplan.formats.fleet import FleetReader
 from cfgplan.formats.garbage import no_garbage_collection
 from cfgplan.formats.left_out import LeftOut
@@ -89,12 +89,9 @@ def _parts(document: Document, kind: str, faults: list[Fault]) -> Iterator[tuple
             yield Passage(file.source, (kind, index), faults), part
 
 
-_OF_A_STREAM = ("topic", "tag", "type", "quality", "host", "silent")
-
-
 def _wants_one_thing(entry: Passage, part: TargetPart) -> bool:
     """Whether a target says `topic` and `tag`, or else `run` and nothing that is said of a stream."""
-    said = [key for key in _OF_A_STREAM if getattr(part, key) is not None]
+    said = [key for key in OF_A_STREAM if getattr(part, key) is not None]
     if part.run is not None:
         for key in said:
             entry.at(key).note(f"a target with `run` wants no stream, so it has no `{key}`", "remove it", at_key=True)

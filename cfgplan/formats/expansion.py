@@ -128,8 +128,7 @@ class Expander:
             self._left_out.add("transformations", filled.label)
             return
         run = _run_options(entry.at("run", "start"), filled)
-        more = filled.conflicts.values() if isinstance(filled.conflicts, ConflictsPart) else {}
-        said = {"conflicts": (), **more} if more else {}
+        said = {"conflicts": (), **filled.conflicts.values()} if isinstance(filled.conflicts, ConflictsPart) else {}
         yield Transformation(**{**self._costs_us, **filled.values(), **ports, **hosts, **said, "run": run})
 
     def _hosts(self, entry: Passage, written: str | list[str] | None) -> dict[str, Any]:

@@ -40,14 +40,18 @@ from cfgplan.formats.schema_values import (
     Seconds,
     SelectorText,
     Speed,
+    StreamName,
+    Survived,
     TagText,
     TimeSpan,
     WhenFull,
+    Whole,
     Written,
     form_of,
     list_or_mapping,
 )
 from cfgplan.planning import MOST_INSTANCES
+from cfgplan.qualities import QualityRule
 
 FORMAT: Final = "cfgplan/1"
 LONGEST_QUEUE = 1_000_000
@@ -96,6 +100,10 @@ class _Said:
     xml: str | None = None
 
 
+_IN_SCHEMA = {"ge": "minimum", "le": "maximum"}
+"""The limits of a number that pydantic forgets in the schema, where a validator of ours comes first."""
+
+
 def row(
     meaning: str,
     default: Any = None,
@@ -105,9 +113,26 @@ def row(
     **limits: Any,
 ) -> Any:
     """A field of a part. With `...` as default the key can't be absent."""
-    field = Field(default=default, description=meaning, **limits)
+    in_schema: Any = {_IN_SCHEMA[name]: limit for name, limit in limits.items() if name in _IN_SCHEMA}
+    field = Field(default=default, description=meaning, json_schema_extra=in_schema or None, **limits)
     field.metadata.append(_Said(to, use, xml))
     return field
+
+
+_SAID: Final[Any] = {"not": {"type": "null"}}
+_UNSAID: Final[Any] = {"type": "null"}
+_ZERO: Final = {"const": 0}
+_ABOVE_0: Final = {"exclusiveMinimum": 0}
+_TRUE: Final = {"const": True}
+
+
+def _either(*forms: Mapping[str, Any]) -> ConfigDict:
+    """The JSON Schema of keys that go together or do not, in any of some forms; readers check it in words."""
+    of_forms: list[Any] = [
+        {"required": [key for key, said in form.items() if said not in (_UNSAID, _ZERO)], "properties": {**form}}
+        for form in forms
+    ]
+    return ConfigDict(json_schema_extra={"anyOf": of_forms})
 
 
 class Part(BaseModel):
@@ -190,6 +215,8 @@ _REMAP = "in ROS: what the node calls its topic or service; the port's name if a
 class InputPart(Part):
     """An input port that needs more than a tag."""
 
+    model_config = _either({"worth": _ZERO}, {"optional": _TRUE})
+
     tag: TagText = row("what it needs, a concept in description logic or the paper's P(a)", ..., xml=ELEMENT)
     distinct: Name | None = row("ports of one group are fed by different transformations")
     feedback: bool = row("this input may close a cycle of the wiring", False)
@@ -203,6 +230,8 @@ class InputPart(Part):
 
 class ContributionPart(Part):
     """What an output makes of a quality attribute: exactly one of `add`, `limit`, `scale` and `set`."""
+
+    model_config = _either(*(dict.fromkeys(QualityRule, _UNSAID) | {rule: _SAID} for rule in QualityRule))
 
     add: Micro | None = row("added to the value of the inputs")
     limit: PositiveMicro | None = row("the value is no better than this")
@@ -220,8 +249,8 @@ class OutputPart(Part):
     tag: TagText = row("what it gives, a concept in description logic or the paper's P(a)", ..., xml=ELEMENT)
     quality: dict[Name, QualityGiven] | None = row("attribute to what it makes of it", xml=UNSAID)
     rate: PositiveMicro = row("elements per second, for what it costs to change hosts", 0, "rate_uhz")
-    size: int = row("bytes of one element", 0, "size_bytes", ge=0, le=LARGEST_AMOUNT)
-    serves: int | None = row("at most so many inputs and topics take its stream", ge=1, le=LONGEST_QUEUE)
+    size: Whole = row("bytes of one element", 0, "size_bytes", ge=0, le=LARGEST_AMOUNT)
+    serves: Whole | None = row("at most so many inputs and topics take its stream", ge=1, le=LONGEST_QUEUE)
     type: Name | None = row(_MESSAGE_TYPE, use=Use.RUNNING, xml="message")
     remap: Name | None = row(_REMAP, use=Use.RUNNING)
 
@@ -229,6 +258,7 @@ class OutputPart(Part):
 InputGiven = Annotated[Annotated[TagText, _SHORT] | Annotated[InputPart, _FULL], _CHOICE]
 OutputGiven = Annotated[Annotated[TagText, _SHORT] | Annotated[OutputPart, _FULL], _CHOICE]
 OneOrMoreNames = Annotated[Annotated[Name, _SHORT] | Annotated[list[Name], _FULL], _CHOICE]
+OneOrMoreStreams = Annotated[Annotated[StreamName, _SHORT] | Annotated[list[StreamName], _FULL], _CHOICE]
 FileNames = Annotated[Annotated[FileName, _SHORT] | Annotated[list[FileName], _FULL], _CHOICE]
 Imports = Annotated[Annotated[Literal["ignore"], _SHORT] | Annotated[dict[Name, FileName], _FULL], _CHOICE]
 
@@ -241,12 +271,12 @@ class RunPart(Part):
     start: PortName = row("what starts a step: all inputs fresh, any input, aligned in time, or a port's name", "all")
     tolerance: Seconds = row("how far apart aligned inputs may be, in seconds", 0, "tolerance_us")
     rate: Rate | None = row("how often a source gives an element, per second", to="rate_hz")
-    queue: int = row("how many elements may wait at an input", 256, ge=1, le=LONGEST_QUEUE)
+    queue: Whole = row("how many elements may wait at an input", 256, ge=1, le=LONGEST_QUEUE)
     when_full: WhenFull = row("drop the oldest element, or let the producer wait", "drop_oldest", "blocks")
     hang: HangTime | None = row(
         "kill a unit that is silent for so many seconds, at least 2; 0: never; 10 if absent", to="hang_us"
     )
-    memory: int | None = row(
+    memory: Whole | None = row(
         "the most memory that a unit may take, in megabytes", None, "memory_mb", Use.BOTH, ge=1, le=LONGEST_QUEUE
     )
     state: bool = row("a new unit goes on with the state of the last", False)
@@ -283,7 +313,7 @@ class TransformationPart(Part):
     upkeep: Cost | None = row("CPU seconds that a running unit takes per second", to="upkeep_us")
     pinned: bool = row("running units are kept even where no target needs them", False)
     required: bool = row("must be used wherever that is possible at all", False)
-    memory: int | None = row(
+    memory: Whole | None = row(
         "megabytes that a unit takes on its host; run.memory if absent", None, "memory_mb", ge=0, le=LONGEST_QUEUE
     )
     needs: Resources | None = row("how much of other resources of its host a unit takes, by name: whole numbers")
@@ -291,9 +321,9 @@ class TransformationPart(Part):
     __annotations__["with"] = "list[Name] | None"
     locals()["with"] = row("transformations of each of which a unit runs on the host of a running unit", to="beside")
     conflicts: ConflictsGiven | None = row("transformations that may not be there together with it")
-    min_instances: int = row("at least so many of its units run", 0, ge=0, le=MOST_INSTANCES)
-    max_instances: int | None = row("at most so many of its units are there", ge=0)
-    per_host: int | None = row("at most so many of its units are on one host", ge=1)
+    min_instances: Whole = row("at least so many of its units run", 0, ge=0, le=MOST_INSTANCES)
+    max_instances: Whole | None = row("at most so many of its units are there", ge=0, le=LARGEST_AMOUNT)
+    per_host: Whole | None = row("at most so many of its units are on one host", ge=1, le=LARGEST_AMOUNT)
     standby: Cost | None = row("CPU seconds per second of a spare that does not run", to="standby_us")
     run: RunPart | None = row("how its units run", use=Use.BOTH, xml=ELEMENT)
     inputs: dict[PortName, InputGiven] | None = row("input ports: name to tag", xml=ELEMENT)
@@ -305,7 +335,7 @@ class UnitPart(Part):
 
     id: Name = row("unique", ...)
     transformation: Name = row("the label of its transformation, templates expanded", ...)
-    inputs: dict[PortName, OneOrMoreNames | None] | None = row(
+    inputs: dict[PortName, OneOrMoreStreams | None] | None = row(
         "input port to stream (unit/port), or to a list of several; null: a gap", to="subscriptions", xml=ELEMENT
     )
     topics: dict[PortName, list[Name]] | None = row(
@@ -318,18 +348,22 @@ class UnitPart(Part):
 class WishPart(Part):
     """What a target asks of a quality attribute."""
 
+    model_config = _either({"at_least": _SAID}, {"at_most": _SAID}, {"weight": _ABOVE_0})
+
     at_least: PositiveMicro | None = row("where higher is better: a bound", to="bound")
     at_most: PositiveMicro | None = row("where lower is better: a bound", to="bound")
     weight: Cost = row("CPU seconds for each unit by which the best is missed", 0, "weight_us")
 
 
+OF_A_STREAM = ("topic", "tag", "type", "quality", "host", "silent")
+"""What a target says of the stream that it wants."""
+
+
 class TargetPart(Part):
     """Information that is wanted on a topic, or a unit that is wanted though it gives nothing."""
 
-    model_config = ConfigDict(
-        extra="forbid",
-        strict=True,
-        json_schema_extra={"oneOf": [{"required": ["topic", "tag"]}, {"required": ["run"]}]},
+    model_config = _either(
+        {"topic": _SAID, "tag": _SAID, "run": _UNSAID}, {"run": _SAID, **dict.fromkeys(OF_A_STREAM, _UNSAID)}
     )
 
     label: Name = row("unique", ..., xml=ELEMENT)
@@ -337,7 +371,7 @@ class TargetPart(Part):
     tag: TagText | None = row("what is wanted, a concept in description logic or the paper's P(a)", xml=ELEMENT)
     type: Name | None = row(f"{_MESSAGE_TYPE}; `cfgplan run --ros2` publishes it", use=Use.RUNNING, xml="message")
     run: Name | None = row("a transformation of which a unit is wanted, in place of `topic` and `tag`")
-    priority: int = row("larger matters more", 0, ge=-LARGEST_AMOUNT, le=LARGEST_AMOUNT)
+    priority: Whole = row("larger matters more", 0, ge=-LARGEST_AMOUNT, le=LARGEST_AMOUNT)
     quality: dict[Name, WishPart] | None = row("attribute to what is asked of it")
     host: Name | None = row("the host that the stream has to come to")
     silent: TimeSpan | None = row(
@@ -351,7 +385,7 @@ class HostPart(Part):
     """A computer that units run on."""
 
     name: Name = row("unique", ...)
-    copies: int = row(
+    copies: Whole = row(
         "so many identical hosts name.1, name.2 and so on; each has the name without number as a label",
         1,
         use=Use.NONE,
@@ -360,11 +394,15 @@ class HostPart(Part):
     )
     labels: list[Name] | None = row("what selectors such as `on` choose it by, beside its name")
     cpu: Cost | None = row("CPU seconds per second that units may take; no limit if absent", to="cpu_us")
-    memory: int | None = row("megabytes that units may take; no limit if absent", to="memory_mb", ge=0)
+    memory: Whole | None = row(
+        "megabytes that units may take; no limit if absent", to="memory_mb", ge=0, le=LARGEST_AMOUNT
+    )
     offers: Resources | None = row("how much it has of other resources, by name; nothing of what is absent")
     rent: Cost = row("CPU seconds per second that it costs while a unit is there, spares too", 0, "rent_us")
-    energy: int | None = row(
-        "watt seconds for the `power` (watts) that units there need over the horizon; no limit if absent", ge=0
+    energy: Whole | None = row(
+        "watt seconds for the `power` (watts) that units there need over the horizon; no limit if absent",
+        ge=0,
+        le=LARGEST_AMOUNT**2,
     )
     speed: Speed = row("what the CPU seconds of labor, upkeep and standby are divided by on it", 1)
 
@@ -372,8 +410,10 @@ class HostPart(Part):
 class LinkPart(Part):
     """What carries streams between hosts."""
 
+    model_config = _either({"latency": _ZERO, "adds": _UNSAID}, {"latency": _ABOVE_0, "adds": _SAID})
+
     between: list[SelectorText] = row("two selectors of hosts, for its two ends", ..., min_length=2, max_length=2)
-    bandwidth: int | None = row(
+    bandwidth: Whole | None = row(
         "bytes per second of all that is carried over it; no limit if absent", ge=0, le=LARGEST_AMOUNT**2
     )
     price: Cost | None = row("CPU seconds for each megabyte over it; `transfer` if absent", to="price_us")
@@ -429,9 +469,7 @@ class EnvironmentPart(Part):
         "what is minimised, the most important first; the cost follows if it is not named", ["cost"]
     )
     qualities: list[AttributePart] | None = row("the quality attributes of streams")
-    survive: Literal[0, 1, "units", "hosts"] = row(
-        "single failures to survive; 1: of hosts where hosts are declared, else of units", 0
-    )
+    survive: Survived = row("single failures to survive; 1: of hosts where hosts are declared, else of units", 0)
     transformations: list[TransformationPart] | None = row("what can be started", xml=ELEMENT)
     units: list[UnitPart] | None = row("what runs", xml=ELEMENT)
     targets: list[TargetPart] | None = row("what is wanted", xml=ELEMENT)

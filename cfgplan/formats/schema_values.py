@@ -12,10 +12,10 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, PlainVal
 from pydantic_core import PydanticCustomError
 
 from cfgplan.canonical import normal
-from cfgplan.costs import SPAN, microseconds, seconds, span_s
+from cfgplan.costs import LARGEST_COST_US, MICROSECONDS, SPAN, microseconds, seconds, span_s
 from cfgplan.domain import Objective
 from cfgplan.errors import InvalidValueError
-from cfgplan.qualities import MICRO, Better, QualityRule, micro_units, units
+from cfgplan.qualities import LARGEST_QUALITY, MICRO, Better, QualityRule, micro_units, units
 from cfgplan.transformations import ALL, CPU, LEAST_HANG_S, RunOptions
 
 LARGEST_AMOUNT = 1_000_000_000
@@ -89,10 +89,23 @@ def _span(value: object) -> int:
     return span_us
 
 
+def _whole(value: object) -> object:
+    """The whole number of 2.0, as JSON Schema has it; anything else as it is."""
+    is_whole = type(value) is Decimal and value.is_finite() and abs(value) < 2**63 and value == int(value)
+    return int(value) if is_whole else value  # type: ignore[call-overload]
+
+
 def _whole_span(value: object) -> object:
-    """The seconds of a text such as 5m, if they are whole; anything else as it is."""
-    span = span_s(value) if type(value) is str else None
-    return value if span is None or span != int(span) else int(span)
+    """The seconds of a text such as 5m, if they are whole; a number as it is."""
+    span = _whole(span_s(value) if type(value) is str else value)
+    return span if type(span) is int else value
+
+
+def _no_flag(value: object) -> object:
+    """A number or a name; Python takes `true` for 1."""
+    if type(value) is bool:
+        raise _refusal(f"this must be 0, 1, units or hosts, but is {str(value).lower()}", "write one of these")
+    return value
 
 
 def _rate(value: object) -> float:
@@ -161,17 +174,18 @@ def _speed(value: object) -> int:
 
 def _resources(amounts: dict[str, Decimal | int]) -> dict[str, int]:
     """Amounts of resources by name: whole numbers, and for CPU time microseconds per second."""
-    found = {name: _microseconds(amount) if name == CPU else amount for name, amount in amounts.items()}
+    found = {name: _microseconds(amount) if name == CPU else _whole(amount) for name, amount in amounts.items()}
     parts = next((f"{amount} of `{name}`" for name, amount in found.items() if type(amount) is not int), None)
     if parts is not None:
         raise _refusal(f"there can't be {parts}", "write a whole number; only cpu has parts")
-    return {name: int(amount) for name, amount in found.items()}
+    return {name: amount for name, amount in found.items() if type(amount) is int}
 
 
 def _count(value: object) -> int:
     """How many streams an input takes."""
     if value == "all":
         return ALL
+    value = _whole(value)
     if type(value) is not int or not 1 <= value <= MOST_COUNTED:
         raise _refusal(f"{value} is no number of streams", f"write a whole number from 1 to {MOST_COUNTED}, or all")
     return value
@@ -212,25 +226,30 @@ FileName = Annotated[str, Field(pattern=NAME_PATTERN)]
 """The name of a file stays as it is written; all other names are spelled in one way."""
 Name = Annotated[FileName, AfterValidator(normal)]
 PortName = Annotated[str, Field(pattern=PORT), AfterValidator(normal)]
+StreamName = Annotated[Name, WithJsonSchema({"type": "string", "pattern": rf"^(?=.+/[^/]+$){NAME_PATTERN[1:]}"})]
+"""UNIT/PORT; what has no slash is told in words of its own."""
 TagText = Annotated[
     str, Field(min_length=1, description="a concept in description logic, or the paper's P(a)"), AfterValidator(normal)
 ]
 SelectorText = Annotated[
     str, Field(min_length=1, description="labels joined by and, or and not"), AfterValidator(normal)
 ]
-_NUMBER = {"type": "number", "minimum": 0}
-Cost = Annotated[int, PlainValidator(_cost), WithJsonSchema(_NUMBER), Written(plain_cost)]
-Seconds = Annotated[int, PlainValidator(_seconds), WithJsonSchema(_NUMBER), Written(plain_cost)]
+Whole = Annotated[int, BeforeValidator(_whole)]
+_TIME = {"type": "number", "minimum": 0, "maximum": LARGEST_COST_US / MICROSECONDS}
+_QUALITY = {"type": "number", "minimum": 0, "maximum": LARGEST_QUALITY // MICRO}
+_AMOUNT = {"minimum": 0, "maximum": LARGEST_AMOUNT}
+Cost = Annotated[int, PlainValidator(_cost), WithJsonSchema(_TIME), Written(plain_cost)]
+Seconds = Annotated[int, PlainValidator(_seconds), WithJsonSchema(_TIME), Written(plain_cost)]
 HangTime = Annotated[
     int,
     PlainValidator(_silence),
-    WithJsonSchema({"anyOf": [{"const": 0}, {"type": "number", "minimum": LEAST_HANG_S}]}),
+    WithJsonSchema({"anyOf": [{"const": 0}, {**_TIME, "minimum": LEAST_HANG_S}]}),
     Written(plain_cost),
 ]
 TimeSpan = Annotated[
     int,
     PlainValidator(_span),
-    WithJsonSchema({"anyOf": [{"type": "number", "exclusiveMinimum": 0}, {"type": "string", "pattern": SPAN}]}),
+    WithJsonSchema({"anyOf": [{**_TIME, "exclusiveMinimum": 0}, {"type": "string", "pattern": SPAN}]}),
     Written(plain_cost),
 ]
 Horizon = Annotated[
@@ -240,7 +259,7 @@ Horizon = Annotated[
     WithJsonSchema(
         {
             "anyOf": [
-                {"type": "integer", "minimum": 0, "maximum": LARGEST_AMOUNT},
+                {"type": "integer", **_AMOUNT},
                 {"type": "string", "pattern": SPAN},
             ]
         }
@@ -252,8 +271,13 @@ Rate = Annotated[
     WithJsonSchema({"type": "number", "exclusiveMinimum": 0, "maximum": LARGEST_RATE_HZ}),
     Written(lambda rate_hz: Decimal(repr(rate_hz))),
 ]
-Micro = Annotated[int, PlainValidator(_micro), WithJsonSchema({"type": "number"}), Written(plain_quality)]
-PositiveMicro = Annotated[int, PlainValidator(_positive_micro), WithJsonSchema(_NUMBER), Written(plain_quality)]
+Micro = Annotated[
+    int,
+    PlainValidator(_micro),
+    WithJsonSchema({**_QUALITY, "minimum": -LARGEST_QUALITY // MICRO}),
+    Written(plain_quality),
+]
+PositiveMicro = Annotated[int, PlainValidator(_positive_micro), WithJsonSchema(_QUALITY), Written(plain_quality)]
 Speed = Annotated[
     int,
     PlainValidator(_speed),
@@ -266,8 +290,20 @@ Count = Annotated[
     WithJsonSchema({"anyOf": [{"const": "all"}, {"type": "integer", "minimum": 1, "maximum": MOST_COUNTED}]}),
     Written(lambda count: "all" if count == ALL else count),
 ]
-Amount = Annotated[Decimal | int, PlainValidator(_amount), WithJsonSchema({**_NUMBER, "maximum": LARGEST_AMOUNT})]
-Resources = Annotated[dict[Name, Amount], AfterValidator(_resources)]
+Resources = Annotated[
+    dict[Name, Annotated[Decimal | int, PlainValidator(_amount)]],
+    AfterValidator(_resources),
+    WithJsonSchema(
+        {
+            "type": "object",
+            "patternProperties": {
+                f"^{CPU}$": {"type": "number", **_AMOUNT},
+                f"^(?!{CPU}$){NAME_PATTERN[1:]}": {"type": "integer", **_AMOUNT},
+            },
+        }
+    ),
+]
+Survived = Annotated[Literal[0, 1, "units", "hosts"], BeforeValidator(_whole), BeforeValidator(_no_flag)]
 Params = Annotated[dict[str, Any], PlainValidator(_params), WithJsonSchema({"type": ["object", "null"]})]
 ObjectiveName = Annotated[Literal["rent", "cost", "units", "hosts", "rewired", "started"], AfterValidator(Objective)]
 Objectives = Annotated[list[ObjectiveName], Written(lambda named: [one.value for one in named])]

@@ -29,7 +29,7 @@ TARGET = "targets: [{label: t, topic: /t, tag: T}]\n"
         ),
         ("defaults: {labour: 3}\n", (2, 12), "unknown key `labour`", "did you mean `labor`?"),
         ("horizon: '600'\n", (2, 10), "this must be a whole number, but is the text '600'", "write a plain number"),
-        ("horizon: 600.0\n", (2, 10), "this must be a whole number, but is the number 600.0", None),
+        ("horizon: 600.5\n", (2, 10), "this must be a whole number, but is the number 600.5", None),
         ("horizon: -1\n", (2, 10), "the number -1 is out of range", "at least 0"),
         ("horizon: 1000000000000\n", (2, 10), "out of range", "at most 1000000000"),
         ("horizon: true\n", (2, 10), "this must be a whole number, but is true", None),

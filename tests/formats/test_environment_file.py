@@ -11,6 +11,7 @@ import pytest
 import yaml
 from loading import faults_of, load, load_text
 
+from cfgplan.costs import LARGEST_COST_US, MICROSECONDS
 from cfgplan.domain import (
     ComputationUnit,
     InputPort,
@@ -224,7 +225,7 @@ def test_the_schema_names_every_key_and_bars_others() -> None:
     assert schema["additionalProperties"] is False
     assert schema["properties"]["format"]["const"] == "cfgplan/1"
     labor = schema["$defs"]["TransformationPart"]["properties"]["labor"]
-    assert {"type": "number", "minimum": 0} in labor["anyOf"]
+    assert {"type": "number", "minimum": 0, "maximum": LARGEST_COST_US / MICROSECONDS} in labor["anyOf"]
     ports = schema["$defs"]["TransformationPart"]["properties"]["inputs"]["anyOf"][0]
     assert ports["additionalProperties"] is False
     json.dumps(schema)
