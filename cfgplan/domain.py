@@ -532,6 +532,15 @@ class Environment:
             ),
         )
 
+    def without_unit(self, unit_id: str) -> Environment:
+        """The environment after a unit has died: what it fed has a gap."""
+        left = tuple(
+            replace(unit, subscriptions=tuple(s for s in unit.subscriptions if s.stream.unit != unit_id))
+            for unit in self.units
+            if unit.id != unit_id
+        )
+        return replace(self, units=left)
+
     def change_to(self, units: Iterable[ComputationUnit]) -> ChangeSet:
         """The change set over units whose update makes `units` the computation graph."""
         after = {unit.id: unit for unit in units}

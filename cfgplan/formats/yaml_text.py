@@ -122,7 +122,7 @@ class _YamlReading:
             value = written
         value = normal(str(value))
         if value == "<<" and event.implicit[0]:
-            self._note(event, "merge keys (`<<`) are not supported", "write the merged keys out")
+            self._stop(event, "merge keys (`<<`) are not supported", "write out what is merged, here and further on")
         elif value in mapping:
             self._note(event, f"the key `{value}` stands here twice", "remove one of the two or rename it")
         return value

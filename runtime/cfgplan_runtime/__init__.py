@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from cfgplan_runtime.supervision.observation import Observation as Observation
     from cfgplan_runtime.supervision.simulated_backend import SimulatedBackend as SimulatedBackend
     from cfgplan_runtime.supervision.supervisor import Supervisor as Supervisor
-    from cfgplan_runtime.supervision.wiring import without_unit as without_unit
 
 __all__, _exported, __dir__ = exports(
     __name__,
@@ -41,7 +40,6 @@ __all__, _exported, __dir__ = exports(
         "supervision.applying": "Patience",
         "supervision.events": "Applied InputLost UnitDied",
         "supervision.observation": "Observation",
-        "supervision.wiring": "without_unit",
         "errors": "ApplyError NoSuchTopicError RuntimeFaultError StaleChangeSetError",
         "lifecycle.manager": "Manager",
         "lifecycle.policy": "Policy",

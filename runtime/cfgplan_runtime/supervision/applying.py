@@ -19,7 +19,6 @@ from cfgplan_runtime.supervision.wiring import (
     wanted_feeds,
     wanted_topics,
     without_feed,
-    without_unit,
 )
 
 
@@ -321,7 +320,7 @@ class _Update:
             yield Disconnect(inlet)
         yield from self.stop_units(sorted({*self.started, *failed} - kept))
         for unit in failed:
-            yield Believe(without_unit(actual.environment, unit))
+            yield Believe(actual.environment.without_unit(unit))
         yield from self.close_topics(self.opened)
 
     def stop_units(self, units: Iterable[str]) -> Commands:
@@ -398,7 +397,7 @@ class _Update:
         environment = self.after
         for unit in self.after.units:
             if unit.host in self.actual.lost_hosts if unit.standby else unit.id not in self.actual.alive:
-                environment = without_unit(environment, unit.id)
+                environment = environment.without_unit(unit.id)
         for inlet, stream in self.wanted.items():
             if inlet not in self.actual.feeds:
                 environment = without_feed(environment, inlet, stream)

@@ -52,7 +52,7 @@ from cfgplan_runtime.supervision.events import (
 )
 from cfgplan_runtime.supervision.observation import Observation, UnitRecord
 from cfgplan_runtime.supervision.spares import MEGABYTE, Spares
-from cfgplan_runtime.supervision.wiring import Wire, Wiring, without_feed, without_unit
+from cfgplan_runtime.supervision.wiring import Wire, Wiring, without_feed
 
 HANG_S = 10.0
 """Seconds that a unit may be silent if its transformation does not say. A source without a rate may be for ever."""
@@ -292,7 +292,7 @@ class Supervisor:
             case UnitDied(unit, cause):
                 self.cause_of_death[unit] = cause
                 self._bury(unit)
-                self.environment = without_unit(self.environment, unit)
+                self.environment = self.environment.without_unit(unit)
             case UnitStopped(unit):
                 self._bury(unit)
             case SparePrepared():
@@ -348,7 +348,7 @@ class Supervisor:
             self._bury(unit)
         self.spares.lose_host(host)
         for unit_there in [unit for unit in self.environment.units if unit.host == host]:
-            self.environment = without_unit(self.environment, unit_there.id)
+            self.environment = self.environment.without_unit(unit_there.id)
         for topic in [topic for topic, at in self.topics.items() if at == host]:
             outlet = Inlet("", topic)
             self.wiring.forget_inlet(outlet)

@@ -171,16 +171,6 @@ def _starves(unit: ComputationUnit, environment: Environment, starved: set[str])
     return not fed if transformation.run.start == "any" else not all(port.takes(fed[port.name]) for port in needed)
 
 
-def without_unit(environment: Environment, unit_id: str) -> Environment:
-    """The environment after a unit has died: what it fed has a gap."""
-    left = tuple(
-        replace(unit, subscriptions=tuple(s for s in unit.subscriptions if s.stream.unit != unit_id))
-        for unit in environment.units
-        if unit.id != unit_id
-    )
-    return replace(environment, units=left)
-
-
 def without_feed(environment: Environment, inlet: Inlet, stream: Stream | None = None) -> Environment:
     """The environment with a gap at one inlet, which `stream` has fed; a topic's needs none."""
     left = tuple(_with_gap(unit, inlet, stream) for unit in environment.units)
