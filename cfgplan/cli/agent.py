@@ -32,9 +32,6 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     add_links(parser)
     reach = "where others reach this agent (tcp/127.0.0.1:7447; with certificates tls/0.0.0.0:7447)"
     shared.add_several(parser, "--listen", "ENDPOINT", reach)
-    parser.add_argument(
-        "--through", metavar="ENDPOINT", help="reach all others through this agent alone, in place of --connect"
-    )
     parser.add_argument("--folder", default=".", metavar="DIR", help="what `source: units.py:Class` is relative to (.)")
     shared.add_several(parser, "--preload", "MODULE", "import it before units start")
     limit = "the most CPU seconds per second that units here take together (Linux, in a control group of its own)"
@@ -75,9 +72,6 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan_runtime.fleet.agent import Agent
 
     certificates = None if options.certificates is None else Path(options.certificates)
-    if options.through is not None and (options.connect or options.listen):
-        mend = "leave them out: others reach it through that agent too"
-        raise InputError.of("--through is in place of --connect and --listen", mend=mend)
     listen = options.listen or ["tcp/127.0.0.1:7447" if certificates is None else "tls/0.0.0.0:7447"]
     agent = Agent(
         options.name,
@@ -86,13 +80,11 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         certificates=certificates,
         folder=Path(options.folder),
         preload=options.preload,
-        through=options.through,
         say=screen.note,
         cpu=None if options.cpu is None else _cpu_group(round(options.cpu * 1_000_000), screen),
     )
     safety = "; without certificates on loopback only" if certificates is None else ""
-    way = f"listens on {', '.join(listen)}" if options.through is None else f"is reached through {options.through}"
-    screen.note(f"agent {options.name} {way}{safety}")
+    screen.note(f"agent {options.name} listens on {', '.join(listen)}{safety}")
     agent.run()
     return Exit.OK
 

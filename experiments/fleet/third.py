@@ -27,7 +27,7 @@ WAYS: dict[str, tuple[str, str, dict[str, Any]]] = {
     "all are routers": ("router", "router", {}),
     "all are peers that gossip": ("peer", "peer", GOSSIP),
     "base is a router, the others peers that gossip": ("router", "peer", GOSSIP),
-    "base is a peer, the others clients (--through)": ("peer", "client", {}),
+    "base is a peer, the others clients (as agents do it)": ("peer", "client", {}),
 }
 """The mode of the base and of the others, and what each says of whom it knows."""
 

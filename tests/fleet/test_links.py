@@ -11,7 +11,8 @@ from typing import Any
 
 import pytest
 from cfgplan_runtime.errors import RuntimeFaultError
-from cfgplan_runtime.fleet.links import LEASE_S, Pulse, ReachedAt, config, reach, sign_period_s
+from cfgplan_runtime.fleet.links import LEASE_S, Pulse, config, sign_period_s
+from cfgplan_runtime.fleet.ways import ReachedAt, reach
 from cfgplan_runtime.streams.zenoh_link import Taken, ZenohLink, taken
 from small_fleet import PATIENCE_S, eventually
 

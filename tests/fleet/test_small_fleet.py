@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 from cfgplan_runtime.errors import StaleChangeSetError
-from cfgplan_runtime.fleet.agent import alive_key
 from cfgplan_runtime.fleet.certificates import MANAGER
 from cfgplan_runtime.fleet.links import config
+from cfgplan_runtime.fleet.ways import alive_key
 from cfgplan_runtime.operating.flows import Flows
 from cfgplan_runtime.streams.run_folder import address, base_folder, topics_of
 from cfgplan_runtime.streams.zenoh_link import ZenohLink

@@ -7,12 +7,10 @@ from __future__ import annotations
 
 import hashlib
 import secrets
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from urllib.parse import unquote
 
 import msgspec
 
@@ -20,7 +18,7 @@ from cfgplan.domain import MANAGER
 from cfgplan.errors import InputError
 from cfgplan_runtime.children.messages import Export, Import, Marked, Release, TellMark
 from cfgplan_runtime.fleet.clocks import HostClock
-from cfgplan_runtime.fleet.links import LEASE_S, Config, ReachedAt, config, reach, sign_period_s
+from cfgplan_runtime.fleet.links import LEASE_S, config, sign_period_s
 from cfgplan_runtime.fleet.orders import (
     HEARD,
     REFUSE,
@@ -57,6 +55,7 @@ from cfgplan_runtime.fleet.orders import (
 )
 from cfgplan_runtime.fleet.relay import Relay
 from cfgplan_runtime.fleet.tunnels import TunnelServer
+from cfgplan_runtime.fleet.ways import Way, alive_key
 from cfgplan_runtime.processes.cpu_group import CpuGroup
 from cfgplan_runtime.processes.process_backend import RELAY, ProcessBackend
 from cfgplan_runtime.streams.crossing import crossing_key, host_key
@@ -75,23 +74,11 @@ from cfgplan_runtime.supervision.events import (
 )
 
 USAGE_PERIOD_S = 0.5
-_ANSWER_S = 5.0
-"""Seconds that another agent may take to tell where it listens."""
-
-
-def alive_key(host: str | None) -> str:
-    """The key below which a host's agent, or any (None), is alive, and gives signs of life."""
-    return f"{host_key(host)}/alive"
 
 
 def topics_key(host: str | None) -> str:
     """The key at which an agent, or any (None), tells the topics that are on its host."""
     return f"{host_key(host)}/topics"
-
-
-def reach_key(host: str) -> str:
-    """The key at which an agent tells where it listens, and what it connects to."""
-    return f"{host_key(host)}/reach"
 
 
 def clock_key(host: str) -> str:
@@ -116,10 +103,9 @@ def source_file(source: str, folder: Path) -> Path | None:
 class Agent:
     """One host's part of a fleet, for the thread that made it.
 
-    `folder` is what `units.py:Class` is relative to here, `base` where the folder of its topics is made. It is
-    linked with all others, or reaches them `through` the agent at this endpoint, for which it waits. Raises InputError
-    if it can't listen, or if the fleet has an agent of that name. `cpu` is the group that
-    limits its units' CPU time.
+    `folder` is what `units.py:Class` is relative to here, `base` where the folder of its topics is made. Raises
+    InputError if it can't listen, or if the fleet has an agent of that name. `cpu` is the group that limits its units'
+    CPU time.
     """
 
     def __init__(
@@ -132,7 +118,6 @@ class Agent:
         folder: Path | None = None,
         preload: Sequence[str] = (),
         base: Path | None = None,
-        through: str | None = None,
         say: Callable[[str], None] = lambda _: None,
         cpu: CpuGroup | None = None,
     ) -> None:
@@ -169,18 +154,13 @@ class Agent:
         """Who was obeyed before, and when to tell that manager of it: it would give orders to hosts that are still its.
         """
         self._usage_due_s = 0.0
-        self._reach = reach(listen, connect)
         self._failure: BaseException | None = None
         """What has ended the relay, or forbids that this agent goes on."""
         # What is wrong with it is refused before a process is made.
-        given = (
-            config(listen, connect, certificates)
-            if through is None
-            else config(connect=[through], certificates=certificates, mode="client")
-        )
+        given = config(listen, connect, certificates)
         self._backend = ProcessBackend(folder=folder, preload=preload, base=base, cpu=cpu)
         try:
-            self._link = ZenohLink(given) if through is None else self._awaited(given)
+            self._link = ZenohLink(given)
             try:
                 self._refuse_twin()
                 self._answer()
@@ -190,6 +170,15 @@ class Agent:
                 self._tunnels = TunnelServer(self._link, name, life, self._backend.run_folder.path)
                 self._link.live(f"{alive_key(name)}/{life}")
                 self._link.give_signs(f"{alive_key(name)}/{life}", sign_period_s())
+                self._way = Way(
+                    self._link,
+                    f"{alive_key(name)}/{life}",
+                    listen,
+                    connect,
+                    certificates,
+                    self._note_failure,
+                    self._tell_user,
+                )
             except BaseException:
                 self._link.close()
                 raise
@@ -203,18 +192,11 @@ class Agent:
             while True:
                 self._step()
         finally:
+            self._way.close()
             self._relay.close()
             self._tunnels.close()
             self._link.close()
             self._backend.close()
-
-    def _awaited(self, given: Config) -> ZenohLink:
-        """A link through another agent, as soon as that is there."""
-        while True:
-            try:
-                return ZenohLink(given)
-            except InputError as error:
-                self._tell_user(f"{error.faults[0].message}: waiting")
 
     def _refuse_twin(self) -> None:
         """Raise InputError if the fleet has this host already. One that was killed just now may seem to be there."""
@@ -228,9 +210,7 @@ class Agent:
         offset_ns = self._backend.clock_offset_ns
         self._link.answer(clock_key(self.name), HostClock(lambda: time.monotonic_ns() + offset_ns).told)
         self._link.answer(topics_key(self.name), self._topics_told)
-        self._link.answer(reach_key(self.name), lambda: msgspec.json.encode(self._reach))
         self._link.watch(f"{alive_key(MANAGER)}/*", self._note_manager)
-        self._link.watch(f"{alive_key(None)}/*", self._note_agent)
         for kind in (SAY, HEARD):
             self._link.hear(crossing_key(MANAGER, kind, self.name, "*"), self._take)
 
@@ -239,18 +219,6 @@ class Agent:
         talk = self._talk
         run = "" if talk is None else talk.session.manager
         return msgspec.json.encode(TopicsTold(run, list(self._topics), self._ahead_ns or 0))
-
-    def _note_agent(self, key: str, is_alive: bool) -> None:
-        """Called by threads of the link. Of two that connect to each other, the one of the greater name ends."""
-        other = unquote(key.split("/")[1])
-        if is_alive and other < self.name and other != MANAGER:
-            threading.Thread(target=self._refuse_mutual, args=(other,), daemon=True).start()
-
-    def _refuse_mutual(self, other: str) -> None:
-        for _, answer in self._link.ask(reach_key(other), _ANSWER_S):
-            if self._reach.is_mutual(msgspec.json.decode(answer, type=ReachedAt)):
-                mend = f"leave out --connect to {other} here, or the one to {self.name} there"
-                self._note_failure(InputError.of(f"{self.name} and {other} connect to each other", mend=mend))
 
     def _note_manager(self, key: str, is_alive: bool) -> None:
         """Called by threads of the link, as `_take` is."""
@@ -262,7 +230,7 @@ class Agent:
         self._backend.wake()
 
     def _note_failure(self, error: BaseException) -> None:
-        """Called by threads of the relay's and the link's."""
+        """Called by the relay's thread, and by those of the way and the link."""
         self._failure = error
         self._backend.wake()
 

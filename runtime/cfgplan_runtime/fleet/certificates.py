@@ -135,6 +135,11 @@ def access_control(folder: Path) -> dict[str, Any]:
     }
 
 
+def passing_on(folder: Path) -> tuple[str, ...]:
+    """The hosts that may pass on what others write, as a host's folder has them. Raises InputError."""
+    return _access(folder).passing_on
+
+
 def _rule(name: str, flow: str, messages: list[str], keys: list[str]) -> dict[str, Any]:
     return {"id": name, "permission": "allow", "flows": [flow], "messages": messages, "key_exprs": keys}
 

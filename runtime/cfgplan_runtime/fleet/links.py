@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import socket
-from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
 from dataclasses import dataclass
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Any, Literal
-
-import msgspec
 
 from cfgplan.errors import InputError
 from cfgplan_runtime.fleet.certificates import access_control, tls
@@ -35,7 +31,7 @@ _SEND_BUFFER = 1 << 18
 """Bytes that wait in a link's socket, where nothing overtakes them: 26 ms at 80 Mbit/s. With half of it, 3 of 8 streams
 of images at 147 Mbit/s fell behind on a busy computer.
 """
-_PRIVATE = "unixsock-stream"
+PRIVATE = "unixsock-stream"
 """The protocol of links within one computer: a socket in a folder that only its user can enter."""
 
 Config = dict[str, Any]
@@ -72,7 +68,7 @@ def config(
     }
     if certificates is not None:
         link |= {"protocols": ["tls"], "tls": tls(certificates) | socket_options}
-    is_private = all(endpoint.startswith(f"{_PRIVATE}/") for endpoint in (*listen, *connect))
+    is_private = all(endpoint.startswith(f"{PRIVATE}/") for endpoint in (*listen, *connect))
     return {
         "mode": mode,
         "listen": {"endpoints": list(listen)},
@@ -120,47 +116,17 @@ class Pulse:
         return now_s - self.last_s >= LEASE_S
 
 
-class ReachedAt(msgspec.Struct, frozen=True):
-    """Where an agent listens and what it connects to, each as an address and port, or as the path of a socket."""
-
-    listens: frozenset[str]
-    connects: frozenset[str]
-
-    def is_mutual(self, other: ReachedAt) -> bool:
-        """Whether each of two agents connects to the other. Zenoh may then mix up the names of their streams."""
-        return bool(self.connects & other.listens and other.connects & self.listens)
-
-
-def reach(listen: Sequence[str], connect: Sequence[str]) -> ReachedAt:
-    """What these endpoints are. One that stands for all addresses of this computer is each but those of loopback."""
-    return ReachedAt(*(frozenset(place for one in ends for place in _places(one)) for ends in (listen, connect)))
-
-
-def _places(endpoint: str) -> Iterator[str]:
-    protocol, _, address = endpoint.partition("/")
-    host, port = _host_and_port(address)
-    if protocol == _PRIVATE:
-        yield address
-    elif host in ("0.0.0.0", "::"):
-        import psutil
-
-        for card in psutil.net_if_addrs().values():
-            yield from (f"{one.address} {port}" for one in card if not one.address.startswith(("127.", "::1")))
-    else:
-        with suppress(OSError):  # a name that nobody knows yet
-            yield from {f"{found[4][0]} {port}" for found in socket.getaddrinfo(host, None)}
-
-
-def _host_and_port(address: str) -> tuple[str, str]:
+def host_and_port(address: str) -> tuple[str, str]:
+    """The parts of an address such as 192.168.1.5:7447."""
     host, _, port = address.rpartition(":")
     return host.strip("[]"), port
 
 
 def _refuse_strangers(endpoint: str) -> None:
     protocol, _, address = endpoint.partition("/")
-    if protocol == _PRIVATE:
+    if protocol == PRIVATE:
         return
-    host, _ = _host_and_port(address)
+    host, _ = host_and_port(address)
     try:
         is_loopback = host == "localhost" or ip_address(host).is_loopback
     except ValueError:

@@ -17,7 +17,7 @@ import msgspec
 
 from cfgplan.domain import MANAGER
 from cfgplan.errors import InputError
-from cfgplan_runtime.fleet.agent import alive_key, clock_key
+from cfgplan_runtime.fleet.agent import clock_key
 from cfgplan_runtime.fleet.clocks import CALLS, CALLS_AGAIN, CLOCK_S, HostClock, Reading, corrected, has_moved
 from cfgplan_runtime.fleet.links import MISSED_SIGNS, Pulse, sign_period_s
 from cfgplan_runtime.fleet.orders import (
@@ -35,6 +35,7 @@ from cfgplan_runtime.fleet.orders import (
     Welcome,
     read_session,
 )
+from cfgplan_runtime.fleet.ways import alive_key, reach_key
 from cfgplan_runtime.streams.crossing import crossing_key
 from cfgplan_runtime.streams.run_folder import is_alive
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
@@ -147,6 +148,7 @@ class Presence:
             link.hear(crossing_key(None, kind, MANAGER, "*"), lambda *came: self._inbox.put(came))
         link.watch(f"{alive_key(None)}/*", lambda *came: self._inbox.put(came))
         link.hear(f"{alive_key(None)}/*", lambda key, *_: self._inbox.put((key, time.monotonic())))
+        link.answer(reach_key(MANAGER), lambda: b"{}")
         link.live(f"{alive_key(MANAGER)}/{run}")
 
     @property

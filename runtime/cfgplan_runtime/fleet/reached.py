@@ -15,11 +15,12 @@ import msgspec
 
 from cfgplan.domain import MANAGER
 from cfgplan_runtime.errors import NoSuchRunError, NoSuchTopicError
-from cfgplan_runtime.fleet.agent import alive_key, clock_key, topics_key
+from cfgplan_runtime.fleet.agent import clock_key, topics_key
 from cfgplan_runtime.fleet.clocks import CALLS, CALLS_AGAIN, CLOCK_S, HostClock, corrected
 from cfgplan_runtime.fleet.links import config
 from cfgplan_runtime.fleet.orders import TopicsTold
 from cfgplan_runtime.fleet.tunnels import CONTROL, TunnelClient
+from cfgplan_runtime.fleet.ways import alive_key
 from cfgplan_runtime.streams.subscription import SubscriptionToTopic
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 

@@ -19,6 +19,7 @@ from contextlib import suppress
 from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
+from weakref import WeakSet
 
 from cfgplan.errors import InputError
 from cfgplan.extras import needed
@@ -39,10 +40,22 @@ _LOOKS = 4
 """It is looked after connections so often in a lease. A process that was stalled has looked once meanwhile."""
 _LINK_CLOSE_S = 2.0
 """Zenoh may wait long for a peer that is gone when a session is closed."""
+_OVERLAP_S = 0.5
+"""Seconds until a session that has just been opened knows who hears it, and until what was put before has left."""
+
+
+class _Declared:
+    """What is declared in the session that is used."""
+
+    def __init__(self, declare: Callable[[zenoh.Session], Any], session: zenoh.Session) -> None:
+        self.declare, self.here = declare, declare(session)
 
 
 class ZenohLink:
-    """One session. Callbacks come from threads of Zenoh's. Raises InputError without Zenoh, or if it can't listen."""
+    """A session of its own, and at times a second one, through another computer, that is used in its place.
+
+    Callbacks come from threads of Zenoh's. Raises InputError without Zenoh, or if it can't listen.
+    """
 
     def __init__(self, config: Mapping[str, Any]) -> None:
         needed("several computers", "zenoh")
@@ -55,23 +68,74 @@ class ZenohLink:
             "small": priority.DATA_HIGH,
             "large": priority.DATA_LOW,
         }
-        try:
-            self._session = zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
-        except zenoh.ZError as error:
-            listen, connect = (", ".join(config[way]["endpoints"]) for way in ("listen", "connect"))
-            if listen:
-                raise InputError.of(f"can't listen on {listen}: {_first_line(error)}") from None
-            mend = "see that one listens there, and that both have certificates of one authority, or none"
-            raise InputError.of(f"no agent can be reached at {connect}", mend=mend) from None
+        self._ports: frozenset[int] = frozenset()
+        self._direct = self._session = self._opened(config)
+        self._changing = threading.Lock()
+        self._declared: WeakSet[_Declared] = WeakSet()
+        self._kept: list[_Declared] = []
+        """What stays declared until the link is closed; a publisher does until nobody has it any more."""
         self._is_closed = threading.Event()
-        self._tokens: list[zenoh.LivelinessToken] = []
-        ports = _ports([*config["listen"]["endpoints"], *config["connect"]["endpoints"]])
-        if ports and _GIVE_UP is not None:
+        if _GIVE_UP is not None:
             lease_ms = config["transport"]["link"]["tx"]["lease"]
-            threading.Thread(target=self._keep_sound, args=(ports, lease_ms, _GIVE_UP), daemon=True).start()
+            threading.Thread(target=self._keep_sound, args=(lease_ms, _GIVE_UP), daemon=True).start()
 
-    def _keep_sound(self, ports: frozenset[int], lease_ms: int, option: int) -> None:
-        """Have the connections to or from these ports given up of which nobody takes the data for a lease.
+    def _opened(self, config: Mapping[str, Any]) -> zenoh.Session:
+        listen, connect = (config[way]["endpoints"] for way in ("listen", "connect"))
+        self._ports |= _ports([*listen, *connect])
+        try:
+            return self._zenoh.open(self._zenoh.Config.from_json5(json.dumps(config)))
+        except self._zenoh.ZError as error:
+            if listen:
+                raise InputError.of(f"can't listen on {', '.join(listen)}: {_first_line(error)}") from None
+            mend = "see that one listens there, and that both have certificates of one authority, or none"
+            raise InputError.of(f"no agent can be reached at {', '.join(connect)}", mend=mend) from None
+
+    @property
+    def id(self) -> str:
+        """What Zenoh calls the session of its own."""
+        return str(self._direct.info.zid())
+
+    @property
+    def linked(self) -> frozenset[str]:
+        """What Zenoh calls the sessions that its own is linked with."""
+        return frozenset(map(str, self._direct.info.peers_zid()))
+
+    def go_through(self, config: Mapping[str, Any]) -> None:
+        """Use a session of this configuration from now on. Raises InputError if it can't be opened."""
+        self._use(self._opened(config))
+
+    def go_directly(self) -> None:
+        """Undo `go_through`."""
+        through = self._session
+        self._use(self._direct)
+        _close(through)
+
+    def _use(self, session: zenoh.Session) -> None:
+        """Declare everything in another session, then put there, and only then undeclare it in the one before."""
+        with self._changing:
+            if self._is_closed.is_set():
+                _close(session)
+                return
+            self._session = session
+            moved = [(one, one.here, one.declare(session)) for one in self._declared]
+        self._is_closed.wait(_OVERLAP_S)
+        for one, _, there in moved:
+            one.here = there
+        self._is_closed.wait(_OVERLAP_S)
+        for _, before, _ in moved:
+            with suppress(self._zenoh.ZError):  # its session was closed meanwhile
+                before.undeclare()
+
+    def _declare(self, declare: Callable[[zenoh.Session], Any], *, is_kept: bool = True) -> _Declared:
+        with self._changing:
+            declared = _Declared(declare, self._session)
+            self._declared.add(declared)
+            if is_kept:
+                self._kept.append(declared)
+        return declared
+
+    def _keep_sound(self, lease_ms: int, option: int) -> None:
+        """Have the connections given up of which nobody takes the data for a lease.
 
         At the other end it is the kernel that gives up: Zenoh closes a link only after what it has put into its socket.
         Of one that is silently cut, TLS would never be closed, and so nobody be told, and TCP would stop all other
@@ -84,7 +148,7 @@ class ZenohLink:
         known: dict[tuple[object, object], Taken] = {}
         while not self._is_closed.wait(lease_ms / 1000 / _LOOKS):
             before, known = known, {}
-            for connection in _connections(ports):
+            for connection in _connections(self._ports):
                 with suppress(OSError):
                     connection.setsockopt(socket.IPPROTO_TCP, option, lease_ms)
                     ends = connection.getsockname(), connection.getpeername()
@@ -99,18 +163,24 @@ class ZenohLink:
             head = b"" if sample.attachment is None else sample.attachment.to_bytes()
             take(str(sample.key_expr), head, sample.payload.to_bytes())
 
-        self._session.declare_subscriber(keys, tell)
+        self._declare(lambda session: session.declare_subscriber(keys, tell))
 
     def watch(self, keys: str, tell: Callable[[str, bool], None]) -> None:
         """Have told which keys are, or become, alive (True) and which cease to be (False)."""
         put = self._zenoh.SampleKind.PUT
-        self._session.liveliness().declare_subscriber(
-            keys, lambda sample: tell(str(sample.key_expr), sample.kind == put), history=True
-        )
+
+        def declare(session: zenoh.Session) -> object:
+            def tell_used(sample: zenoh.Sample) -> None:
+                if session is self._session:
+                    tell(str(sample.key_expr), sample.kind == put)
+
+            return session.liveliness().declare_subscriber(keys, tell_used, history=True)
+
+        self._declare(declare)
 
     def live(self, key: str) -> None:
         """Be alive under a key until the link is closed or cut."""
-        self._tokens.append(self._session.liveliness().declare_token(key))
+        self._declare(lambda session: session.liveliness().declare_token(key))
 
     def give_signs(self, key: str, period_s: float) -> None:
         """Put a sign of life at a key again and again, until the link is closed."""
@@ -123,13 +193,17 @@ class ZenohLink:
 
         threading.Thread(target=run, daemon=True).start()
 
-    def alive(self, keys: str) -> list[str]:
-        """The keys that are alive now."""
-        return [str(reply.ok.key_expr) for reply in self._session.liveliness().get(keys) if reply.ok is not None]
+    def alive(self, keys: str, *, directly: bool = False) -> frozenset[str]:
+        """The keys that are alive now; `directly`, as the session of its own knows them."""
+        try:
+            replies = (self._direct if directly else self._session).liveliness().get(keys)
+        except self._zenoh.ZError:  # it was closed
+            return frozenset()
+        return frozenset(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
 
     def answer(self, key: str, give: Callable[[], bytes]) -> None:
         """Answer whoever asks at a key."""
-        self._session.declare_queryable(key, lambda query: query.reply(key, give()))
+        self._declare(lambda session: session.declare_queryable(key, lambda query: query.reply(key, give())))
 
     def ask(self, keys: str, timeout_s: float) -> Iterator[tuple[str, bytes]]:
         """What is answered at keys, until all have answered, the time is over, or the link is closed."""
@@ -143,28 +217,39 @@ class ZenohLink:
 
     def publisher(self, key: str, lane: Lane) -> Callable[[bytes, bytes], None]:
         """A function that puts a head and a payload at a key. It may wait for 1 ms, with a large payload for 50 ms."""
-        publisher = self._session.declare_publisher(
-            key,
-            congestion_control=self._zenoh.CongestionControl.DROP,
-            priority=self._priorities[lane],
-            express=True,
-            reliability=self._zenoh.Reliability.RELIABLE,
-        )
+
+        def declare(session: zenoh.Session) -> zenoh.Publisher:
+            return session.declare_publisher(
+                key,
+                congestion_control=self._zenoh.CongestionControl.DROP,
+                priority=self._priorities[lane],
+                express=True,
+                reliability=self._zenoh.Reliability.RELIABLE,
+            )
+
+        publisher = self._declare(declare, is_kept=False)
 
         def put(head: bytes, payload: bytes) -> None:
             try:
-                publisher.put(payload, attachment=head)
+                publisher.here.put(payload, attachment=head)
             except self._zenoh.ZError as error:
                 raise RuntimeFaultError(f"{key}: {_first_line(error)}") from None
 
         return put
 
     def close(self) -> None:
-        """Close the session; it is left to itself if it does not close in time."""
-        self._is_closed.set()
-        thread = threading.Thread(target=self._session.close, daemon=True)
-        thread.start()
-        thread.join(_LINK_CLOSE_S)
+        """Close all sessions."""
+        with self._changing:
+            self._is_closed.set()
+        for session in {self._session, self._direct}:
+            _close(session)
+
+
+def _close(session: zenoh.Session) -> None:
+    """Close a session; it is left to itself if it does not close in time."""
+    thread = threading.Thread(target=session.close, daemon=True)
+    thread.start()
+    thread.join(_LINK_CLOSE_S)
 
 
 class Taken(NamedTuple):

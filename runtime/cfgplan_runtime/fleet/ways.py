@@ -1,0 +1,203 @@
+"""How an agent reaches the others: linked with them, or through one of them that hears more than it does."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from ipaddress import ip_address
+from pathlib import Path
+from urllib.parse import unquote
+
+import msgspec
+
+from cfgplan.domain import MANAGER
+from cfgplan.errors import InputError
+from cfgplan_runtime.fleet.certificates import passing_on
+from cfgplan_runtime.fleet.links import LEASE_S, PRIVATE, config, host_and_port
+from cfgplan_runtime.streams.crossing import host_key
+from cfgplan_runtime.streams.zenoh_link import ZenohLink
+
+_LOOK_S = LEASE_S / 2
+_ANSWER_S = 1.0
+"""Seconds that another agent may take to tell how it is reached."""
+
+
+def alive_key(host: str | None) -> str:
+    """The key below which a host's agent, or any (None), is alive, and gives signs of life."""
+    return f"{host_key(host)}/alive"
+
+
+def reach_key(host: str | None) -> str:
+    """The key at which an agent, or any (None), tells how it is reached; a manager only answers."""
+    return f"{host_key(host)}/reach"
+
+
+class ReachedAt(msgspec.Struct, frozen=True):
+    """Where an agent listens and what it connects to, each as an address and port, or as the path of a socket."""
+
+    listens: frozenset[str] = frozenset()
+    connects: frozenset[str] = frozenset()
+    hears: frozenset[str] = frozenset()
+    """The keys of agents and managers that are alive."""
+    id: str = ""
+    """What Zenoh calls its session, with which others are linked."""
+    is_through: bool = False
+    """Whether it reaches others through another."""
+
+    def is_mutual(self, other: ReachedAt) -> bool:
+        """Whether each of two agents connects to the other. Zenoh may then mix up the names of their streams."""
+        return bool(self.connects & other.listens and other.connects & self.listens)
+
+
+def reach(listen: Sequence[str], connect: Sequence[str]) -> ReachedAt:
+    """What these endpoints are. One that stands for all addresses of this computer is each but those of loopback."""
+    listens, connects = (frozenset(place for one in ends for place in _places(one)) for ends in (listen, connect))
+    return ReachedAt(listens, connects)
+
+
+def _places(endpoint: str) -> Iterator[str]:
+    protocol, _, address = endpoint.partition("/")
+    host, port = host_and_port(address)
+    if protocol == PRIVATE:
+        yield address
+    elif host in ("0.0.0.0", "::"):
+        import psutil
+
+        for card in psutil.net_if_addrs().values():
+            yield from (f"{one.address} {port}" for one in card if not one.address.startswith(("127.", "::1")))
+    else:
+        with suppress(OSError):  # a name that nobody knows yet
+            yield from {f"{found[4][0]} {port}" for found in socket.getaddrinfo(host, None)}
+
+
+def _endpoint(place: str, protocol: str) -> str | None:
+    """The endpoint of a place where an agent listens; None if it is none that others can name."""
+    host, _, port = place.rpartition(" ")
+    if not host:
+        return f"{PRIVATE}/{place}"
+    with suppress(ValueError):
+        address = ip_address(host)
+        if not address.is_link_local:
+            return f"{protocol}/{f'[{host}]' if address.version == 6 else host}:{port}"
+    return None
+
+
+class Way:
+    """The way of a host's agent to the others, which a thread looks after until `close`.
+
+    Each look asks one of the agents that are heard whom it hears. If that is somebody more for a lease, and all that
+    are heard here, the link goes through it, until it is linked with all again. Of two hosts that miss each other, the
+    one of the greater name does so first, and so the other has no need to. `failed` gets the error if this agent and
+    another connect to each other, and `say` what is to be told to the user.
+    """
+
+    def __init__(
+        self,
+        link: ZenohLink,
+        key: str,
+        listen: Sequence[str],
+        connect: Sequence[str],
+        certificates: Path | None,
+        failed: Callable[[InputError], None],
+        say: Callable[[str], None],
+    ) -> None:
+        self._link, self._key, self._host = link, key, _host_of(key)
+        self._connect, self._certificates = connect, certificates
+        self._failed, self._say = failed, say
+        self._reach = reach(listen, connect)
+        self._heard: set[str] = set()
+        """The keys that are alive."""
+        self._through: str | None = None
+        self._turn = 0
+        """Whose turn it is to be asked."""
+        self._missed_s: dict[str, float] = {}
+        """Since when the one whose turn it is hears somebody who is not heard here."""
+        self._linked_looks = 0
+        self._refused: set[str] = set()
+        self._is_closed = threading.Event()
+        link.answer(reach_key(self._host), lambda: msgspec.json.encode(self._told()))
+        link.watch(f"{alive_key(None)}/*", self._note)
+        threading.Thread(target=self._run, daemon=True).start()
+
+    def close(self) -> None:
+        """End the thread, soon."""
+        self._is_closed.set()
+
+    def _told(self) -> ReachedAt:
+        return msgspec.structs.replace(
+            self._reach, hears=frozenset(self._heard), id=self._link.id, is_through=self._through is not None
+        )
+
+    def _note(self, key: str, is_alive: bool) -> None:
+        """Called by threads of the link."""
+        (self._heard.add if is_alive else self._heard.discard)(key)
+
+    def _asked(self, key: str) -> ReachedAt | None:
+        """How another is reached; None if it does not answer."""
+        answers = list(self._link.ask(reach_key(_host_of(key)), _ANSWER_S))
+        return msgspec.json.decode(answers[0][1], type=ReachedAt) if answers else None
+
+    def _run(self) -> None:
+        while not self._is_closed.wait(_LOOK_S):
+            others = {key for key in self._heard.copy() if _host_of(key) != self._host}
+            if self._through is not None:
+                self._look_back(others)
+            elif hosts := sorted(key for key in others if _host_of(key) != MANAGER):
+                self._look(hosts[self._turn % len(hosts)], others)
+
+    def _look(self, asked: str, others: set[str]) -> None:
+        """Ask one whom it hears. Of two that connect to each other, the one of the greater name ends."""
+        told, name = self._asked(asked), _host_of(asked)
+        if told is not None and self._reach.is_mutual(told) and name < self._host:
+            mend = f"leave out --connect to {name} here, or the one to {self._host} there"
+            self._failed(InputError.of(f"{self._host} and {name} connect to each other", mend=mend))
+        now_s = time.monotonic()
+        missed = set() if told is None else {key for key in told.hears - others if _host_of(key) != self._host}
+        self._missed_s = {key: self._missed_s.get(key, now_s) for key in missed}
+        late = sorted(key for key, since_s in self._missed_s.items() if now_s - since_s >= self._patience_s(key))
+        if late or not missed:
+            self._turn += 1  # the next one's
+            self._missed_s.clear()
+        hears_enough = told is not None and not told.is_through and others <= told.hears | {asked}
+        if told is not None and hears_enough and any(self._asked(key) is None for key in late):
+            self._go_through(asked, told, ", ".join(map(_host_of, late)))
+
+    def _patience_s(self, missed: str) -> float:
+        is_first = _host_of(missed) == MANAGER or _host_of(missed) < self._host
+        return LEASE_S if is_first else 2 * LEASE_S
+
+    def _go_through(self, key: str, told: ReachedAt, missed: str) -> None:
+        name, protocol = _host_of(key), "tcp"
+        if self._certificates is not None:
+            protocol = "tls"
+            if name not in passing_on(self._certificates):
+                if name not in self._refused:
+                    self._say(f"{missed}: is heard by {name}, which may not pass on: see certificates --passes-on")
+                self._refused.add(name)
+                return
+        named = [one for one in self._connect if not told.listens.isdisjoint(_places(one))]
+        found = (_endpoint(place, protocol) for place in sorted(told.listens - self._reach.listens))
+        endpoints = list(dict.fromkeys([*named, *(one for one in found if one is not None)]))
+        with suppress(InputError):  # it can't be reached from here
+            self._link.go_through(config(connect=endpoints, certificates=self._certificates, mode="client"))
+            self._through, self._linked_looks = key, 0
+            self._say(f"{missed}: can't be reached but through {name}, so all others are")
+
+    def _look_back(self, others: set[str]) -> None:
+        """Go directly if a lease long all are linked that are heard, or the one between is not heard."""
+        told = [msgspec.json.decode(one, type=ReachedAt) for _, one in self._link.ask(reach_key(None), _ANSWER_S)]
+        is_heard = others <= self._link.alive(f"{alive_key(None)}/*", directly=True)
+        is_linked = is_heard and self._link.linked >= {one.id for one in told} - {self._link.id, ""}
+        self._linked_looks = self._linked_looks + 1 if is_linked or self._through not in others else 0
+        if self._linked_looks * _LOOK_S > LEASE_S:
+            self._link.go_directly()
+            self._through = None
+            self._say("others are reached directly again")
+
+
+def _host_of(key: str) -> str:
+    """The host whose agent, or the manager who, is alive under a key."""
+    return unquote(key.split("/")[1])
