@@ -56,7 +56,7 @@ class Hosts:
 @pytest.fixture
 def stack(monkeypatch: pytest.MonkeyPatch) -> Iterator[ExitStack]:
     monkeypatch.setattr(ways, "LEASE_S", 0.4)
-    monkeypatch.setattr(ways, "_LOOK_S", 0.1)
+    monkeypatch.setattr(ways, "_WAY_LOOK_S", 0.1)
     with ExitStack() as made:
         yield made
 

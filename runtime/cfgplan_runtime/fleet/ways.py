@@ -20,8 +20,8 @@ from cfgplan_runtime.fleet.links import LEASE_S, PRIVATE, config, host_and_port
 from cfgplan_runtime.streams.crossing import host_key
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 
-_LOOK_S = LEASE_S / 2
-_ANSWER_S = 1.0
+_WAY_LOOK_S = LEASE_S / 2
+_REACH_ANSWER_S = 1.0
 """Seconds that another agent may take to tell how it is reached."""
 
 
@@ -137,11 +137,11 @@ class Way:
 
     def _asked(self, key: str) -> ReachedAt | None:
         """How another is reached; None if it does not answer."""
-        answers = list(self._link.ask(reach_key(_host_of(key)), _ANSWER_S))
+        answers = list(self._link.ask(reach_key(_host_of(key)), _REACH_ANSWER_S))
         return msgspec.json.decode(answers[0][1], type=ReachedAt) if answers else None
 
     def _run(self) -> None:
-        while not self._is_closed.wait(_LOOK_S):
+        while not self._is_closed.wait(_WAY_LOOK_S):
             others = {key for key in self._heard.copy() if _host_of(key) != self._host}
             if self._through is not None:
                 self._look_back(others)
@@ -188,11 +188,11 @@ class Way:
 
     def _look_back(self, others: set[str]) -> None:
         """Go directly if a lease long all are linked that are heard, or the one between is not heard."""
-        told = [msgspec.json.decode(one, type=ReachedAt) for _, one in self._link.ask(reach_key(None), _ANSWER_S)]
+        told = [msgspec.json.decode(one, type=ReachedAt) for _, one in self._link.ask(reach_key(None), _REACH_ANSWER_S)]
         is_heard = others <= self._link.alive(f"{alive_key(None)}/*", directly=True)
         is_linked = is_heard and self._link.linked >= {one.id for one in told} - {self._link.id, ""}
         self._linked_looks = self._linked_looks + 1 if is_linked or self._through not in others else 0
-        if self._linked_looks * _LOOK_S > LEASE_S:
+        if self._linked_looks * _WAY_LOOK_S > LEASE_S:
             self._link.go_directly()
             self._through = None
             self._say("others are reached directly again")
