@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import resource
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import pytest
 from cfgplan_runtime.lifecycle.perturbations import HorizonReached, Perturbation
@@ -76,12 +76,12 @@ def test_a_reviews_line_says_what_perturbed_what_was_decided_and_what_it_cost(li
 
 def test_every_event_and_every_field_is_described(lines: list[dict[str, Any]]) -> None:
     text = DESCRIPTION.read_text()
-    names = {kind.__name__ for union in (Report, Event, Perturbation) for kind in get_args(union)}
+    names = {kind.__name__ for union in (Report, Event, Perturbation) for kind in union.__subclasses__()}
     signs = {*SIGNS, HelperAlive}
     names -= {Observed.__name__, UnitEvent.__name__, *(kind.__name__ for kind in signs)}
     names |= {field for line in lines for field in line}
-    told = set(get_args(Event) + get_args(Perturbation)) - signs
-    names |= {field for kind in told for field in kind.__dataclass_fields__}
+    told = {*Event.__subclasses__(), *Perturbation.__subclasses__()} - signs
+    names |= {field for kind in told for field in kind.__struct_fields__}
     assert [name for name in sorted(names) if f"`{name}`" not in text] == []
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Generic, NamedTuple, TypeAlias, TypeVar, get_args
+from typing import Generic, NamedTuple, TypeAlias, TypeVar
 
 import msgspec
 
@@ -242,7 +242,7 @@ class TopicsTold(msgspec.Struct):
 
 FromAgent: TypeAlias = Welcome | EventTold | UsageTold | ImportUnused
 
-_EVENTS = {kind.__name__: kind for kind in get_args(events.Event)}
+_EVENTS = {kind.__name__: kind for kind in events.Event.__subclasses__()}
 
 
 def told(event: events.Event) -> EventTold:

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Literal, TypeAlias
+from dataclasses import dataclass
+from typing import Literal
+
+import msgspec
 
 
-@dataclass(frozen=True, slots=True)
-class Started:
+class Perturbation(msgspec.Struct, frozen=True):
+    """What ends a stable interval; each kind is a class of its own."""
+
+
+class Started(Perturbation, frozen=True):
     """The manager has begun its work: nothing runs yet, or what it was handed over."""
 
 
-@dataclass(frozen=True, slots=True)
-class UnitGone:
+class UnitGone(Perturbation, frozen=True):
     """A unit has ended unasked: it `died`, `hung` or grew `too large` and was killed, or was `killed` on request."""
 
     unit: str
@@ -21,8 +25,7 @@ class UnitGone:
     cause: str
 
 
-@dataclass(frozen=True, slots=True)
-class UnitKeepsFailing:
+class UnitKeepsFailing(Perturbation, frozen=True):
     """A unit's code has failed in so many steps in a row that the unit is given up."""
 
     unit: str
@@ -31,16 +34,14 @@ class UnitKeepsFailing:
     text: str
 
 
-@dataclass(frozen=True, slots=True)
-class SubscriptionLost:
+class SubscriptionLost(Perturbation, frozen=True):
     """A living unit's input, or a topic (`unit` is None), has lost its source."""
 
     unit: str | None
     port: str
 
 
-@dataclass(frozen=True, slots=True)
-class TargetSilent:
+class TargetSilent(Perturbation, frozen=True):
     """Nothing has come on a target's topic for longer than the target may be silent; `units` are the cause."""
 
     target: str
@@ -74,38 +75,33 @@ class Difference:
         return any(getattr(self, name) for name in self.__dataclass_fields__)
 
 
-@dataclass(frozen=True, slots=True)
-class WorldChanged:
+class WorldChanged(Perturbation, frozen=True):
     """Transformations, targets, individuals or settings have come, gone or changed; `by` is a file or who asked."""
 
     by: str
     difference: Difference
 
 
-@dataclass(frozen=True, slots=True)
-class HostGone:
+class HostGone(Perturbation, frozen=True):
     """A host can't be reached any more, or is to be done without: nothing can run there."""
 
     host: str
     cause: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class HostBack:
+class HostBack(Perturbation, frozen=True):
     """A host is there, or is to be used again."""
 
     host: str
 
 
-@dataclass(frozen=True, slots=True)
-class HorizonReached:
+class HorizonReached(Perturbation, frozen=True):
     """The time that the last update was planned for is over."""
 
     horizon_s: int
 
 
-@dataclass(frozen=True, slots=True)
-class UpdateFailed:
+class UpdateFailed(Perturbation, frozen=True):
     """An update was undone or refused; `transformations` are those that could not be started.
 
     `is_fault`: the middleware has raised an exception that it may not raise, and nobody knows what it has done.
@@ -117,39 +113,19 @@ class UpdateFailed:
     is_fault: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class MayStartAgain:
+class MayStartAgain(Perturbation, frozen=True):
     """The back-off of transformations that kept failing is over."""
 
     transformations: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class ReviewRequested:
+class ReviewRequested(Perturbation, frozen=True):
     """Somebody wants a review that optimises, as at the horizon."""
 
-    by: str = field(default="request")
+    by: str = "request"
 
 
-@dataclass(frozen=True, slots=True)
-class PlanGiven:
+class PlanGiven(Perturbation, frozen=True):
     """Somebody has given a plan to carry out as it is."""
 
     by: str
-
-
-Perturbation: TypeAlias = (
-    Started
-    | UnitGone
-    | UnitKeepsFailing
-    | SubscriptionLost
-    | TargetSilent
-    | WorldChanged
-    | HostGone
-    | HostBack
-    | HorizonReached
-    | UpdateFailed
-    | MayStartAgain
-    | ReviewRequested
-    | PlanGiven
-)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TypeAlias
+
+import msgspec
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Stream
 from cfgplan.errors import Fault
@@ -147,63 +148,56 @@ class Snapshot:
     """By host that is there: how far its clock is ahead of the manager's, in microseconds."""
 
 
-@dataclass(frozen=True, slots=True)
-class Perturbed:
+class Report(msgspec.Struct, frozen=True):
+    """What a manager tells; each kind is a class of its own."""
+
+
+class Perturbed(Report, frozen=True):
     """A perturbation was noticed."""
 
     perturbation: Perturbation
 
 
-@dataclass(frozen=True, slots=True)
-class ReviewBegan:
+class ReviewBegan(Report, frozen=True):
     """A review interval begins."""
 
     number: int
     perturbations: tuple[Perturbation, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Reviewed:
+class Reviewed(Report, frozen=True):
     """A review interval is over."""
 
     review: Review
 
 
-@dataclass(frozen=True, slots=True)
-class UnitEvent:
+class UnitEvent(Report, frozen=True):
     """Something happened to a unit, on its host if it has one; all but signs of life."""
 
     event: Event
     host: str | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Observed:
+class Observed(Report, frozen=True):
     """Units were observed and the estimator told."""
 
     observations: tuple[Observation, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class BackedOff:
+class BackedOff(Report, frozen=True):
     """A transformation has failed again and is not started for some time."""
 
     backing_off: BackingOff
 
 
-@dataclass(frozen=True, slots=True)
-class WorldRefused:
+class WorldRefused(Report, frozen=True):
     """The world's file can't be used as it is now, and the old world holds; without faults, it can again."""
 
     by: str
     faults: tuple[Fault, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Ended:
+class Ended(Report, frozen=True):
     """The manager has ended, by request or by `cause`."""
 
     cause: str = ""
-
-
-Report: TypeAlias = Perturbed | ReviewBegan | Reviewed | UnitEvent | Observed | BackedOff | WorldRefused | Ended

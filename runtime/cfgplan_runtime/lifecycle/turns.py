@@ -7,6 +7,8 @@ from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
+import msgspec
+
 from cfgplan.api import World
 from cfgplan.domain import ChangeSet, Environment
 from cfgplan.errors import InputError
@@ -92,23 +94,24 @@ class Happened:
 # What is to be done about it.
 
 
-@dataclass(frozen=True, slots=True)
-class Tell:
+class Effect(msgspec.Struct, frozen=True):
+    """What a manager is to do; each kind is a class of its own."""
+
+
+class Tell(Effect, frozen=True):
     """Report something."""
 
     report: Report
 
 
-@dataclass(frozen=True, slots=True)
-class Respond:
+class Respond(Effect, frozen=True):
     """Answer who asked: with the review that is over, None if there will be none, or an error."""
 
     outcome: Future[Any]
     answer: Review | Exception | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Match:
+class Match(Effect, frozen=True):
     """Make and match the world after a change: Matched follows at once."""
 
     living: LivingWorld
@@ -116,27 +119,23 @@ class Match:
     change: WorldChange
 
 
-@dataclass(frozen=True, slots=True)
-class Terminate:
+class Terminate(Effect, frozen=True):
     """End a unit at once."""
 
     unit: str
 
 
-@dataclass(frozen=True, slots=True)
-class Observe:
+class Observe(Effect, frozen=True):
     """Observe all units, and let the estimator learn from that: Seen follows at once."""
 
 
-@dataclass(frozen=True, slots=True)
-class LearnOfFailure:
+class LearnOfFailure(Effect, frozen=True):
     """Let the estimator learn that a unit of a transformation has failed."""
 
     transformation: str
 
 
-@dataclass(frozen=True, slots=True)
-class MakePlan:
+class MakePlan(Effect, frozen=True):
     """Plan an update: Planned follows. If it `is_last` of its review, only the manager's end interrupts it."""
 
     world: World
@@ -146,8 +145,7 @@ class MakePlan:
     is_last: bool
 
 
-@dataclass(frozen=True, slots=True)
-class MakePreview:
+class MakePreview(Effect, frozen=True):
     """Answer what a review would do now, unless something comes in between: then it is asked again."""
 
     world: World
@@ -156,8 +154,7 @@ class MakePreview:
     outcomes: tuple[Future[Preview], ...]
 
 
-@dataclass(frozen=True, slots=True)
-class JudgeGiven:
+class JudgeGiven(Effect, frozen=True):
     """Judge a change set that was given: GivenJudged follows at once."""
 
     world: World
@@ -166,16 +163,14 @@ class JudgeGiven:
     change_set: ChangeSet
 
 
-@dataclass(frozen=True, slots=True)
-class ApplyUpdate:
+class ApplyUpdate(Effect, frozen=True):
     """Carry out an update of `basis`: Updated follows."""
 
     change_set: ChangeSet
     basis: Environment
 
 
-@dataclass(frozen=True, slots=True)
-class Prepare:
+class Prepare(Effect, frozen=True):
     """Let the planner prepare to repair what runs now, unless something has come."""
 
     world: World
@@ -183,25 +178,8 @@ class Prepare:
     situation: Situation
 
 
-@dataclass(frozen=True, slots=True)
-class StopAll:
+class StopAll(Effect, frozen=True):
     """Stop every unit: Finished follows."""
-
-
-Effect: TypeAlias = (
-    Tell
-    | Respond
-    | Match
-    | Terminate
-    | Observe
-    | LearnOfFailure
-    | MakePlan
-    | MakePreview
-    | JudgeGiven
-    | ApplyUpdate
-    | Prepare
-    | StopAll
-)
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 import msgspec
 
 from cfgplan.domain import ChangeSet, Stream
+from cfgplan_runtime.lifecycle.perturbations import Perturbation
 from cfgplan_runtime.lifecycle.reports import PHASES, Report, Review, UnitEvent
 from cfgplan_runtime.operating.protocol import Record
 from cfgplan_runtime.supervision.events import Event
@@ -66,7 +67,8 @@ def reviews_form() -> Record:
 @cache
 def events_form() -> Record:
     """The schema of `/cfgplan/events`: all fields of all kinds."""
-    return _form(Union[tuple(kind for kind in get_args(Report) if kind is not UnitEvent) + get_args(Event)])  # noqa: UP007
+    kinds = [kind for kind in Report.__subclasses__() if kind is not UnitEvent]
+    return _merged([_form(kind) for kind in (*kinds, Event)])
 
 
 def known(value: Any) -> Any:
@@ -83,7 +85,10 @@ def unit_record(seen: Mapping[str, Any]) -> Record:
 
 
 def _form(hint: Any) -> Record:
-    """The JSON Schema of what `records.plain` makes of a value of a type. A union has the fields of all its members."""
+    """The JSON Schema of what `records.plain` makes of a value of a type.
+
+    A union has the fields of all its members, a class that has kinds those of all its kinds.
+    """
     origin, arguments = get_origin(hint), get_args(hint)
     if hint in _PLAIN:
         return {"type": _PLAIN[hint]}
@@ -91,6 +96,8 @@ def _form(hint: Any) -> Record:
         return _CHANGES
     if origin in (Union, UnionType):
         return _merged([_form(each) for each in arguments if each is not NoneType])
+    if kinds := hint.__subclasses__() if hint in (Event, Perturbation) else ():
+        return _merged([_form(kind) for kind in kinds])
     if origin is Literal or hint is Stream or (isinstance(hint, type) and issubclass(hint, Enum)):
         return _TEXT
     if origin is not None and issubclass(origin, Mapping):

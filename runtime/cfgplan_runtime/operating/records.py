@@ -16,6 +16,7 @@ import msgspec
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Publication, Stream, Subscription
 from cfgplan.formats.dump import one_or_more
+from cfgplan_runtime.lifecycle.perturbations import Perturbation
 from cfgplan_runtime.lifecycle.reports import (
     Observed,
     Report,
@@ -55,7 +56,7 @@ def snapshot_record(snapshot: Snapshot, flows: Mapping[str, Record] | None = Non
 
 def review_record(review: Review) -> Record:
     """A review as a record; `says` is its sentence, and its change set is as `change_record` gives it."""
-    record = {field.name: plain(getattr(review, field.name)) for field in fields(review)}
+    record = _fields(review)
     record["says"] = review_sentence(review)
     record["change_set"] = None if review.change_set is None else change_record(review.change_set)
     return record
@@ -74,10 +75,10 @@ def report_record(report: Report) -> Record:
     """A report as a record: its `kind` and its fields."""
     match report:
         case UnitEvent(event, host):
-            return {"kind": type(event).__name__, **_fields(event), **({} if host is None else {"host": host})}
+            return {**_with_kind(event), **({} if host is None else {"host": host})}
         case Reviewed(review):
             return {"kind": "Reviewed", **review_record(review)}
-    return {"kind": type(report).__name__, **_fields(report)}
+    return _with_kind(report)
 
 
 def plain(value: Any) -> Any:
@@ -97,18 +98,26 @@ def plain(value: Any) -> Any:
             return change_record(value)
         case Mapping():
             return {str(key): plain(item) for key, item in value.items()}
+        case Perturbation():
+            return _with_kind(value)
         case msgspec.Struct():
-            return {name: plain(getattr(value, name)) for name in value.__struct_fields__}
+            return _fields(value)
         case list() | tuple() | set() | frozenset():
             return [plain(item) for item in value]
     if is_dataclass(value) and not isinstance(value, type):
         # Only where a value may be of several types is `kind` needed; faults and observations have it all the same.
-        return {"kind": type(value).__name__, **_fields(value)}
+        return _with_kind(value)
     return str(value)
 
 
+def _with_kind(value: Any) -> Record:
+    return {"kind": type(value).__name__, **_fields(value)}
+
+
 def _fields(value: Any) -> Record:
-    return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    is_struct = isinstance(value, msgspec.Struct)
+    names = value.__struct_fields__ if is_struct else [field.name for field in fields(value)]
+    return {name: plain(getattr(value, name)) for name in names}
 
 
 def _number(value: float) -> float | None:

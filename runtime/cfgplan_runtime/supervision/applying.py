@@ -9,6 +9,8 @@ from collections.abc import Callable, Generator, Iterable, Mapping, Set
 from dataclasses import dataclass, field, replace
 from typing import Protocol, TypeAlias
 
+import msgspec
+
 from cfgplan.domain import ALL, ChangeSet, ComputationUnit, Environment, Stream, Transformation
 from cfgplan.errors import InvalidValueError
 from cfgplan_runtime.errors import AbandonedError, ApplyError, NoSourceError, StaleChangeSetError
@@ -63,83 +65,74 @@ class Actual(Protocol):
         """Seconds on a clock that only rises."""
 
 
-@dataclass(frozen=True, slots=True)
-class OpenTopic:
+class Command(msgspec.Struct, frozen=True):
+    """What carrying out asks of a supervisor; each kind is a class of its own."""
+
+
+class OpenTopic(Command, frozen=True):
     """Give a topic its address on the host of its target."""
 
     topic: str
     host: str | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class CloseTopic:
+class CloseTopic(Command, frozen=True):
     """Take a topic's address away."""
 
     topic: str
 
 
-@dataclass(frozen=True, slots=True)
-class StartUnit:
+class StartUnit(Command, frozen=True):
     """Start a unit on its host, without any wire."""
 
     unit: ComputationUnit
     transformation: Transformation
 
 
-@dataclass(frozen=True, slots=True)
-class StopUnit:
+class StopUnit(Command, frozen=True):
     """Ask a unit to end."""
 
     unit: str
 
 
-@dataclass(frozen=True, slots=True)
-class EndUnit:
+class EndUnit(Command, frozen=True):
     """End a unit at once."""
 
     unit: str
 
 
-@dataclass(frozen=True, slots=True)
-class Connect:
+class Connect(Command, frozen=True):
     """Let a stream feed an inlet, as the successor of its present source, if any."""
 
     stream: Stream
     inlet: Inlet
 
 
-@dataclass(frozen=True, slots=True)
-class Disconnect:
+class Disconnect(Command, frozen=True):
     """Leave an inlet without a source."""
 
     inlet: Inlet
 
 
-@dataclass(frozen=True, slots=True)
-class GoOver:
+class GoOver(Command, frozen=True):
     """Switch an inlet to its new source without waiting for the old one."""
 
     inlet: Inlet
 
 
-@dataclass(frozen=True, slots=True)
-class Believe:
+class Believe(Command, frozen=True):
     """Take this environment as what runs now."""
 
     environment: Environment
 
 
-@dataclass(frozen=True, slots=True)
-class WaitUntil:
+class WaitUntil(Command, frozen=True):
     """Wait until a condition on what runs holds, at most `patience_s`."""
 
     holds: Callable[[], bool]
     patience_s: float
 
 
-Command: TypeAlias = (
-    OpenTopic | CloseTopic | StartUnit | StopUnit | EndUnit | Connect | Disconnect | GoOver | Believe | WaitUntil
-)
 Commands: TypeAlias = Generator[Command, None, None]
 
 

@@ -2,61 +2,57 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TypeAlias
+import msgspec
 
 from cfgplan_runtime.children.messages import CrossingCounts, Flow, PortCounts
 
 
-@dataclass(frozen=True, slots=True)
-class UnitReady:
+class Event(msgspec.Struct, frozen=True):
+    """Something that happens; each kind of event is a class of its own."""
+
+
+class UnitReady(Event, frozen=True):
     """A unit has started; `labor_us` is the CPU time that took, in microseconds."""
 
     unit: str
     labor_us: int
 
 
-@dataclass(frozen=True, slots=True)
-class UnitDied:
+class UnitDied(Event, frozen=True):
     """A unit has ended unasked, or could not start; `cause` says how."""
 
     unit: str
     cause: str
 
 
-@dataclass(frozen=True, slots=True)
-class UnitStopped:
+class UnitStopped(Event, frozen=True):
     """A unit has ended as asked."""
 
     unit: str
 
 
-@dataclass(frozen=True, slots=True)
-class SparePrepared:
+class SparePrepared(Event, frozen=True):
     """The code of a cold spare is constructed in a process that waits; `labor_us` is the CPU time that took."""
 
     unit: str
     labor_us: int
 
 
-@dataclass(frozen=True, slots=True)
-class SpareUsed:
+class SpareUsed(Event, frozen=True):
     """A unit begins in the process that was prepared for a cold spare."""
 
     unit: str
     spare: str
 
 
-@dataclass(frozen=True, slots=True)
-class SpareLost:
+class SpareLost(Event, frozen=True):
     """The process that was prepared for a cold spare has ended unasked, or could not be prepared."""
 
     unit: str
     cause: str
 
 
-@dataclass(frozen=True, slots=True)
-class UnitFailed:
+class UnitFailed(Event, frozen=True):
     """Unit code failed in a step, and the unit goes on.
 
     If `suppressed` is not 0, the event stands for that many failures up to this step; `text` is the first one's.
@@ -69,39 +65,34 @@ class UnitFailed:
     suppressed: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class UnitHung:
+class UnitHung(Event, frozen=True):
     """A unit has given no sign of life for longer than it may, and is killed."""
 
     unit: str
     silent_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class UnitTooLarge:
+class UnitTooLarge(Event, frozen=True):
     """A unit uses more memory than it may, and is killed."""
 
     unit: str
     memory_bytes: int
 
 
-@dataclass(frozen=True, slots=True)
-class UnitPrinted:
+class UnitPrinted(Event, frozen=True):
     """A line that a unit wrote to its standard output or error."""
 
     unit: str
     line: str
 
 
-@dataclass(frozen=True, slots=True)
-class SourceExhausted:
+class SourceExhausted(Event, frozen=True):
     """A source has no more elements to give; its unit stays."""
 
     unit: str
 
 
-@dataclass(frozen=True, slots=True)
-class InputLost:
+class InputLost(Event, frozen=True):
     """An input of a living unit, or a topic (`unit` is None), has lost its source."""
 
     unit: str | None
@@ -109,15 +100,13 @@ class InputLost:
     wire: int
 
 
-@dataclass(frozen=True, slots=True)
-class WireSwitched:
+class WireSwitched(Event, frozen=True):
     """An input goes on with the stream of this wire."""
 
     wire: int
 
 
-@dataclass(frozen=True, slots=True)
-class UnitStatus:
+class UnitStatus(Event, frozen=True):
     """A sign of life, with counts since the unit's start."""
 
     unit: str
@@ -128,34 +117,29 @@ class UnitStatus:
     state: bytes | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class OutletsLost:
+class OutletsLost(Event, frozen=True):
     """The process that owns the topics' addresses has died; a new one takes its place: OutletsOpened follows."""
 
     cause: str
 
 
-@dataclass(frozen=True, slots=True)
-class OutletsOpened:
+class OutletsOpened(Event, frozen=True):
     """The topics have their addresses again, and are to be fed."""
 
 
-@dataclass(frozen=True, slots=True)
-class TopicsStatus:
+class TopicsStatus(Event, frozen=True):
     """What comes on each topic, told about once a second."""
 
     flows: dict[str, Flow]
 
 
-@dataclass(frozen=True, slots=True)
-class CrossingsStatus:
+class CrossingsStatus(Event, frozen=True):
     """What has gone from host to host: by stream and its two hosts, and by two hosts (stream "") for streams gone."""
 
     crossings: dict[tuple[str, str, str], CrossingCounts]
 
 
-@dataclass(frozen=True, slots=True)
-class HelperAlive:
+class HelperAlive(Event, frozen=True):
     """A sign of life of a process that a backend needs beside the units; the next comes within `patience_s`.
 
     Only the supervisor gets it. Once the process is gone, `patience_s` is infinite.
@@ -165,16 +149,14 @@ class HelperAlive:
     patience_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class HelperHung:
+class HelperHung(Event, frozen=True):
     """A process that a backend needs beside the units has given no sign of life, and is made anew."""
 
     helper: str
     silent_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class OutOfDescriptors:
+class OutOfDescriptors(Event, frozen=True):
     """A process of the run has no file descriptor left, or no room on the disk for a topic's address.
 
     `cause` says what it can't do. Told once until it can again.
@@ -183,16 +165,14 @@ class OutOfDescriptors:
     cause: str
 
 
-@dataclass(frozen=True, slots=True)
-class HostLost:
+class HostLost(Event, frozen=True):
     """A host can't be reached any more: none of its units and topics will be heard of again, not even of their end."""
 
     host: str
     cause: str
 
 
-@dataclass(frozen=True, slots=True)
-class HostJoined:
+class HostJoined(Event, frozen=True):
     """A host is there, for the first time or again. Nothing of the run is on it.
 
     `ahead_us` is how far its time of day is ahead of the manager's, in microseconds. Times of elements are not: they go
@@ -203,24 +183,21 @@ class HostJoined:
     ahead_us: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class ClockMoved:
+class ClockMoved(Event, frozen=True):
     """A host's time of day, or the manager's, was set: it is ahead by `ahead_us` now."""
 
     host: str
     ahead_us: int
 
 
-@dataclass(frozen=True, slots=True)
-class ElementsLost:
+class ElementsLost(Event, frozen=True):
     """A host that was lost and is back had elements for others that had not come to them, as far as it knows."""
 
     host: str
     elements: int
 
 
-@dataclass(frozen=True, slots=True)
-class Applied:
+class Applied(Event, frozen=True):
     """A change set was carried out.
 
     `seconds` is the time of each phase; `unswitched` counts inputs whose new source had given nothing yet when the old
@@ -232,8 +209,7 @@ class Applied:
     unswitched: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class RolledBack:
+class RolledBack(Event, frozen=True):
     """A change set failed and was undone."""
 
     id: str
@@ -242,33 +218,3 @@ class RolledBack:
 
 SIGNS = (UnitStatus, TopicsStatus, CrossingsStatus)
 """Signs of life: they come often, and are not logged."""
-
-Event: TypeAlias = (
-    UnitReady
-    | UnitDied
-    | UnitStopped
-    | SparePrepared
-    | SpareUsed
-    | SpareLost
-    | UnitFailed
-    | UnitHung
-    | UnitTooLarge
-    | UnitPrinted
-    | SourceExhausted
-    | InputLost
-    | WireSwitched
-    | UnitStatus
-    | OutletsLost
-    | OutletsOpened
-    | TopicsStatus
-    | CrossingsStatus
-    | HelperAlive
-    | HelperHung
-    | OutOfDescriptors
-    | HostLost
-    | HostJoined
-    | ClockMoved
-    | ElementsLost
-    | Applied
-    | RolledBack
-)
