@@ -7,7 +7,6 @@ from pathlib import Path
 from cfgplan.errors import Fault, InputError
 from cfgplan.formats.json_text import read_json
 from cfgplan.formats.places import Source
-from cfgplan.formats.xml_text import read_xml
 from cfgplan.formats.yaml_text import read_yaml
 
 LARGEST_FILE_BYTES = 128 * 2**20
@@ -16,6 +15,8 @@ LARGEST_FILE_BYTES = 128 * 2**20
 def read_source(path: Path) -> Source:
     """The plain data of a YAML, JSON or XML file; raises InputError."""
     if path.suffix == ".xml":
+        from cfgplan.formats.xml_text import read_xml
+
         return read_xml(read_bytes(path), str(path))
     text = read_text(path)
     if path.suffix == ".json":

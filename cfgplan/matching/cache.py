@@ -14,8 +14,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-import msgspec
-
 from cfgplan.domain import Similarity
 from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.session import Matching
@@ -27,16 +25,6 @@ MOST_FILES: Final = 64
 """The number of answers that are kept; the oldest are dropped first."""
 
 
-class _KeptMatching(msgspec.Struct):
-    """The content of a file. `rows` has for each demanded tag the numbers of the offered ones, both in order."""
-
-    format: str
-    key: str
-    rows: list[list[int]]
-    warnings: tuple[str, ...]
-    answered_by: dict[str, int]
-
-
 def key_of(ontology: Ontology, reasoner: str, offered: Collection[str], demanded: Collection[str]) -> str:
     """The name under which the answer for these tags is kept."""
     texts = [_FORMAT, ontology.digest, json.dumps(sorted(ontology.prefixes.items())), reasoner]
@@ -45,17 +33,22 @@ def key_of(ontology: Ontology, reasoner: str, offered: Collection[str], demanded
 
 
 def load(folder: Path, key: str, offered: Collection[str], demanded: Collection[str]) -> Matching | None:
-    """The answer kept under a key; None if there is none or it is damaged."""
+    """The answer kept under a key; None if there is none or it is damaged.
+
+    A file's `rows` have for each demanded tag the numbers of the offered ones, both in order.
+    """
     offers, demands = sorted(set(offered)), sorted(set(demanded))
     try:
-        kept = msgspec.json.decode((folder / _FOLDER / f"{key}.json").read_bytes(), type=_KeptMatching)
-    except (OSError, ValueError):
+        kept = json.loads((folder / _FOLDER / f"{key}.json").read_bytes())
+        numbers = kept["rows"]
+        is_ours = (kept["format"], kept["key"], len(numbers)) == (_FORMAT, key, len(demands))
+        if not is_ours or any(number < 0 for row in numbers for number in row):
+            return None
+        rows = (frozenset(offers[number] for number in row) for row in numbers)
+        similarity = Similarity(dict(zip(demands, rows, strict=True)))
+        return Matching(similarity, tuple(kept["warnings"]), kept["answered_by"])
+    except (OSError, ValueError, LookupError, TypeError):
         return None
-    is_ours = (kept.format, kept.key, len(kept.rows)) == (_FORMAT, key, len(demands))
-    if not is_ours or any(not 0 <= number < len(offers) for row in kept.rows for number in row):
-        return None
-    rows = (frozenset(offers[number] for number in row) for row in kept.rows)
-    return Matching(Similarity(dict(zip(demands, rows, strict=True))), kept.warnings, kept.answered_by)
 
 
 def store(folder: Path, key: str, offered: Collection[str], demanded: Collection[str], matching: Matching) -> None:
@@ -64,12 +57,18 @@ def store(folder: Path, key: str, offered: Collection[str], demanded: Collection
         return
     number = {tag: index for index, tag in enumerate(sorted(set(offered)))}
     rows = [sorted(number[tag] for tag in matching.similarity.offers[wanted]) for wanted in sorted(set(demanded))]
-    kept = _KeptMatching(_FORMAT, key, rows, matching.warnings, dict(matching.answered_by))
+    kept = {
+        "format": _FORMAT,
+        "key": key,
+        "rows": rows,
+        "warnings": matching.warnings,
+        "answered_by": dict(matching.answered_by),
+    }
     own = folder / _FOLDER
     temporary = own / f"{key}.{os.getpid()}.tmp"
     try:
         own.mkdir(parents=True, exist_ok=True)
-        temporary.write_bytes(msgspec.json.encode(kept))
+        temporary.write_text(json.dumps(kept))
         temporary.replace(own / f"{key}.json")
         for path in sorted(own.glob("*.json"), key=lambda path: path.stat().st_mtime, reverse=True)[MOST_FILES:]:
             path.unlink(missing_ok=True)

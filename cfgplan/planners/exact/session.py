@@ -31,10 +31,14 @@ SOLVED_AT_ONCE: Final = ONLY_IN_THE_MODEL | {Notion.ORDER, Notion.LATENCY}
 
 
 class PlannerSession:
-    """A planner that remembers; `plan` is a `planning.Planner` with a way to stop it."""
+    """A planner that remembers; `plan` is a `planning.Planner` with a way to stop it.
 
-    def __init__(self, tuning: Tuning = USUAL) -> None:
+    It prepares for the next call after a plan that changes nothing, unless it `is_asked_once`.
+    """
+
+    def __init__(self, tuning: Tuning = USUAL, *, is_asked_once: bool = False) -> None:
         self._tuning = tuning
+        self._is_asked_once = is_asked_once
         self._memory: Memory | None = None
 
     def plan(
@@ -56,7 +60,9 @@ class PlannerSession:
         found, memory = standing.plan(), self._memory
         if memory is not None:
             memory.keep_plan(standing)
-            is_at_rest = problem.is_plain and found.status is Status.OPTIMAL and not found.change_set
+            is_at_rest = (
+                not self._is_asked_once and problem.is_plain and found.status is Status.OPTIMAL and not found.change_set
+            )
             if is_at_rest and not memory.structure.has_required and not clock.is_over():
                 clock.run(lambda: memory.settle(problem, clock), lambda: found)
         return found
@@ -79,7 +85,7 @@ def plan(
     stop: Event | None = None,
 ) -> Plan:
     """The optimal update, see `planning.Planner`; `stop` ends it early with the best plan so far, as Ctrl-C does."""
-    return PlannerSession().plan(problem, time_limit_s=time_limit_s, report=report, stop=stop)
+    return PlannerSession(is_asked_once=True).plan(problem, time_limit_s=time_limit_s, report=report, stop=stop)
 
 
 def offer_what_runs(standing: Standing) -> None:
