@@ -46,6 +46,11 @@ def slow(x: Any) -> Any:
     return x
 
 
+def slower(x: Any) -> Any:
+    time.sleep(0.05)
+    return x
+
+
 class Broken:
     def __init__(self) -> None:
         raise ValueError("no such device")

@@ -95,8 +95,22 @@ def test_a_stream_from_the_other_one_of_two_units_of_one_id_is_cut() -> None:
     )
 
 
-def test_a_unit_that_was_told_to_stop_is_not_taken_for_one_that_runs() -> None:
-    held = Held(units=started("count.1") | started("work.1", is_stopping=True))
-    adoption = adopt("new", {"r1": held}, LIBRARY)
-    assert found_units(adoption) == {unit("count.1", "r1")}
+def test_a_unit_that_was_told_to_stop_is_awaited_with_its_wires_and_not_taken_for_one_that_runs() -> None:
+    stopping = started("work.1", is_stopping=True)
+    wires = [HeldWire(1, COUNTED, TO_WORK), HeldWire(2, WORKED, TO_TOPIC, has_switched=True)]
+    held = Held(units=started("count.1") | stopping, wires=wires, topics={"/result": None})
+    for library in (LIBRARY, {"count": LIBRARY["count"]}):
+        adoption = adopt("new", {"r1": held}, library)
+        assert found_units(adoption) == {unit("count.1", "r1")}
+        assert adoption.found is not None and adoption.found.stopping == {"work.1": "r1"}
+        assert [wire.id for wire in adoption.found.wires] == [1, 2]
+        assert adoption.units == {"count.1": "r1", "work.1": "r1"}
+        assert adoption.orders == []
+
+
+def test_a_unit_that_was_told_to_stop_before_it_was_ready_is_ended() -> None:
+    early = started("work.1", is_stopping=True)
+    early["work.1"].labor_us = None
+    adoption = adopt("new", {"r1": Held(units=early)}, LIBRARY)
+    assert adoption.found is None
     assert adoption.orders == [("r1", KillOrder("work.1", dump=False))]

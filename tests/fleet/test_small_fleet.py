@@ -27,6 +27,7 @@ from cfgplan_runtime.supervision.events import (
     SparePrepared,
     SpareUsed,
     UnitDied,
+    UnitStopped,
 )
 from cfgplan_runtime.testing import Bench, check_middleware
 from small_fleet import (
@@ -333,6 +334,26 @@ def test_what_a_killed_manager_has_left_goes_on_under_the_next_without_a_gap() -
             listener.await_more(20)
             assert listener.values == list(range(listener.values[0], listener.values[0] + len(listener.values)))
             assert sorted(fleet.units()) == ["count.1", "work.4"]
+
+
+def test_a_unit_that_was_told_to_stop_gives_what_it_has_got_under_the_next_manager(tmp_path: Path) -> None:
+    ending = source("ending", "count_until", rate_hz=40, note=str(tmp_path / "end"))
+    with small_fleet("r1", "r2") as fleet, fleet.runtime(ending, worker(code="slower")) as runtime:
+        fed = replace(WORK, subscriptions=fed_by("ending.1/n"))
+        runtime.apply(ChangeSet(started=(unit("ending.1", "r1"), fed)))
+        listener = fleet.outside_listener("r1")
+        listener.await_more(15)
+        (tmp_path / "end").touch()
+        eventually(lambda: bool(seen(runtime, SourceExhausted)))
+        runtime.supervisor.backend.stop("work.1")
+        runtime.supervisor.backend.wake()
+        with fleet.runtime(ending, worker(code="slower"), takes_over=True) as later:
+            assert "work.1" in fleet.units() and "work.1" not in later.environment.unit
+            later.apply(ChangeSet(started=(replace(fed, publications=()),)))
+            assert len(seen(later, UnitStopped)) == 1, "no other unit of that id is started before"
+            last = int((tmp_path / "end").read_text())
+            eventually(lambda: listener.values[-1] == last)
+            assert listener.values == list(range(listener.values[0], last + 1))
 
 
 def test_units_that_would_be_started_otherwise_now_are_not_adopted() -> None:

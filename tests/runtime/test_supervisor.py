@@ -23,6 +23,7 @@ from cfgplan_runtime.supervision.events import (
     UnitDied,
     UnitHung,
     UnitReady,
+    UnitStopped,
     UnitTooLarge,
 )
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
@@ -337,6 +338,23 @@ def test_a_unit_that_an_earlier_supervisor_has_started_is_awaited_as_long_as_one
     assert [event.unit for event in events if isinstance(event, UnitHung)] == ["work.1"]
     assert set(supervisor.environment.unit) == supervisor.alive == {"count.1"}
     assert 30.0 < backend.now() < 60.0
+
+
+def test_a_unit_that_an_earlier_supervisor_has_told_to_stop_is_awaited_and_then_killed() -> None:
+    library = source(), worker()
+    backend = SimulatedBackend({"work": Behaviour(hung=True)})
+    for one, transformation in zip(ONE, library, strict=True):
+        backend.start(one.id, transformation, None, None)
+    found = Found((ONE[0],), library, (), {}, (), {}, {"work.1": "r2"})
+    with mock.patch.object(SimulatedBackend, "found", return_value=found):
+        events: list[Event] = []
+        supervisor = Supervisor(backend, Environment((), library, (RESULT,)), events.append)
+    supervisor.apply(start(unit("work.2", x="count.1/n")))
+    assert backend.now() < 1.0, "others need not wait for it"
+    supervisor.apply(start(ONE[1]))
+    assert 2.0 <= backend.now() < 4.0
+    assert [event for event in events if isinstance(event, UnitStopped)] == [UnitStopped("work.1")]
+    assert {"work.1", "work.2"} < set(supervisor.environment.unit)
 
 
 def test_a_stalled_supervisor_takes_nobody_for_hung_but_what_hangs() -> None:

@@ -16,8 +16,8 @@ from cfgplan_runtime.supervision.backend import Found, FoundWire
 
 @dataclass(frozen=True, slots=True)
 class Adoption:
-    """What is kept: the host of each unit and spare; by topic the host that was asked for and the one where it is; the
-    routes.
+    """What is kept: the host of each unit, of those that are stopping too, and of each spare; by topic the host that
+    was asked for and the one where it is; the routes.
     """
 
     found: Found | None
@@ -36,15 +36,19 @@ def adopt(run: str, held: Mapping[str, Held], library: Mapping[str, Transformati
     each other, those of the latest manager are kept. New crossings will bear the name of `run`.
     """
     held = dict(sorted(held.items(), key=lambda item: (-item[1].term, item[0])))
-    units, ended_units = _kept({host: one.units for host, one in held.items()}, library)
-    spares, ended_spares = _kept({host: one.spares for host, one in held.items()}, library)
+    stopping = _stopping(held)
+    kept, ended_units = _kept({host: one.units for host, one in held.items()}, library, stopping)
+    units = {**kept, **stopping}
+    spares, ended_spares = _kept({host: one.spares for host, one in held.items()}, library, {})
     ended_spares += [(spares.pop(unit), unit) for unit in sorted(spares.keys() & units.keys())]
     topics, closed = _topics(held)
     crossings, released = _crossings(held)
     routes, has_switched, cut = _routes(held, units, {topic: host for topic, (_, host) in topics.items()}, crossings)
     fed = [crossing for crossing in crossings.values() if units.get(crossing.stream.unit) == crossing.source]
     return Adoption(
-        _found(held, units, spares, topics, routes, has_switched, library) if units or spares or topics else None,
+        _found(held, kept, stopping, spares, topics, routes, has_switched, library)
+        if units or spares or topics
+        else None,
         units,
         spares,
         topics,
@@ -59,21 +63,35 @@ def adopt(run: str, held: Mapping[str, Held], library: Mapping[str, Transformati
     )
 
 
-def _kept(
-    held: Mapping[str, Mapping[str, HeldUnit]], library: Mapping[str, Transformation]
-) -> tuple[dict[str, str], list[tuple[str, str]]]:
-    """The host of each unit that was started as it would be now, and is not stopping; the hosts and ids of all others.
+def _stopping(held: Mapping[str, Held]) -> dict[str, str]:
+    """The host of each unit that was told to stop, and is to give first what it has got. One that is not ready has not.
 
-    Of several of one id the first is kept.
+    Of several of one id the first is meant.
+    """
+    return {
+        unit: host
+        for host, one in reversed(list(held.items()))
+        for unit, known in one.units.items()
+        if known.is_stopping and known.labor_us is not None
+    }
+
+
+def _kept(
+    held: Mapping[str, Mapping[str, HeldUnit]], library: Mapping[str, Transformation], stopping: Mapping[str, str]
+) -> tuple[dict[str, str], list[tuple[str, str]]]:
+    """The host of each unit that was started as it would be now, and was not told to stop; the hosts and ids of those
+    to be ended.
+
+    Of several of one id the first is kept, unless that id is `stopping`.
     """
     kept, ended = dict[str, str](), list[tuple[str, str]]()
     for host, units in held.items():
         for unit, known in units.items():
             transformation = library.get(known.label)
             is_as_wanted = transformation is not None and unit_order(unit, transformation, None) == known.order
-            if is_as_wanted and not known.is_stopping and unit not in kept:
+            if is_as_wanted and not known.is_stopping and unit not in kept.keys() | stopping.keys():
                 kept[unit] = host
-            else:
+            elif stopping.get(unit) != host:
                 ended.append((host, unit))
     return kept, ended
 
@@ -131,6 +149,7 @@ def _routes(
 def _found(
     held: Mapping[str, Held],
     units: Mapping[str, str],
+    stopping: Mapping[str, str],
     spares: Mapping[str, str],
     topics: Mapping[str, tuple[str | None, str]],
     routes: Sequence[Route],
@@ -141,7 +160,8 @@ def _found(
     prepared = {spare: held[host].spares[spare] for spare, host in spares.items()}
     known = {**prepared, **running}
     cold = [ComputationUnit(spare, prepared[spare].label, host=host, standby=True) for spare, host in spares.items()]
-    hot = [_as_wired(unit, running[unit].label, host, routes) for unit, host in units.items()]
+    between = [one for one in routes if one.stream.unit in units]
+    hot = [_as_wired(unit, running[unit].label, host, between) for unit, host in units.items()]
     return Found(
         tuple(sorted([*hot, *cold], key=lambda unit: unit.id)),
         tuple(library[label] for label in sorted({one.label for one in known.values()})),
@@ -149,6 +169,7 @@ def _found(
         {unit: one.labor_us for unit, one in known.items() if one.labor_us is not None},
         tuple(FoundWire(one.wire, one.stream, one.inlet, one.wire in has_switched) for one in routes),
         {topic: asked for topic, (asked, _) in topics.items()},
+        stopping,
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 from cfgplan.domain import ComputationUnit, Host, Stream, Transformation
@@ -58,7 +58,8 @@ class Found:
     """What an earlier supervisor has left running: its units, with their transformations and hosts, wires and topics.
 
     `labor_us` has the units that are ready, and the cold spares that are prepared; `topics` the host of each topic's
-    target.
+    target. Units that were told to stop and have not ended are `stopping`, with their
+    hosts; only the wires name them too.
     """
 
     units: tuple[ComputationUnit, ...]
@@ -67,6 +68,7 @@ class Found:
     labor_us: Mapping[str, int]
     wires: tuple[FoundWire, ...]
     topics: Mapping[str, str | None]
+    stopping: Mapping[str, str] = field(default_factory=dict)
 
 
 class Backend(Protocol):

@@ -92,6 +92,8 @@ class Supervisor:
         self._records: dict[str, UnitRecord] = {}
         self._states: dict[str, bytes] = {}
         self._library: dict[str, Transformation] = {}
+        self._stopping: dict[str, tuple[str, float]] = {}
+        """Units that an earlier supervisor has told to stop: their hosts, and when they are killed."""
         self._patience: dict[str, tuple[float, float]] = {}
         """By helper process of the backend: when it gave its last sign of life, and how long it may be silent."""
         self._round_s = backend.now()
@@ -129,6 +131,8 @@ class Supervisor:
         self.cause_of_death.clear()
         self.is_abandoned = False
         self._update_patience = patience or Patience()
+        again = self._stopping.keys() & {unit.id for unit in change_set.started}
+        self._wait(WaitUntil(lambda: self._stopping.keys().isdisjoint(again), self._update_patience.kill_s))
         try:
             commands = carry_out(self, change_set, after, self._update_patience, keeps_new=keeps_new)
             carried = self._drive(commands)
@@ -204,8 +208,11 @@ class Supervisor:
         """Go on with what an earlier supervisor has left running. No unit is late for what was not heard of it."""
         self.environment = replace(self.environment, units=found.units, library=found.library, hosts=found.hosts)
         self.topics.update(found.topics)
-        self.wiring.adopt(found.wires)
+        self.wiring.adopt(found.wires, found.stopping)
         self.spares.adopt(self.environment, found.labor_us, self.now())
+        for unit_id, host in found.stopping.items():
+            self._stopping[unit_id] = host, self.now() + self._update_patience.stop_s
+            self.backend.stop(unit_id)
         for unit in found.units:
             if unit.standby:
                 continue
@@ -285,7 +292,7 @@ class Supervisor:
     def _understand(self, event: Event) -> bool:
         """Update the state by an event. Returns whether to report it to others."""
         match event:
-            case UnitReady(unit, labor_us):
+            case UnitReady(unit, labor_us) if unit in self._records:
                 self.ready.add(unit)
                 record = self._records[unit]
                 record.labor_us, record.sign_s = labor_us, self.now()
@@ -337,6 +344,7 @@ class Supervisor:
     def _bury(self, unit: str) -> None:
         self.alive.discard(unit)
         self.ready.discard(unit)
+        self._stopping.pop(unit, None)
         self.wiring.forget_unit(unit)
         self._records.pop(unit, None)
         self._library.pop(unit, None)
@@ -345,6 +353,8 @@ class Supervisor:
         """Bury the units on a host that is gone, cold spares too, and end what was led to its topics."""
         for unit in [unit for unit, record in self._records.items() if record.host == host]:
             self.cause_of_death[unit] = f"was on {host}, which is gone: {cause}"
+            self._bury(unit)
+        for unit in [unit for unit, (at, _) in self._stopping.items() if at == host]:
             self._bury(unit)
         self.spares.lose_host(host)
         for unit_there in [unit for unit in self.environment.units if unit.host == host]:
@@ -371,6 +381,8 @@ class Supervisor:
                 del self._patience[helper]
                 self._report(HelperHung(helper, now - sign_s))
                 self.backend.renew(helper)
+        for unit in [unit for unit, (_, end_s) in self._stopping.items() if now >= end_s]:
+            self.backend.kill(unit)
         for unit in sorted(self.alive):
             record, run = self._records[unit], self._library[unit].run
             if record.killed_s is not None:

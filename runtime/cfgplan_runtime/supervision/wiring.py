@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from cfgplan.domain import ComputationUnit, Environment, Stream, Subscription, Transformation
@@ -35,12 +35,13 @@ class Wiring:
         self._wires: dict[int, Wire] = {}
         self.feeds: dict[Inlet, Wire] = {}
 
-    def adopt(self, wires: Iterable[FoundWire]) -> None:
-        """Take over wires that are there; new ones get higher numbers."""
+    def adopt(self, wires: Iterable[FoundWire], stopping: Collection[str]) -> None:
+        """Take over wires that are there; new ones get higher numbers. Stopping units keep theirs to themselves."""
         for found in wires:
-            wire = Wire(found.id, found.stream, found.inlet, has_switched=found.has_switched)
-            self._wires[wire.id] = self.feeds[wire.inlet] = wire
-            self._last_id = max(self._last_id, wire.id)
+            self._last_id = max(self._last_id, found.id)
+            if found.stream.unit not in stopping and found.inlet.unit not in stopping:
+                wire = Wire(found.id, found.stream, found.inlet, has_switched=found.has_switched)
+                self._wires[wire.id] = self.feeds[wire.inlet] = wire
 
     def connect(self, stream: Stream, inlet: Inlet, receiver: Transformation | None) -> None:
         """Let a stream feed an inlet as the successor of its present source, if any. `receiver` is None for a topic."""
