@@ -31,6 +31,7 @@ class Mark(Enum):
     STARTED = ("started", "#1a7f37", "#dafbe1")
     REWIRED = ("rewired", "#9a6700", "#fff8c5")
     STOPPED = ("stopped", "#cf222e", "#ffebe9")
+    CUT = ("disconnected", "#8250df", "#fbefff")
 
     @property
     def line(self) -> str:
@@ -39,6 +40,10 @@ class Mark(Enum):
     @property
     def fill(self) -> str:
         return self.value[2]
+
+
+GONE = (Mark.STOPPED, Mark.CUT)
+"""What an arrow is that is there no more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,11 +76,11 @@ class Arrow:
 
 @dataclass(frozen=True)
 class Picture:
-    """What is drawn, without any layout; `hosts` say more of some hosts, by their names."""
+    """What is drawn, without any layout; `hosts` have lines that say more of some hosts, by their names."""
 
     nodes: tuple[Node, ...]
     arrows: tuple[Arrow, ...]
-    hosts: Mapping[str, str] = field(default_factory=dict)
+    hosts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def dot(self) -> str:
         """The picture in Graphviz's DOT language."""
@@ -87,7 +92,7 @@ class Picture:
         lines = ["flowchart LR"]
         for number, (host, nodes) in enumerate(self._by_host().items()):
             if host is not None:
-                lines.append(f'  subgraph h{number}["{_in_mermaid(self._frame(host))}"]')
+                lines.append(f'  subgraph h{number}["{_in_mermaid(", ".join(self._frame(host)))}"]')
             for node in nodes:
                 text = "<br/>".join(map(_in_mermaid, node.lines))
                 shape = f'(["{text}"])' if node.is_target else f'["{text}"]'
@@ -95,7 +100,7 @@ class Picture:
             if host is not None:
                 lines.append("  end")
         for arrow in self.arrows:
-            stroke = ("<" if arrow.is_service else "") + ("-.->" if arrow.mark is Mark.STOPPED else "-->")
+            stroke = ("<" if arrow.is_service else "") + ("-.->" if arrow.mark in GONE else "-->")
             lines.append(f'  {names[arrow.tail]} {stroke}|"{_in_mermaid(_arrow_text(arrow))}"| {names[arrow.head]}')
         lines += [f"  classDef {mark.name.lower()} stroke:{mark.line},fill:{mark.fill},color:#1f2328" for mark in Mark]
         return "\n".join(lines) + "\n"
@@ -111,8 +116,8 @@ class Picture:
             graph.layout(prog="dot")
             return bytes(graph.draw(format=format))
 
-    def _frame(self, host: str) -> str:
-        return f"{host}{self.hosts.get(host, '')}"
+    def _frame(self, host: str) -> tuple[str, ...]:
+        return self.hosts.get(host, (host,))
 
     def _by_host(self) -> dict[str | None, list[Node]]:
         """The nodes by host, in the order of the hosts; nodes without a host come first."""
@@ -127,11 +132,9 @@ class Picture:
         units = {node.mark for node in self.nodes if not node.is_target}
         marks = units | {arrow.mark for arrow in self.arrows}
         if marks - {Mark.KEPT}:
-            said = {mark: mark.value[0] for mark in Mark if mark in marks}
-            if Mark.STOPPED in said and Mark.STOPPED not in units:
-                said[Mark.STOPPED] = "disconnected"
-            legend = [f'<font color="{mark.line}">&#9632; {text}</font>' for mark, text in said.items()]
-            graph.graph_attr.update(label=f"<{'&#160;&#160;&#160;'.join(legend)}>", fontsize="11")
+            legend = [f'<font color="{mark.line}">&#9632; {mark.value[0]}</font>' for mark in Mark if mark in marks]
+            space = '<font point-size="5">&#160;</font><br/>'
+            graph.graph_attr.update(label=f"<{space}{'&#160;&#160;&#160;'.join(legend)}>", fontsize="11")
         graph.node_attr.update(
             shape="box", style="rounded,filled", fontname="Helvetica,Arial,sans-serif", fontsize="11"
         )
@@ -156,7 +159,8 @@ class Picture:
                 graph.add_subgraph(
                     [_name_in_dot(node.key) for node in nodes],
                     name=f"cluster_{number}",
-                    label=_in_dot(self._frame(host)),
+                    label="".join(f"{_in_dot(line)}\\l" for line in self._frame(host)),
+                    labeljust="l",
                     style="rounded",
                     color="#d0d7de",
                     fontsize="11",
@@ -169,7 +173,7 @@ class Picture:
                 label=_in_dot(_arrow_text(arrow)),
                 color=arrow.mark.line,
                 fontcolor=arrow.mark.line,
-                style="dashed" if arrow.mark is Mark.STOPPED else "dotted" if arrow.is_service else "solid",
+                style="dashed" if arrow.mark in GONE else "dotted" if arrow.is_service else "solid",
                 dir="both" if arrow.is_service else "forward",
                 id=_in_dot(f"arrow {arrow.tail}/{arrow.port} {arrow.head}/{arrow.input}"),
                 **{"class": arrow.mark.name.lower()},
@@ -208,7 +212,7 @@ def picture(environment: Environment, change_set: ChangeSet | None = None) -> Pi
     nodes += [Node(key, (key, "(gone)"), Mark.STOPPED) for key in sorted(gone)]
     drawn = {node.key for node in nodes}
     shown = tuple(arrow for arrow in arrows if arrow.head in drawn)
-    return Picture(tuple(nodes), shown, {host.name: _host_words(host) for host in environment.hosts})
+    return Picture(tuple(nodes), shown, {host.name: _host_lines(host) for host in environment.hosts})
 
 
 def _unit_lines(after: Environment, unit: ComputationUnit) -> tuple[str, ...]:
@@ -220,14 +224,14 @@ def _unit_lines(after: Environment, unit: ComputationUnit) -> tuple[str, ...]:
     return unit.id, *([f"({', '.join(unfed)}: not fed)"] if unfed else [])
 
 
-def _host_words(host: Host) -> str:
-    """What is special about a host: ` (robot, spot), rent 0.5 s/s, speed 0.5, 1 gpu, energy 36000 W s`."""
+def _host_lines(host: Host) -> tuple[str, ...]:
+    """A host and what is special about it: `h (robot, spot)`, `rent 0.5 s/s, speed 0.5, 1 gpu, energy 36000 W s`."""
     labels = f" ({', '.join(host.labels)})" if host.labels else ""
     words = [f"rent {seconds(host.rent_us):f} s/s"] if host.rent_us else []
     words += [f"speed {units_of(host.speed):f}"] if host.speed != MICRO else []
     words += [amount_of(resource, amount) for resource, amount in host.offers.items() if amount]
     words += [f"energy {host.energy} W s"] if host.energy is not None else []
-    return labels + "".join(f", {word}" for word in words)
+    return f"{host.name}{labels}", *([", ".join(words)] if words else [])
 
 
 def _quality_line(attribute: QualityAttribute, value: int) -> str:
@@ -238,8 +242,11 @@ def _arrows(drawn: Environment, *, before: Environment, after: Environment) -> I
     nothing = ComputationUnit("", "")
     for unit in drawn.units:
         was, becomes = before.unit.get(unit.id, nothing), after.unit.get(unit.id, nothing)
+        stays = unit.id in after.unit
         for subscription in unit.subscriptions:
-            mark, stream = _mark(subscription, was.subscriptions, becomes.subscriptions), subscription.stream
+            stream = subscription.stream
+            both_stay = stays and stream.unit in after.unit
+            mark = _mark(subscription, was.subscriptions, becomes.subscriptions, stays=both_stay)
             kind = drawn.transformation.get(unit.transformation)
             port = None if kind is None else kind.input.get(subscription.port)
             several = (
@@ -249,12 +256,13 @@ def _arrows(drawn: Environment, *, before: Environment, after: Environment) -> I
             is_service = port is not None and port.service
             yield Arrow(stream.unit, unit.id, stream.port, subscription.port, mark, notes, is_service)
         for publication in unit.publications:
-            mark = _mark(publication, was.publications, becomes.publications)
+            mark = _mark(publication, was.publications, becomes.publications, stays=stays)
             notes = _serves(drawn, Stream(unit.id, publication.port))
             yield Arrow(unit.id, _topic_key(publication.topic), publication.port, "", mark, notes)
     then, now = _wanted_units(before), _wanted_units(after)
     for target, unit_id in _wanted_units(drawn):
-        yield Arrow(unit_id, _target_key(drawn.target[target]), "", "", _mark((target, unit_id), then, now))
+        mark = _mark((target, unit_id), then, now, stays=unit_id in after.unit)
+        yield Arrow(unit_id, _target_key(drawn.target[target]), "", "", mark)
 
 
 def _serves(environment: Environment, stream: Stream) -> tuple[str, ...]:
@@ -271,9 +279,10 @@ def _wanted_units(environment: Environment) -> tuple[tuple[str, str], ...]:
     return tuple((target, met[target].id) for target in environment.wanted_to_run if target in met)
 
 
-def _mark(item: object, before: tuple[object, ...], after: tuple[object, ...]) -> Mark:
+def _mark(item: object, before: tuple[object, ...], after: tuple[object, ...], *, stays: bool) -> Mark:
+    """The mark of an arrow; `stays` says that the units at its ends run on."""
     if item not in after:
-        return Mark.STOPPED
+        return Mark.CUT if stays else Mark.STOPPED
     return Mark.KEPT if item in before else Mark.STARTED
 
 
