@@ -16,7 +16,7 @@ from cfgplan.planners.exact.required import left_with_all
 from cfgplan.planners.exact.rest import Remainder
 from cfgplan.planners.exact.work import Left, Work, numbers
 from cfgplan.planners.networks.core import Ints
-from cfgplan.planners.networks.greedy import FREE, cost_of, first_plan, improved, is_plan, plan_at, with_less
+from cfgplan.planners.networks.greedy import FREE, cost_of, first_plan, is_plan, plan_at, with_less
 from cfgplan.planners.networks.network import Network, Weighing, costs
 from cfgplan.reasons import unmet_reasons
 
@@ -75,14 +75,14 @@ def decide_all(work: Work) -> bool:
 def raise_bound(work: Work) -> bool:
     """Find a plan and a bound, and leave out labels by reduced costs.
 
-    The plan is that at rest or the last one, mended where units died. It is a new one if that no longer is a plan, or
-    in a session's first call, where the last plan is what runs; then ways to do without members are tried too.
+    The plan is that at rest or the last one. It is a new one if that no longer is a plan, or in a session's first call,
+    where the last plan is what runs; then ways to do without members are tried too.
     """
     standing, memory, clock, network = work.standing, work.memory, work.clock, work.structure.network
     is_first = not memory.last
     memory.keep_plan(standing)
     weighing = Weighing.of(work.problem, network, work.structure.pinned)
-    plan = _mended(work, network, weighing.weight)
+    plan = _known_plan(work, network)
     is_new = plan is None or is_first
     if is_new:
         found = (plan, first_plan(network, weighing.weight, 0, clock))
@@ -101,17 +101,14 @@ def raise_bound(work: Work) -> bool:
     return False
 
 
-def _mended(work: Work, network: Network, cost: Ints) -> set[int] | None:
-    """The plan at rest or the last one, less what is not worth it any more; None if it no longer is a plan."""
+def _known_plan(work: Work, network: Network) -> set[int] | None:
+    """The plan at rest or the last one; None if it no longer is a plan."""
     known, memory = set(network.pinned), work.memory
     if memory.rest is not None:
         known |= set(memory.rest.plan.tolist())
     else:
         known |= {network.number[label] for label in memory.last if label in network.number}
-    if not is_plan(network, known):
-        return None
-    running = {unit.transformation for unit in work.problem.environment.units}
-    return improved(network, cost, known, {i for i in known if network.labels[i] not in running}, work.clock)
+    return known if is_plan(network, known) else None
 
 
 def _bounded(work: Work, weighing: Weighing, plan: Ints | None) -> tuple[Ints | None, Remainder]:

@@ -45,14 +45,6 @@ def with_less(network: Network, cost: Ints, plan: set[int], attempts: int, clock
     return plan
 
 
-def improved(network: Network, cost: Ints, plan: set[int], doubtful: set[int], clock: Clock) -> set[int]:
-    """The plan, or a cheaper one without some of its doubtful members."""
-    for label in sorted(doubtful.difference(network.pinned)):
-        if label in plan and not clock.is_over():
-            plan = _without(network, cost, plan, label)
-    return plan
-
-
 def _without(network: Network, cost: Ints, plan: set[int], label: int) -> set[int]:
     """The plan, or a cheaper one that avoids `label` and has the other members for nothing."""
     price = cost.astype(np.float64) + 1.0
