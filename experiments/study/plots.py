@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from statistics import median
+from textwrap import fill
 from typing import TYPE_CHECKING, NamedTuple
 
 from cfgplan.comparing import RunFailure
@@ -195,10 +196,13 @@ def _over_time(rows: Sequence[Row], curve: Curve, name: str) -> tuple[Figure | N
         return None, []
     figure, axes = _grid(len(hardest), 3)
     for axis, (title, least_us, group) in zip(axes, hardest, strict=False):
+        absent = []
         for row in group:
             points = [(max(SHORTEST_PROOF_S, when), value) for when, value in curve(row, least_us)]
             _steps(axis, row, points, rows)
+            absent += [] if points else [row.planner]
         axis.set_xscale("log")
+        axis.set_xlabel(fill(f"without: {', '.join(absent)}", 70) if absent else "", fontsize=6)
         axis.set_title(title, fontsize=7)
     figure.supxlabel("seconds", fontsize=9)
     figure.supylabel(name, fontsize=9)
@@ -218,14 +222,14 @@ def _hardest(rows: Sequence[Row], most: int = 6) -> list[tuple[str, int, list[Ro
 
 
 def _steps(axis: Axes, row: Row, points: list[tuple[float, float]], rows: Sequence[Row]) -> None:
-    """A row's curve, carried on to the time limit."""
+    """A row's curve, carried on to the time limit; the later ones are thinner, so that they hide none below them."""
     if points:
         style = _styles(rows)[row.planner]
         points = sorted(points)
         xs = [*(x for x, _ in points), max(row.time_limit_s, points[-1][0])]
         ys = [*(y for _, y in points), points[-1][1]]
-        axis.step(xs, ys, where="post", color=style.color, linestyle=style.line)
-        axis.scatter(xs[0], ys[0], s=18, marker=style.marker, color=style.color, zorder=3)
+        axis.step(xs, ys, where="post", color=style.color, linestyle=style.line, linewidth=style.width)
+        axis.scatter(xs[0], ys[0], s=18, marker=style.marker, color=style.color, zorder=3, clip_on=False)
 
 
 def _series(rows: Sequence[Row]) -> dict[tuple[str, str], list[tuple[float, Row]]]:
@@ -253,12 +257,19 @@ class Style(NamedTuple):
     color: str
     marker: str
     line: tuple[float, Sequence[float]]
+    width: float
 
 
 def _styles(rows: Sequence[Row]) -> dict[str, Style]:
+    names = planners(rows)
     return {
-        planner: Style(COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)], (0, LINES[i % len(LINES)]))
-        for i, planner in enumerate(planners(rows))
+        planner: Style(
+            COLOURS[i % len(COLOURS)],
+            MARKERS[i % len(MARKERS)],
+            (0, LINES[i % len(LINES)]),
+            1.2 + 2.8 * (len(names) - 1 - i) / len(names),
+        )
+        for i, planner in enumerate(names)
     }
 
 

@@ -11,6 +11,7 @@ from cfgplan.comparing import REGISTERED, Limits, RunFailure
 from cfgplan.comparing.runs import thinned
 from cfgplan.planning import Status
 from experiments.study.invariants import breaches, gap, references
+from experiments.study.plots import anytime
 from experiments.study.report import by_family, detail, effort, overview, ratio_to, write_report
 from experiments.study.rows import Row
 from experiments.study.runner import run
@@ -94,14 +95,25 @@ def tiny_rows(tmp_path_factory: pytest.TempPathFactory) -> list[Row]:
 @pytest.mark.xdist_group("tiny")
 def test_every_registered_planner_keeps_the_invariants_on_the_tiny_suite(tiny_rows: list[Row]) -> None:
     assert breaches(tiny_rows) == []
-    exact = [r for r in tiny_rows if r.planner != "branch-and-bound"]
-    assert [r.instance for r in exact if not r.proven] == []
-    assert all(r.has_plan and r.violations == () for r in tiny_rows)
+    tried = [r for r in tiny_rows if r.outcome != RunFailure.REFUSED]
+    assert {r.planner for r in tried} == set(REGISTERED)
+    assert [r.instance for r in tried if r.planner != "branch-and-bound" and not r.proven] == []
+    assert all(r.has_plan and r.violations == () for r in tried)
     reference = references(tiny_rows)
     assert max(gap(r, reference) or 0.0 for r in tiny_rows if r.planner == "branch-and-bound") > 2
 
 
 @pytest.mark.xdist_group("tiny")
+def test_a_panel_over_time_shows_curves_that_coincide_and_names_who_has_none() -> None:
+    pytest.importorskip("matplotlib", reason="the plots need the extra `plots`")
+    figure = anytime([row("thick", 10, 1.0), row("thin", 10, 1.0), row("late", None)])
+    assert figure is not None
+    (panel,) = figure.axes
+    assert panel.get_xlabel() == "without: late"
+    under, over = (line.get_linewidth() for line in panel.lines)
+    assert under > over
+
+
 def test_a_report_has_tables_and_plots(tiny_rows: list[Row], tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="the plots need the extra `plots`")
     files = write_report(tiny_rows, tmp_path / "report")
