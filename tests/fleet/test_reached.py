@@ -80,8 +80,10 @@ def test_who_listens_sees_ages_by_the_clock_of_the_run(
             received = next(iter(subscription))
             assert abs(time_ns() - behind_ns - received.time_ns) < PATIENCE_S * 1e9
             assert 0 < subscription.now_ns() - received.time_ns < PATIENCE_S * 1e9
-        command = [*CFGPLAN, "listen", "/result", "--json", "--count=1", f"--connect={fleet.endpoints[0]}"]
-        heard = subprocess.run(command, capture_output=True, text=True, check=True, timeout=PATIENCE_S)
+        where = [f"--connect={fleet.endpoints[0]}", f"--wait={PATIENCE_S}"]
+        command = [*CFGPLAN, "listen", "/result", "--json", "--count=1", *where]
+        heard = subprocess.run(command, capture_output=True, text=True, timeout=2 * PATIENCE_S)
+        assert heard.returncode == 0, heard.stderr
         assert 0 < json.loads(heard.stdout)["latency_ms"] < PATIENCE_S * 1e3
 
 

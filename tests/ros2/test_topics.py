@@ -81,7 +81,7 @@ def test_what_is_published_arrives_at_the_sdk_in_order(opened: Open, sdk: Any, t
     eventually(both_know)
     for number in range(10):
         put(text.encode({"data": f"number {number}"}, NOW_NS), NOW_NS)
-    eventually(lambda: got[-1] == "number 9")
+        eventually(lambda last=number: got[-1] == f"number {last}")  # a burst may be dropped, as with rmw_zenoh
     assert [one for one in got if one != "first"] == [f"number {number}" for number in range(10)]
 
 
@@ -97,7 +97,7 @@ def test_what_the_sdk_publishes_arrives_in_order(opened: Open, sdk: Any, text: M
     eventually(both_know)
     for number in range(10):
         publisher.publish(data=f"number {number}")
-    eventually(lambda: got[-1][0] == "number 9")
+        eventually(lambda last=number: got[-1][0] == f"number {last}")
     assert [one for one, _ in got if one != "first"] == [f"number {number}" for number in range(10)]
     times = [at for _, at in got]
     assert times == sorted(times)
