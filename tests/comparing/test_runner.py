@@ -97,7 +97,7 @@ def test_a_planner_without_a_proof_has_no_time_of_proof() -> None:
 
 
 def test_a_planner_that_hangs_is_killed_and_what_it_had_found_is_kept() -> None:
-    row = run_one(SMALL, own("hangs"), Limits(time_limit_s=0.5, grace_s=10))
+    row = run_one(SMALL, own("hangs"), Limits(time_limit_s=0.5, grace_s=4))
     assert (row.outcome, row.cost_us, row.bound_us) == (RunFailure.KILLED, 9, 4)
     assert row.violations is None
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -26,9 +27,7 @@ from cfgplan.domain import (
 )
 
 PATIENCE_S = 60.0
-CAMERA = Transformation(
-    "camera", outputs=(OutputPort("image", "I"),), source="camera_units.py:camera", run=RunOptions(rate_hz=100)
-)
+CAMERA = Transformation("camera", outputs=(OutputPort("image", "I"),), source="camera_units.py:camera")
 UNIT = ComputationUnit("camera.1", "camera", (), (Publication("image", "/result"),))
 
 
@@ -40,8 +39,10 @@ def eventually(is_so: Callable[[], object]) -> None:
 
 
 @pytest.fixture
-def runtime() -> Iterator[Runtime]:
-    with Runtime([CAMERA], [Target("result", "I", "/result")], folder=Path(__file__).parent) as running:
+def runtime(request: pytest.FixtureRequest) -> Iterator[Runtime]:
+    """A camera that runs, with 100 images a second or as many as a test asks for."""
+    camera = replace(CAMERA, run=RunOptions(rate_hz=getattr(request, "param", 100)))
+    with Runtime([camera], [Target("result", "I", "/result")], folder=Path(__file__).parent) as running:
         running.apply(ChangeSet(started=(UNIT,)))
         yield running
 
@@ -84,6 +85,7 @@ def test_what_outlets_do_not_tell_does_not_come(monkeypatch: pytest.MonkeyPatch)
     assert flow.silent_s == pytest.approx(10, abs=1)
 
 
+@pytest.mark.parametrize("runtime", [2000], indirect=True)
 def test_what_subscribers_do_not_fetch_is_counted(runtime: Runtime) -> None:
     flows = flows_of(runtime)
     with subscribe("/result"):

@@ -369,7 +369,7 @@ def test_a_full_disk_for_what_it_prints_does_not_end_a_run(env: Path, tmp_path: 
 def test_a_recording_that_takes_no_more_is_told_while_it_runs(env: Path, tmp_path: Path) -> None:
     with running(env, "--record", tmp_path / "run.mcap") as process:
         await_event(process, "Running")
-        resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (200_000, resource.RLIM_INFINITY))
+        resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (20_000, resource.RLIM_INFINITY))
         warning = await_event(process, "Warning")
         process.send_signal(signal.SIGINT)
         recorded = await_event(process, "Recorded", failure="File too large")

@@ -18,8 +18,8 @@ from cfgplan.planning import Plan, Problem, Status
 from cfgplan.validity import plan_violations
 from experiments.families.random_library import random_library
 
-many = examples(400)
-fewer = examples(400, part=4)
+many = examples(240)
+fewer = examples(240, part=4)
 
 
 def quality(plan: Plan) -> tuple[object, ...]:

@@ -23,7 +23,7 @@ from cfgplan.qualities import Better, Wish
 from cfgplan.reasons import unmet_reasons
 from cfgplan.validity import plan_violations
 
-some = examples(40)
+some = examples(30)
 
 
 def quality(plan: Plan) -> tuple[object, ...]:
@@ -112,7 +112,7 @@ def test_survival_of_units_equals_the_oracle(problem: Problem) -> None:
     agree(problem)
 
 
-@examples(40, part=2)
+@examples(30, part=2)
 @given(fleets(frozenset({Notion.SURVIVAL, Notion.HOSTS}), most=2))
 def test_survival_of_hosts_equals_the_oracle(problem: Problem) -> None:
     agree(problem)
@@ -131,7 +131,7 @@ def test_the_oracle_and_the_planner_for_fleets_agree_on_what_the_paper_asks(prob
     assert len({quality(plan) for plan in plans}) == 1
 
 
-@examples(40, part=2)
+@examples(30, part=2)
 @given(fleets(TOGETHER, most=3), st.data())
 def test_the_plan_for_a_fleet_does_not_depend_on_the_run_or_the_order_of_lists(
     problem: Problem, data: st.DataObject
@@ -141,7 +141,7 @@ def test_the_plan_for_a_fleet_does_not_depend_on_the_run_or_the_order_of_lists(
     assert PLANNERS["cpsat"](reordered(problem, data.draw)) == plan
 
 
-@examples(40, part=2)
+@examples(30, part=2)
 @given(fleets(TOGETHER, most=3))
 def test_the_plan_for_a_fleet_leaves_nothing_to_do(problem: Problem) -> None:
     plan = PLANNERS["cpsat"](problem)

@@ -7,6 +7,7 @@ from fleets import fleets
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from test_fleets_against_the_oracle import some
+from worlds import examples
 
 from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.errors import InputError
@@ -83,7 +84,7 @@ def is_kept(problem: Problem, candidates: Candidates, attribute: QualityAttribut
             assert badness + helped >= potentials[root.demand]
 
 
-@some
+@examples(30, part=2)
 @given(fleets(frozenset({Notion.QUALITY})), st.data())
 def test_cuts_hold_whatever_the_potentials(problem: Problem, data: st.DataObject) -> None:
     assume(not unmet_reasons(problem))

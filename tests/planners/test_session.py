@@ -40,6 +40,7 @@ from cfgplan.planners.exact.first_plans import FirstPlans
 from cfgplan.planners.exact.memory import Structure
 from cfgplan.planning import Problem, Progress, Status
 from cfgplan.validity import plan_violations
+from experiments.families.random_library import random_library
 from experiments.fleet import instances
 
 
@@ -83,7 +84,7 @@ def test_a_unit_that_became_free_to_start_is_replaced_rather_than_rewired() -> N
     assert quality(session.plan(broken)) == quality(plan(broken)) == quality(PLANNERS["exhaustive"](broken))
 
 
-@examples(400, part=2)
+@examples(400, part=4)
 @given(st.data())
 def test_a_warm_session_is_as_good_as_a_cold_planner_through_any_changes(data: st.DataObject) -> None:
     session = PlannerSession()
@@ -97,7 +98,7 @@ def test_a_warm_session_is_as_good_as_a_cold_planner_through_any_changes(data: s
         problem = data.draw(changed(problem))
 
 
-@examples(400, part=2)
+@examples(400, part=4)
 @given(st.data())
 def test_after_rest_failures_and_moved_costs_are_answered_as_well_as_a_cold_planner_does(data: st.DataObject) -> None:
     session = PlannerSession()
@@ -188,7 +189,8 @@ def test_the_bound_rises_and_the_cost_falls_while_it_works() -> None:
         if progress.cost_us is not None and len({earlier.bound_us for earlier in seen}) > 2:
             enough.set()
 
-    plan(hard_problem(), time_limit_s=60, report=look, stop=enough)
+    problem = random_library(2, transformations=300, targets=3, arity=3, back=0.4)
+    plan(problem, time_limit_s=60, report=look, stop=enough)
     bounds = [progress.bound_us for progress in seen]
     costs = [progress.cost_us for progress in seen if progress.cost_us is not None]
     assert bounds == sorted(bounds)

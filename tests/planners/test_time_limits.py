@@ -129,7 +129,7 @@ def at_work(draw: st.DrawFn, drawn: st.SearchStrategy[Problem]) -> tuple[Problem
     return problem, (unused, cost_parts(problem, problem.environment.units).total_us)
 
 
-@examples(200)
+@examples(100)
 @given(
     at_work(st.one_of(problems(most=8), problems(most=8, special=False), fleets(TOGETHER, most=3))),
     st.integers(0, 60),
