@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 from cfgplan_runtime.errors import RuntimeFaultError
-from cfgplan_runtime.fleet.links import LEASE_S, Pulse, config, sign_period_s
+from cfgplan_runtime.fleet.links import LEASE_S, Lives, Pulse, config, sign_period_s
 from cfgplan_runtime.fleet.ways import ReachedAt, reach
 from cfgplan_runtime.streams.zenoh_link import Taken, ZenohLink, taken
 from small_fleet import PATIENCE_S, eventually
@@ -136,6 +136,17 @@ def test_an_agent_whose_signs_came_in_time_up_to_now_has_ended_if_its_links_are_
     assert pulse(*in_time).is_steady(in_time[-1] + period_s)
     assert not pulse(*in_time).is_steady(in_time[-1] + 3 * period_s), "its link is silent"
     assert not pulse(in_time[-1]).is_steady(in_time[-1]), "its signs were late: this process, or the link, was stalled"
+
+
+@pytest.mark.parametrize("late_s", [0.0, 1.5])
+def test_a_manager_whose_link_is_gone_is_alive_as_long_as_a_lease_if_its_signs_were_late(late_s: float) -> None:
+    lives, period_s = Lives(), sign_period_s()
+    for number in range(20):
+        lives.note("m", number * period_s)
+    gone_s = 19 * period_s + late_s
+    lives.note("m", gone_s, is_alive=False)
+    assert lives.has("m", gone_s) == bool(late_s)
+    assert not lives.has("m", gone_s + LEASE_S)
 
 
 @pytest.mark.parametrize("is_allowed", [True, False])

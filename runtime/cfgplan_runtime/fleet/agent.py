@@ -18,7 +18,7 @@ from cfgplan.domain import MANAGER
 from cfgplan.errors import InputError
 from cfgplan_runtime.children.messages import Export, Import, Marked, Release, TellMark
 from cfgplan_runtime.fleet.clocks import HostClock
-from cfgplan_runtime.fleet.links import LEASE_S, config, sign_period_s
+from cfgplan_runtime.fleet.links import LEASE_S, Lives, config, sign_period_s
 from cfgplan_runtime.fleet.orders import (
     HEARD,
     REFUSE,
@@ -146,8 +146,7 @@ class Agent:
         self._lost = 0
         """Elements that had not come to other hosts when their crossings were ended, and were not told of."""
         self._orders: deque[Order] = deque()
-        self._managers: set[str] = set()
-        """Keys of the managers that are alive."""
+        self._managers = Lives()
         self._is_left = False
         """Whether the manager of this talk has said that its run is over. Its key may be alive for a moment still."""
         self._superseded: tuple[float, Session] | None = None
@@ -211,6 +210,7 @@ class Agent:
         self._link.answer(clock_key(self.name), HostClock(lambda: time.monotonic_ns() + offset_ns).told)
         self._link.answer(topics_key(self.name), self._topics_told)
         self._link.watch(f"{alive_key(MANAGER)}/*", self._note_manager)
+        self._link.hear(f"{alive_key(MANAGER)}/*", lambda key, *_: self._note_manager(key, is_alive=True))
         for kind in (SAY, HEARD):
             self._link.hear(crossing_key(MANAGER, kind, self.name, "*"), self._take)
 
@@ -222,7 +222,7 @@ class Agent:
 
     def _note_manager(self, key: str, is_alive: bool) -> None:
         """Called by threads of the link, as `_take` is."""
-        (self._managers.add if is_alive else self._managers.discard)(key)
+        self._managers.note(key, time.monotonic(), is_alive=is_alive)
 
     def _take(self, key: str, head: bytes, payload: bytes) -> None:
         """Called by threads of the link."""
@@ -287,7 +287,7 @@ class Agent:
             if kind == HEARD:
                 return
             if talk is not None and not _supersedes(session, talk.session):
-                is_alive = f"{alive_key(MANAGER)}/{talk.session.manager}" in self._managers
+                is_alive = self._managers.has(f"{alive_key(MANAGER)}/{talk.session.manager}", time.monotonic())
                 self._refuse(session, talk.session, is_obeyed=is_alive and not self._is_left)
                 return
             if talk is not None and session.manager != talk.session.manager:

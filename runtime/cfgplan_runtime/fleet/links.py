@@ -116,6 +116,25 @@ class Pulse:
         return now_s - self.last_s >= LEASE_S
 
 
+class Lives:
+    """Who is alive, by keys. A link that a busy computer has made anew takes nobody away."""
+
+    def __init__(self) -> None:
+        self._pulses: dict[str, Pulse] = {}
+
+    def note(self, key: str, now_s: float, *, is_alive: bool = True) -> None:
+        """Note a sign of life, or that Zenoh knows the key as alive or not any more."""
+        pulse = self._pulses.setdefault(key, Pulse(now_s, now_s))
+        if is_alive:
+            pulse.note(now_s)
+        elif pulse.is_steady(now_s):
+            del self._pulses[key]
+
+    def has(self, key: str, now_s: float) -> bool:
+        """Whether it is alive."""
+        return key in self._pulses and not self._pulses[key].is_lost(now_s)
+
+
 def host_and_port(address: str) -> tuple[str, str]:
     """The parts of an address such as 192.168.1.5:7447."""
     host, _, port = address.rpartition(":")

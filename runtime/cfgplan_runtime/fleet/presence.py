@@ -19,7 +19,7 @@ from cfgplan.domain import MANAGER
 from cfgplan.errors import InputError
 from cfgplan_runtime.fleet.agent import clock_key
 from cfgplan_runtime.fleet.clocks import CALLS, CALLS_AGAIN, CLOCK_S, HostClock, Reading, corrected, has_moved
-from cfgplan_runtime.fleet.links import MISSED_SIGNS, Pulse, sign_period_s
+from cfgplan_runtime.fleet.links import LEASE_S, MISSED_SIGNS, Pulse, sign_period_s
 from cfgplan_runtime.fleet.orders import (
     HEARD,
     REFUSE,
@@ -142,14 +142,15 @@ class Presence:
         """When it was last looked what had arrived."""
         self._left_alone: set[str] = set()
         """Agents that are alive and can't be given orders; what tells them from others, as in `_seen`."""
-        self._rival = ""
-        """A host that obeys another manager."""
+        self._refusing: list[HostState] = []
+        """Hosts that obey another manager, at the beginning."""
         for kind in (SAY, HEARD, REFUSE):
             link.hear(crossing_key(None, kind, MANAGER, "*"), lambda *came: self._inbox.put(came))
         link.watch(f"{alive_key(None)}/*", lambda *came: self._inbox.put(came))
         link.hear(f"{alive_key(None)}/*", lambda key, *_: self._inbox.put((key, time.monotonic())))
         link.answer(reach_key(MANAGER), lambda: b"{}")
         link.live(f"{alive_key(MANAGER)}/{run}")
+        link.give_signs(f"{alive_key(MANAGER)}/{run}", sign_period_s())
 
     @property
     def there(self) -> Mapping[str, HostState]:
@@ -188,6 +189,7 @@ class Presence:
         """Wait until all hosts are there, at most `wait_s`. Returns what has happened.
 
         Raises InputError if another manager has one, unless this one `takes_over`, and if that sees fewer than half.
+        A manager that was killed just now may seem to be alive for a lease.
         """
         self._takes_over = takes_over
         end_s = time.monotonic() + wait_s
@@ -200,11 +202,17 @@ class Presence:
         self._is_greeting = True
         for name, life in self._seen.items():
             self._greet(name, life, "")
-        while not self.there.keys() >= self._seen.keys() and time.monotonic() < end_s + _CALL_S:
+        refused_s = time.monotonic() + LEASE_S + sign_period_s()
+        while not self.there.keys() >= self._seen.keys() and time.monotonic() < max(end_s, refused_s) + _CALL_S:
             self._hear_once(end_s + _CALL_S)
-            if self._rival:
+            if self._refusing and time.monotonic() > refused_s:
                 mend = "stop the other run first, or add --take-over"
-                raise InputError.of(f"another run has host {self._rival!r}", mend=mend)
+                raise InputError.of(f"another run has host {self._refusing[0].name!r}", mend=mend)
+            if self._refusing:
+                time.sleep(sign_period_s())
+            while self._refusing:
+                host = self._refusing.pop()
+                self._greet(host.name, host.life, "another manager had it")
         self._is_beginning = self._takes_over = False
         self._begin_clocks()
         happened, self._happened = self._happened, []
@@ -340,9 +348,9 @@ class Presence:
             term, is_obeyed = map(int, refusal.split())
         except ValueError:
             return  # of another version, or of nobody
-        if is_obeyed and not self._takes_over:
-            self._rival = host.name
-            self.wake()
+        if is_obeyed and self._is_beginning and not self._takes_over:
+            self._refusing.append(host)
+        elif is_obeyed and not self._takes_over:
             self.leave_alone(host, "it obeys a later manager")
         else:
             self._term = max(self._term, term + 1)
