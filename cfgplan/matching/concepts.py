@@ -90,28 +90,24 @@ BOTTOM = Named(NOTHING_IRI)
 
 def conjunction(parts: Iterable[Concept]) -> Concept:
     """C ⊓ D ⊓ ..., flat, without ⊤ and repetitions; ⊤ if nothing is left."""
-    flat: set[Concept] = set()
-    for part in parts:
-        flat.update(part.parts if isinstance(part, Intersection) else (part,))
-    flat.discard(TOP)
-    if BOTTOM in flat:
-        return BOTTOM
-    if len(flat) > 1:
-        return Intersection(frozenset(flat))
-    return flat.pop() if flat else TOP
+    return _joined(Intersection, parts, TOP, BOTTOM)
 
 
 def disjunction(parts: Iterable[Concept]) -> Concept:
     """C ⊔ D ⊔ ..., flat, without ⊥ and repetitions; ⊥ if nothing is left."""
+    return _joined(Union, parts, BOTTOM, TOP)
+
+
+def _joined(kind: type[Intersection | Union], parts: Iterable[Concept], neutral: Concept, dominant: Concept) -> Concept:
     flat: set[Concept] = set()
     for part in parts:
-        flat.update(part.parts if isinstance(part, Union) else (part,))
-    flat.discard(BOTTOM)
-    if TOP in flat:
-        return TOP
+        flat.update(part.parts if isinstance(part, kind) else (part,))
+    flat.discard(neutral)
+    if dominant in flat:
+        return dominant
     if len(flat) > 1:
-        return Union(frozenset(flat))
-    return flat.pop() if flat else BOTTOM
+        return kind(frozenset(flat))
+    return flat.pop() if flat else neutral
 
 
 def negation(concept: Concept) -> Concept:
@@ -155,10 +151,9 @@ def in_description_logic(concept: Concept, name: Callable[[str], str]) -> str:
             return f"{{{name(iri)}}}"
         case Complement(part):
             return f"¬{_operand(part, name)}"
-        case Intersection(parts):
-            return " ⊓ ".join(sorted((_operand(part, name) for part in parts), key=_names_first))
-        case Union(parts):
-            return " ⊔ ".join(sorted((_operand(part, name) for part in parts), key=_names_first))
+        case Intersection(parts) | Union(parts):
+            sign = " ⊓ " if isinstance(concept, Intersection) else " ⊔ "
+            return sign.join(sorted((_operand(part, name) for part in parts), key=_names_first))
         case Some(role, filler):
             return f"∃{name(role)}.{_operand(filler, name)}"
         case Only(role, filler):

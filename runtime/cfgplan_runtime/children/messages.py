@@ -53,44 +53,37 @@ class OutletOrder(msgspec.Struct, frozen=True, tag=True):
 ChildOrder: TypeAlias = UnitOrder | SpareOrder | OutletOrder
 
 
+class OfWire(msgspec.Struct):
+    """What is said of a wire at an input or output."""
+
+    port: str
+    wire: int
+
+
 # To a child.
 
 
-class Feed(msgspec.Struct, tag=True):
+class Feed(OfWire, tag=True):
     """Attach the receiving end that comes along to an input, as its source or its standby."""
 
-    port: str
-    wire: int
 
-
-class Serve(msgspec.Struct, tag=True):
+class Serve(OfWire, tag=True):
     """Send an output's elements to one more subscriber, whose sending end comes along."""
 
-    port: str
-    wire: int
     queue: int
     blocks: bool
 
 
-class Cut(msgspec.Struct, tag=True):
+class Cut(OfWire, tag=True):
     """Detach an input from one of its sources."""
 
-    port: str
-    wire: int
 
-
-class End(msgspec.Struct, tag=True):
+class End(OfWire, tag=True):
     """An input's source has died: take what it has sent, then detach, even if another process holds its socket open."""
 
-    port: str
-    wire: int
 
-
-class Unserve(msgspec.Struct, tag=True):
+class Unserve(OfWire, tag=True):
     """A subscriber of an output has died: drop it, even if another process holds its socket open."""
-
-    port: str
-    wire: int
 
 
 class SwitchNow(msgspec.Struct, tag=True):
@@ -180,18 +173,12 @@ class Prepared(msgspec.Struct, tag=True):
     changed_ns: dict[str, int]
 
 
-class Switched(msgspec.Struct, tag=True):
+class Switched(OfWire, tag=True):
     """The wire is its input's active source now."""
 
-    port: str
-    wire: int
 
-
-class Lost(msgspec.Struct, tag=True):
+class Lost(OfWire, tag=True):
     """An input's active source has ended and there is no standby."""
-
-    port: str
-    wire: int
 
 
 class Trouble(msgspec.Struct, tag=True):

@@ -15,6 +15,7 @@ from cfgplan_runtime.reasoning.syntax import (
     Always,
     And,
     Atom,
+    Connected,
     Constant,
     Eventually,
     Formula,
@@ -157,11 +158,8 @@ class _Compiler:
 
 def _is_of_one_state(formula: Formula) -> bool:
     match formula:
-        case Constant() | Atom():
-            return True
         case Not(part):
             return _is_of_one_state(part)
-        case And(left, right) | Or(left, right) | Implies(left, right):
+        case Connected(left, right):
             return _is_of_one_state(left) and _is_of_one_state(right)
-        case _:
-            return False
+    return isinstance(formula, Constant | Atom)

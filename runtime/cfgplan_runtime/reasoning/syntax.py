@@ -7,7 +7,7 @@ hold any hashable value that says something about one state; the temporal part n
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import ClassVar, TypeAlias
 
 from cfgplan.errors import InvalidValueError
 
@@ -66,53 +66,52 @@ class Not:
         return f"not {_inside(self.part)}"
 
 
-@dataclass(frozen=True, slots=True)
-class And:
+@dataclass(frozen=True)
+class Connected:
+    """Two formulas with a word between them."""
+
+    word: ClassVar[str]
     left: Formula
     right: Formula
 
     def __str__(self) -> str:
-        return f"{_inside(self.left)} and {_inside(self.right)}"
+        return f"{_inside(self.left)} {self.word} {_inside(self.right)}"
 
 
-@dataclass(frozen=True, slots=True)
-class Or:
-    left: Formula
-    right: Formula
+class And(Connected):
+    word = "and"
+
+
+class Or(Connected):
+    word = "or"
+
+
+class Implies(Connected):
+    word = "->"
+
+
+@dataclass(frozen=True)
+class Temporal:
+    """A formula about the states of an interval."""
+
+    word: ClassVar[str]
+    part: Formula
+    interval: Interval = ALL_TIME
 
     def __str__(self) -> str:
-        return f"{_inside(self.left)} or {_inside(self.right)}"
+        return f"{self.word}{self.interval} {_inside(self.part)}"
 
 
-@dataclass(frozen=True, slots=True)
-class Implies:
-    left: Formula
-    right: Formula
-
-    def __str__(self) -> str:
-        return f"{_inside(self.left)} -> {_inside(self.right)}"
-
-
-@dataclass(frozen=True, slots=True)
-class Always:
+class Always(Temporal):
     """In every state of the interval."""
 
-    part: Formula
-    interval: Interval = ALL_TIME
-
-    def __str__(self) -> str:
-        return f"always{self.interval} {_inside(self.part)}"
+    word = "always"
 
 
-@dataclass(frozen=True, slots=True)
-class Eventually:
+class Eventually(Temporal):
     """In some state of the interval."""
 
-    part: Formula
-    interval: Interval = ALL_TIME
-
-    def __str__(self) -> str:
-        return f"eventually{self.interval} {_inside(self.part)}"
+    word = "eventually"
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +130,7 @@ Formula: TypeAlias = Constant | Atom | Not | And | Or | Implies | Always | Event
 
 
 def _inside(part: Formula) -> str:
-    return f"({part})" if isinstance(part, (And, Or, Implies, Until)) else str(part)
+    return f"({part})" if isinstance(part, (Connected, Until)) else str(part)
 
 
 def _span_text(span_ns: int) -> str:
