@@ -195,5 +195,5 @@ def _label(found: Sensitivity, span: Span) -> str:
     everywhere = set(found.spans[0].runs).intersection(*(other.runs for other in found.spans))
     own = [label for label in span.runs if label not in everywhere]
     more = f" and {len(own) - 3} more" if len(own) > 3 else ""
-    text = ", ".join(own[:3]) + more if own else "the same in all plans"
+    text = ", ".join(own[:3]) + more if own else "what all plans run, no more"
     return f" {text}" if text.startswith("_") else text  # a label that begins with _ is left out of a legend

@@ -14,6 +14,7 @@ from cfgplan.errors import InputError
 from cfgplan.planning import Plan, Planner, Problem, Status, refuse_order
 from cfgplan.qualities import MICRO
 from cfgplan.summary import Summary, counted, summarised, summary
+from cfgplan.validity.counts import unfed_us
 from cfgplan.validity.hosts import carried_us, rents_us
 
 
@@ -102,7 +103,7 @@ def horizon_sensitivity(problem: Problem, planner: Planner) -> Sensitivity:
             (standby_cost_us if u.standby else keep_cost_us)(library[u.transformation], 1, after.place_of(u))
             for u in after.units
         )
-        return units + carried_us(after, 1) + rents_us(after)
+        return units + carried_us(after, 1) + rents_us(after) + unfed_us(after, 1)
 
     # Beyond all that is paid once no saving of it is worth a microsecond more each second.
     once_us = problem.largest_cost_us(0)

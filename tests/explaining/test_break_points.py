@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from worlds import examples, problems
 
 from cfgplan.costs import LARGEST_COST_US
-from cfgplan.domain import Environment, OutputPort, Similarity, Target, Transformation
+from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.errors import InputError, InvalidValueError
 from cfgplan.explaining import Sensitivity, horizon_sensitivity, upkeep_sensitivity
 from cfgplan.planners import PLANNERS
@@ -77,6 +77,7 @@ NOTIONS = [
     frozenset({Notion.INSTANCES}),
     frozenset({Notion.HOSTS}),
     frozenset({Notion.SURVIVAL}),
+    frozenset({Notion.OPTIONAL}),
 ]
 beyond_the_paper = st.sampled_from(NOTIONS).flatmap(
     lambda notions: fleets(notions, most=2 if notions & {Notion.SURVIVAL, Notion.HOSTS} else 3)
@@ -161,6 +162,18 @@ def test_a_cold_spare_may_cost_more_than_what_runs() -> None:
     assert [(span.line.fixed_us, span.line.each_us) for span in found.spans] == [(0, 2), (1, 1)]
     with pytest.raises(InvalidValueError, match="more than can be computed exactly"):
         replace(problem, horizon_s=LARGEST_COST_US)
+
+
+def test_an_optional_input_is_fed_from_the_horizon_on_at_which_it_is_worth_it() -> None:
+    asks = InputPort("i", "B", optional=True, worth_us=3)
+    library = (
+        Transformation("user", (asks,), (OutputPort("o", "A"),), labor_us=0),
+        Transformation("giver", (), (OutputPort("o", "B"),), labor_us=10, upkeep_us=1),
+    )
+    relation = Similarity({"A": frozenset("A"), "B": frozenset("B")})
+    found = horizon_sensitivity(Problem(Environment((), library, (Target("t", "A", "/t"),)), relation, 1), cpsat)
+    assert found.breaks == (5,)
+    assert [span.runs for span in found.spans] == [("user",), ("giver", "user")]
 
 
 def test_costs_that_grow_beyond_what_is_exact_end_the_last_span() -> None:
