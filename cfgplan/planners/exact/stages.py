@@ -10,6 +10,7 @@ import numpy as np
 
 from cfgplan.planners.bounding.bounds import Bound, tightened
 from cfgplan.planners.closing.gap import Closing
+from cfgplan.planners.exact.answer_sets import prove_by_answer_sets
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.deciding import decide
 from cfgplan.planners.exact.required import left_with_all
@@ -160,6 +161,7 @@ STAGES: Final[tuple[Stage, ...]] = (
     see_what_can_be_met,
     plan_fleet,
     use_all_required,
+    prove_by_answer_sets,
     decide_all,
     raise_bound,
     close_gap,
