@@ -11,11 +11,13 @@ from itertools import combinations
 
 from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.errors import InputError
-from cfgplan.explaining.kept import Kept, Labels, unused_required
+from cfgplan.explaining.kept import Kept, Labels
 from cfgplan.explaining.what_if import requiring, without_transformations
+from cfgplan.onward import reached
 from cfgplan.planning import REFUSED, Notion, Plan, Planner, Problem, Rank, Status, refuse_order
 from cfgplan.reasons import Givers, startable
 from cfgplan.summary import Summary, counted, cpu, summarised, summary
+from cfgplan.validity import unused_required
 
 FIRST_LOOK_S = 1.0
 """Seconds for the planner's first look at a part; each later look, when the part's bound is the least, takes twice
@@ -233,15 +235,14 @@ class _Ranking:
         """What a target or a pinned unit may need, directly or through others."""
         environment = self._problem.environment
         givers = Givers(environment.library, self._problem.similarity.optimistic)
-        ahead = [target.tag for target in environment.targets]
-        ahead += [port.tag for label in sorted(self._kept) for port in environment.transformation[label].inputs]
         possible = startable(environment, givers)
-        found: set[str] = set()
-        for tag in ahead:
-            new = possible.intersection(givers.of(tag)) - found
-            found |= new
-            ahead += [port.tag for label in sorted(new) for port in environment.transformation[label].inputs]
-        return frozenset(found) - self._kept
+
+        def feeding(label: str) -> Iterator[str]:
+            for port in environment.transformation[label].inputs:
+                yield from possible.intersection(givers.of(port.tag))
+
+        wanted = (possible.intersection(givers.of(target.tag)) for target in environment.targets)
+        return frozenset(reached(self._kept.union(*wanted), feeding)) - self._kept
 
 
 def _restricted(problem: Problem, without: Iterable[str], required: Labels) -> Problem:

@@ -8,7 +8,6 @@ from functools import cached_property
 
 from cfgplan.domain import (
     ComputationUnit,
-    Environment,
     OutputPort,
     Publication,
     Similarity,
@@ -80,20 +79,6 @@ class Kept:
             asked = [*running, *map(str, range(transformation.min_instances))][: transformation.min_instances]
             found += [(label, unit) for unit in dict.fromkeys([*pinned, *asked])]
         return found
-
-
-def unused_required(environment: Environment) -> tuple[str, ...]:
-    """The labels of required transformations that serve no target of the environment."""
-    ahead = list(environment.meeting(environment.units).values())
-    needed: set[str] = set()
-    used: set[str] = set()
-    while ahead:
-        unit = ahead.pop()
-        if unit.id not in needed:
-            needed.add(unit.id)
-            used.add(unit.transformation)
-            ahead += [environment.unit[s.stream.unit] for s in unit.subscriptions]
-    return tuple(label for label in environment.required if label not in used)
 
 
 def _publishing(unit: ComputationUnit, name: str | None) -> ComputationUnit:

@@ -7,10 +7,12 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from cfgplan.domain import ComputationUnit, Environment, Objective
-from cfgplan.explaining.kept import Kept, unused_required
+from cfgplan.explaining.kept import Kept
 from cfgplan.explaining.what_if import requiring, without_transformations
+from cfgplan.onward import reached
 from cfgplan.planning import Notion, Plan, Planner, Problem, Status
 from cfgplan.summary import Summary, cpu, summarised, summary
+from cfgplan.validity import unused_required
 
 
 class Choice(StrEnum):
@@ -195,17 +197,14 @@ def _served(environment: Environment, units: Iterable[ComputationUnit], port: st
     """The labels of the targets that use the units, or one output of them, directly or through others."""
     topics = {p.topic for u in units for p in u.publications if port in (None, p.port)}
     units = list(units)
-    seen: set[str] = set()
-    ahead = [reader.rpartition("/")[0] for reader in _readers(environment, units, port)]
-    ahead += [] if port is not None else _running_with(environment, units)
-    while ahead:
-        unit = environment.unit[ahead.pop()]
-        if unit.id not in seen:
-            seen.add(unit.id)
-            topics.update(p.topic for p in unit.publications)
-            ahead += [reader.rpartition("/")[0] for reader in _readers(environment, [unit], None)]
-            ahead += _running_with(environment, [unit])
-    serving = seen.union(u.id for u in units if port is None)
+
+    def served_by(users: list[ComputationUnit], port: str | None) -> list[str]:
+        readers = [reader.rpartition("/")[0] for reader in _readers(environment, users, port)]
+        return readers + ([] if port is not None else _running_with(environment, users))
+
+    through = reached(served_by(units, port), lambda unit: served_by([environment.unit[unit]], None))
+    topics.update(p.topic for unit in through for p in environment.unit[unit].publications)
+    serving = {*through, *(u.id for u in units if port is None)}
     to_run = environment.wanted_to_run.keys()
     met = {label for label, u in environment.meeting(environment.units).items() if u.id in serving and label in to_run}
     return tuple(target.label for target in environment.targets if target.topic in topics or target.label in met)

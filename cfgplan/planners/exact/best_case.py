@@ -7,11 +7,12 @@ run. A stream that misses every bound even then is of no use anywhere.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Hashable, Iterable
+from collections.abc import Hashable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import chain
 
 from cfgplan.domain import InputPort, OutputPort, Stream, Transformation
+from cfgplan.onward import reached
 from cfgplan.planners.exact.candidates import ONLY_IN_THE_MODEL, Candidate, Candidates
 from cfgplan.qualities import MICRO, Contribution, Over, QualityAttribute, QualityRule, price_us, propagated
 
@@ -248,21 +249,17 @@ def demands_of_quality(candidates: Candidates) -> dict[Demand, bool]:
 
 def _where_it_counts(candidates: Candidates, attribute: QualityAttribute) -> set[Demand]:
     """The demands of targets that ask for an attribute, and of inputs of which such streams are made."""
-    ahead = [
-        target.tag
-        for target in candidates.environment.targets
-        if any(wish.attribute == attribute.name for wish in target.quality)
-    ]
-    seen = set(ahead)
-    for tag in ahead:
+
+    def made_of(tag: str) -> Iterator[str]:
         for stream in candidates.streams(tag):
             t = candidates.all[candidates.index_of[stream.unit]].transformation
             stated = stated_of(t.output[stream.port], attribute)
             if stated is None or stated.rule is not QualityRule.SET:
-                new = {port.tag for port in t.inputs if not port.feedback} - seen
-                seen |= new
-                ahead += sorted(new)
-    return {candidates.streams(tag) for tag in ahead}
+                yield from (port.tag for port in t.inputs if not port.feedback)
+
+    targets = candidates.environment.targets
+    asking = (target.tag for target in targets if any(wish.attribute == attribute.name for wish in target.quality))
+    return {candidates.streams(tag) for tag in reached(asking, made_of)}
 
 
 def _may_be_better_than_its_inputs(attribute: QualityAttribute, of: Transformation) -> bool:

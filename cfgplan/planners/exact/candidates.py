@@ -12,6 +12,7 @@ import numpy as np
 
 from cfgplan.costs import keep_cost_us, standby_cost_us, start_cost_us, taken
 from cfgplan.domain import ComputationUnit, Environment, Host, Stream, Transformation
+from cfgplan.onward import reached
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.keys import may_stay
 from cfgplan.planners.networks.network import Network
@@ -275,14 +276,10 @@ def relevant(environment: Environment, givers: Givers, possible: frozenset[str],
 
 def with_companions(environment: Environment, labels: Iterable[str]) -> list[str]:
     """Some transformations and those that they run with, directly or through others."""
-    found, library = list(labels), environment.transformation
-    if environment.companions:
-        seen = set(found)
-        for label in found:
-            new = [other for other in library[label].beside if other in library and other not in seen]
-            seen.update(new)
-            found += new
-    return found
+    library = environment.transformation
+    if not environment.companions:
+        return list(labels)
+    return reached(labels, lambda label: (other for other in library[label].beside if other in library))
 
 
 def _candidates(problem: Problem, labels: frozenset[str], clock: Clock) -> Iterator[Candidate]:

@@ -9,6 +9,7 @@ from itertools import repeat
 from typing import TYPE_CHECKING
 
 from cfgplan.domain import ComputationUnit, Environment, InputPort, Publication, Stream, Subscription, Target
+from cfgplan.onward import reached
 from cfgplan.planners.exact.candidates import Candidates, HostName
 from cfgplan.planners.exact.survivors import can_do_without
 from cfgplan.planners.networks.keys import needed_feeders
@@ -193,16 +194,14 @@ def needed_units(
     """The ids of the roots and of all units that they need, directly or through others."""
     by_id = {unit.id: unit for unit in units}
     running = _running_on(by_id.values()) if environment.companions else {}
-    ahead = [root.id for root in roots]
-    needed = set(ahead)
-    for unit_id in ahead:
+
+    def needs(unit_id: str) -> set[str]:
         unit = by_id[unit_id]
         beside = environment.transformation[unit.transformation].beside if not unit.standby else ()
         company = [running.get((unit.host, label), ()) for label in beside]
-        new = needed_feeders(environment, unit) | {ids[0] for ids in company if len(ids) == 1}
-        ahead += sorted(new - needed)
-        needed |= new
-    return needed
+        return needed_feeders(environment, unit) | {ids[0] for ids in company if len(ids) == 1}
+
+    return set(reached([root.id for root in roots], needs))
 
 
 def have_company(environment: Environment, units: Collection[ComputationUnit]) -> bool:

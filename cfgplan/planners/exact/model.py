@@ -8,12 +8,13 @@ outputs. Where the feeder matters an input is *told apart*: each stream that may
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence, Set
+from collections.abc import Callable, Iterable, Iterator, Sequence, Set
 
 from ortools.sat.python.cp_model import CpModel, IntVar, LinearExpr, LinearExprT
 
 from cfgplan.costs import transfer_cost_us
 from cfgplan.domain import ALL, InputPort, Objective, Stream
+from cfgplan.onward import reached
 from cfgplan.planners.exact.best_case import demands_of_quality
 from cfgplan.planners.exact.candidates import ONLY_IN_THE_MODEL, Candidates, HostName
 from cfgplan.planners.solving.engine import at_least
@@ -291,9 +292,9 @@ def _feeders_of_idle_inputs(candidates: Candidates) -> frozenset[int]:
     return frozenset(feeder for tag in tags for feeder in candidates.feeders(tag))
 
 
-def _downstream_of(candidates: Candidates, ahead: list[int], company: Set[str]) -> frozenset[int]:
+def _downstream_of(candidates: Candidates, starts: list[int], company: Set[str]) -> frozenset[int]:
     """Some candidates and all that they may feed, or run with if they are `company`, directly or through others."""
-    if not ahead:
+    if not starts:
         return frozenset()
     needing: dict[str, list[int]] = defaultdict(list)
     for i, candidate in enumerate(candidates.all):
@@ -303,15 +304,12 @@ def _downstream_of(candidates: Candidates, ahead: list[int], company: Set[str]) 
     for tag in needing:
         for feeder in candidates.feeders(tag):
             fed_by[feeder].append(tag)
-    found = set(ahead)
-    for i in ahead:
+
+    def users(i: int) -> Iterator[int]:
         label = candidates.all[i].transformation.label
-        users = enumerate(candidates.all) if label in company else ()
-        new = [user for user, c in users if label in c.transformation.beside and c.may_run and user not in found]
-        found.update(new)
-        ahead += new
+        beside = enumerate(candidates.all) if label in company else ()
+        yield from (user for user, c in beside if label in c.transformation.beside and c.may_run)
         for tag in fed_by[i]:
-            new = [consumer for consumer in needing.pop(tag, ()) if consumer not in found]
-            found.update(new)
-            ahead += new
-    return frozenset(found)
+            yield from needing.pop(tag, ())
+
+    return frozenset(reached(starts, users))

@@ -10,6 +10,7 @@ from typing import Final
 from ortools.sat.python.cp_model import IntVar, LinearExpr, LinearExprT, LiteralT
 
 from cfgplan.domain import ALL, InputPort, Link, Objective, Stream
+from cfgplan.onward import reached
 from cfgplan.planners.exact.candidates import HostName
 from cfgplan.planners.exact.model import Model, ModelRule
 from cfgplan.planners.exact.quality import targets_get_the_quality_they_ask_for
@@ -471,12 +472,8 @@ def _below(model: Model, unit: int, port: InputPort) -> dict[int, IntVar]:
         for stream, connected in connects.items() if not candidates[reader].transformation.input[name].feedback else ():
             readers[model.unit_of(stream)].add(reader)
             ways[reader].append((model.unit_of(stream), connected))
-    found: dict[int, IntVar] = {}
-    ahead = [unit]
-    for here in ahead:
-        for reader in sorted(readers[here] - {unit} - found.keys()):
-            found[reader] = model.boolean()
-            ahead.append(reader)
+    _, *below = reached([unit], lambda here: sorted(readers[here]))
+    found = {reader: model.boolean() for reader in below}
     if found.keys().isdisjoint(model.candidates.feeders(port.tag)):
         return {}
     for reader, depends in found.items():

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from cfgplan.domain import ALL, ComputationUnit, Environment, Objective
 from cfgplan.figures import cost_parts, used_hosts
+from cfgplan.onward import reached
 from cfgplan.planning import Notion, Problem
 
 
@@ -47,12 +48,8 @@ def unused_required(problem: Problem, units: Collection[ComputationUnit]) -> tup
     if not problem.environment.required:
         return ()
     by_id = {unit.id: unit for unit in units}
-    ahead = [unit.id for unit in problem.environment.meeting(units).values()]
-    serving = set(ahead)
-    for unit_id in ahead:
-        new = needed_feeders(problem.environment, by_id[unit_id]) - serving
-        serving |= new
-        ahead += sorted(new)
+    meeting = [unit.id for unit in problem.environment.meeting(units).values()]
+    serving = reached(meeting, lambda unit_id: needed_feeders(problem.environment, by_id[unit_id]))
     used = {by_id[unit_id].transformation for unit_id in serving}
     return tuple(label for label in problem.environment.required if label not in used)
 

@@ -19,6 +19,7 @@ from cfgplan.planners.undecided import Deciding
 from cfgplan.planning import Failures, Measured, Notion, Pair, Plan, Planner, Problem, Progress, Status, fresh_unit_ids
 from cfgplan.reasons import unmet_reasons
 from cfgplan.validity import Rule
+from cfgplan.validity.reading import meeting_targets, needed_by
 from cfgplan_runtime.lifecycle.configuration import (
     EstimatedLibrary,
     Situation,
@@ -425,11 +426,5 @@ def _served(wanted: Environment, met: list[str], running: Environment) -> tuple[
 
 def _used(environment: Environment) -> set[str]:
     """The transformations of the units that serve some target, directly or through others."""
-    ahead = list(environment.meeting(environment.units).values())
-    seen: set[str] = set()
-    while ahead:
-        unit = ahead.pop()
-        if unit.id not in seen:
-            seen.add(unit.id)
-            ahead += [feeder for s in unit.subscriptions if (feeder := environment.unit.get(s.stream.unit)) is not None]
-    return {environment.unit[unit].transformation for unit in seen}
+    serving = needed_by(environment, meeting_targets(environment))
+    return {environment.unit[unit].transformation for unit in serving}

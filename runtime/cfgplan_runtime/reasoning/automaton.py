@@ -7,8 +7,10 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
+from operator import attrgetter
 from typing import Final, NamedTuple, TypeAlias
 
+from cfgplan.onward import reached
 from cfgplan_runtime.reasoning.obligations import Kind, Obligation, Store, TooManyObligationsError
 from cfgplan_runtime.reasoning.program import Program
 from cfgplan_runtime.reasoning.progression import NOW, Progression
@@ -71,15 +73,9 @@ class AutomatonState:
 
 def registers_of(obligation: Obligation) -> Iterable[tuple[int, int, bool]]:
     """Operator, moment and whether its interval has begun, of each pending obligation that has a moment."""
-    seen: set[Obligation] = set()
-    ahead = [obligation]
-    while ahead:
-        one = ahead.pop()
-        if one not in seen:
-            seen.add(one)
-            ahead += one.parts
-            if one.kind is Kind.PENDING and one.moment >= 0:
-                yield one.operator, one.moment, one.is_begun
+    for one in reached([obligation], attrgetter("parts")):
+        if one.kind is Kind.PENDING and one.moment >= 0:
+            yield one.operator, one.moment, one.is_begun
 
 
 def pending_of(obligation: Obligation | None) -> set[tuple[int, int]]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from cfgplan.errors import InputError, did_you_mean
 from cfgplan.extras import needed
+from cfgplan.onward import reached
 from cfgplan.ros import MessageType
 from cfgplan_runtime.ros2.message_form import MessageForm
 
@@ -46,7 +47,7 @@ class Definitions:
     def form(self, type: MessageType) -> MessageForm:  # noqa: A002
         """The form of a type's messages. Raises InputError if it, or a type in it, is not known or not supported."""
         self._learn(type.ros2, [])
-        for name in self._within(type.ros2):
+        for name in reached([type.ros2], lambda name: _types_in(self._store.fielddefs[name][1])):
             constants, fields = self._store.fielddefs[name]
             self._store.fielddefs[name] = (constants, [(each, _without_char(what)) for each, what in fields])
         type_hash = NO_HASH if self.distribution in _WITHOUT_HASHES else self._store.hash_rihs01(type.ros2)
@@ -82,16 +83,6 @@ class Definitions:
         """The known types of the same package."""
         package = name.partition("/")[0]
         return [other for other in self._store.fielddefs if other.partition("/")[0] == package]
-
-    def _within(self, name: str) -> Iterator[str]:
-        """A known type and those of its fields, each once."""
-        found, ahead = {name: None}, [name]
-        while ahead:
-            for other in _types_in(self._store.fielddefs[ahead.pop()][1]):
-                if other not in found:
-                    found[other] = None
-                    ahead.append(other)
-        return iter(found)
 
 
 def _store_of(distribution: str) -> Typestore:
