@@ -59,3 +59,10 @@ def cpu(cost_us: int) -> str:
 def counted(number: int, one: str, many: str | None = None) -> str:
     """A number with its noun: `1 target`, `2 targets`."""
     return f"{number} {one if number == 1 else many or one + 's'}"
+
+
+def some(names: Iterable[str], most: int = 6) -> str:
+    """The first names, and how many more there are."""
+    first = list(names)
+    more = f" and {len(first) - most} more" if len(first) > most else ""
+    return ", ".join(first[:most]) + more

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.screen import Screen, counted
-from cfgplan.explaining.why_words import some
+from cfgplan.summary import some
 
 if TYPE_CHECKING:
     from rich.text import Text

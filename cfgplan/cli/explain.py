@@ -16,8 +16,9 @@ from cfgplan.cli.screen import Screen
 from cfgplan.domain import Environment
 from cfgplan.errors import known
 from cfgplan.explaining import Blocked, Choice, Clash, Unfed, Unreachable, Unused, Why, WhyNot
-from cfgplan.explaining.why_words import choice_line, named_labels, some, why_lines
+from cfgplan.explaining.why_words import choice_line, named_labels, why_lines
 from cfgplan.figures import amount
+from cfgplan.summary import some
 
 if TYPE_CHECKING:
     from cfgplan.answers import Subject

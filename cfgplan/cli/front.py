@@ -14,6 +14,7 @@ from cfgplan.domain import ChangeSet
 from cfgplan.errors import InputError
 from cfgplan.planning import Problem, Status
 from cfgplan.qualities import Better, units
+from cfgplan.summary import some
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -128,12 +129,8 @@ def _names(found: Front) -> list[str]:
         for point in found.points
     ]
     times = Counter(label for labels in started for label in labels)
-    return [_few(sorted(labels, key=times.__getitem__)) or "as it is" for labels in started]
-
-
-def _few(names: list[str]) -> str:
-    more = len(names) - _MOST_NAMED_AT_A_POINT
-    return ", ".join(names[:_MOST_NAMED_AT_A_POINT]) + (f" and {more} more" if more > 0 else "")
+    named = (sorted(labels, key=times.__getitem__) for labels in started)
+    return [some(labels, _MOST_NAMED_AT_A_POINT) or "as it is" for labels in named]
 
 
 def _draw(found: Front, axis: Axes) -> None:

@@ -22,6 +22,7 @@ from cfgplan.cli.run_output import JsonLines, Lines, RunOutput
 from cfgplan.cli.screen import Screen, counted
 from cfgplan.errors import Fault, InputError
 from cfgplan.planning import Decider, Problem
+from cfgplan.summary import some
 
 if TYPE_CHECKING:
     from cfgplan_runtime.fleet.fleet_runtime import Fleet
@@ -153,9 +154,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 def _check_can_start(world: World) -> None:
     library = world.environment.library
     if world.environment.targets and library and not any(transformation.source for transformation in library):
-        labels = ", ".join(transformation.label for transformation in library[:4])
-        more = f" and {len(library) - 4} more" if len(library) > 4 else ""
-        message = f"nothing can be started: {labels}{more} are left out, since none names its unit code"
+        labels = some((transformation.label for transformation in library), 4)
+        message = f"nothing can be started: {labels} are left out, since none names its unit code"
         mend = "add `source: units.py:Class` to them, or plan with `solve`"
         raise InputError.of(message, file=str(world.file.path) if world.file else None, mend=mend)
 

@@ -16,6 +16,7 @@ from cfgplan.cli.exits import Exit
 from cfgplan.cli.plan_text import cpu
 from cfgplan.cli.screen import Screen
 from cfgplan.explaining import Sensitivity, Span
+from cfgplan.summary import some
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -194,6 +195,5 @@ def _label(found: Sensitivity, span: Span) -> str:
     """What tells a plan from the others: what it runs, and not all of them do."""
     everywhere = set(found.spans[0].runs).intersection(*(other.runs for other in found.spans))
     own = [label for label in span.runs if label not in everywhere]
-    more = f" and {len(own) - 3} more" if len(own) > 3 else ""
-    text = ", ".join(own[:3]) + more if own else "what all plans run, no more"
+    text = some(own, 3) or "what all plans run, no more"
     return f" {text}" if text.startswith("_") else text  # a label that begins with _ is left out of a legend

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 from cfgplan.explaining.why_this import Choice, Why
 from cfgplan.figures import amount
+from cfgplan.summary import some
 
 
 def why_lines(why: Why) -> Iterator[str]:
@@ -56,10 +57,4 @@ def choice_line(why: Why) -> str:
 def named_labels(what: str, labels: frozenset[str] | tuple[str, ...]) -> str:
     """Labels with what they are: `targets a, b`."""
     plural = "s" if what == "target" and len(labels) > 1 else ""
-    return f"{what}{plural} {some(tuple(sorted(labels)))}"
-
-
-def some(names: Sequence[str], most: int = 6) -> str:
-    """The first names, and how many more there are."""
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + more
+    return f"{what}{plural} {some(sorted(labels))}"

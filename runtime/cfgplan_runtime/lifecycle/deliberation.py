@@ -18,6 +18,7 @@ from cfgplan.explaining.what_if import only_targets
 from cfgplan.planners.undecided import Deciding
 from cfgplan.planning import Failures, Measured, Notion, Pair, Plan, Planner, Problem, Progress, Status, fresh_unit_ids
 from cfgplan.reasons import unmet_reasons
+from cfgplan.summary import some
 from cfgplan.validity import Rule
 from cfgplan.validity.reading import meeting_targets, needed_by
 from cfgplan_runtime.lifecycle.configuration import (
@@ -254,9 +255,8 @@ class Deliberation:
         impossible, impossible_now = (
             unmet_reasons(self.problem(environment, world)) for environment in (world.environment, thought.planned)
         )
-        some = [f"{label} ({thought.avoided[label]})" for label in sorted(thought.avoided)[:_MOST_AVOIDED_NAMED]]
-        more = len(thought.avoided) - len(some)
-        left_out = f"left out for now: {', '.join(some)}{f' and {more} more' if more else ''}"
+        avoided = (f"{label} ({why})" for label, why in sorted(thought.avoided.items()))
+        left_out = f"left out for now: {some(avoided, _MOST_AVOIDED_NAMED)}"
         return {
             label: left_out if label in impossible_now.keys() - impossible.keys() else reason
             for label, reason in thought.unmet.items()

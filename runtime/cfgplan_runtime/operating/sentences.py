@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 
 from cfgplan.domain import ChangeSet
+from cfgplan.summary import some
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.lifecycle import changes
 from cfgplan_runtime.lifecycle import perturbations as kinds
@@ -25,7 +26,8 @@ from cfgplan_runtime.lifecycle.reports import (
 from cfgplan_runtime.supervision import events
 
 INFORMATION, WARNING, ERROR = 2, 3, 4
-_MOST_NAMED = 4
+named = partial(some, most=4)
+"""Some names, and how many more there are."""
 _TRACEBACK = "Traceback (most recent call last)"
 _FRAME = re.compile(r'^  File "[^\n]*\n(?:    [^\n]*\n)*', re.MULTILINE)
 _OUR_ERRORS = f"{RuntimeFaultError.__module__}."
@@ -118,13 +120,6 @@ def review_sentence(review: Review) -> str:
 def milliseconds(seconds: float) -> str:
     """A short time: `12 ms`, `1.25 s`."""
     return f"{seconds:.2f} s" if seconds >= 1 else f"{seconds * 1e3:.0f} ms"
-
-
-def named(names: Iterable[str]) -> str:
-    """Some names, and how many more there are."""
-    some = list(names)
-    more = len(some) - _MOST_NAMED
-    return ", ".join(some[:_MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 def _because(review: Review) -> str:
