@@ -119,17 +119,17 @@ def row(
     return field
 
 
-_SAID: Final[Any] = {"not": {"type": "null"}}
-_UNSAID: Final[Any] = {"type": "null"}
+_IS_SAID: Final[Any] = {"not": {"type": "null"}}
+_IS_UNSAID: Final[Any] = {"type": "null"}
 _ZERO: Final = {"const": 0}
 _ABOVE_0: Final = {"exclusiveMinimum": 0}
-_TRUE: Final = {"const": True}
+_IS_TRUE: Final = {"const": True}
 
 
 def _either(*forms: Mapping[str, Any]) -> ConfigDict:
     """The JSON Schema of keys that go together or do not, in any of some forms; readers check it in words."""
     of_forms: list[Any] = [
-        {"required": [key for key, said in form.items() if said not in (_UNSAID, _ZERO)], "properties": {**form}}
+        {"required": [key for key, said in form.items() if said not in (_IS_UNSAID, _ZERO)], "properties": {**form}}
         for form in forms
     ]
     return ConfigDict(json_schema_extra={"anyOf": of_forms})
@@ -215,7 +215,7 @@ _REMAP = "in ROS: what the node calls its topic or service; the port's name if a
 class InputPart(Part):
     """An input port that needs more than a tag."""
 
-    model_config = _either({"worth": _ZERO}, {"optional": _TRUE})
+    model_config = _either({"worth": _ZERO}, {"optional": _IS_TRUE})
 
     tag: TagText = row("what it needs, a concept in description logic or the paper's P(a)", ..., xml=ELEMENT)
     distinct: Name | None = row("ports of one group are fed by different transformations")
@@ -231,7 +231,7 @@ class InputPart(Part):
 class ContributionPart(Part):
     """What an output makes of a quality attribute: exactly one of `add`, `limit`, `scale` and `set`."""
 
-    model_config = _either(*(dict.fromkeys(QualityRule, _UNSAID) | {rule: _SAID} for rule in QualityRule))
+    model_config = _either(*(dict.fromkeys(QualityRule, _IS_UNSAID) | {rule: _IS_SAID} for rule in QualityRule))
 
     add: Micro | None = row("added to the value of the inputs")
     limit: PositiveMicro | None = row("the value is no better than this")
@@ -348,7 +348,7 @@ class UnitPart(Part):
 class WishPart(Part):
     """What a target asks of a quality attribute."""
 
-    model_config = _either({"at_least": _SAID}, {"at_most": _SAID}, {"weight": _ABOVE_0})
+    model_config = _either({"at_least": _IS_SAID}, {"at_most": _IS_SAID}, {"weight": _ABOVE_0})
 
     at_least: PositiveMicro | None = row("where higher is better: a bound", to="bound")
     at_most: PositiveMicro | None = row("where lower is better: a bound", to="bound")
@@ -363,7 +363,8 @@ class TargetPart(Part):
     """Information that is wanted on a topic, or a unit that is wanted though it gives nothing."""
 
     model_config = _either(
-        {"topic": _SAID, "tag": _SAID, "run": _UNSAID}, {"run": _SAID, **dict.fromkeys(OF_A_STREAM, _UNSAID)}
+        {"topic": _IS_SAID, "tag": _IS_SAID, "run": _IS_UNSAID},
+        {"run": _IS_SAID, **dict.fromkeys(OF_A_STREAM, _IS_UNSAID)},
     )
 
     label: Name = row("unique", ..., xml=ELEMENT)
@@ -410,7 +411,7 @@ class HostPart(Part):
 class LinkPart(Part):
     """What carries streams between hosts."""
 
-    model_config = _either({"latency": _ZERO, "adds": _UNSAID}, {"latency": _ABOVE_0, "adds": _SAID})
+    model_config = _either({"latency": _ZERO, "adds": _IS_UNSAID}, {"latency": _ABOVE_0, "adds": _IS_SAID})
 
     between: list[SelectorText] = row("two selectors of hosts, for its two ends", ..., min_length=2, max_length=2)
     bandwidth: Whole | None = row(

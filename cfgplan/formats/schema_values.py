@@ -235,21 +235,21 @@ SelectorText = Annotated[
     str, Field(min_length=1, description="labels joined by and, or and not"), AfterValidator(normal)
 ]
 Whole = Annotated[int, BeforeValidator(_whole)]
-_TIME = {"type": "number", "minimum": 0, "maximum": LARGEST_COST_US / MICROSECONDS}
+_SECONDS = {"type": "number", "minimum": 0, "maximum": LARGEST_COST_US / MICROSECONDS}
 _QUALITY = {"type": "number", "minimum": 0, "maximum": LARGEST_QUALITY // MICRO}
 _AMOUNT = {"minimum": 0, "maximum": LARGEST_AMOUNT}
-Cost = Annotated[int, PlainValidator(_cost), WithJsonSchema(_TIME), Written(plain_cost)]
-Seconds = Annotated[int, PlainValidator(_seconds), WithJsonSchema(_TIME), Written(plain_cost)]
+Cost = Annotated[int, PlainValidator(_cost), WithJsonSchema(_SECONDS), Written(plain_cost)]
+Seconds = Annotated[int, PlainValidator(_seconds), WithJsonSchema(_SECONDS), Written(plain_cost)]
 HangTime = Annotated[
     int,
     PlainValidator(_silence),
-    WithJsonSchema({"anyOf": [{"const": 0}, {**_TIME, "minimum": LEAST_HANG_S}]}),
+    WithJsonSchema({"anyOf": [{"const": 0}, {**_SECONDS, "minimum": LEAST_HANG_S}]}),
     Written(plain_cost),
 ]
 TimeSpan = Annotated[
     int,
     PlainValidator(_span),
-    WithJsonSchema({"anyOf": [{**_TIME, "exclusiveMinimum": 0}, {"type": "string", "pattern": SPAN}]}),
+    WithJsonSchema({"anyOf": [{**_SECONDS, "exclusiveMinimum": 0}, {"type": "string", "pattern": SPAN}]}),
     Written(plain_cost),
 ]
 Horizon = Annotated[
