@@ -16,7 +16,7 @@ from cfgplan.cli import options as shared
 from cfgplan.cli.agent import add_links, reached
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.screen import OUTPUT_VERSION, Screen, printable
-from cfgplan.domain import ChangeSet, Environment
+from cfgplan.domain import Environment
 from cfgplan.errors import Fault, InputError
 
 if TYPE_CHECKING:
@@ -194,14 +194,12 @@ def _plan(control: Control, screen: Screen, options: argparse.Namespace) -> Exit
     if screen.json:
         screen.write(document)
     else:
-        from cfgplan_runtime.operating.records import units_of
-
         from cfgplan.cli.plan_text import changes_text
+        from cfgplan.formats.dump import changes_of, unit_of
 
         if changes := reply["plan"]["change_set"]:
-            started, rewired = units_of(changes["started"]), units_of(changes["rewired"])
-            change_set = ChangeSet(started, rewired, tuple(changes["stopped"]))
-            screen.show(changes_text(Environment(units_of(reply["running"])), change_set))
+            running = Environment(tuple(map(unit_of, reply["running"])))
+            screen.show(changes_text(running, changes_of(changes)))
         screen.show(reply["says"])
     return _met(not reason for reason in reply["unmet"].values())
 

@@ -8,7 +8,18 @@ from typing import Any
 
 import yaml
 
-from cfgplan.domain import ComputationUnit, Environment, InputPort, OutputPort, Target, Transformation
+from cfgplan.domain import (
+    ChangeSet,
+    ComputationUnit,
+    Environment,
+    InputPort,
+    OutputPort,
+    Publication,
+    Stream,
+    Subscription,
+    Target,
+    Transformation,
+)
 from cfgplan.errors import InputError
 from cfgplan.formats.document import Document
 from cfgplan.formats.environment_file import ANY_IMPORT
@@ -171,6 +182,25 @@ def plain_unit(unit: ComputationUnit) -> dict[str, Any]:
         topics.setdefault(publication.port, []).append(publication.topic)
     inputs = {port: one_or_more([str(stream) for stream in streams]) for port, streams in unit.feeds.items()}
     return UnitPart.written(unit, inputs=inputs, topics=topics)
+
+
+def unit_of(said: Mapping[str, Any]) -> ComputationUnit:
+    """The unit of which a mapping says what `plain_unit` says."""
+    fed = ((port, [of] if isinstance(of, str) else of) for port, of in said.get("inputs", {}).items())
+    return ComputationUnit(
+        said["id"],
+        said["transformation"],
+        tuple(Subscription(port, Stream.parse(stream)) for port, streams in fed for stream in streams),
+        tuple(Publication(port, topic) for port, topics in said.get("topics", {}).items() for topic in topics),
+        said.get("host"),
+        said.get("standby", False),
+    )
+
+
+def changes_of(said: Mapping[str, Any]) -> ChangeSet:
+    """The changes of units of which a mapping tells, as a plan file does."""
+    started, rewired = (tuple(map(unit_of, said[key])) for key in ("started", "rewired"))
+    return ChangeSet(started, rewired, tuple(said["stopped"]))
 
 
 def one_or_more(texts: list[str]) -> str | list[str]:

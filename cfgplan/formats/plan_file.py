@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path as FilePath
 from typing import Any, Literal
@@ -16,20 +16,10 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cfgplan.costs import seconds
-from cfgplan.domain import (
-    CPU,
-    MEMORY,
-    ChangeSet,
-    ComputationUnit,
-    Environment,
-    Objective,
-    Publication,
-    Stream,
-    Subscription,
-)
+from cfgplan.domain import CPU, MEMORY, ChangeSet, ComputationUnit, Environment, Objective
 from cfgplan.errors import InputError, InvalidValueError
 from cfgplan.figures import cost_parts, loads, qualities_of_targets, transfers
-from cfgplan.formats.dump import plain_unit
+from cfgplan.formats.dump import changes_of, plain_unit
 from cfgplan.formats.files import read_text
 from cfgplan.formats.json_text import read_json
 from cfgplan.formats.places import Source
@@ -248,15 +238,10 @@ def _figures(problem: Problem, after: Environment) -> dict[str, Any]:
 
 
 def _plan(part: PlanPart) -> Plan:
-    change_set = None
-    if part.change_set is not None:
-        change_set = ChangeSet(
-            _units(part.change_set.started), _units(part.change_set.rewired), tuple(part.change_set.stopped)
-        )
     return Plan(
         part.planner,
         Status(part.status),
-        change_set,
+        None if part.change_set is None else changes_of(part.change_set.model_dump()),
         part.cost_us,
         part.bound_us,
         part.reasons,
@@ -267,24 +252,6 @@ def _plan(part: PlanPart) -> Plan:
         _floats(part.seconds),
         part.counts,
         tuple(Measured(Objective(one.objective), one.value, one.bound) for one in part.objectives),
-    )
-
-
-def _units(parts: Sequence[PlannedUnit]) -> tuple[ComputationUnit, ...]:
-    return tuple(
-        ComputationUnit(
-            part.id,
-            part.transformation,
-            tuple(
-                Subscription(port, Stream.parse(stream))
-                for port, said in part.inputs.items()
-                for stream in ([said] if isinstance(said, str) else said)
-            ),
-            tuple(Publication(port, topic) for port, topics in part.topics.items() for topic in topics),
-            part.host,
-            part.standby,
-        )
-        for part in parts
     )
 
 

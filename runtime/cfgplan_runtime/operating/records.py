@@ -7,15 +7,15 @@ Times are in seconds, costs in microseconds of CPU time, and names say so. Every
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from typing import Any
 
 import msgspec
 
-from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Publication, Stream, Subscription
-from cfgplan.formats.dump import one_or_more
+from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Stream
+from cfgplan.formats.dump import plain_unit
 from cfgplan_runtime.lifecycle.perturbations import Perturbation
 from cfgplan_runtime.lifecycle.reports import (
     Observed,
@@ -163,16 +163,7 @@ def _unit(view: UnitView, environment: Environment) -> Record:
 
 
 def wired(unit: ComputationUnit) -> Record:
-    record: Record = {
-        "id": unit.id,
-        "transformation": unit.transformation,
-        "inputs": {port: one_or_more([str(s) for s in streams]) for port, streams in unit.feeds.items()},
-    }
-    topics: dict[str, list[str]] = {}
-    for publication in unit.publications:
-        topics.setdefault(publication.port, []).append(publication.topic)
-    placed = {} if unit.host is None else {"host": unit.host}
-    return {**record, "topics": topics, **placed, **({"standby": True} if unit.standby else {})}
+    return {"id": unit.id, "transformation": unit.transformation, "inputs": {}, "topics": {}, **plain_unit(unit)}
 
 
 def logging_to(log: RunLog) -> Callable[[Report], None]:
@@ -184,20 +175,3 @@ def logging_to(log: RunLog) -> Callable[[Report], None]:
             log.write_line(says.pop("kind"), says)
 
     return write
-
-
-def units_of(records: Iterable[Record]) -> tuple[ComputationUnit, ...]:
-    """The units that records tell of, as `wired` writes them."""
-    return tuple(map(_unit_of, records))
-
-
-def _unit_of(unit: Record) -> ComputationUnit:
-    fed = ((port, [streams] if isinstance(streams, str) else streams) for port, streams in unit["inputs"].items())
-    return ComputationUnit(
-        unit["id"],
-        unit["transformation"],
-        tuple(Subscription(port, Stream.parse(stream)) for port, streams in fed for stream in streams),
-        tuple(Publication(port, topic) for port, topics in unit["topics"].items() for topic in topics),
-        unit.get("host"),
-        unit.get("standby", False),
-    )

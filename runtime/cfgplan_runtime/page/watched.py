@@ -21,10 +21,10 @@ from cfgplan.domain import (
     Target,
 )
 from cfgplan.drawing import picture
+from cfgplan.formats.dump import unit_of
 from cfgplan_runtime.errors import ControlError
 from cfgplan_runtime.operating.control_client import Control
 from cfgplan_runtime.operating.protocol import Record
-from cfgplan_runtime.operating.records import units_of
 
 FRAME_S = 0.1
 """Viewers are told of the state so often."""
@@ -158,7 +158,7 @@ def _put(messages: Queue[ToViewer], message: ToViewer) -> None:
 
 def configuration(state: Record) -> Environment:
     """The units and targets of a run's state (`cfgplan/manual/control.md`), without any library."""
-    units = units_of(state["units"])
+    units = tuple(map(unit_of, state["units"]))
     return Environment(units, targets=tuple(map(_target, state["targets"])), hosts=_hosts(units))
 
 
