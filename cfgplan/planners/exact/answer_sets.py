@@ -50,8 +50,8 @@ def prove_by_answer_sets(work: Work) -> bool:
 
 def _is_fit(weighing: Weighing, most: int) -> bool:
     """Whether costs have at most so many values, none of which is too large."""
-    values = np.unique(weighing.weight // weighing.scale)
-    return len(values) <= most and int((values // _unit(values)).max(initial=0)) <= LARGEST_WEIGHT
+    costs = weighing.weight // weighing.scale
+    return len(set(costs.tolist())) <= most and int(costs.max(initial=0)) // _unit(costs) <= LARGEST_WEIGHT
 
 
 def _unit(costs: Ints) -> int:
