@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import queue
 from collections.abc import Iterator
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Protocol
 
 from cfgplan.cli.screen import OUTPUT_VERSION, Screen, counted, printable
@@ -19,9 +18,7 @@ class RunOutput(Protocol):
 
     def __enter__(self) -> RunOutput: ...
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
+    def __exit__(self, *_: object) -> None: ...
 
     def update(self, wait_s: float) -> None:
         """Show the news; wait at most `wait_s` for the first."""
@@ -52,9 +49,7 @@ class Lines:
         self._say(running_text(self._operation))
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         pass
 
     def update(self, wait_s: float) -> None:
@@ -100,9 +95,7 @@ class JsonLines:
         self._say("Running", run=operation.id, units=units, metrics_port=operation.metrics_port)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         pass
 
     def update(self, wait_s: float) -> None:

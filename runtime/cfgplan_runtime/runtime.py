@@ -8,11 +8,11 @@ import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future
 from pathlib import Path
-from types import TracebackType
 from typing import Protocol, TypeVar
 
 from cfgplan.domain import ChangeSet, Environment, Target, Transformation
 from cfgplan_runtime.errors import RuntimeFaultError
+from cfgplan_runtime.streams.closable import Closable
 from cfgplan_runtime.supervision.applying import Patience
 from cfgplan_runtime.supervision.backend import Backend
 from cfgplan_runtime.supervision.events import SIGNS, Applied, Event
@@ -123,7 +123,7 @@ class Inline:
             self._supervisor.pump(end - self.now())
 
 
-class Runtime:
+class Runtime(Closable):
     """Runs units of a library and changes them by change sets; a context manager that leaves nothing behind.
 
     `backend` makes what runs the units where `executor` works: by default processes of this machine and a thread of
@@ -220,14 +220,6 @@ class Runtime:
         self._executor.close()
         if self._log is not None:
             self._log.close()
-
-    def __enter__(self) -> Runtime:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _report(self, event: Event) -> None:
         for listener in self._listeners:

@@ -8,15 +8,16 @@ import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType, TracebackType
+from types import MappingProxyType
 
 from cfgplan_runtime.processes.cpu_group import CpuGroup
+from cfgplan_runtime.streams.closable import Closable
 
 _AGENT_CODE = "from cfgplan_runtime.fleet.local import main; main()"
 _AGENT_CLOSE_S = 5.0
 
 
-class LocalAgents:
+class LocalAgents(Closable):
     """Agents of hosts on this computer; they end with the thread that made them. A context manager.
 
     `run` is the folder of the run, where their sockets are; `folder` is what `units.py:Class` is relative to. What runs
@@ -57,14 +58,6 @@ class LocalAgents:
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
-
-    def __enter__(self) -> LocalAgents:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def main() -> None:

@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from urllib.parse import unquote
 
 import msgspec
@@ -21,6 +20,7 @@ from cfgplan_runtime.fleet.links import config
 from cfgplan_runtime.fleet.orders import TopicsTold
 from cfgplan_runtime.fleet.tunnels import CONTROL, TunnelClient
 from cfgplan_runtime.fleet.ways import alive_key
+from cfgplan_runtime.streams.closable import Closable
 from cfgplan_runtime.streams.subscription import SubscriptionToTopic
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 
@@ -30,7 +30,7 @@ _TOPICS_S = 1.0
 _TOPIC_LOOK_S, _FIRST_TOPICS_S = 0.02, 0.5
 
 
-class ReachedFleet:
+class ReachedFleet(Closable):
     """A fleet, by the endpoints of some of its agents; a context manager. Raises InputError if none can be reached.
 
     Where agents have certificates, `certificates` is the folder of the manager's.
@@ -118,14 +118,6 @@ class ReachedFleet:
         self._is_closed.set()
         self._client.close()
         self._link.close()
-
-    def __enter__(self) -> ReachedFleet:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _measure_again(self) -> None:
         while not self._is_closed.wait(CLOCK_S):

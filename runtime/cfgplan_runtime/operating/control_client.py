@@ -8,13 +8,13 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from cfgplan_runtime.errors import ControlError, NoSuchRunError
 from cfgplan_runtime.operating.protocol import VERSION, Record, line, refused
+from cfgplan_runtime.streams.closable import Closable
 from cfgplan_runtime.streams.run_folder import base_folder, control_address, live_runs
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ class RunningSystem:
     pid: int
 
 
-class Control:
+class Control(Closable):
     """A connection to a run; a context manager. `path` is of its socket, if that is on this computer."""
 
     def __init__(self, run: str, end: socket.socket, path: Path | None = None) -> None:
@@ -95,14 +95,6 @@ class Control:
         with suppress(AttributeError):
             self._lines.close()
         self._end.close()
-
-    def __enter__(self) -> Control:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _next(self) -> Record:
         data = self._lines.readline()

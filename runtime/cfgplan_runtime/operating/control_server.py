@@ -12,7 +12,6 @@ import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from cfgplan_runtime.operating.protocol import (
@@ -25,6 +24,7 @@ from cfgplan_runtime.operating.protocol import (
     refusal,
     result,
 )
+from cfgplan_runtime.streams.closable import Closable
 from cfgplan_runtime.streams.run_folder import control_address
 
 Method = Callable[[Mapping[str, Any]], Record]
@@ -36,7 +36,7 @@ _CLIENTS_WAITING = 16
 _REQUEST_CHUNK = 1 << 16
 
 
-class ControlServer:
+class ControlServer(Closable):
     """Serves `methods` at the control socket of the run in `folder` until it is closed; a context manager.
 
     Each client gets `about` as it connects. `subscribe` is a method of the server's own: `publish` sends events to the
@@ -83,14 +83,6 @@ class ControlServer:
         self._path.unlink(missing_ok=True)
         for client in clients:
             client.close()
-
-    def __enter__(self) -> ControlServer:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _accept(self) -> None:
         while True:

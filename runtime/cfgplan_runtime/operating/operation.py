@@ -12,7 +12,6 @@ from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field
 from math import inf
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, TypeAlias
 
 from cfgplan import __version__
@@ -38,6 +37,7 @@ from cfgplan_runtime.operating.recorder import Recorder
 from cfgplan_runtime.operating.records import logging_to, report_record
 from cfgplan_runtime.operating.sentences import named, sentence
 from cfgplan_runtime.runtime import Runtime
+from cfgplan_runtime.streams.closable import Closable
 from cfgplan_runtime.streams.run_folder import base_folder
 from cfgplan_runtime.supervision.observation import Ledger
 from cfgplan_runtime.supervision.run_log import RunLog
@@ -78,7 +78,7 @@ class Settings:
     adjust: Callable[[World], World] = lambda world: world
 
 
-class Operation:
+class Operation(Closable):
     """A run from its start to its end; a context manager that leaves nothing behind.
 
     `path` is the environment file: it is watched, and unit code is relative to its folder. A run starts without units,
@@ -159,14 +159,6 @@ class Operation:
     def close(self) -> None:
         """Stop, if not stopped yet, and remove everything the run made."""
         self._stack.close()
-
-    def __enter__(self) -> Operation:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _start(self, stack: ExitStack, world: World) -> None:
         settings = self._settings

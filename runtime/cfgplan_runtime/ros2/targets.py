@@ -18,6 +18,7 @@ from cfgplan_runtime.operating.operation import Operation
 from cfgplan_runtime.ros2.message_form import MessageForm, MisfitError
 from cfgplan_runtime.ros2.ros_session import RosPublisher, RosSession, check_installed
 from cfgplan_runtime.ros2.units import Once, PublisherParams
+from cfgplan_runtime.streams.closable import Closable
 from cfgplan_runtime.streams.element import Element
 from cfgplan_runtime.streams.payload import decode
 
@@ -29,7 +30,7 @@ class _Topic:
     publisher: RosPublisher
 
 
-class PublishedTargets:
+class PublishedTargets(Closable):
     """Publishes each target that says its message `type` under its topic, as long as the run has it.
 
     A context manager. `folder` is that of the environment file. Raises InputError; what is wrong later is shown.
@@ -47,10 +48,7 @@ class PublishedTargets:
         self._take_targets()
         operation.manager.listen(self._hear)
 
-    def __enter__(self) -> PublishedTargets:
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
         self._following.close()
         self._session.close()
 

@@ -12,6 +12,7 @@ from typing import Any, Protocol
 
 from cfgplan_runtime.errors import NoSuchTopicError
 from cfgplan_runtime.streams.channel import Receiver
+from cfgplan_runtime.streams.closable import Closable
 from cfgplan_runtime.streams.element import Element, Moment
 from cfgplan_runtime.streams.payload import decode
 from cfgplan_runtime.streams.run_folder import address, base_folder, clock_offset_ns, is_alive, live_runs, topics_of
@@ -70,7 +71,7 @@ class RunPlace:
         return time.monotonic_ns() + clock_offset_ns(self.run)
 
 
-class SubscriptionToTopic:
+class SubscriptionToTopic(Closable):
     """A connection to a topic. Iterate over it for the values that come, until the run ends."""
 
     def __init__(self, topic: str, place: TopicPlace, *, timeout_s: float | None) -> None:
@@ -111,12 +112,6 @@ class SubscriptionToTopic:
     def is_connected(self) -> bool:
         """Whether there is a connection to the topic."""
         return self._receiver is not None
-
-    def __enter__(self) -> SubscriptionToTopic:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """Disconnect."""
