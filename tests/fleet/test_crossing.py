@@ -145,6 +145,20 @@ def test_large_pieces_do_not_fill_a_slow_link() -> None:
     assert len(sending.due(0.0)) == 2
 
 
+def test_what_is_newly_missing_is_asked_for_at_once_and_again_after_a_while() -> None:
+    receiving = Receiving()
+
+    def asked(number: int, at_s: float) -> tuple[int, ...]:
+        receiving.take(Frame(number, 0, piece(number)), at_s)
+        told = receiving.credit(at_s)
+        return () if told is None else told.missing
+
+    assert asked(1, 10.0) == (0,)
+    assert asked(3, 10.01) == (2,)
+    assert asked(4, 10.02) == ()
+    assert asked(5, 10.11) == (0, 2)
+
+
 def test_a_sender_without_any_credit_asks_for_one() -> None:
     sending = Sending()
     sending.offer(piece(0))

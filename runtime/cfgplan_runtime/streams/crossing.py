@@ -144,7 +144,7 @@ class Sending:
         self._dropped_before = 0
         """How many were dropped before the last piece that arrived: the receiver knows of them."""
         self._limit = granted
-        self._missing: tuple[int, ...] = ()
+        self._missing: set[int] = set()
         self._again_s: float | None = None
         """When to send again if nothing is heard; None if nothing waits for an acknowledgement."""
         self._patience_s = _RESEND_S if granted else _FIRST_ASK_S
@@ -187,12 +187,12 @@ class Sending:
         if arrived or credit.limit > self._limit:
             self._patience_s, self._again_s = _RESEND_S, None
         self._limit = max(self._limit, credit.limit)
-        self._missing = credit.missing
+        self._missing.update(credit.missing)
 
     def due(self, now_s: float) -> list[Frame]:
         """The frames to send now."""
-        frames = [self._under_way[number] for number in self._missing if number in self._under_way]
-        self._missing = ()
+        frames = [self._under_way[number] for number in sorted(self._missing) if number in self._under_way]
+        self._missing.clear()
         while self._waiting and self._next < self._limit and self._has_window:
             piece = self._waiting.popleft()
             self._waiting_bytes -= len(piece.payload)
@@ -240,6 +240,8 @@ class Receiving:
         self._untold = self._untold_bytes = 0
         self._tell_s: float | None = None
         self._asked_s = 0.0
+        self._asked_to = 0
+        """Of the numbers before this one those that are missing were asked for."""
         self._limit = 0
 
     def take(self, frame: Frame, now_s: float) -> list[Piece]:
@@ -274,10 +276,12 @@ class Receiving:
         self._untold = self._untold_bytes = 0
         self._tell_s = now_s + _ASK_AGAIN_S if self._held else None
         missing: tuple[int, ...] = ()
-        if self._held and now_s - self._asked_s >= _ASK_AGAIN_S:
-            self._asked_s = now_s
-            last = max(self._held)
-            missing = tuple(n for n in range(self._expected, last) if n not in self._held)[:_MOST_MISSING]
+        if self._held:
+            first = max(self._expected, self._asked_to)
+            if now_s - self._asked_s >= _ASK_AGAIN_S:
+                first, self._asked_s = self._expected, now_s
+            missing = tuple(n for n in range(first, max(self._held)) if n not in self._held)[:_MOST_MISSING]
+            self._asked_to = max(missing, default=self._asked_to - 1) + 1
         return Credit(self._expected, self._limit, missing)
 
     @property

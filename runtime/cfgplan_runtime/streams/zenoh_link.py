@@ -216,14 +216,19 @@ class ZenohLink:
                 yield str(reply.ok.key_expr), reply.ok.payload.to_bytes()
 
     def publisher(self, key: str, lane: Lane) -> Callable[[bytes, bytes], None]:
-        """A function that puts a head and a payload at a key. It may wait for 1 ms, with a large payload for 50 ms."""
+        """A function that puts a head and a payload at a key.
+
+        What has no room is dropped after 1 ms, if it is large after 50 ms. On the lane of small ones the function waits
+        for room, which there is again after a lease at the latest.
+        """
+        congestion = self._zenoh.CongestionControl
 
         def declare(session: zenoh.Session) -> zenoh.Publisher:
             return session.declare_publisher(
                 key,
-                congestion_control=self._zenoh.CongestionControl.DROP,
+                congestion_control=congestion.BLOCK if lane == "small" else congestion.DROP,
                 priority=self._priorities[lane],
-                express=True,
+                express=False,  # else each takes a batch of its own, of which a lane has few
                 reliability=self._zenoh.Reliability.RELIABLE,
             )
 
