@@ -79,24 +79,17 @@ class ExpressionReader(ABC, Generic[Meaning]):
         return found
 
     def _or_list(self) -> Meaning:
-        found = self._and_list()
-        if self._tokens[self._at] != "⊔":
-            return found
-        parts = [found]
-        while self._tokens[self._at] == "⊔":
-            self._at += 1
-            parts.append(self._and_list())
-        return self.any_of(parts)
+        return self._joined("⊔", self._and_list, self.any_of)
 
     def _and_list(self) -> Meaning:
-        found = self._operand()
-        if self._tokens[self._at] != "⊓":
-            return found
-        parts = [found]
-        while self._tokens[self._at] == "⊓":
+        return self._joined("⊓", self._operand, self.all_of)
+
+    def _joined(self, sign: str, part: Callable[[], Meaning], join: Callable[[Sequence[Meaning]], Meaning]) -> Meaning:
+        parts = [part()]
+        while self._tokens[self._at] == sign:
             self._at += 1
-            parts.append(self._operand())
-        return self.all_of(parts)
+            parts.append(part())
+        return join(parts) if len(parts) > 1 else parts[0]
 
     def _operand(self) -> Meaning:
         self._depth += 1

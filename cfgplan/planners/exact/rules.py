@@ -226,10 +226,8 @@ def a_unit_runs_that_a_target_wants(model: Model) -> None:
         for number, (i, runs) in enumerate(running):
             if i not in model.tracked:
                 continue
-            choices[Stream(model.candidates.all[i].id, "")] = first = model.boolean()
-            model.cp.add_implication(first, runs)
-            for _, before in running[:number]:
-                model.cp.add_implication(first, before.negated())
+            earlier = [before.negated() for _, before in running[:number]]
+            choices[Stream(model.candidates.all[i].id, "")] = _only_if(model, runs, *earlier)
 
 
 def a_demand_is_met_first_by_a_unit_that_does_not_need_it(model: Model) -> None:
@@ -357,21 +355,23 @@ def _serving(
         for stream, connected in choices.items() if is_reason else ():
             feeder = model.unit_of(stream)
             if feeder in ways:
-                through = model.boolean()
-                ways[feeder].append(through)
-                model.cp.add_implication(through, connected)
-                model.cp.add_implication(through, serving[consumer])
+                ways[feeder].append(through := _only_if(model, connected, serving[consumer]))
                 model.cp.add(distance[feeder] > distance[consumer]).only_enforce_if(through)
     for user, alone, both_run in _company(model) if is_company_served else ():
         if user in ways and alone in ways:
-            through = model.boolean()
-            ways[alone].append(through)
-            for literal in (*both_run, serving[user]):
-                model.cp.add_implication(through, literal)
+            ways[alone].append(through := _only_if(model, *both_run, serving[user]))
             model.cp.add(distance[alone] > distance[user]).only_enforce_if(through)
     for i, choices_of in ways.items():
         model.needs_any(serving[i], choices_of)
     return serving
+
+
+def _only_if(model: Model, *literals: LiteralT) -> IntVar:
+    """A boolean that may hold only if all of some literals do."""
+    found = model.boolean()
+    for literal in literals:
+        model.cp.add_implication(found, literal)
+    return found
 
 
 def _company(model: Model) -> Iterator[tuple[int, int, list[LiteralT]]]:
@@ -413,14 +413,12 @@ def an_input_that_starts_nothing_is_fed_by_what_is_needed_anyway(model: Model) -
             roots[i].append(model.runs[i])
     for t in model.environment.library:
         units = [i for i in candidates.units_of(t.label) if i in model.runs] if t.min_instances else []
-        for i, asked in [(i, model.boolean()) for i in units]:
-            model.cp.add_implication(asked, model.runs[i])
+        for i, asked in [(i, _only_if(model, model.runs[i])) for i in units]:
             model.cp.add(LinearExpr.sum([model.runs[n] for n in units]) <= t.min_instances).only_enforce_if(asked)
             roots[i].append(asked)
     for i in sorted(model.tracked & model.runs.keys()) if model.problem.survive is not None else ():
-        spare = model.spares[i] = model.boolean()
-        model.cp.add_implication(spare, model.runs[i])
-        roots[i].append(spare)
+        model.spares[i] = _only_if(model, model.runs[i])
+        roots[i].append(model.spares[i])
     needed = _serving(model, roots, is_company_served=True)
     for (unit, name), connects in model.connects.items():
         is_idle = name in candidates.all[unit].transformation.idle_inputs
@@ -480,10 +478,7 @@ def _below(model: Model, unit: int, port: InputPort) -> dict[int, IntVar]:
         choices = [connected for feeder, connected in ways[reader] if feeder == unit]
         for feeder, connected in ways[reader]:
             if feeder in found:
-                through = model.boolean()
-                model.cp.add_implication(through, connected)
-                model.cp.add_implication(through, found[feeder])
-                choices.append(through)
+                choices.append(_only_if(model, connected, found[feeder]))
         model.needs_any(depends, choices)
     return found
 
