@@ -5,13 +5,13 @@ from __future__ import annotations
 import time
 from collections import deque
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 from rich.console import Console
 from rich.live import Live
 
 from cfgplan.cli.plan_text import with_the_stream
-from cfgplan.cli.run_output import fetched, show_files, show_ledger
+from cfgplan.cli.run_output import RunOutput, fetched, show_files, show_ledger
 from cfgplan.cli.run_picture import LogLine, RunPicture
 from cfgplan.cli.screen import Screen, counted
 
@@ -26,12 +26,11 @@ _MOST_LINES = 200
 _LINES_AFTERWARDS = 8
 
 
-class LiveView:
+class LiveView(RunOutput):
     """Fills the terminal while a run is held; what matters is printed again when it is over."""
 
     def __init__(self, screen: Screen, operation: Operation, console: Console | None = None) -> None:
-        self._screen = screen
-        self._operation = operation
+        super().__init__(screen, operation)
         self._live = Live(
             console=console or Console(highlight=False, markup=False, emoji=False),
             screen=True,
@@ -45,7 +44,7 @@ class LiveView:
         self._note = ""
         self._reviews = 0
 
-    def __enter__(self) -> LiveView:
+    def __enter__(self) -> Self:
         self._live.start()
         return self
 

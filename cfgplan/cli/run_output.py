@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import queue
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Self
 
 from cfgplan.cli.screen import OUTPUT_VERSION, Screen, counted, printable
 
@@ -13,19 +14,28 @@ if TYPE_CHECKING:
     from cfgplan_runtime.operating.operation import News, Operation
 
 
-class RunOutput(Protocol):
+class RunOutput(ABC):
     """Shows a run; entered as long as the run lasts."""
 
-    def __enter__(self) -> RunOutput: ...
+    def __init__(self, screen: Screen, operation: Operation) -> None:
+        self._screen = screen
+        self._operation = operation
 
-    def __exit__(self, *_: object) -> None: ...
+    @abstractmethod
+    def __enter__(self) -> Self: ...
 
+    def __exit__(self, *_: object) -> None:  # noqa: B027 - what is shown stays
+        pass
+
+    @abstractmethod
     def update(self, wait_s: float) -> None:
         """Show the news; wait at most `wait_s` for the first."""
 
     def note(self, text: str) -> None:
         """Say something about the work."""
+        self._screen.note(text)
 
+    @abstractmethod
     def sum_up(self) -> None:
         """Print the summary, after the end."""
 
@@ -37,20 +47,16 @@ def running_text(operation: Operation) -> str:
     return f"Running {count} as run {operation.id}; Ctrl-C stops, `cfgplan ctl` steers.{metrics}"
 
 
-class Lines:
+class Lines(RunOutput):
     """A line for each thing that happens."""
 
     def __init__(self, screen: Screen, operation: Operation) -> None:
-        self._screen = screen
-        self._operation = operation
+        super().__init__(screen, operation)
         self._told: set[str] = set()
 
-    def __enter__(self) -> Lines:
+    def __enter__(self) -> Self:
         self._say(running_text(self._operation))
         return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
 
     def update(self, wait_s: float) -> None:
         from cfgplan_runtime.operating.sentences import details, sentence
@@ -68,9 +74,6 @@ class Lines:
                 for line in where.splitlines():
                     self._say(printable(line))
 
-    def note(self, text: str) -> None:
-        self._screen.note(text)
-
     def sum_up(self) -> None:
         for news in fetched(self._operation, 0.0):
             if isinstance(news, str):
@@ -82,21 +85,14 @@ class Lines:
         self._screen.tell(text)
 
 
-class JsonLines:
+class JsonLines(RunOutput):
     """A JSON object for each thing that happens, and one for each unit at the end."""
 
-    def __init__(self, screen: Screen, operation: Operation) -> None:
-        self._screen = screen
-        self._operation = operation
-
-    def __enter__(self) -> JsonLines:
+    def __enter__(self) -> Self:
         operation = self._operation
         units = len(operation.runtime.environment.units)
         self._say("Running", run=operation.id, units=units, metrics_port=operation.metrics_port)
         return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
 
     def update(self, wait_s: float) -> None:
         from cfgplan_runtime.operating.records import report_record
@@ -107,9 +103,6 @@ class JsonLines:
             else:
                 record = report_record(news)
                 self._say(record.pop("kind"), **record)
-
-    def note(self, text: str) -> None:
-        self._screen.note(text)
 
     def sum_up(self) -> None:
         self.update(0.0)
