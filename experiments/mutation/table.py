@@ -223,14 +223,14 @@ MODEL = _room(
     (
         "a unit serves through one that serves nothing",
         "rules.py",
-        "model.cp.add_implication(through, serving[consumer])",
-        "pass",
+        "_only_if(model, connected, serving[consumer])",
+        "_only_if(model, connected)",
     ),
     (
         "a unit serves through a connection that is not there",
         "rules.py",
-        "model.cp.add_implication(through, connected)\n                model.cp.add_implication(through, serving",
-        "model.cp.add_implication(through, serving",
+        "_only_if(model, connected, serving[consumer])",
+        "_only_if(model, serving[consumer])",
     ),
     (
         "a required transformation counts as used for nothing",
@@ -272,7 +272,7 @@ MODEL = _room(
     ("units that conflict are together", "rules.py", "model.cp.add_at_most_one(one, second)", "pass"),
     ("too few units run", "rules.py", ">= t.min_instances", ">= 0"),
     ("a wanted unit does not run", "rules.py", "model.rests_on_any(met, [runs for _, runs in running])", "pass"),
-    ("every wanted unit is the first", "rules.py", "for _, before in running[:number]:", "for _, before in ():"),
+    ("every wanted unit is the first", "rules.py", "_only_if(model, runs, *earlier)", "_only_if(model, runs)"),
     ("too many units are there", "rules.py", "<= t.max_instances)", "<= t.max_instances + 1)"),
     (
         "units that conflict on a host are on one",
