@@ -67,39 +67,34 @@ class HostState:
     """What ran there when it was greeted."""
 
 
-@dataclass(frozen=True, slots=True)
-class AgentJoined:
+class AgentNews(msgspec.Struct, frozen=True):
+    """What happens to a host's agent; each kind is a class of its own."""
+
+    host: HostState
+
+
+class AgentJoined(AgentNews, frozen=True):
     """A host is there."""
 
-    host: HostState
     day_ahead_ns: int
 
 
-@dataclass(frozen=True, slots=True)
-class AgentClockSet:
+class AgentClockSet(AgentNews, frozen=True):
     """The time of day of a host is another than was told."""
 
-    host: HostState
     day_ahead_ns: int
 
 
-@dataclass(frozen=True, slots=True)
-class AgentGone:
+class AgentGone(AgentNews, frozen=True):
     """A host is not alive any more, or does not obey. It may not have been there yet."""
 
-    host: HostState
     cause: str
 
 
-@dataclass(frozen=True, slots=True)
-class AgentSaid:
+class AgentSaid(AgentNews, frozen=True):
     """What an agent says."""
 
-    host: HostState
     message: FromAgent
-
-
-AgentNews: TypeAlias = AgentJoined | AgentClockSet | AgentGone | AgentSaid
 
 
 @dataclass(frozen=True, slots=True)
