@@ -10,7 +10,7 @@ from contextlib import ExitStack
 import pytest
 from cfgplan_runtime.fleet import ways
 from cfgplan_runtime.fleet.links import config
-from cfgplan_runtime.fleet.ways import Way, alive_key
+from cfgplan_runtime.fleet.ways import Way, alive_key, reach_key
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 from small_fleet import PATIENCE_S
 
@@ -84,6 +84,14 @@ def test_both_ends_of_a_row_go_through_their_neighbours(stack: ExitStack) -> Non
     hosts = Hosts(stack, a="b", b="", c="b", d="c")
     hosts.await_whole()
     hosts.await_said("a", "d")
+
+
+def test_an_agent_of_another_version_is_passed_over(stack: ExitStack) -> None:
+    hosts = Hosts(stack, base="", r1="base", r2="base")
+    hosts.links["base"].live(f"{alive_key('aged')}/life")
+    hosts.links["base"].answer(reach_key("aged"), lambda: b"[]")
+    hosts.await_whole()
+    hosts.await_said("r2")
 
 
 def test_who_connects_to_all_others_may_be_the_one_between(stack: ExitStack) -> None:

@@ -30,7 +30,7 @@ def program_of(problem: Problem) -> LogicProgram:
     structure = Structure.of(problem, None, Clock())
     weighing = Weighing.with_changes(problem, structure.network, structure.pinned)
     assert weighing is not None
-    return LogicProgram(structure.network, weighing)
+    return LogicProgram(structure.network, weighing, Clock())
 
 
 def agree(problem: Problem, session: PlannerSession) -> None:

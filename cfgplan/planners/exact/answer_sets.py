@@ -37,7 +37,7 @@ def prove_by_answer_sets(work: Work) -> bool:
     if first is None:
         return False
     plan = numbers(first)
-    program = LogicProgram(network, weighing)
+    program = LogicProgram(network, weighing, clock)
     room = (1 - tuning.near) * weighing.of_plan(plan)
     if not program.run(tuning.first, clock) and program.value >= room:
         program.run(tuning.conflicts, clock)
@@ -60,9 +60,12 @@ def _unit(costs: Ints) -> int:
 
 
 class LogicProgram:
-    """A network as a logic program: labels may run where what they need holds, and a fact holds where a giver runs."""
+    """A network as a logic program: labels may run where what they need holds, and a fact holds where a giver runs.
 
-    def __init__(self, network: Network, weighing: Weighing) -> None:
+    Raises OutOfTimeError.
+    """
+
+    def __init__(self, network: Network, weighing: Weighing, clock: Clock) -> None:
         import clingo  # there with the extra only
 
         weight = weighing.weight.copy()
@@ -79,9 +82,9 @@ class LogicProgram:
         with self._control.backend() as backend:
             self._runs = [backend.add_atom() for _ in network.labels]
             holds = [backend.add_atom() for _ in range(len(core.givers))]
-            for label, runs in enumerate(self._runs):
+            for label, runs in clock.each(enumerate(self._runs)):
                 backend.add_rule([runs], [holds[fact] for fact in core.needs.lists[label]], choice=True)
-            for fact, atom in enumerate(holds):
+            for fact, atom in clock.each(enumerate(holds)):
                 for label in core.givers.lists[fact]:
                     backend.add_rule([atom], [self._runs[label]])
             wanted = [holds[fact] for fact in core.needs.lists[core.goal]]

@@ -137,8 +137,13 @@ class Way:
 
     def _asked(self, key: str) -> ReachedAt | None:
         """How another is reached; None if it does not answer."""
-        answers = list(self._link.ask(reach_key(_host_of(key)), _REACH_ANSWER_S))
-        return msgspec.json.decode(answers[0][1], type=ReachedAt) if answers else None
+        return next(self._answers(reach_key(_host_of(key))), None)
+
+    def _answers(self, keys: str) -> Iterator[ReachedAt]:
+        """What agents tell of how they are reached, but for those of another version."""
+        for _, answer in list(self._link.ask(keys, _REACH_ANSWER_S)):
+            with suppress(msgspec.MsgspecError):
+                yield msgspec.json.decode(answer, type=ReachedAt)
 
     def _run(self) -> None:
         while not self._is_closed.wait(_WAY_LOOK_S):
@@ -188,7 +193,7 @@ class Way:
 
     def _look_back(self, others: set[str]) -> None:
         """Go directly if a lease long all are linked that are heard, or the one between is not heard."""
-        told = [msgspec.json.decode(one, type=ReachedAt) for _, one in self._link.ask(reach_key(None), _REACH_ANSWER_S)]
+        told = list(self._answers(reach_key(None)))
         is_heard = others <= self._link.alive(f"{alive_key(None)}/*", directly=True)
         is_linked = is_heard and self._link.linked >= {one.id for one in told} - {self._link.id, ""}
         self._linked_looks = self._linked_looks + 1 if is_linked or self._through not in others else 0
