@@ -36,7 +36,7 @@ from experiments.families.random_library import random_library
 from experiments.fleet import instances
 
 
-@pytest.mark.parametrize("seed", [0, 3, 6])
+@pytest.mark.parametrize("seed", [0, 2, 6])
 def test_a_solution_that_is_not_grounded_is_forbidden_before_anything_is_proven_of_it(seed: int) -> None:
     problem = random_library(seed, transformations=30, targets=3, back=0.4)
     solve, statuses = search.solve, []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from functools import partial
 from math import ceil, inf
 
@@ -31,7 +31,7 @@ from cfgplan.planners.exact.rules import RULES
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.exact.survival import Survival
 from cfgplan.planners.networks.keys import Key
-from cfgplan.planners.solving.clock import ContradictionError
+from cfgplan.planners.solving.clock import Clock, ContradictionError
 from cfgplan.planners.solving.engine import OnSolution, repeatable_solver, solve
 from cfgplan.planning import Notion
 
@@ -41,6 +41,8 @@ LARGEST = 2**62
 """No sum of the solver's integers may exceed this."""
 Landmarks = Iterable[tuple[Iterable[str], int]]
 """Labels of which every plan has so many or more; each counts as often as it is named."""
+LandmarkFinder = Callable[[Collection[str], Clock], Landmarks]
+"""Finds landmarks that the transformations of a solution do not hit."""
 
 
 class InfeasibleError(Exception):
@@ -59,6 +61,7 @@ class Search:
         is_apart: bool = False,
         landmarks: Landmarks = (),
         cuts: Iterable[ChainCut] = (),
+        missed: LandmarkFinder = lambda *_: (),
         rules: Sequence[ModelRule] = RULES,
     ) -> None:
         """With `is_all` false some candidates are left out: the search gives plans, but no bounds.
@@ -68,6 +71,7 @@ class Search:
         self.problem = candidates.problem
         self.standing = standing
         self.is_all = is_all
+        self._missed = missed
         self._left_s = inf
         self._has_hosts = bool(candidates.environment.hosts)
         self._survival, self._first = None, None
@@ -271,7 +275,7 @@ class Search:
 
         Raises ContradictionError if there is no reason: the same solution would come again and again.
         """
-        model, cp = self.model, self.model.cp
+        model, cp, candidates = self.model, self.model.cp, self.model.candidates
         running = {i for i, runs in model.runs.items() if runs.index in true}
         units = None if self._survival is None else decode(model, true)
         if self._survival is not None and units is not None:
@@ -292,6 +296,8 @@ class Search:
         for proposition in unfounded:
             model.needs_any(cp.get_bool_var_from_proto_index(proposition), ways)
         self.standing.counts["cuts"] += len(unfounded)
+        used = {candidates.all[i].transformation.label for i in running}
+        model.enough_of_each_run(self._missed(used, self.standing.clock))
 
     def solver(self) -> CpSolver:
         """A solver for one round, with the time that is left."""

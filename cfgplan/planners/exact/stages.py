@@ -153,7 +153,7 @@ def close_gap(work: Work) -> bool:
 def solve(work: Work) -> bool:
     """Leave to the solver what is still open."""
     if not work.standing.is_over:
-        work.search(work.left.landmarks()).run()
+        work.search(work.left.landmarks(), work.missed).run()
     return True
 
 

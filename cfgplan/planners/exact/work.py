@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.closing.gap import Closing
+from cfgplan.planners.closing.separation import Separator
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.configuration import wire
 from cfgplan.planners.exact.memory import Memory
@@ -17,9 +19,10 @@ from cfgplan.planners.exact.rest import Remainder
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.network import Network, Weighing
+from cfgplan.planners.solving.clock import Clock
 
 if TYPE_CHECKING:
-    from cfgplan.planners.exact.search import Landmarks, Search
+    from cfgplan.planners.exact.search import LandmarkFinder, Landmarks, Search
 
 
 @dataclass(frozen=True)
@@ -134,12 +137,24 @@ class Work:
             and best.key.rewired == _forced_changes(candidates, chosen)
         )
 
-    def search(self, landmarks: Landmarks = ()) -> Search:
+    def search(self, landmarks: Landmarks = (), missed: LandmarkFinder = lambda *_: ()) -> Search:
         """A search among the candidates in the constraint model, which is built here; raises OutOfTimeError."""
         from cfgplan.planners.exact.search import Search  # the solver takes long to import
 
         self.candidates.clock = self.clock
-        return Search(self.candidates, self.standing, landmarks=landmarks)
+        return Search(self.candidates, self.standing, landmarks=landmarks, missed=missed)
+
+    def missed(self, labels: Collection[str], clock: Clock) -> list[tuple[list[str], int]]:
+        """Landmarks that these labels do not hit; none if the labels are grounded and meet what is wanted."""
+        network = self.structure.network
+        uses = np.zeros(len(network.labels))
+        uses[[network.number[label] for label in labels]] = 1.0
+        found = self._separator.missed(uses, np.random.default_rng(len(labels)), is_over=clock.is_over)
+        return [([network.labels[i] for i in one.counted.tolist()], one.least) for one in found]
+
+    @cached_property
+    def _separator(self) -> Separator:
+        return Separator(self.structure.network.core, self.clock.tuning.close)
 
 
 def _forced_changes(candidates: Candidates, chosen: Collection[int]) -> int:
