@@ -251,6 +251,10 @@ MODEL = _room(
         "sent = badness",
     ),
     ("landmarks need one less", "model.py", "at_least(self.cp, least, [", "at_least(self.cp, max(1, least - 1), ["),
+    ("units fed apart are alike", "rules.py", "unit not in apart", "unit >= 0"),
+    ("running units are alike", "rules.py", "candidate.running is None and unit", "True and unit"),
+    ("required ones are alike", "rules.py", "model.problem.notions or model.tracked", "model.problem.notions"),
+    ("fleets' units are alike", "rules.py", "model.problem.notions or model.tracked", "model.tracked"),
     (
         "new units come in any order",
         "rules.py",

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from cfgplan.domain import Similarity
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.fleet import plan_fleet
+from cfgplan.planners.exact.model import ModelRule
+from cfgplan.planners.exact.rules import RULES
 from cfgplan.planners.exact.search import Search
 from cfgplan.planners.exact.session import PlannerSession
 from cfgplan.planners.exact.standing import Standing
@@ -16,9 +20,9 @@ from cfgplan.planning import Plan, Problem
 from cfgplan.reasons import Givers
 
 
-def search_alone(problem: Problem, *, is_apart: bool = False) -> Search:
+def search_alone(problem: Problem, *, is_apart: bool = False, rules: Sequence[ModelRule] = RULES) -> Search:
     """A search in the one model, from nothing; with `is_apart` every subscription has a boolean."""
-    return Search(Candidates(problem), Standing(problem, Clock(), None), is_apart=is_apart)
+    return Search(Candidates(problem), Standing(problem, Clock(), None), is_apart=is_apart, rules=rules)
 
 
 def plan_alone(problem: Problem) -> Plan:

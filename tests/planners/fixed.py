@@ -25,6 +25,7 @@ from cfgplan.domain import (
     Target,
     Transformation,
 )
+from cfgplan.planners.exact.rules import RULES, one_of_new_units_alike_is_enough
 from cfgplan.planning import Problem
 
 MOST_CUTS = 200
@@ -76,9 +77,10 @@ def uses(label: str) -> Fact:
 
 
 class Hubs:
-    """What the model allows in which inputs share what meets them wherever they can."""
+    """What the model allows in which inputs share what meets them wherever they can; new units alike are apart."""
 
     is_apart = False
+    rules = tuple(rule for rule in RULES if rule is not one_of_new_units_alike_is_enough)
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
@@ -115,7 +117,7 @@ class Hubs:
 
     def build(self) -> CpModel:
         """The model, anew."""
-        self.search = search_alone(self.problem, is_apart=self.is_apart)
+        self.search = search_alone(self.problem, is_apart=self.is_apart, rules=self.rules)
         self.candidates = self.search.model.candidates
         self.model = self.search.model
         return self.model.cp
@@ -145,6 +147,12 @@ class Hubs:
             return True
         self.search.forbid(true)
         return False
+
+
+class WithoutTwins(Hubs):
+    """The same in which of new units alike one is enough."""
+
+    rules = RULES
 
 
 class Apart(Hubs):

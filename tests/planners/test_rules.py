@@ -9,6 +9,7 @@ from fixed import (
     PLAIN_OUTPUT,
     Apart,
     Hubs,
+    WithoutTwins,
     feeds,
     kind,
     publishes,
@@ -20,6 +21,7 @@ from fixed import (
 )
 
 from cfgplan.domain import ALL, ComputationUnit, Target, Transformation
+from cfgplan.planning import Problem
 
 every_model = pytest.mark.parametrize("model", [Hubs, Apart])
 
@@ -283,6 +285,28 @@ def test_units_do_not_serve_through_each_other_s_feedback_inputs(model: type[Hub
     assert not fixed.allows(
         uses("one"), feeds("one.1", "two.1/in0"), feeds("two.1", "one.1/in0"), feeds("t.1", "f.1/in0")
     )
+
+
+def test_of_new_units_alike_one_runs() -> None:
+    fixed = WithoutTwins(world("B", SOURCE, OTHER, FILTER))
+    assert fixed.allows(runs("s.1"), ~runs("t.1"))
+    assert not fixed.allows(runs("s.1"), runs("t.1"))
+    assert Hubs(world("B", SOURCE, OTHER, FILTER)).allows(runs("s.1"), runs("t.1"))
+
+
+@pytest.mark.parametrize(
+    "problem",
+    [
+        world("BC", SOURCE, OTHER, kind("f", "AA", "B", distinct=[0, 1]), kind("g", gives="C")),
+        world("B", kind("s", gives="A", required=True), OTHER, FILTER),
+        world("B", SOURCE, OTHER, FILTER, units=(unit("s"), unit("t"))),
+        world("BC", kind("s", gives="AC"), OTHER, FILTER),
+        world("B", SOURCE, kind("t", gives="A", min_instances=1), FILTER),
+    ],
+    ids=["distinct", "required", "running", "one offers more", "one is asked for"],
+)
+def test_units_that_may_differ_are_not_alike(problem: Problem) -> None:
+    assert WithoutTwins(problem).allows(runs("s.1"), runs("t.1"))
 
 
 def test_a_landmark_is_hit_as_often_as_it_says() -> None:

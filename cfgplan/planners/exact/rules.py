@@ -580,6 +580,49 @@ def new_units_come_in_order(model: Model) -> None:
             model.cp.add_implication(model.is_there[i], model.is_there[i - 1])
 
 
+def one_of_new_units_alike_is_enough(model: Model) -> None:
+    """Of new units that meet the same demands at most one runs, and those that have a need share it.
+
+    It shortens the proof where nothing is asked beyond the paper; `closing.program.alike` says why it holds. Where
+    transformations are required two of them may be wanted.
+    """
+    if model.problem.notions or model.tracked:
+        return
+    candidates = model.candidates
+    apart: set[int] = set()
+    demands = {model.demand(target.tag): target.tag for target in model.environment.targets}
+    for candidate in candidates.all:
+        for port in candidate.transformation.inputs:
+            demands[model.demand(port.tag)] = port.tag
+            if port.distinct is not None:
+                apart.update(candidates.feeders(port.tag))
+    given: dict[int, list[int]] = defaultdict(list)
+    for demand in sorted(demands):
+        for feeder in candidates.feeders(demands[demand]):
+            given[feeder].append(demand)
+    groups: dict[tuple[int, ...], list[int]] = defaultdict(list)
+    for unit, candidate in enumerate(candidates.all):
+        if candidate.running is None and unit not in apart:
+            groups[tuple(given[unit])].append(unit)
+    for units in groups.values():
+        if len(units) > 1:
+            model.cp.add_at_most_one(model.runs[unit] for unit in units)
+            _needs_are_shared(model, units)
+
+
+def _needs_are_shared(model: Model, units: list[int]) -> None:
+    needing: dict[int, list[int]] = defaultdict(list)
+    for unit in units:
+        ports = model.candidates.all[unit].transformation.inputs
+        hubs = {model.hub(p.tag, None).index for p in ports if not p.feedback and not model.is_told_apart(unit, p)}
+        for hub in sorted(hubs):
+            needing[hub].append(unit)
+    for hub, sharing in needing.items():
+        if len(sharing) > 1:
+            met = model.cp.get_bool_var_from_proto_index(hub)
+            model.cp.add_at_most_one([met.negated(), *(model.runs[unit] for unit in sharing)])
+
+
 RULES: Final[tuple[ModelRule, ...]] = (
     a_unit_runs_or_waits_in_one_place,
     a_kept_unit_stays_or_is_wired_anew,
@@ -605,6 +648,7 @@ RULES: Final[tuple[ModelRule, ...]] = (
     units_that_conflict_are_not_on_one_host,
     beside_a_running_unit_run_those_that_it_runs_with,
     new_units_come_in_order,
+    one_of_new_units_alike_is_enough,
     targets_get_the_quality_they_ask_for,
 )
 """What a configuration must be, in the order in which the booleans are made."""
