@@ -19,7 +19,11 @@ PEERS: Mapping[str, Entrant] = MappingProxyType(
             Entrant("clingo-usc", "experiments.peers.asp:plan_by_cores", ("clingo",)),
             Entrant("clingo-bb", "experiments.peers.asp:plan_by_branching", ("clingo",)),
             Entrant("highs", "experiments.peers.milp:plan", ("highspy", "numpy")),
+            Entrant("scip", "experiments.peers.scip:plan", ("pyscipopt",)),
             Entrant("fast-downward", "experiments.peers.downward:plan"),
+            Entrant("clingo-usc-led", "experiments.peers.asp:plan_by_cores_led", ("clingo",)),
+            Entrant("highs-led", "experiments.peers.milp:plan_led", ("highspy", "numpy")),
+            Entrant("scip-led", "experiments.peers.scip:plan_led", ("pyscipopt",)),
         )
     }
 )

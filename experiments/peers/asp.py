@@ -11,6 +11,7 @@ import clingo
 from cfgplan.errors import InputError
 from cfgplan.planning import Plan, Problem, Progress, Status
 from cfgplan.reasons import unmet_reasons
+from experiments.peers.lead import Lead, lead_apart
 from experiments.peers.selection import Selection
 
 RULES = """
@@ -32,6 +33,7 @@ fed_port(U, P) :- feed(U, P, L).
 #minimize { C, U : run(U), cost(U, C) }.
 #show run/1.
 """
+CORES = "usc,one,stratify"
 LARGEST_WEIGHT = 2**31 - 1
 CHEAP_FIRST = ("--opt-heuristic=sign,model",)
 """Without this its first plans run most of the library: a hundred times dearer with 50,000 transformations."""
@@ -41,7 +43,14 @@ def plan_by_cores(
     problem: Problem, *, time_limit_s: float | None = None, report: Callable[[Progress], None] | None = None
 ) -> Plan:
     """Optimisation from below, by unsatisfiable cores, large weights first: without that it is many times slower."""
-    return _plan("clingo-usc", "usc,one,stratify", problem, time_limit_s, report)
+    return _plan("clingo-usc", CORES, problem, time_limit_s, report)
+
+
+def plan_by_cores_led(
+    problem: Problem, *, time_limit_s: float | None = None, report: Callable[[Progress], None] | None = None
+) -> Plan:
+    """The same after `cpsat`'s bounds: with its landmarks, below the cost of its plan, and only what these leave."""
+    return _plan("clingo-usc-led", CORES, problem, time_limit_s, report, is_led=True)
 
 
 def plan_by_branching(
@@ -57,6 +66,8 @@ def _plan(
     problem: Problem,
     time_limit_s: float | None,
     report: Callable[[Progress], None] | None,
+    *,
+    is_led: bool = False,
 ) -> Plan:
     began = time.monotonic()
     selection = Selection(problem, who)
@@ -65,12 +76,13 @@ def _plan(
     scale = gcd(*(candidate.cost_us for candidate in selection.candidates)) or 1
     if any(candidate.cost_us // scale > LARGEST_WEIGHT for candidate in selection.candidates):
         raise InputError.of(f"{who} counts in 32 bits, and a cost is too large for it")
-    control = clingo.Control([f"--opt-strategy={strategy}", *CHEAP_FIRST, "--models=0", "--warn=none"])
-    control.add("base", [], RULES + "\n".join(_facts(selection, scale)))
+    lead = lead_apart(problem, who, time_limit_s) if is_led else Lead(None, 0, [], [])
+    best, bound_us = lead.plan, lead.bound_us
+    known = [] if best is None else [f"--opt-mode=opt,{selection.cost_us(best) // scale}"]
+    control = clingo.Control([f"--opt-strategy={strategy}", *CHEAP_FIRST, *known, "--models=0", "--warn=none"])
+    control.add("base", [], RULES + "\n".join((*_facts(selection, scale), *_known(lead))))
     control.ground([("base", [])])
     built_s = time.monotonic() - began
-    best: list[int] | None = None
-    bound_us = 0
 
     def tell() -> None:
         if report is not None:
@@ -91,7 +103,7 @@ def _plan(
     with control.solve(on_model=on_model, on_unsat=on_unsat, async_=True) as handle:
         handle.wait(None if time_limit_s is None else max(0.0, time_limit_s - (time.monotonic() - began)))
         handle.cancel()
-        if handle.get().exhausted and best is not None:
+        if handle.get().exhausted and best is not None:  # with a lead, its plan is the best if there was no model
             bound_us = selection.cost_us(best)
     solving = control.statistics["solving"]["solvers"]
     counts = {"choices": int(solving["choices"]), "conflicts": int(solving["conflicts"])}
@@ -127,3 +139,9 @@ def _facts(selection: Selection, scale: int) -> Iterator[str]:
     yield from (f"kept({i})." for i in sorted(selection.kept))
     for tag, tag_number in used.items():
         yield from (f"gives({i},{tag_number})." for i in selection.feeders(tag))
+
+
+def _known(lead: Lead) -> Iterator[str]:
+    for least, members in lead.landmarks:
+        yield f":- #sum {{ {'; '.join(f'{n},{i} : run({i})' for i, n in members.items())} }} < {least}."
+    yield from (f":- run({i})." for i in lead.dropped)

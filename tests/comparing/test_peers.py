@@ -35,7 +35,7 @@ INSTANCES = [
     given("feedback", filtered_by_feedback()),
 ]
 REFUSED = {
-    ("highs", "feedback"),
+    *((program, "feedback") for program in ("highs", "highs-led", "scip", "scip-led")),
     ("fast-downward", "feedback"),
     ("fast-downward", "adversarial(kind=fusion, size=3)#0"),
 }

@@ -1,0 +1,77 @@
+"""A head start for peers: what `cpsat` knows of a plain problem before it calls its solver.
+
+That is a plan, a bound, landmarks, and which units no better plan has.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from dataclasses import dataclass
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+
+from cfgplan.planning import Problem
+from experiments.peers.selection import Selection
+
+
+@dataclass(frozen=True)
+class Lead:
+    """What is known of a selection's candidates, by their numbers.
+
+    Of each landmark the candidates with how often each counts, and the number that a plan has of them at least.
+    """
+
+    plan: list[int] | None
+    bound_us: int
+    landmarks: list[tuple[int, dict[int, int]]]
+    dropped: list[int]
+
+
+def lead_apart(problem: Problem, who: str, time_limit_s: float | None) -> Lead:
+    """The lead, found in a process of its own, since ortools shares none with the solvers of others."""
+    ours, theirs = (context := get_context("fork")).Pipe(duplex=False)
+    process = context.Process(target=_send, args=(theirs, problem, who, time_limit_s))
+    process.start()
+    theirs.close()
+    try:
+        found: Lead = ours.recv()
+    finally:
+        process.join()
+    return found
+
+
+def _send(to: Connection, problem: Problem, who: str, time_limit_s: float | None) -> None:
+    to.send(lead_of(problem, who, time_limit_s))
+
+
+def lead_of(problem: Problem, who: str, time_limit_s: float | None) -> Lead:
+    """What bounds and closing find; the planner's own search of small problems has no part in it."""
+    from cfgplan.planners.exact.memory import Memory
+    from cfgplan.planners.exact.session import offer_what_runs
+    from cfgplan.planners.exact.stages import close_gap, raise_bound, see_what_can_be_met
+    from cfgplan.planners.exact.standing import Standing
+    from cfgplan.planners.exact.work import Work
+    from cfgplan.planners.solving.clock import Clock
+
+    selection, clock = Selection(problem, who), Clock(time_limit_s)
+    standing = Standing(problem, clock, None)
+    offer_what_runs(standing)
+    work = Work(standing, Memory.of(problem, None, clock))
+    if see_what_can_be_met(work):
+        return Lead(None, 0, [], [])
+    raise_bound(work)
+    close_gap(work)
+    by_id = {candidate.id: i for i, candidate in enumerate(selection.candidates)}
+    by_label: dict[str, list[int]] = defaultdict(list)
+    for i, candidate in enumerate(selection.candidates):
+        by_label[candidate.transformation.label].append(i)
+    left = set(work.left.names)
+    landmarks = [
+        (least, Counter(i for label in labels for i in by_label[label])) for labels, least in work.left.landmarks()
+    ]
+    return Lead(
+        None if standing.best is None else sorted(by_id[unit.id] for unit in standing.best.units),
+        standing.bound_us,
+        [(least, dict(members)) for least, members in landmarks],
+        [i for label, numbers in by_label.items() if label not in left for i in numbers if i not in selection.kept],
+    )

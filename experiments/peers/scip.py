@@ -1,0 +1,135 @@
+"""SCIP, with landmarks as lazy constraints: a solution that is not grounded is cut off inside its one search.
+
+It computes in doubles; the plan's cost is recomputed exactly.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from math import ceil
+from typing import Any
+
+import pyscipopt  # type: ignore[import-not-found, unused-ignore]
+
+from cfgplan.planning import Plan, Problem, Progress, Status
+from cfgplan.reasons import unmet_reasons
+from experiments.peers.lead import Lead, lead_apart
+from experiments.peers.program import Program, Rows
+from experiments.peers.selection import Selection
+
+Report = Callable[[Progress], None] | None
+
+
+def plan(problem: Problem, *, time_limit_s: float | None = None, report: Report = None) -> Plan:
+    """The cheapest update; refuses feedback inputs. See `planning.Planner`."""
+    return _plan(Selection(problem, "scip"), None, time.monotonic(), time_limit_s, report)
+
+
+def plan_led(problem: Problem, *, time_limit_s: float | None = None, report: Report = None) -> Plan:
+    """The same after `cpsat`'s bounds: with its landmarks, its plan as the first one, and only what these leave."""
+    began = time.monotonic()
+    lead = lead_apart(problem, "scip-led", time_limit_s)
+    return _plan(Selection(problem, "scip-led"), lead, began, time_limit_s, report)
+
+
+def _plan(selection: Selection, lead: Lead | None, began: float, time_limit_s: float | None, report: Report) -> Plan:
+    if not all(map(selection.feeders, selection.wanted)):
+        return Plan(selection.who, Status.INFEASIBLE, reasons=unmet_reasons(selection.problem))
+    program = Program(selection, lead)
+    best, bound_us = (None, 0) if lead is None else (lead.plan, lead.bound_us)
+    seconds, counts = {"build": time.monotonic() - began}, {"nodes": 0, "landmarks": 0}
+    if best is None or bound_us < selection.cost_us(best):
+        model = _model(program)
+        grounded = _Grounded(program, model.getVars())
+        model.includeConshdlr(
+            grounded, "grounded", "", enfopriority=-10, chckpriority=-10, needscons=False, sepafreq=-1, eagerfreq=-1
+        )
+        if best is not None:
+            first = model.createPartialSol()
+            for i, variable in enumerate(grounded.variables[: len(program.needs)]):
+                model.setSolVal(first, variable, float(i in set(best)))
+            model.addSol(first)
+            model.setObjlimit(selection.cost_us(best) / program.scale - 0.5)
+        seconds["build"] = time.monotonic() - began
+        if time_limit_s is not None:
+            model.setParam("limits/time", max(0.01, time_limit_s - seconds["build"]))
+        model.optimizeNogil()
+        found = _chosen(program, model)
+        if found is not None and selection.satisfied(found):
+            best = found
+        is_proven = best is not None and model.getStatus() in ("optimal", "infeasible")
+        bound_us = selection.cost_us(best or ()) if is_proven else max(bound_us, _bound_us(program, model))
+        counts = {"nodes": int(model.getNTotalNodes()), "landmarks": grounded.landmarks}
+    if report is not None:
+        report(Progress(time.monotonic() - began, None if best is None else selection.cost_us(best), bound_us))
+    seconds["search"] = time.monotonic() - began - seconds["build"]
+    return selection.answer(best, bound_us, seconds=seconds, counts=counts)
+
+
+def _model(program: Program) -> Any:
+    model = pyscipopt.Model()
+    model.hideOutput()
+    variables = [model.addVar(vtype="B", obj=cost) for cost in program.costs]
+    _add(model, variables, program.rows)
+    model.setParam("parallel/maxnthreads", 1)
+    # What is known of the rows alone would cut off solutions, or fix variables, that landmarks to come allow.
+    model.setParam("misc/allowstrongdualreds", False)
+    model.setParam("misc/allowweakdualreds", False)
+    return model
+
+
+def _add(model: Any, variables: Any, rows: Rows) -> None:
+    for low, columns, values in rows.each():
+        terms = (value * variables[i] for i, value in zip(columns, values, strict=True))
+        model.addCons(pyscipopt.quicksum(terms) >= low)
+
+
+def _chosen(program: Program, model: Any) -> list[int] | None:
+    if model.getNSols() == 0:
+        return None
+    solution, variables = model.getBestSol(), model.getVars()
+    return [i for i in range(len(program.needs)) if model.getSolVal(solution, variables[i]) > 0.5]
+
+
+def _bound_us(program: Program, model: Any) -> int:
+    bound = float(model.getDualbound())
+    return max(0, ceil(bound - 1e-6 * max(1.0, abs(bound)))) * program.scale if abs(bound) < 1e19 else 0
+
+
+class _Grounded(pyscipopt.Conshdlr):  # type: ignore[misc]
+    """Everything that runs is fed from sources in the end. The names of its methods are SCIP's."""
+
+    def __init__(self, program: Program, variables: Any) -> None:
+        self.program, self.variables, self.landmarks = program, variables, 0
+
+    def conscheck(self, _constraints: Any, solution: Any, *_more: Any, **_named: Any) -> dict[str, Any]:
+        return {"result": self._result(self._missed(solution) is None)}
+
+    def consenfolp(self, *_more: Any, **_named: Any) -> dict[str, Any]:
+        return self._cut_off()
+
+    def consenfops(self, *_more: Any, **_named: Any) -> dict[str, Any]:
+        return {"result": self._result(self._missed(None) is None)}
+
+    def conslock(self, _constraint: Any, _kind: Any, positive: int, negative: int) -> None:
+        for variable in self.variables[: len(self.program.needs)]:
+            self.model.addVarLocks(variable, positive + negative, positive + negative)
+
+    def _cut_off(self) -> dict[str, Any]:
+        missed = self._missed(None)
+        if missed is None:
+            return {"result": pyscipopt.SCIP_RESULT.FEASIBLE}
+        _add(self.model, self.variables, missed)
+        self.landmarks += len(missed.low)
+        return {"result": pyscipopt.SCIP_RESULT.CONSADDED}
+
+    def _result(self, is_kept: bool) -> Any:
+        return pyscipopt.SCIP_RESULT.FEASIBLE if is_kept else pyscipopt.SCIP_RESULT.INFEASIBLE
+
+    def _missed(self, solution: Any) -> Rows | None:
+        count = len(self.program.needs)
+        chosen = [i for i in range(count) if self.model.getSolVal(solution, self.variables[i]) > 0.5]
+        if self.program.selection.satisfied(chosen):
+            return None
+        return self.program.missed(chosen)
