@@ -12,6 +12,8 @@ from cfgplan.comparing import Entrant
 
 SHARING = Entrant("branch-and-bound-shared", "experiments.peers.sharing:plan")
 """The paper's search, if it counted what is shared once."""
+LED = ("clingo-usc-led", "highs-led", "scip-led")
+"""Those of the peers that begin with what `cpsat` knows before it calls its solver."""
 PEERS: Mapping[str, Entrant] = MappingProxyType(
     {
         entrant.name: entrant

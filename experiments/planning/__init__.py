@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from cfgplan.comparing import REGISTERED, Entrant
+from experiments.peers import LED
 from experiments.planning.scale_suite import SCALE_SEEDS
 from experiments.planning.scale_tables import PARTS
 from experiments.study.instances import Instance
@@ -28,7 +29,7 @@ VARIANTS: Mapping[str, Entrant] = MappingProxyType(
 )
 """The model with lazy cuts alone, with level variables in place of these, and that with CP-SAT's defaults."""
 
-ONE_SEED = frozenset({*PARTS, "clingo-bb"})
+ONE_SEED = frozenset({*PARTS, *LED, "clingo-bb"})
 MODELS, LARGE = frozenset({"levels-alone", "cpsat-defaults"}), 5_000
 
 
@@ -39,6 +40,6 @@ def takes_part(instance: Instance, entrant: Entrant) -> bool:
     """
     if instance.seed == SCALE_SEEDS[0]:
         return True
-    size = instance.parameters["transformations"]
+    size = instance.parameters.get("transformations", 0)
     assert isinstance(size, int)
     return entrant.name not in ONE_SEED and (entrant.name not in MODELS or size < LARGE)

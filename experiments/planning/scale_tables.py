@@ -9,8 +9,9 @@ from math import exp, log
 
 from cfgplan.comparing import RunFailure
 from cfgplan.planning import Status
+from experiments.peers import LED
+from experiments.planning import scale_suite
 from experiments.planning.leads import Lead, lead, matched, seconds
-from experiments.planning.scale_suite import SCALE
 from experiments.study.invariants import gap, references
 from experiments.study.report import Table, head
 from experiments.study.rows import Row, planners
@@ -30,8 +31,9 @@ def scale_text(rows: Sequence[Row], loads: Mapping[str, float]) -> str:
 
 
 def families(rows: Sequence[Row]) -> dict[str, list[Row]]:
-    """The rows by the name of their family in `SCALE`, in its order."""
-    found = {name: [row for row in rows if row.parameters == parameters] for name, parameters in SCALE.items()}
+    """The rows by the name of their family, in the suite's order."""
+    known = scale_suite.families().items()
+    found = {name: [row for row in rows if row.parameters == parameters] for name, (_, parameters) in known}
     return {name: group for name, group in found.items() if group}
 
 
@@ -63,9 +65,9 @@ def summary(rows: Sequence[Row]) -> Table:
 
 
 def peer_by_peer(rows: Sequence[Row]) -> Table:
-    """Each peer by itself on all families that it ran on."""
+    """Each peer by itself on all families that it ran on; at last those that began with what the base knows."""
     lines = []
-    for peer in _peers(rows):
+    for peer in (*_peers(rows), *(name for name in planners(rows) if name in LED)):
         leads = {name: lead(matched(group, BASE, [peer])) for name, group in families(rows).items()}
         least = min(leads, key=lambda name: _closeness(leads[name]))
         own = _proven([row for row in rows if row.planner == peer])
@@ -161,7 +163,7 @@ def known_after(row: Row, seconds: float) -> Row:
 
 
 def _peers(rows: Sequence[Row]) -> list[str]:
-    return [name for name in planners(rows) if name not in (BASE, *PARTS)]
+    return [name for name in planners(rows) if name not in (BASE, *PARTS, *LED)]
 
 
 def _closeness(found: Lead) -> tuple[float, int]:
