@@ -28,7 +28,10 @@ def plan(
 def plan_led(
     problem: Problem, *, time_limit_s: float | None = None, report: Callable[[Progress], None] | None = None
 ) -> Plan:
-    """The same after `cpsat`'s bounds: with its landmarks, its plan as the first one, and only what these leave."""
+    """The same after `cpsat`'s bounds: with its landmarks, and only what these and its plan leave.
+
+    Where HiGHS 1.16 is given a first solution it may end with the optimum of one and the values of the other.
+    """
     began = time.monotonic()
     selection = Selection(problem, "highs-led")
     lead = lead_apart(problem, selection.who, time_limit_s)
@@ -46,8 +49,6 @@ def _plan(
         return Plan(selection.who, Status.INFEASIBLE, reasons=unmet_reasons(selection.problem))
     model = Model(Program(selection, lead))
     best, bound_us = (None, 0) if lead is None else (lead.plan, lead.bound_us)
-    if best is not None:
-        model.begin_with(best)
     built_s = time.monotonic() - began
     rounds, nodes = 0, 0
     while best is None or bound_us < selection.cost_us(best):
@@ -96,13 +97,6 @@ class Model:
         self._highs.addRows(
             len(rows.low), np.array(rows.low), high, len(columns), starts, columns, np.array(rows.values)
         )
-
-    def begin_with(self, chosen: list[int]) -> None:
-        """Have a first solution completed from the candidates that run in a plan."""
-        count = len(self.program.needs)
-        values = np.zeros(count)
-        values[chosen] = 1.0
-        self._highs.setSolution(count, np.arange(count, dtype=np.int32), values)
 
     def solve(self, left_s: float | None) -> tuple[list[int] | None, int, int, bool]:
         """The chosen of the best solution, a bound, the nodes, and whether the solution is proven optimal."""
