@@ -58,9 +58,16 @@ _TRUSTED_NS = 5_000_000_000
 """A message's stamp counts as its time if it is not further from now."""
 _STAMP = struct.Struct("<4xIII")
 """A message that begins with a header: its length, then the header's number, seconds and nanoseconds."""
-_STAMPED = ("Header header", "std_msgs/Header header", "roslib/Header header")
+_HEADERS = ("Header", "std_msgs/Header", "roslib/Header")
 _CONNECT_AGAIN_S, _MOST_CONNECT_AGAIN_S = 0.05, 2.0
 """Seconds until a publisher that does not answer is asked again, doubled up to the second value."""
+
+
+def begins_with_header(definition: str) -> bool:
+    """Whether the first field of a message is a header, by its definition, which begins with comments and constants."""
+    said = (line.partition("#")[0] for line in definition.splitlines())
+    first = next((line.split() for line in said if line.strip() and "=" not in line), [""])
+    return first[0] in _HEADERS
 
 
 @dataclass(slots=True, eq=False)
@@ -327,7 +334,7 @@ class TopicRelay:
             end.close()
             return
         source.header, source.latched = header, None
-        source.has_stamp = header.get("message_definition", "").lstrip().startswith(_STAMPED)
+        source.has_stamp = begins_with_header(header.get("message_definition", ""))
         reader = source.readers[address] = MessageReader(end)
         self._ends.watch(end, lambda: self._read(source, address, reader))
         for inlet in set(source.wires.values()):
