@@ -57,14 +57,14 @@ def _plan(
             break
         chosen, round_bound_us, round_nodes, solved = model.solve(left_s)
         rounds, nodes, bound_us = rounds + 1, nodes + round_nodes, max(bound_us, round_bound_us)
-        is_plan = chosen is not None and selection.satisfied(chosen)
-        if chosen is not None and is_plan:
-            best = chosen
-            bound_us = selection.cost_us(chosen) if solved else bound_us
+        found = None if chosen is None else selection.plan_within(chosen)
+        if found is not None:
+            best = found
+            bound_us = selection.cost_us(found) if solved else bound_us
         if report is not None:
             cost_us = None if best is None else selection.cost_us(best)
             report(Progress(time.monotonic() - began, cost_us, bound_us))
-        if is_plan or not solved or chosen is None:
+        if found is not None or not solved or chosen is None:
             break
         model.add(model.program.missed(chosen))
     counts = {"rounds": rounds, "nodes": nodes}

@@ -56,8 +56,7 @@ def _plan(selection: Selection, lead: Lead | None, began: float, time_limit_s: f
             model.setParam("limits/time", max(0.01, time_limit_s - seconds["build"]))
         model.optimizeNogil()
         found = _chosen(program, model)
-        if found is not None and selection.satisfied(found):
-            best = found
+        best = best if found is None else found
         is_proven = best is not None and model.getStatus() in ("optimal", "infeasible")
         bound_us = selection.cost_us(best or ()) if is_proven else max(bound_us, _bound_us(program, model))
         counts = {"nodes": int(model.getNTotalNodes()), "landmarks": grounded.landmarks}
@@ -89,7 +88,8 @@ def _chosen(program: Program, model: Any) -> list[int] | None:
     if model.getNSols() == 0:
         return None
     solution, variables = model.getBestSol(), model.getVars()
-    return [i for i in range(len(program.needs)) if model.getSolVal(solution, variables[i]) > 0.5]
+    chosen = [i for i in range(len(program.needs)) if model.getSolVal(solution, variables[i]) > 0.5]
+    return program.selection.plan_within(chosen)
 
 
 def _bound_us(program: Program, model: Any) -> int:
@@ -130,6 +130,4 @@ class _Grounded(pyscipopt.Conshdlr):  # type: ignore[misc]
     def _missed(self, solution: Any) -> Rows | None:
         count = len(self.program.needs)
         chosen = [i for i in range(count) if self.model.getSolVal(solution, self.variables[i]) > 0.5]
-        if self.program.selection.satisfied(chosen):
-            return None
-        return self.program.missed(chosen)
+        return self.program.missed(chosen) if self.program.selection.plan_within(chosen) is None else None

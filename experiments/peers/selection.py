@@ -101,6 +101,12 @@ class Selection:
         """Whether the chosen are all grounded and meet every target."""
         return not self.open_demands(frozenset(chosen)) and len(self.grounded(chosen)) == len(chosen)
 
+    def plan_within(self, chosen: Collection[int]) -> list[int] | None:
+        """The grounded ones of the chosen, if these are a plan: what else is chosen feeds nothing that is needed."""
+        grounded = self.grounded(chosen)
+        is_plan = self.kept <= set(grounded) and not self.open_demands(frozenset(grounded))
+        return grounded if is_plan else None
+
     def open_demands(self, chosen: frozenset[int]) -> dict[str, tuple[int, ...]]:
         """The demands of the targets and of the chosen that no chosen one feeds, each with its feeders."""
         tags = dict.fromkeys(self.wanted)

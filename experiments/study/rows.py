@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -64,6 +64,7 @@ def read_rows(path: Path) -> list[Row]:
 def append_row(path: Path, row: Row) -> None:
     """Add a row at the end of the file, which is made if need be; a line cut short before it is removed.
 
+    It goes without its traceback, which names paths of this machine; the message says what was raised and where.
     Raises InputError if it can't be written.
     """
     try:
@@ -72,7 +73,7 @@ def append_row(path: Path, row: Row) -> None:
             file.seek(0)
             whole = file.read().rfind(b"\n") + 1
             file.truncate(whole)
-            file.write(json.dumps(asdict(row), ensure_ascii=False).encode() + b"\n")
+            file.write(json.dumps(asdict(replace(row, traceback="")), ensure_ascii=False).encode() + b"\n")
     except OSError as error:
         mend = "check that the folder may be written to"
         raise InputError.of(f"can't be written: {error.strerror}", file=str(path), mend=mend) from None

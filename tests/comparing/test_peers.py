@@ -11,6 +11,7 @@ from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Targe
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Problem, Status
 from experiments.peers import PEERS, downward
+from experiments.peers.selection import Selection
 from experiments.study.instances import Instance, generated, given
 from experiments.study.runner import run_one
 
@@ -67,6 +68,22 @@ def test_a_peer_says_that_a_target_can_not_be_met(name: str) -> None:
         pytest.skip(row.message)
     assert row.outcome == Status.INFEASIBLE
     assert "tracker" in row.message
+
+
+def test_what_a_solver_chose_beside_a_plan_is_left_out_of_it() -> None:
+    """It ended SCIP, and cut off solutions: a ring that nothing feeds gives what is wanted, but so does a source."""
+    library = (
+        Transformation("source", (), (OutputPort("out", "X"),), 1_000),
+        Transformation("one", (InputPort("in", "Z"),), (OutputPort("out", "Y"), OutputPort("more", "X")), 1_000),
+        Transformation("other", (InputPort("in", "Y"),), (OutputPort("out", "Z"),), 1_000),
+        Transformation("start", (), (OutputPort("out", "Z"),), 9_000),
+    )
+    relation = Similarity({tag: frozenset(tag) for tag in "XYZ"})
+    selection = Selection(Problem(Environment((), library, (Target("q", "X", "/q"),)), relation, 1), "scip")
+    of = {candidate.transformation.label: i for i, candidate in enumerate(selection.candidates)}
+    ring = [of["one"], of["other"]]
+    assert selection.plan_within([*ring, of["source"]]) == [of["source"]]
+    assert selection.plan_within(ring) is None
 
 
 def test_fast_downward_out_of_memory_is_told_as_that(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
