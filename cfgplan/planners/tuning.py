@@ -158,6 +158,12 @@ class Fleets:
     fewer: float = said(1.2, "times", "A relaxation's labels are looked among if so many are there in all.", FLEETS)
     place: float = said(1.0, "the engine's s", "Counted units may take so long to be placed.", DEPLOYMENTS)
     recounts: int = said(3, "times", "Units that can't be placed are counted again this often.", DEPLOYMENTS)
+    apart: int = said(
+        24,
+        "hosts",
+        "Up to here each host is looked at by itself if not all fits.",
+        "`deployments.py`, seeds 200 to 211",
+    )
     small: int = said(20_000, "booleans", "Below this size of a fleet's model, probing takes too long.", FLEETS)
     wired: int = said(12_000, "booleans", "Below it, relaxing who feeds counted inputs in full takes too long.", SERVED)
 

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
+from operator import mul
 
 import pytest
 from fixed import kind, world
 from hypothesis import given, settings
+from hypothesis import strategies as st
 from kinds import COUNTABLE, as_good, differences
 from worlds import oracle_of
 
@@ -14,11 +18,15 @@ from cfgplan.domain import ComputationUnit, Host, InputPort, Objective, OutputPo
 from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.groups import groups_of, host_kinds, is_countable
-from cfgplan.planners.tuning import Tuning
+from cfgplan.planners.exact.patterns import Patterns
+from cfgplan.planners.solving.clock import Clock
+from cfgplan.planners.tuning import Fleets, Tuning
 from cfgplan.planning import Failures, Plan, Problem, Status
 from cfgplan.validity import plan_violations
 from experiments.families.deployments import deployment
 
+ALIKE = Tuning(fleet=Fleets(apart=0))
+"""Hosts alike are limited together, however few they are."""
 THREE = tuple(Host(f"h{n}", memory_mb=4) for n in range(3))
 
 
@@ -43,18 +51,83 @@ def replicas(number: int, **more: object) -> Transformation:
 @settings(max_examples=60, deadline=None)
 @given(COUNTABLE)
 def test_counting_agrees_with_naming_and_with_the_oracle(problem: Problem) -> None:
-    found = PlannerSession().plan(problem)
+    found, alike = PlannerSession().plan(problem), PlannerSession(ALIKE).plan(problem)
     assert not differences(problem, found, oracle_of(problem))
-    assert as_good(found) == as_good(named(problem))
+    assert as_good(found) == as_good(alike) == as_good(named(problem))
 
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("minimise", [(Objective.COST,), (Objective.HOSTS, Objective.UNITS)])
 def test_a_deployment_is_proven_as_with_names(seed: int, minimise: tuple[Objective, ...]) -> None:
     problem = deployment(seed, minimise=minimise)
-    found = counted(problem)
+    found, alike = counted(problem), PlannerSession(ALIKE).plan(problem)
     assert found.status is Status.OPTIMAL
-    assert as_good(found) == as_good(named(problem))
+    assert as_good(found) == as_good(alike) == as_good(named(problem))
+
+
+@pytest.mark.parametrize("seed", [203, 209])
+def test_hosts_that_are_limited_together_bear_what_they_bear_one_by_one(seed: int) -> None:
+    """Where the units that are best by numbers do not fit."""
+    problem = deployment(seed, hosts=12, replicas=4)
+    assert as_good(PlannerSession(ALIKE).plan(problem)) == as_good(counted(problem))
+
+
+@st.composite
+def on_one_host(draw: st.DrawFn) -> tuple[Transformation, ...]:
+    """Transformations whose units take room, are alone, few or in company on a host with room for 6."""
+    labels = "abcd"
+    return tuple(
+        replace(
+            kind(label, gives=label.upper()),
+            max_instances=9,
+            memory_mb=draw(st.integers(1, 6)),
+            per_host=draw(st.none() | st.integers(1, 2)),
+            conflicts_on_host=draw(st.sampled_from([(), *((one,) for one in labels if one != label)])),
+            beside=draw(st.sampled_from([(), *((one,) for one in labels if one < label)])),
+        )
+        for label in labels
+    )
+
+
+def bears(library: Sequence[Transformation], numbers: Sequence[int]) -> bool:
+    """Whether a host with room for 6 can have so many units of each."""
+    there = {t.label: number for t, number in zip(library, numbers, strict=True) if number}
+    kinds = [t for t in library if t.label in there]
+    return (
+        sum(t.memory_mb * there[t.label] for t in kinds) <= 6
+        and all(t.per_host is None or there[t.label] <= t.per_host for t in kinds)
+        and all(other not in there for t in kinds for other in t.conflicts_on_host)
+        and all(other in there for t in kinds for other in t.beside)
+    )
+
+
+@settings(max_examples=40, deadline=None)
+@given(on_one_host(), st.lists(st.integers(0, 6), min_size=4, max_size=4), st.integers(1, 4))
+def test_a_limit_forbids_these_units_and_nothing_that_hosts_can_have(
+    library: tuple[Transformation, ...], numbers: list[int], hosts: int
+) -> None:
+    candidates = Candidates(world("ABCD", *library, hosts=[Host(f"h{n}", memory_mb=6) for n in range(4)]))
+    groups = groups_of(candidates)
+    (alike,) = host_kinds(candidates, groups)
+    patterns = Patterns(candidates, groups, alike)
+    place = {t.label: i for i, t in enumerate(library)}
+    there = {n: numbers[place[group.label]] for n, group in enumerate(groups)}
+    if patterns.is_too_much(there, hosts, Clock()):
+        (limit,) = patterns.limits
+        of = [limit.of.get(n, 0) for n in sorted(there, key=lambda n: place[groups[n].label])]
+        assert sum(map(mul, of, numbers)) > limit.most * hosts
+        assert all(sum(map(mul, of, one)) <= limit.most for one in product(range(7), repeat=4) if bears(library, one))
+    else:
+        assert not patterns.limits
+
+
+def test_four_units_of_which_a_host_bears_one_are_too_much_for_three_hosts() -> None:
+    candidates = Candidates(world("A", replace(replicas(4), memory_mb=3), hosts=THREE))
+    groups = groups_of(candidates)
+    patterns = Patterns(candidates, groups, *host_kinds(candidates, groups))
+    assert not patterns.is_too_much({0: 3}, 3, Clock())
+    assert patterns.is_too_much({0: 4}, 3, Clock())
+    assert patterns.limits[0].of[0] == patterns.limits[0].most
 
 
 def test_new_units_of_a_transformation_are_one_group_and_hosts_alike_are_one_kind() -> None:

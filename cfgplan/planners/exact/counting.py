@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from typing import Final
+from typing import Final, NamedTuple
 
 from ortools.sat.python.cp_model import CpModel, IntVar, LinearExpr
 
@@ -30,6 +30,13 @@ class Misfit:
     units: Mapping[int, int]
     company: frozenset[int]
     """The groups that others need beside them: with another number of these it may be otherwise."""
+
+
+class Weights(NamedTuple):
+    """The units of groups weigh so much, and all that is on one host of a kind at most `most`."""
+
+    of: Mapping[int, int]
+    most: int
 
 
 class CountingModel:
@@ -78,6 +85,11 @@ class CountingModel:
                 ways.append(self.cp.new_bool_var(""))
                 self.cp.add(is_other).only_enforce_if(ways[-1])
         self.cp.add_bool_or(ways)
+
+    def limit(self, kind: int, weights: Weights) -> None:
+        """Demand that the units on hosts of a kind weigh no more than so many hosts can bear."""
+        weight = LinearExpr.sum([weight * self.there[n, kind] for n, weight in weights.of.items()])
+        self.cp.add(weight <= weights.most * self.used[kind])
 
     @cached_property
     def of_label(self) -> dict[str, list[int]]:

@@ -30,10 +30,12 @@ from cfgplan.planners.exact.candidates import Candidates, HostName
 from cfgplan.planners.exact.counting import PLACED, CountingModel, Misfit
 from cfgplan.planners.exact.decode import lean, named
 from cfgplan.planners.exact.groups import Group, HostKind, groups_of, host_kinds
+from cfgplan.planners.exact.patterns import Patterns
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.networks.keys import Key
 from cfgplan.planners.solving.clock import Clock, ContradictionError
 from cfgplan.planners.solving.engine import OnSolution, repeatable_solver, solve
+from cfgplan.planners.tuning import Fleets
 from cfgplan.planning import Notion
 
 
@@ -43,13 +45,20 @@ def plan_by_counting(candidates: Candidates, standing: Standing) -> None:
     kinds = host_kinds(candidates, groups)
     standing.counts |= {"groups": len(groups), "kinds of hosts": len(kinds), "rounds": 0, "conflicts": 0}
     deployment = _Deployment(candidates, standing, groups)
-    for _ in range(standing.clock.tuning.fleet.recounts if any(len(kind.names) > 1 for kind in kinds) else 0):
+    for _ in range(_recounts(sum(len(kind.names) for kind in kinds), len(kinds), standing.clock.tuning.fleet)):
         known = len(deployment.misfits)
         if deployment.count(kinds) or standing.is_over:
             return
         if len(deployment.misfits) == known:
             break
     deployment.count(deployment.apart(kinds))
+
+
+def _recounts(hosts: int, kinds: int, tuning: Fleets) -> int:
+    """How often hosts alike are counted before each is looked at by itself."""
+    if hosts == kinds:
+        return 0
+    return tuning.recounts if hosts > tuning.apart else 1
 
 
 class _Step(NamedTuple):
@@ -73,6 +82,8 @@ class _Deployment:
         self.candidates, self.standing, self.groups = candidates, standing, groups
         self.misfits: tuple[Misfit, ...] = ()
         """Numbers of units that are known not to fit."""
+        self._patterns: dict[int, Patterns] = {}
+        """Of kinds of several hosts, by their numbers, once something did not fit."""
         self._least = 0
         """What is minimised first is at least so much."""
 
@@ -119,7 +130,8 @@ class _Deployment:
             yield _Step(counts.objective(each), partial(_of_order, place), learn)
         if Objective.COST not in named:
             yield _Step(counts.objective(Objective.COST), attrgetter("cost_us"), standing.raise_bound)
-        for each in (Objective.REWIRED, Objective.STARTED):
+        is_running = any(group.first.running for group in self.groups)
+        for each in (Objective.REWIRED, Objective.STARTED) if is_running else (Objective.STARTED,):
             yield _Step(counts.objective(each), attrgetter(each), partial(standing.raise_bound_of, each))
 
     def _minimise(
@@ -159,7 +171,10 @@ class _Deployment:
         learn_bound(solver.best_objective_bound)
         if status != OPTIMAL:
             return None
-        return list(solver.response_proto.solution), int(solver.value(what))
+        values = list(solver.response_proto.solution)
+        if self.misfits and not is_placed and self._is_too_much(counts, values):
+            return self._minimise(counts, what, values, learn, is_placed=is_placed)
+        return values, int(solver.value(what))
 
     def _offer(self, counts: CountingModel, values: Sequence[int]) -> bool:
         """Offer the plan that numbers say, with more hosts if their units do not fit on so many; False then."""
@@ -227,7 +242,23 @@ class _Deployment:
         counts = CountingModel(self.candidates, self.groups, kinds)
         for misfit in self.misfits:
             counts.forbid(misfit)
+        for k, patterns in self._patterns.items():
+            for weights in patterns.limits:
+                counts.limit(k, weights)
         return counts
+
+    def _is_too_much(self, counts: CountingModel, values: Sequence[int]) -> bool:
+        """Whether hosts of some kind can't have so many units, by limits that are demanded from now on."""
+        is_limited = False
+        for k, kind in enumerate(counts.kinds):
+            if len(kind.names) > 1:
+                if k not in self._patterns:
+                    self._patterns[k] = Patterns(self.candidates, self.groups, kind)
+                here = {n: values[on.index] for (n, at), on in counts.there.items() if at == k}
+                if self._patterns[k].is_too_much(here, values[counts.used[k].index], self.standing.clock):
+                    counts.limit(k, self._patterns[k].limits[-1])
+                    is_limited = True
+        return is_limited
 
     def apart(self, kinds: Sequence[HostKind]) -> list[HostKind]:
         """So many hosts of each kind as a plan may use that is no worse than the incumbent, each by itself."""

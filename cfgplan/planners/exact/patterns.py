@@ -1,0 +1,81 @@
+"""What hosts alike can bear: limits on units from all patterns, the sets of units that one host can have.
+
+The units on hosts of a kind are a sum of as many patterns. If by some weights no pattern weighs more than `most`, these
+units weigh at most `most` times the number of hosts. Weights that say the most are the prices of the linear program
+that takes the fewest patterns (Gilmore and Gomory 1961); the patterns that it needs are made one after the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from ortools.sat.python.cp_model import OPTIMAL, CpSolverSolutionCallback, LinearExpr
+
+from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.counting import PLACED, CountingModel, Weights
+from cfgplan.planners.exact.groups import Group, HostKind
+from cfgplan.planners.solving.clock import Clock
+from cfgplan.planners.solving.engine import OnSolution, repeatable_solver, solve
+
+FINE = 1_000
+"""Weights are integers, in so many parts of a host."""
+
+Pattern = Mapping[int, int]
+"""How many units of each group one host has, by the numbers of the groups."""
+
+
+class Patterns:
+    """The patterns of a kind of hosts, as far as they are known, and the limits that were found."""
+
+    def __init__(self, candidates: Candidates, groups: Sequence[Group], hosts: HostKind) -> None:
+        from ortools.linear_solver import pywraplp  # type: ignore[import-untyped]
+
+        self.limits: list[Weights] = []
+        one = CountingModel(candidates, groups, [HostKind(hosts.names[:1], hosts.rooms)], PLACED)
+        self._cp, self._there = one.cp, {n: there for (n, _), there in one.there.items()}
+        self._known: list[Pattern] = []
+        self._engine, self._optimal = pywraplp.Solver.CreateSolver("GLOP"), pywraplp.Solver.OPTIMAL
+        self._weights = {}
+        for n in self._there:
+            is_company = groups[n].label in candidates.environment.companions
+            self._weights[n] = self._engine.NumVar(-float(is_company), 1 / max(1, one.most_there(n, 0)), "")
+        self._engine.Objective().SetMaximization()
+
+    def is_too_much(self, there: Pattern, hosts: int, clock: Clock) -> bool:
+        """Whether so many hosts can't have these units, by a new limit; False too if the time is over."""
+        for n, weight in self._weights.items():
+            self._engine.Objective().SetCoefficient(weight, there.get(n, 0) + 1 / FINE)
+        while not clock.is_over() and self._engine.Solve() == self._optimal:
+            weights = {n: round(FINE * weight.solution_value()) for n, weight in self._weights.items()}
+            patterns = self._heavy(weights, clock)
+            if not patterns:
+                return False
+            limit = Weights(weights, max(_weight(weights, pattern) for pattern in patterns))
+            if _weight(weights, there) > limit.most * hosts:
+                self.limits.append(limit)
+                return True
+            new = [pattern for pattern in patterns if pattern not in self._known]
+            if not new:
+                return False
+            self._known += new
+            for pattern in new:
+                row = self._engine.RowConstraint(-self._engine.infinity(), 1.0, "")
+                for n, number in pattern.items():
+                    row.SetCoefficient(self._weights[n], float(number))
+        return False
+
+    def _heavy(self, weights: Mapping[int, int], clock: Clock) -> list[Pattern]:
+        """Some patterns, one of which weighs most; none if the time is over before that is proven."""
+        self._cp.maximize(LinearExpr.sum([weights[n] * there for n, there in self._there.items()]))
+        found: list[Pattern] = []
+
+        def look_at(solution: CpSolverSolutionCallback) -> bool:
+            found.append({n: number for n, there in self._there.items() if (number := solution.value(there))})
+            return True
+
+        solver = repeatable_solver(small=True, time_limit_s=clock.left_s())
+        return found if solve(solver, self._cp, OnSolution(look_at), clock) == OPTIMAL else []
+
+
+def _weight(weights: Mapping[int, int], units: Pattern) -> int:
+    return sum(weights[n] * number for n, number in units.items())
