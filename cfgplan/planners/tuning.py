@@ -25,7 +25,7 @@ LIBRARIES = "random libraries, seeds 20 to 45"
 TIMED = "timed beside `scale/tables.md`"
 AT_REST = "`benchmark.py replan`"
 FLEETS = "`fleets.py`"
-DEPLOYMENTS = "`deployments.py`, seeds 0 to 4"
+DEPLOYMENTS = "`deployments.py`, seeds 0 to 4, 200 to 211, 300 to 305, 507"
 TRANSPORTS = "transport and random libraries with costs alike, seeds 0 to 120"
 SERVED = "`count`, `optional` and `serves`, below"
 
@@ -158,12 +158,8 @@ class Fleets:
     fewer: float = said(1.2, "times", "A relaxation's labels are looked among if so many are there in all.", FLEETS)
     place: float = said(1.0, "the engine's s", "Counted units may take so long to be placed.", DEPLOYMENTS)
     recounts: int = said(3, "times", "Units that can't be placed are counted again this often.", DEPLOYMENTS)
-    apart: int = said(
-        24,
-        "hosts",
-        "Up to here each host is looked at by itself if not all fits.",
-        "`deployments.py`, seeds 200 to 211",
-    )
+    apart: int = said(12, "hosts", "Up to here each is looked at by itself where not all fits.", DEPLOYMENTS)
+    company: float = said(3.0, "hosts", "Units with company, or that are it, weigh at most this.", DEPLOYMENTS)
     small: int = said(20_000, "booleans", "Below this size of a fleet's model, probing takes too long.", FLEETS)
     wired: int = said(12_000, "booleans", "Below it, relaxing who feeds counted inputs in full takes too long.", SERVED)
 

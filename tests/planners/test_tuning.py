@@ -18,6 +18,7 @@ NOT_TUNED = {
     "closing/program.py": {"FROM_THE_LAST_BASIS", "FINE", "LARGEST_CHARGES"},
     "closing/separation.py": {"WHOLE", "CREEP"},
     "exact/answer_sets.py": {"LARGEST_WEIGHT"},
+    "exact/patterns.py": {"FINE"},
     "exact/search.py": {"EXACT", "LARGEST"},
     "solving/clock.py": {"STOPPING_S"},
 }

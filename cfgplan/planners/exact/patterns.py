@@ -38,7 +38,11 @@ class Patterns:
         self._weights = {}
         for n in self._there:
             is_company = groups[n].label in candidates.environment.companions
-            self._weights[n] = self._engine.NumVar(-float(is_company), 1 / max(1, one.most_there(n, 0)), "")
+            self._weights[n] = self._engine.NumVar(
+                -10.0 * float(is_company),
+                10.0 if groups[n].first.transformation.beside else 1 / max(1, one.most_there(n, 0)),
+                "",
+            )
         self._engine.Objective().SetMaximization()
 
     def is_too_much(self, there: Pattern, hosts: int, clock: Clock) -> bool:
