@@ -14,7 +14,7 @@ import pytest
 import cfgplan
 from cfgplan.cli import main
 from cfgplan.cli.main import VERBS
-from cfgplan.cli.reference import names, with_docstrings
+from cfgplan.cli.manual import names, with_docstrings
 from cfgplan.formats import fields
 from cfgplan.formats.fields import ELEMENT, Part, Use
 

@@ -1,11 +1,17 @@
-"""`cfgplan help`: the manual's pages in the terminal."""
+"""`cfgplan help`: the manual's pages in the terminal, and their Python reference, made of docstrings."""
 
 from __future__ import annotations
 
 import argparse
+import inspect
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import is_dataclass
+from enum import Enum
+from functools import cached_property
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.screen import Screen
@@ -14,6 +20,8 @@ from cfgplan.errors import known
 _PAGES = Path(__file__).parents[1] / "manual"
 _INDEX = "index"
 """The page that groups the others: the site begins with it."""
+_DOCSTRINGS = re.compile(r"<!-- docstrings of (\w+): (.*?) -->", re.DOTALL)
+_SIGNATURE_WIDTH = 80
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
@@ -26,8 +34,6 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from rich.markdown import Markdown
-
-    from cfgplan.cli.reference import with_docstrings
 
     pages = manual_pages()
     if options.manual_page is None:
@@ -55,3 +61,74 @@ def _listed(pages: Mapping[str, Path]) -> str:
 
 def _title(page: Path) -> str:
     return page.read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ")
+
+
+def with_docstrings(page: str) -> str:
+    """A page's text with each mark `<!-- docstrings of PACKAGE: NAME NAME -->` replaced by what these names say."""
+    return _DOCSTRINGS.sub(lambda mark: "\n".join(_entry(mark[1], name) for name in mark[2].split()), page)
+
+
+def names(page: str) -> Iterator[str]:
+    """The names, with their package, whose docstrings a page asks for."""
+    for package, listed in _DOCSTRINGS.findall(page):
+        yield from (f"{package}.{name}" for name in listed.split())
+
+
+def _entry(package: str, name: str) -> str:
+    found = getattr(import_module(package), name)
+    lines = [f"### {name}", "", "```python", _signature(f"{package}.{name}", found), "```", "", _doc(found)]
+    if inspect.isclass(found):
+        lines += ["", *_members(found)]
+    return "\n".join(lines) + "\n"
+
+
+def _signature(name: str, found: Any) -> str:
+    """The call as it is written, a parameter on each line where one line is too short."""
+    if (inspect.isclass(found) and issubclass(found, Enum)) or getattr(found, "_is_protocol", False):
+        return name
+    try:
+        signature = inspect.signature(found)
+    except ValueError:  # of an exception without an __init__ of its own
+        return name
+    shown, marked = [], False
+    for each in signature.parameters.values():
+        if each.kind is each.KEYWORD_ONLY and not marked:
+            shown.append("*")
+        marked = marked or each.kind in (each.KEYWORD_ONLY, each.VAR_POSITIONAL)
+        shown.append(_parameter(each))
+    given = signature.return_annotation
+    gives = f" -> {given}" if isinstance(given, str) and not inspect.isclass(found) else ""
+    line = f"{name}({', '.join(shown)}){gives}"
+    return line if len(line) <= _SIGNATURE_WIDTH else f"{name}(\n    " + ",\n    ".join(shown) + f",\n){gives}"
+
+
+def _parameter(given: inspect.Parameter) -> str:
+    stars = "*" if given.kind is given.VAR_POSITIONAL else "**" if given.kind is given.VAR_KEYWORD else ""
+    kind = f": {given.annotation}" if isinstance(given.annotation, str) else ""
+    default = re.sub(r"<.*>", "...", repr(given.default))
+    return f"{stars}{given.name}{kind}" + ("" if given.default is given.empty else f" = {default}")
+
+
+def _members(found: type) -> Iterator[str]:
+    """The members of an enumeration, or a class's own methods and properties, each with its first sentence."""
+    if issubclass(found, Enum):
+        yield from (f"* `{member.name}`: `{member.value}`" for member in found)
+        return
+    for name, member in vars(found).items():
+        if name.startswith("_") or (is_dataclass(found) and name in found.__dataclass_fields__):
+            continue
+        documented: Any = getattr(member, "__func__", member)
+        if isinstance(member, property | cached_property):
+            shown = name
+        elif inspect.isfunction(documented):
+            shown = _signature(name, documented).replace("\n", " ").replace("(self, ", "(").replace("(self)", "()")
+        else:
+            continue
+        text = re.sub(r"\s+", " ", _doc(documented))
+        yield f"* `{re.sub(' +', ' ', shown)}`" + (f": {text.partition('. ')[0].rstrip('.')}." if text else "")
+
+
+def _doc(found: Any) -> str:
+    """The docstring; none where a dataclass has only the one that it is given."""
+    text, own = found.__doc__ or "", getattr(found, "__name__", "")
+    return "" if is_dataclass(found) and text.startswith(f"{own}(") else inspect.cleandoc(text)

@@ -11,7 +11,7 @@ from pathlib import Path
 from sphinx.application import Sphinx
 
 from cfgplan import __version__
-from cfgplan.cli.reference import with_docstrings
+from cfgplan.cli.manual import with_docstrings
 
 project = "cfgplan"
 author = "The cfgplan contributors"

@@ -6,7 +6,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator
 
 from cfgplan.domain import ALL, ComputationUnit, Environment, InputPort, Similarity, Stream, Transformation
-from cfgplan.validity.reading import known_units
+from cfgplan.validity.facts import known_units
 from cfgplan.validity.rules import Rule, Violation
 
 

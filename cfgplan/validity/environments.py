@@ -9,9 +9,9 @@ from graphlib import CycleError, TopologicalSorter
 from cfgplan.domain import Environment, Similarity, Stream
 from cfgplan.planning import Failures
 from cfgplan.validity.counts import count_violations, serving_violations, unfed_violations
+from cfgplan.validity.facts import company_of, known_units, meeting_targets, needed_by, tag_of
 from cfgplan.validity.hosts import company_violations, link_violations, placing_violations
 from cfgplan.validity.quality import quality_violations
-from cfgplan.validity.reading import company_of, known_units, meeting_targets, needed_by, tag_of
 from cfgplan.validity.rules import Rule, Violation
 from cfgplan.validity.survival import justified_spares, survival_violations
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from fractions import Fraction
 
 from cfgplan.domain import CPU, POWER, ComputationUnit, Environment, Link, Transformation, amount_of
-from cfgplan.validity.reading import known_units
+from cfgplan.validity.facts import known_units
 from cfgplan.validity.rules import Rule, Violation
 
 

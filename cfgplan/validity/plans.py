@@ -10,9 +10,9 @@ from cfgplan.errors import InvalidValueError
 from cfgplan.planning import Measured, Notion, Plan, Problem, Status
 from cfgplan.validity.counts import unfed_us
 from cfgplan.validity.environments import violations
+from cfgplan.validity.facts import known_units, meeting_targets, needed_by
 from cfgplan.validity.hosts import carried_us, costs_there, rents_us
 from cfgplan.validity.quality import priced_us
-from cfgplan.validity.reading import known_units, meeting_targets, needed_by
 from cfgplan.validity.rules import Rule, Violation
 from cfgplan.validity.startable import givers_by_tag, startable
 

@@ -8,8 +8,8 @@ from graphlib import CycleError, TopologicalSorter
 
 from cfgplan.domain import ComputationUnit, Environment, Stream, Target, Transformation
 from cfgplan.qualities import QualityAttribute, Wish, delayed, is_met, price_us, propagated, units
+from cfgplan.validity.facts import known_units
 from cfgplan.validity.hosts import latency
-from cfgplan.validity.reading import known_units
 from cfgplan.validity.rules import Rule, Violation
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from cfgplan.domain import ComputationUnit, Environment, Similarity, Target
 from cfgplan.planning import Failures
-from cfgplan.validity.reading import known_units
+from cfgplan.validity.facts import known_units
 from cfgplan.validity.rewiring import Known, Rewiring
 from cfgplan.validity.rules import Rule, Violation
 from cfgplan.validity.startable import givers_by_tag, startable

@@ -19,31 +19,31 @@ if TYPE_CHECKING:
     from cfgplan_runtime.errors import NoSuchTopicError as NoSuchTopicError
     from cfgplan_runtime.errors import RuntimeFaultError as RuntimeFaultError
     from cfgplan_runtime.errors import StaleChangeSetError as StaleChangeSetError
+    from cfgplan_runtime.lifecycle.file_watch import watch_file as watch_file
     from cfgplan_runtime.lifecycle.manager import Manager as Manager
     from cfgplan_runtime.lifecycle.policy import Policy as Policy
-    from cfgplan_runtime.lifecycle.watching import watch_file as watch_file
     from cfgplan_runtime.runtime import Runtime as Runtime
     from cfgplan_runtime.runtime import SimulatedRuntime as SimulatedRuntime
     from cfgplan_runtime.streams.subscription import Received as Received
     from cfgplan_runtime.streams.subscription import subscribe as subscribe
-    from cfgplan_runtime.supervision.applying import Patience as Patience
     from cfgplan_runtime.supervision.events import Applied as Applied
     from cfgplan_runtime.supervision.events import InputLost as InputLost
     from cfgplan_runtime.supervision.events import UnitDied as UnitDied
     from cfgplan_runtime.supervision.observation import Observation as Observation
     from cfgplan_runtime.supervision.simulated_backend import SimulatedBackend as SimulatedBackend
     from cfgplan_runtime.supervision.supervisor import Supervisor as Supervisor
+    from cfgplan_runtime.supervision.updates import Patience as Patience
 
 __all__, _exported, __dir__ = exports(
     __name__,
     {
-        "supervision.applying": "Patience",
+        "supervision.updates": "Patience",
         "supervision.events": "Applied InputLost UnitDied",
         "supervision.observation": "Observation",
         "errors": "ApplyError NoSuchTopicError RuntimeFaultError StaleChangeSetError",
         "lifecycle.manager": "Manager",
         "lifecycle.policy": "Policy",
-        "lifecycle.watching": "watch_file",
+        "lifecycle.file_watch": "watch_file",
         "runtime": "Runtime SimulatedRuntime",
         "supervision.simulated_backend": "SimulatedBackend",
         "streams.subscription": "Received subscribe",

@@ -13,13 +13,13 @@ from typing import Protocol, TypeVar
 from cfgplan.domain import ChangeSet, Environment, Target, Transformation
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.streams.closable import Closable
-from cfgplan_runtime.supervision.applying import Patience
 from cfgplan_runtime.supervision.backend import Backend
 from cfgplan_runtime.supervision.events import SIGNS, Applied, Event
 from cfgplan_runtime.supervision.observation import Observation
 from cfgplan_runtime.supervision.run_log import RunLog
 from cfgplan_runtime.supervision.simulated_backend import Behaviour, SimulatedBackend
 from cfgplan_runtime.supervision.supervisor import Supervisor
+from cfgplan_runtime.supervision.updates import Patience
 
 T = TypeVar("T")
 

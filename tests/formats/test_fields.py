@@ -100,6 +100,19 @@ def test_an_absent_key_means_the_same_to_the_schema_and_to_the_domain(part: type
         assert (None if usual is None else row.plain(usual) or None) == (row.default or None)
 
 
+def test_an_attribute_without_a_row_is_one_that_no_key_says_alone() -> None:
+    without_row: dict[type, set[str]] = {}
+    for part, (holder, _) in HOLDERS.items():
+        left = without_row.setdefault(holder, {field.name for field in dataclasses.fields(holder)})
+        left -= {row.to for row in part.rows().values()}
+    assert {holder: names for holder, names in without_row.items() if names} == {
+        Transformation: {"hosts", "seen_us"},  # `host` says a list too; what is seen of costs in a run is in no file
+        InputPort: {"name"},
+        OutputPort: {"name"},
+        Wish: {"attribute"},
+    }
+
+
 NEW_FIELD = """
 from pathlib import Path
 import sys

@@ -26,7 +26,7 @@ from cfgplan_runtime.lifecycle.perturbations import (
     WorldChanged,
 )
 from cfgplan_runtime.lifecycle.reports import PHASES, Decision
-from cfgplan_runtime.lifecycle.showing import target_views
+from cfgplan_runtime.lifecycle.views import target_views
 from cfgplan_runtime.operating.records import review_record
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
 from living import HORIZON_S, RESULT, Life, source, started, worker

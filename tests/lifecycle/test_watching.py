@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from cfgplan_runtime.lifecycle.watching import Watching
+from cfgplan_runtime.lifecycle.file_watch import WorldWatch
 from real_run import eventually
 
 from cfgplan.api import World
@@ -27,7 +27,7 @@ class Watched:
         self.write("o.ttl", ONTOLOGY)
         self.write("more/a.yaml", PART.replace("LABEL", "a"))
         self.write("env.yaml", MAIN)
-        self.watching = Watching(
+        self.watching = WorldWatch(
             folder / "env.yaml",
             lambda world, _: self.worlds.append(world),
             lambda _, faults: self.faults.append(faults),

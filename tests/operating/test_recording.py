@@ -17,8 +17,7 @@ import pytest
 from cfgplan_runtime.children.messages import PortCounts
 from cfgplan_runtime.lifecycle.reports import Decision, Observed, Review, Reviewed, UnitEvent
 from cfgplan_runtime.operating.messages import log_message, messages
-from cfgplan_runtime.operating.recorder import Recorder
-from cfgplan_runtime.operating.recording import MOST_SCHEMAS, Recording
+from cfgplan_runtime.operating.recording import MOST_SCHEMAS, Recorder, Recording
 from cfgplan_runtime.streams.element import Element
 from cfgplan_runtime.streams.payload import PayloadEncoder
 from cfgplan_runtime.supervision.events import UnitDied, UnitHung
@@ -282,7 +281,7 @@ def test_a_full_disk_ends_the_recording_as_a_whole_file_and_is_told(tmp_path: Pa
 def test_a_disk_that_hangs_keeps_nobody_for_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import threading
 
-    from cfgplan_runtime.operating import recorder as module
+    from cfgplan_runtime.operating import recording as module
 
     monkeypatch.setattr(module, "CLOSE_S", 0.2)
     recorder = Recorder(tmp_path / "a.mcap")

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 import pytest
 from cfgplan_runtime import ApplyError, Patience
 from cfgplan_runtime.errors import AbandonedError
-from cfgplan_runtime.supervision.applying import (
+from cfgplan_runtime.supervision.backend import Inlet
+from cfgplan_runtime.supervision.updates import (
     Believe,
     CarriedOut,
     CloseTopic,
@@ -24,7 +25,6 @@ from cfgplan_runtime.supervision.applying import (
     carry_out,
     environment_after,
 )
-from cfgplan_runtime.supervision.backend import Inlet
 from cfgplan_runtime.supervision.wiring import Wire, wanted_feeds, wanted_topics
 from world import RESULT, source, start, unit, worker
 

@@ -9,7 +9,7 @@ from typing import TypeVar
 from cfgplan.costs import labor_us, upkeep_us
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Host, Transformation
 from cfgplan_runtime.lifecycle.back_off import BackOffs
-from cfgplan_runtime.lifecycle.differing import runs_alike
+from cfgplan_runtime.lifecycle.differences import runs_alike
 from cfgplan_runtime.lifecycle.seams import Estimator
 from cfgplan_runtime.lifecycle.silence import Silence
 

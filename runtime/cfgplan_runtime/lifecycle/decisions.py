@@ -37,7 +37,6 @@ from cfgplan_runtime.lifecycle.perturbations import (
 )
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Decision, Ended, Observed, Review, ReviewBegan, Reviewed
-from cfgplan_runtime.lifecycle.showing import silence_reason
 from cfgplan_runtime.lifecycle.state import Doing, Entry, Gathering, Planning, State, Updating
 from cfgplan_runtime.lifecycle.turns import (
     ApplyUpdate,
@@ -61,6 +60,7 @@ from cfgplan_runtime.lifecycle.turns import (
     Turn,
     Updated,
 )
+from cfgplan_runtime.lifecycle.views import silence_reason
 from cfgplan_runtime.lifecycle.worlds import LivingWorld
 from cfgplan_runtime.supervision.delays import doubling_s
 from cfgplan_runtime.supervision.events import HostJoined, HostLost, InputLost, UnitDied

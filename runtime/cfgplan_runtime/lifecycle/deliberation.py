@@ -20,7 +20,7 @@ from cfgplan.planning import Failures, Measured, Notion, Pair, Plan, Planner, Pr
 from cfgplan.reasons import unmet_reasons
 from cfgplan.summary import some
 from cfgplan.validity import Rule
-from cfgplan.validity.reading import meeting_targets, needed_by
+from cfgplan.validity.facts import meeting_targets, needed_by
 from cfgplan_runtime.lifecycle.configuration import (
     EstimatedLibrary,
     Situation,

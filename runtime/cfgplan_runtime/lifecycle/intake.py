@@ -9,7 +9,7 @@ from cfgplan.errors import Fault, InputError
 from cfgplan_runtime.children.messages import Flow
 from cfgplan_runtime.lifecycle.changes import ApplyPlan, KillUnit, LoseHost, RegainHost, ReplaceWorld, ReviewNow, Stop
 from cfgplan_runtime.lifecycle.configuration import hosts_of
-from cfgplan_runtime.lifecycle.differing import difference
+from cfgplan_runtime.lifecycle.differences import difference
 from cfgplan_runtime.lifecycle.inbox import Asked, Outcome
 from cfgplan_runtime.lifecycle.perturbations import (
     HostBack,

@@ -36,9 +36,9 @@ from cfgplan_runtime.lifecycle.perturbations import Started
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Report, Snapshot, UnitEvent
 from cfgplan_runtime.lifecycle.seams import DeclaredCosts, Estimator, Middleware, SystemClock, TimeSource
-from cfgplan_runtime.lifecycle.showing import saving_us, target_views, unit_views
 from cfgplan_runtime.lifecycle.state import State
 from cfgplan_runtime.lifecycle.turns import Effect, Happened, Happening
+from cfgplan_runtime.lifecycle.views import saving_us, target_views, unit_views
 from cfgplan_runtime.lifecycle.warm_matching import WarmMatching
 from cfgplan_runtime.lifecycle.worlds import LivingWorld
 from cfgplan_runtime.supervision.events import SIGNS, Event

@@ -25,15 +25,14 @@ from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.estimating.estimates_file import EstimatesError, load, save
 from cfgplan_runtime.estimating.estimator import make_estimator
 from cfgplan_runtime.lifecycle.changes import ReplaceWorld
-from cfgplan_runtime.lifecycle.file_watch import FileWatch
+from cfgplan_runtime.lifecycle.file_watch import FileWatch, WorldWatch
 from cfgplan_runtime.lifecycle.manager import Manager
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Decision, Ended, Observed, Report, Reviewed
-from cfgplan_runtime.lifecycle.watching import Watching
 from cfgplan_runtime.operating.control_server import ControlServer, about_this_process
 from cfgplan_runtime.operating.flows import Flows, Following
 from cfgplan_runtime.operating.methods import Methods
-from cfgplan_runtime.operating.recorder import Recorder
+from cfgplan_runtime.operating.recording import Recorder
 from cfgplan_runtime.operating.records import logging_to, report_record
 from cfgplan_runtime.operating.sentences import named, sentence
 from cfgplan_runtime.runtime import Runtime
@@ -205,7 +204,7 @@ class Operation(Closable):
         code = code_watch(
             folder, lambda: self.manager.world.environment.library, lambda: self.runtime.environment.units, self.show
         )
-        for watch in (code, Watching(self._path, self._take_world, self.manager.refuse)):
+        for watch in (code, WorldWatch(self._path, self._take_world, self.manager.refuse)):
             watch.start()
             stack.callback(watch.close)
 

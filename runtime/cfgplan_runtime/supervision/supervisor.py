@@ -11,23 +11,6 @@ from dataclasses import replace
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Transformation
 from cfgplan_runtime.errors import ApplyError, RuntimeFaultError, StaleChangeSetError
-from cfgplan_runtime.supervision.applying import (
-    Believe,
-    CarriedOut,
-    CloseTopic,
-    Command,
-    Connect,
-    Disconnect,
-    EndUnit,
-    GoOver,
-    OpenTopic,
-    Patience,
-    StartUnit,
-    StopUnit,
-    WaitUntil,
-    carry_out,
-    environment_after,
-)
 from cfgplan_runtime.supervision.backend import Backend, Found, Inlet
 from cfgplan_runtime.supervision.events import (
     Applied,
@@ -52,6 +35,23 @@ from cfgplan_runtime.supervision.events import (
 )
 from cfgplan_runtime.supervision.observation import Observation, UnitRecord
 from cfgplan_runtime.supervision.spares import MEGABYTE, Spares
+from cfgplan_runtime.supervision.updates import (
+    Believe,
+    CarriedOut,
+    CloseTopic,
+    Command,
+    Connect,
+    Disconnect,
+    EndUnit,
+    GoOver,
+    OpenTopic,
+    Patience,
+    StartUnit,
+    StopUnit,
+    WaitUntil,
+    carry_out,
+    environment_after,
+)
 from cfgplan_runtime.supervision.wiring import Wire, Wiring, without_feed
 
 HANG_S = 10.0
