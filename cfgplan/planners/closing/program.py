@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 FROM_THE_LAST_BASIS = "use_preprocessing: false use_dual_simplex: true initial_condition_number_threshold: 1e300"
 """With preprocessing, or doubts about the last basis, the engine would begin anew each time."""
 
-FINE, LARGEST_CHARGES = 1024, 2**58
-"""Charges are integers in 1/FINE of a cost unit, or in coarser parts if their sum would exceed LARGEST."""
+FINEST, LARGEST_CHARGES = 1024, 2**58
+"""Charges are integers in 1/FINEST of a cost unit, or in coarser parts if their sum would exceed LARGEST."""
 
 
 def alike(network: Network, cost: Ints) -> Ints:
@@ -115,7 +115,7 @@ class LandmarkProgram:
         for uses, price in zip(self._uses, cost.tolist(), strict=True):
             objective.SetCoefficient(uses, price / self._unit)
         self._core, self._cost = core, cost
-        self._parts = max(1, min(FINE, LARGEST_CHARGES // (1 + int(cost.sum()))))
+        self._parts = max(1, min(FINEST, LARGEST_CHARGES // (1 + int(cost.sum()))))
         self._feeding = Feeding(core, kinds, self._engine, self._uses)
         self._rows: list[pywraplp.Constraint] = []
         self._known: set[tuple[int, bytes]] = set()

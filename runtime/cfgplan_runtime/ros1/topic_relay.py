@@ -58,7 +58,7 @@ _TRUSTED_NS = 5_000_000_000
 """A message's stamp counts as its time if it is not further from now."""
 _STAMP = struct.Struct("<4xIII")
 """A message that begins with a header: its length, then the header's number, seconds and nanoseconds."""
-_HEADERS = ("Header", "std_msgs/Header", "roslib/Header")
+_HEADER_TYPES = ("Header", "std_msgs/Header", "roslib/Header")
 _CONNECT_AGAIN_S, _MOST_CONNECT_AGAIN_S = 0.05, 2.0
 """Seconds until a publisher that does not answer is asked again, doubled up to the second value."""
 
@@ -67,7 +67,7 @@ def begins_with_header(definition: str) -> bool:
     """Whether the first field of a message is a header, by its definition, which begins with comments and constants."""
     said = (line.partition("#")[0] for line in definition.splitlines())
     first = next((line.split() for line in said if line.strip() and "=" not in line), [""])
-    return first[0] in _HEADERS
+    return first[0] in _HEADER_TYPES
 
 
 @dataclass(slots=True, eq=False)
