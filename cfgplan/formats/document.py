@@ -11,16 +11,8 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from cfgplan.errors import Fault, InputError
+from cfgplan.formats import fields
 from cfgplan.formats.environment_file import ANY_IMPORT, FoundImports
-from cfgplan.formats.fields import (
-    FORMAT,
-    IGNORE,
-    EnvironmentPart,
-    IncludedPart,
-    TargetPart,
-    TransformationPart,
-    UnitPart,
-)
 from cfgplan.formats.files import is_folder, read_source
 from cfgplan.formats.garbage import no_garbage_collection
 from cfgplan.formats.places import Path, Source, Spot
@@ -47,9 +39,9 @@ class File:
     """The valid parts of one file, and the broken ones by list."""
 
     source: Source
-    transformations: tuple[Indexed[TransformationPart], ...] = ()
-    units: tuple[Indexed[UnitPart], ...] = ()
-    targets: tuple[Indexed[TargetPart], ...] = ()
+    transformations: tuple[Indexed[fields.TransformationPart], ...] = ()
+    units: tuple[Indexed[fields.UnitPart], ...] = ()
+    targets: tuple[Indexed[fields.TargetPart], ...] = ()
     broken: Mapping[str, tuple[Broken, ...]] = field(default_factory=dict)
 
 
@@ -58,7 +50,7 @@ class Document:
     """An environment as its files say it; `faults` are those of syntax and schema."""
 
     path: FilePath
-    header: EnvironmentPart
+    header: fields.EnvironmentPart
     files: tuple[File, ...]
     faults: tuple[Fault, ...]
 
@@ -73,7 +65,8 @@ class Document:
         """The file of each IRI under `imports:`, relative to the working folder; None if the import is ignored."""
         written = self.header.imports or {}
         named = {ANY_IMPORT: written} if isinstance(written, str) else written
-        return tuple((i, None if name == IGNORE else self.path.parent / name) for i, name in sorted(named.items()))
+        folder = self.path.parent
+        return tuple((iri, None if name == fields.IGNORE else folder / name) for iri, name in sorted(named.items()))
 
     def at_ontology(self, fault: Fault) -> Fault:
         """Move a fault of a whole ontology file to the entry that names the file; any other stays as it is."""
@@ -109,7 +102,7 @@ def read_document(path: str | os.PathLike[str], also: Sequence[str | os.PathLike
                     "this file is a part of the environment already", file=str(name), mend="leave it out"
                 )
             there.add(_identity(FilePath(name)))
-        more = [_read_file(FilePath(name), IncludedPart)[1:] for name in also]
+        more = [_read_file(FilePath(name), fields.IncludedPart)[1:] for name in also]
         return replace(
             document,
             files=(*document.files, *(file for file, _ in more)),
@@ -120,7 +113,7 @@ def read_document(path: str | os.PathLike[str], also: Sequence[str | os.PathLike
 def _read_document(main: FilePath) -> Document:
     if is_folder(main):
         return _folder_of_xml(main)
-    header, file, faults = _read_file(main, EnvironmentPart)
+    header, file, faults = _read_file(main, fields.EnvironmentPart)
     files, more = _included(main, file.source, header.include or [])
     return Document(main, header, (file, *files), (*faults, *more))
 
@@ -128,7 +121,7 @@ def _read_document(main: FilePath) -> Document:
 def read_declared(name: str, data: Mapping[str, Any]) -> tuple[File, list[Fault]]:
     """Read what is declared at run-time like an included file. Returns its parts and faults. Raises InputError."""
     source = Source(name, dict(data), lambda _path, _at_key: Spot(1, 1))
-    _, file, faults = _read_source(source, IncludedPart)
+    _, file, faults = _read_source(source, fields.IncludedPart)
     return file, faults
 
 
@@ -169,7 +162,7 @@ def _bad_entries(paths: list[Path]) -> dict[Any, set[int]]:
 
 
 def _good_entries(data: Mapping[str, Any], bad: Mapping[Any, set[int]]) -> dict[str, Any]:
-    good: dict[str, Any] = {"format": FORMAT}
+    good: dict[str, Any] = {"format": fields.FORMAT}
     for key, value in data.items():
         if key not in bad:
             good[key] = value
@@ -208,7 +201,7 @@ def _folder_of_xml(folder: FilePath) -> Document:
         raise InputError.of("this is a folder, not a file", file=str(folder), mend=mend)
     whole = Source(str(folder), {}, lambda _path, _at_key: Spot(1, 1))
     files, faults = _included(folder / "whole", whole, names)
-    return Document(folder, EnvironmentPart(format=FORMAT), tuple(files), tuple(faults))
+    return Document(folder, fields.EnvironmentPart(format=fields.FORMAT), tuple(files), tuple(faults))
 
 
 def _included(main: FilePath, source: Source, names: list[str]) -> tuple[list[File], list[Fault]]:
@@ -231,7 +224,7 @@ def _included(main: FilePath, source: Source, names: list[str]) -> tuple[list[Fi
                 continue
             seen.add(_identity(member))
             try:
-                _, file, more = _read_file(member, IncludedPart)
+                _, file, more = _read_file(member, fields.IncludedPart)
             except InputError as error:
                 shown = name if member == path else str(FilePath(name) / member.name)
                 faults += (_at_entry(fault, shown, source, ("include", index)) for fault in error.faults)

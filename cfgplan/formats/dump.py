@@ -21,24 +21,9 @@ from cfgplan.domain import (
     Transformation,
 )
 from cfgplan.errors import InputError
+from cfgplan.formats import fields
 from cfgplan.formats.document import Document
 from cfgplan.formats.environment_file import ANY_IMPORT
-from cfgplan.formats.fields import (
-    FORMAT,
-    IGNORE,
-    AttributePart,
-    ConflictsPart,
-    EnvironmentPart,
-    HostPart,
-    InputPart,
-    LinkPart,
-    OutputPart,
-    RunPart,
-    TargetPart,
-    TransformationPart,
-    UnitPart,
-    WishPart,
-)
 from cfgplan.formats.scalars import resolve
 from cfgplan.formats.schema_values import plain_cost, plain_quality
 from cfgplan.formats.templates import escaped
@@ -70,7 +55,7 @@ def plain_document(document: Document) -> dict[str, Any]:
     """A document and its includes as one mapping, as written: nothing is expanded. Raises InputError."""
     if document.faults:
         raise InputError(document.faults)
-    whole: dict[str, Any] = {"format": FORMAT}
+    whole: dict[str, Any] = {"format": fields.FORMAT}
     for number, file in enumerate(document.files):
         data = file.source.data
         assert isinstance(data, dict)
@@ -97,17 +82,17 @@ def plain_environment(
     of each IRI, or None where that import is ignored, with ANY_IMPORT for every one that can't be found.
     """
     ontologies = list(ontology)
-    return EnvironmentPart.written(
+    return fields.EnvironmentPart.written(
         environment,
-        format=FORMAT,
+        format=fields.FORMAT,
         ontology=ontologies[0] if len(ontologies) == 1 else ontologies,
         imports=_imports(imports or {}),
         horizon=horizon_s,
         max_cost=None if max_cost_us is None else plain_cost(max_cost_us),
         defaults=None,
         include=None,
-        hosts=[HostPart.written(host, copies=None) for host in environment.hosts],
-        links=[LinkPart.written(link) for link in environment.links],
+        hosts=[fields.HostPart.written(host, copies=None) for host in environment.hosts],
+        links=[fields.LinkPart.written(link) for link in environment.links],
         qualities=[_attribute(attribute) for attribute in environment.qualities],
         survive=None if survive is None else survive.value,
         transformations=[_transformation(t, environment) for t in environment.library],
@@ -118,18 +103,18 @@ def plain_environment(
 
 def _imports(imports: Mapping[str, str | None]) -> str | dict[str, str]:
     if ANY_IMPORT in imports:
-        return IGNORE
-    return {iri: IGNORE if path is None else path for iri, path in imports.items()}
+        return fields.IGNORE
+    return {iri: fields.IGNORE if path is None else path for iri, path in imports.items()}
 
 
 def _transformation(transformation: Transformation, environment: Environment) -> dict[str, Any]:
     """A transformation, with every `${` in its texts escaped."""
     said: dict[str, Any] = escaped(
-        TransformationPart.written(
+        fields.TransformationPart.written(
             transformation,
             host=transformation.host or list(transformation.hosts),
             conflicts=_conflicts(transformation),
-            run=RunPart.written(transformation.run),
+            run=fields.RunPart.written(transformation.run),
             inputs={port.name: _port(_input(port)) for port in transformation.inputs},
             outputs={port.name: _port(_output(port, environment)) for port in transformation.outputs},
         )
@@ -139,16 +124,16 @@ def _transformation(transformation: Transformation, environment: Environment) ->
 
 def _conflicts(transformation: Transformation) -> Any:
     if transformation.conflicts_on_host:
-        return ConflictsPart.written(transformation)
+        return fields.ConflictsPart.written(transformation)
     return list(transformation.conflicts)
 
 
 def _input(port: InputPort) -> dict[str, Any]:
-    return InputPart.written(port, **({"feedback": None} if port.service else {}))
+    return fields.InputPart.written(port, **({"feedback": None} if port.service else {}))
 
 
 def _output(port: OutputPort, environment: Environment) -> dict[str, Any]:
-    return OutputPart.written(port, quality={q.attribute: _contribution(q, environment) for q in port.quality})
+    return fields.OutputPart.written(port, quality={q.attribute: _contribution(q, environment) for q in port.quality})
 
 
 def _port(said: dict[str, Any]) -> Any:
@@ -167,12 +152,12 @@ def _contribution(contribution: Contribution, environment: Environment) -> Any:
 def _attribute(attribute: QualityAttribute) -> dict[str, Any]:
     usual = QualityAttribute(attribute.name, attribute.better)
     scale = {key: None for key in ("worst", "best") if getattr(attribute, key) == getattr(usual, key)}
-    return AttributePart.written(attribute, **scale)
+    return fields.AttributePart.written(attribute, **scale)
 
 
 def _wish(wish: Wish, environment: Environment) -> dict[str, Any]:
     is_low = environment.quality[wish.attribute].better is Better.LOWER
-    return WishPart.written(wish, **{"at_least" if is_low else "at_most": None})
+    return fields.WishPart.written(wish, **{"at_least" if is_low else "at_most": None})
 
 
 def plain_unit(unit: ComputationUnit) -> dict[str, Any]:
@@ -181,7 +166,7 @@ def plain_unit(unit: ComputationUnit) -> dict[str, Any]:
     for publication in unit.publications:
         topics.setdefault(publication.port, []).append(publication.topic)
     inputs = {port: one_or_more([str(stream) for stream in streams]) for port, streams in unit.feeds.items()}
-    return UnitPart.written(unit, inputs=inputs, topics=topics)
+    return fields.UnitPart.written(unit, inputs=inputs, topics=topics)
 
 
 def unit_of(said: Mapping[str, Any]) -> ComputationUnit:
@@ -210,7 +195,7 @@ def one_or_more(texts: list[str]) -> str | list[str]:
 
 def _target(target: Target, environment: Environment) -> dict[str, Any]:
     stream = {} if target.run is None else {"tag": None, "topic": None}
-    return TargetPart.written(
+    return fields.TargetPart.written(
         target, **stream, quality={wish.attribute: _wish(wish, environment) for wish in target.quality}
     )
 

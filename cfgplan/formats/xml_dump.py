@@ -10,19 +10,7 @@ from typing import Any
 from xml.sax.saxutils import escape, quoteattr
 
 from cfgplan.errors import InvalidValueError
-from cfgplan.formats.fields import (
-    ELEMENT,
-    UNSAID,
-    DefaultsPart,
-    EnvironmentPart,
-    InputPart,
-    OutputPart,
-    Part,
-    RunPart,
-    TargetPart,
-    TransformationPart,
-    UnitPart,
-)
+from cfgplan.formats import fields
 from cfgplan.formats.xml_elements import XML_BLANK
 
 _NO_XML = re.compile("[\0-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
@@ -38,20 +26,20 @@ def dump_xml(data: Mapping[str, Any]) -> str:
 
 
 def _environment(data: Mapping[str, Any]) -> Iterator[str]:
-    yield _opened("environment", _attributes(EnvironmentPart, {**data, "format": None}))
+    yield _opened("environment", _attributes(fields.EnvironmentPart, {**data, "format": None}))
     ontology = data.get("ontology") or []
     for path in [ontology] if isinstance(ontology, str) else ontology:
         yield f"  {_element('ontology', path)}"
     for path in data.get("include") or ():
         yield f"  {_element('include', path)}"
     if data.get("defaults"):
-        yield f"  {_opened('defaults', _attributes(DefaultsPart, data['defaults']))[:-1]}/>"
+        yield f"  {_opened('defaults', _attributes(fields.DefaultsPart, data['defaults']))[:-1]}/>"
     for part in data.get("transformations") or ():
         yield from _transformation(part)
     for part in data.get("units") or ():
         yield from _unit(part)
     for part in data.get("targets") or ():
-        yield f"  {_opened('target', _attributes(TargetPart, part))}"
+        yield f"  {_opened('target', _attributes(fields.TargetPart, part))}"
         for name in ("label", "topic", "tag"):
             if part.get(name) is not None:
                 yield f"    {_element(name, part[name])}"
@@ -60,20 +48,20 @@ def _environment(data: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _transformation(part: Mapping[str, Any]) -> Iterator[str]:
-    yield f"  {_opened('transformation', _attributes(TransformationPart, part))}"
+    yield f"  {_opened('transformation', _attributes(fields.TransformationPart, part))}"
     for name in ("label", "source"):
         if part.get(name) is not None:
             yield f"    {_element(name, part[name])}"
     if part.get("run"):
-        yield f"    {_opened('run', _attributes(RunPart, part['run']))[:-1]}/>"
+        yield f"    {_opened('run', _attributes(fields.RunPart, part['run']))[:-1]}/>"
     if part.get("params"):
         yield "    <params>"
         for name, value in part["params"].items():
             kind, text = _param(value)
             yield f"      {_element('param', text, name=name, type=kind)}"
         yield "    </params>"
-    ports = [("in", InputPart, *entry) for entry in (part.get("inputs") or {}).items()]
-    ports += [("out", OutputPart, *entry) for entry in (part.get("outputs") or {}).items()]
+    ports = [("in", fields.InputPart, *entry) for entry in (part.get("inputs") or {}).items()]
+    ports += [("out", fields.OutputPart, *entry) for entry in (part.get("outputs") or {}).items()]
     if ports:
         yield "    <ports>"
         for direction, kind, name, port in ports:
@@ -88,7 +76,7 @@ def _transformation(part: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _unit(part: Mapping[str, Any]) -> Iterator[str]:
-    yield f"  {_opened('unit', _attributes(UnitPart, part))}"
+    yield f"  {_opened('unit', _attributes(fields.UnitPart, part))}"
     for port, said in (part.get("inputs") or {}).items():
         for stream in said if isinstance(said, list) else [said]:
             yield f"    {_opened('input', {'port': port, 'stream': stream})[:-1]}/>"
@@ -98,10 +86,10 @@ def _unit(part: Mapping[str, Any]) -> Iterator[str]:
     yield "  </unit>"
 
 
-def _attributes(part: type[Part], data: Mapping[str, Any]) -> dict[str, object]:
+def _attributes(part: type[fields.Part], data: Mapping[str, Any]) -> dict[str, object]:
     """The attributes of a part. Raises InvalidValueError for what neither attributes nor elements can say."""
     for key, row in part.rows().items():
-        is_attribute = row.xml not in (None, ELEMENT, UNSAID)
+        is_attribute = row.xml not in (None, fields.ELEMENT, fields.UNSAID)
         if data.get(key) and (row.xml is None or (is_attribute and isinstance(data[key], list | dict))):
             what = f"list for `{key}`" if row.xml else f"`{key}`"
             raise InvalidValueError(f"the XML format has no {what}: keep this environment in YAML")

@@ -12,31 +12,20 @@ from typing import Any
 
 from cfgplan.canonical import normal
 from cfgplan.errors import Fault, InputError, did_you_mean
-from cfgplan.formats.fields import (
-    FORMAT,
-    DefaultsPart,
-    EnvironmentPart,
-    InputPart,
-    OutputPart,
-    Part,
-    RunPart,
-    TargetPart,
-    TransformationPart,
-    UnitPart,
-)
+from cfgplan.formats import fields
 from cfgplan.formats.json_text import read_json
 from cfgplan.formats.places import Path, Source, Spot
 from cfgplan.formats.scalars import resolve
 from cfgplan.formats.xml_elements import XmlElement, parse_xml
 
-_PARTS: dict[str, type[Part]] = {
-    "transformation": TransformationPart,
-    "run": RunPart,
-    "target": TargetPart,
-    "unit": UnitPart,
-    "defaults": DefaultsPart,
+_PARTS: dict[str, type[fields.Part]] = {
+    "transformation": fields.TransformationPart,
+    "run": fields.RunPart,
+    "target": fields.TargetPart,
+    "unit": fields.UnitPart,
+    "defaults": fields.DefaultsPart,
 }
-_PORT_PARTS: dict[str, type[Part]] = {"in": InputPart, "out": OutputPart}
+_PORT_PARTS: dict[str, type[fields.Part]] = {"in": fields.InputPart, "out": fields.OutputPart}
 _ATTRIBUTES: dict[str, tuple[str, ...]] = {
     **{name: tuple(part.attributes()) for name, part in _PARTS.items()},
     "param": ("name", "type"),
@@ -83,21 +72,21 @@ class _XmlReading:
         return element.text_spot if is_text else element.spot
 
     def environment(self, root: XmlElement) -> dict[str, Any]:
-        data: dict[str, Any] = {"format": FORMAT}
+        data: dict[str, Any] = {"format": fields.FORMAT}
         self._spots[()] = (root, False)
         if root.name in ("transformation", "target", "unit"):
             root = XmlElement("environment", {}, root.line, root.column, [root])
-        self._check(root, tuple(EnvironmentPart.attributes()), _ROOT_CHILDREN, several=_ROOT_CHILDREN)
+        self._check(root, tuple(fields.EnvironmentPart.attributes()), _ROOT_CHILDREN, several=_ROOT_CHILDREN)
         if not root.children and not root.attributes:
             self._note(root, f"<{root.name}> has no specification in it", "write a <transformation> or a <target>")
-        data |= self._attributes(root, (), EnvironmentPart)
+        data |= self._attributes(root, (), fields.EnvironmentPart)
         for child in root.children:
             if child.name in ("ontology", "include"):
                 entries = data.setdefault(child.name, [])
                 entries.append(self._text(child, (child.name, len(entries))))
             elif child.name == "defaults":
                 self._check(child, _ATTRIBUTES["defaults"], ())
-                data["defaults"] = self._attributes(child, ("defaults",), DefaultsPart)
+                data["defaults"] = self._attributes(child, ("defaults",), fields.DefaultsPart)
             elif child.name in ("transformation", "unit", "target"):
                 parts = data.setdefault(f"{child.name}s", [])
                 path = (f"{child.name}s", len(parts))
@@ -108,11 +97,11 @@ class _XmlReading:
 
     def _transformation(self, element: XmlElement, path: Path) -> dict[str, Any]:
         part = self._texts(element, path, ("label", "source"))
-        part |= self._attributes(element, path, TransformationPart)
+        part |= self._attributes(element, path, fields.TransformationPart)
         for run in element.children:
             if run.name == "run":
                 self._check(run, _ATTRIBUTES["run"], ())
-                part["run"] = self._attributes(run, (*path, "run"), RunPart)
+                part["run"] = self._attributes(run, (*path, "run"), fields.RunPart)
         params = {}
         for param in self._inside(element, "params", "param"):
             name = self._required(param, "name")
@@ -187,7 +176,7 @@ class _XmlReading:
         return Decimal(value) if kind == "double" and type(value) is int else value
 
     def _unit(self, element: XmlElement, path: Path) -> dict[str, Any]:
-        part: dict[str, Any] = self._attributes(element, path, UnitPart)
+        part: dict[str, Any] = self._attributes(element, path, fields.UnitPart)
         for child in element.children:
             port = self._required(child, "port")
             if port is None or child.name not in ("input", "topic"):
@@ -213,7 +202,7 @@ class _XmlReading:
 
     def _target(self, element: XmlElement, path: Path) -> dict[str, Any]:
         part = self._texts(element, path, ("label", "topic", "tag"))
-        return part | self._attributes(element, path, TargetPart)
+        return part | self._attributes(element, path, fields.TargetPart)
 
     # --- what all elements have in common ---
 
@@ -249,7 +238,7 @@ class _XmlReading:
                 self._check(child, (), (name,))
                 yield from (entry for entry in child.children if entry.name == name)
 
-    def _attributes(self, element: XmlElement, path: Path, part: type[Part]) -> dict[str, Any]:
+    def _attributes(self, element: XmlElement, path: Path, part: type[fields.Part]) -> dict[str, Any]:
         found: dict[str, Any] = {}
         for name, key in part.attributes().items():
             if name in element.attributes:

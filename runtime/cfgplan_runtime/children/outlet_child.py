@@ -6,18 +6,8 @@ import socket
 import time
 from collections import deque
 
+from cfgplan_runtime.children import messages
 from cfgplan_runtime.children.control import ControlConnection
-from cfgplan_runtime.children.messages import (
-    CloseOutlet,
-    Finish,
-    Flow,
-    Flowing,
-    OpenOutlet,
-    OutletOrder,
-    Ready,
-    ToChild,
-    Unserved,
-)
 from cfgplan_runtime.children.ports import Ports, UnitInput, UnitOutput
 from cfgplan_runtime.streams.channel import Sender, widen
 from cfgplan_runtime.streams.element import Element, Outgoing
@@ -43,12 +33,12 @@ class Meter:
         self._elements += 1
         self._stamps.append((now_s, age_s))
 
-    def flow(self, dropped: int, now_s: float) -> Flow:
+    def flow(self, dropped: int, now_s: float) -> messages.Flow:
         """Rate, age and counts at `now_s`; `dropped` is the caller's count."""
         first_s = self._stamps[0][0] if len(self._stamps) == _MOST_STAMPS else 0.0
         begin_s = max(now_s - OVER_S, self._since_s, first_s)
         ages = sorted(age for at, age in self._stamps if at >= begin_s)
-        return Flow(
+        return messages.Flow(
             rate_hz=round(len(ages) / (now_s - begin_s), 2) if now_s > begin_s else 0.0,
             latency_ms=round(ages[len(ages) // 2] * 1e3, 3) if ages else None,
             elements=self._elements,
@@ -60,7 +50,7 @@ class Meter:
 class OutletChild:
     """The outlets of one run. A consumer that is slow loses the oldest elements, and delays nobody."""
 
-    def __init__(self, order: OutletOrder, control: ControlConnection[ToChild]) -> None:
+    def __init__(self, order: messages.OutletOrder, control: ControlConnection[messages.ToChild]) -> None:
         self._queue = order.queue
         self._ports = Ports(control, self._obey, clock_offset_ns=order.clock_offset_ns)
         self._listeners: dict[str, socket.socket] = {}
@@ -72,36 +62,36 @@ class OutletChild:
 
     def run(self) -> None:
         """Relay until told to finish, or until the supervisor is gone."""
-        self._ports.say(Ready(time.process_time_ns()))
+        self._ports.say(messages.Ready(time.process_time_ns()))
         due = time.monotonic()
         while not self._ports.has_ended and not self._is_finishing:
             self._ports.ends.wait(max(0.0, due - time.monotonic()))
             if time.monotonic() >= due:
                 due = time.monotonic() + _STATUS_PERIOD_S
-                self._ports.say(Flowing(self._flows()))
+                self._ports.say(messages.Flowing(self._flows()))
                 self._accept_again()
 
-    def _flows(self) -> dict[str, Flow]:
+    def _flows(self) -> dict[str, messages.Flow]:
         now_s, taken, given = time.monotonic(), self._ports.input_counts(), self._ports.output_counts()
         return {
             topic: meter.flow(taken[topic].dropped + given[topic].dropped, now_s)
             for topic, meter in self._meters.items()
         }
 
-    def _obey(self, message: ToChild, sockets: list[socket.socket]) -> None:
+    def _obey(self, message: messages.ToChild, sockets: list[socket.socket]) -> None:
         match message:
-            case OpenOutlet(topic) if sockets:
+            case messages.OpenOutlet(topic) if sockets:
                 self._open(topic, sockets[0])
-            case OpenOutlet(topic):
+            case messages.OpenOutlet(topic):
                 self._run_short(topic)
-            case CloseOutlet(topic) if topic in self._listeners:
+            case messages.CloseOutlet(topic) if topic in self._listeners:
                 self._ports.ends.unwatch(self._listeners[topic])
                 self._paused.pop(topic, None)
                 self._listeners.pop(topic).close()
                 self._ports.close_input(topic)
                 self._ports.close_output(topic)
                 del self._meters[topic]
-            case Finish():
+            case messages.Finish():
                 self._is_finishing = True
 
     def _open(self, topic: str, listener: socket.socket) -> None:
@@ -137,7 +127,7 @@ class OutletChild:
     def _run_short(self, topic: str) -> None:
         if not self._is_short:
             self._is_short = True
-            self._ports.say(Unserved(topic, NO_DESCRIPTOR))
+            self._ports.say(messages.Unserved(topic, NO_DESCRIPTOR))
 
     def _accept_again(self) -> None:
         paused, self._paused = self._paused, {}

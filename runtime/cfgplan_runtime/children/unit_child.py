@@ -11,19 +11,8 @@ from pathlib import Path
 import msgspec
 
 from cfgplan.domain import ALL
+from cfgplan_runtime.children import messages
 from cfgplan_runtime.children.control import ControlConnection
-from cfgplan_runtime.children.messages import (
-    BeginUnit,
-    Exhausted,
-    Finish,
-    PortCounts,
-    Prepared,
-    Ready,
-    ToChild,
-    Trouble,
-    UnitOrder,
-    UnitSign,
-)
 from cfgplan_runtime.children.ports import Ports, UnitInput, UnitOutput
 from cfgplan_runtime.children.steps import Step, StepQueue
 from cfgplan_runtime.children.unit_code import Given, UnitCode, imported_files
@@ -49,7 +38,7 @@ def _value(element: Element) -> object:
 class UnitChild:
     """One unit. Constructing it constructs the unit code, and raises whatever that raises."""
 
-    def __init__(self, order: UnitOrder, control: ControlConnection[ToChild]) -> None:
+    def __init__(self, order: messages.UnitOrder, control: ControlConnection[messages.ToChild]) -> None:
         self._order = order
         self._ports = Ports(control, self._obey, self._one_more_input, order.clock_offset_ns)
         self._is_source = not order.inputs
@@ -85,7 +74,7 @@ class UnitChild:
 
     def await_beginning(self) -> str | None:
         """Wait, as a spare, until told to be a unit. Returns its id; None if the supervisor is gone."""
-        self._ports.say(Prepared(time.process_time_ns(), imported_files(Path(self._order.folder))))
+        self._ports.say(messages.Prepared(time.process_time_ns(), imported_files(Path(self._order.folder))))
         while self._begun is None and not self._ports.has_ended:
             self._ports.ends.wait(None)
         return self._begun
@@ -95,7 +84,7 @@ class UnitChild:
 
         Raises SystemExit if unit code does, and the last exception of a source that gives nothing after it.
         """
-        self._ports.say(Ready(time.process_time_ns()))
+        self._ports.say(messages.Ready(time.process_time_ns()))
         self._status_ns = self._tick_ns = time.monotonic_ns()
         while not self._ports.has_ended:
             self._ports.ends.wait(self._patience_s())
@@ -106,12 +95,12 @@ class UnitChild:
                 self._say_status()
                 return
 
-    def _obey(self, message: ToChild, _: list[socket.socket]) -> None:
+    def _obey(self, message: messages.ToChild, _: list[socket.socket]) -> None:
         match message:
-            case BeginUnit(unit, state):
+            case messages.BeginUnit(unit, state):
                 self._set_state(state)
                 self._begun = unit
-            case Finish():
+            case messages.Finish():
                 self._ports.drain()
                 self._is_finishing = True
 
@@ -181,7 +170,7 @@ class UnitChild:
             if self._raised is not None:
                 raise self._raised from None
             self._is_exhausted = True
-            self._ports.say(Exhausted())
+            self._ports.say(messages.Exhausted())
         except Exception as error:
             if self._code.can_not_go_on:
                 raise
@@ -226,25 +215,25 @@ class UnitChild:
         if self._reported > _MOST_REPORTS:
             self._suppressed = kind, text
         else:
-            self._ports.say(Trouble(kind, self.step, text))
+            self._ports.say(messages.Trouble(kind, self.step, text))
 
     def _say_status(self) -> None:
         self._status_ns = time.monotonic_ns() + int(STATUS_PERIOD_S * 1e9)
         if self._reported > _MOST_REPORTS:
             kind, text = self._suppressed
-            self._ports.say(Trouble(kind, self.step, text, self._reported - _MOST_REPORTS))
+            self._ports.say(messages.Trouble(kind, self.step, text, self._reported - _MOST_REPORTS))
         self._reported = 0
         self._ports.say(
-            UnitSign(self.step, self._errors, self._input_counts(), self._ports.output_counts(), self._state())
+            messages.UnitSign(self.step, self._errors, self._input_counts(), self._ports.output_counts(), self._state())
         )
 
-    def _input_counts(self) -> dict[str, PortCounts]:
+    def _input_counts(self) -> dict[str, messages.PortCounts]:
         """The counts of each port, of all its streams together."""
         steps, by_inlet = self._steps, self._ports.input_counts()
-        counts = dict[str, PortCounts]()
+        counts = dict[str, messages.PortCounts]()
         for port in self._order.inputs:
             of_port = [counts for inlet, counts in by_inlet.items() if port_of(inlet) == port]
-            counts[port] = PortCounts(
+            counts[port] = messages.PortCounts(
                 sum(one.elements for one in of_port),
                 sum(one.dropped for one in of_port) + steps.dropped[port],
                 sum(one.stale for one in of_port),

@@ -17,42 +17,9 @@ import msgspec
 from cfgplan.domain import MANAGER
 from cfgplan.errors import InputError
 from cfgplan_runtime.children.messages import Export, Import, Marked, Release, TellMark
+from cfgplan_runtime.fleet import orders
 from cfgplan_runtime.fleet.clocks import HostClock
 from cfgplan_runtime.fleet.links import LEASE_S, Lives, config, sign_period_s
-from cfgplan_runtime.fleet.orders import (
-    HEARD,
-    REFUSE,
-    SAY,
-    ClockOrder,
-    CloseTopicOrder,
-    ConnectOrder,
-    CutOrder,
-    DiscardOrder,
-    EndWireOrder,
-    FromAgent,
-    GreetOrder,
-    Held,
-    HeldExport,
-    HeldImport,
-    HeldUnit,
-    HeldWire,
-    KillOrder,
-    LeaveOrder,
-    OpenTopicOrder,
-    Order,
-    PrepareOrder,
-    RenewOrder,
-    Session,
-    StartOrder,
-    StopOrder,
-    SwitchOrder,
-    Talk,
-    TopicsTold,
-    UsageTold,
-    Welcome,
-    read_session,
-    told,
-)
 from cfgplan_runtime.fleet.relay import Relay
 from cfgplan_runtime.fleet.tunnels import TunnelServer
 from cfgplan_runtime.fleet.ways import Way, alive_key
@@ -60,18 +27,8 @@ from cfgplan_runtime.processes.cpu_group import CpuGroup
 from cfgplan_runtime.processes.process_backend import RELAY, ProcessBackend
 from cfgplan_runtime.streams.crossing import crossing_key, host_key
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
+from cfgplan_runtime.supervision import events
 from cfgplan_runtime.supervision.backend import Inlet
-from cfgplan_runtime.supervision.events import (
-    ElementsLost,
-    Event,
-    InputLost,
-    SpareLost,
-    SparePrepared,
-    UnitDied,
-    UnitReady,
-    UnitStopped,
-    WireSwitched,
-)
 
 USAGE_PERIOD_S = 0.5
 
@@ -126,13 +83,13 @@ class Agent:
         self.name = name
         self._tell_user = say
         self._arrived: deque[tuple[str, bytes, bytes]] = deque()
-        self._talk: Talk[Order] | None = None
-        self._units: dict[str, HeldUnit] = {}
-        self._spares: dict[str, HeldUnit] = {}
-        self._wires: dict[Inlet, HeldWire] = {}
+        self._talk: orders.Talk[orders.Order] | None = None
+        self._units: dict[str, orders.HeldUnit] = {}
+        self._spares: dict[str, orders.HeldUnit] = {}
+        self._wires: dict[Inlet, orders.HeldWire] = {}
         self._topics: dict[str, str | None] = {}
-        self._exports: dict[str, HeldExport] = {}
-        self._imports: dict[str, HeldImport] = {}
+        self._exports: dict[str, orders.HeldExport] = {}
+        self._imports: dict[str, orders.HeldImport] = {}
         self._held_term = 0
         """The term of the manager before this one."""
         self._ahead_ns: int | None = None
@@ -145,11 +102,11 @@ class Agent:
         self._owes_welcome = False
         self._lost = 0
         """Elements that had not come to other hosts when their crossings were ended, and were not told of."""
-        self._orders: deque[Order] = deque()
+        self._orders: deque[orders.Order] = deque()
         self._managers = Lives()
         self._is_left = False
         """Whether the manager of this talk has said that its run is over. Its key may be alive for a moment still."""
-        self._superseded: tuple[float, Session] | None = None
+        self._superseded: tuple[float, orders.Session] | None = None
         """Who was obeyed before, and when to tell that manager of it: it would give orders to hosts that are still its.
         """
         self._usage_due_s = 0.0
@@ -211,14 +168,14 @@ class Agent:
         self._link.answer(topics_key(self.name), self._topics_told)
         self._link.watch(f"{alive_key(MANAGER)}/*", self._note_manager)
         self._link.hear(f"{alive_key(MANAGER)}/*", lambda key, *_: self._note_manager(key, is_alive=True))
-        for kind in (SAY, HEARD):
+        for kind in (orders.SAY, orders.HEARD):
             self._link.hear(crossing_key(MANAGER, kind, self.name, "*"), self._take)
 
     def _topics_told(self) -> bytes:
         """Called by threads of the link."""
         talk = self._talk
         run = "" if talk is None else talk.session.manager
-        return msgspec.json.encode(TopicsTold(run, list(self._topics), self._ahead_ns or 0))
+        return msgspec.json.encode(orders.TopicsTold(run, list(self._topics), self._ahead_ns or 0))
 
     def _note_manager(self, key: str, is_alive: bool) -> None:
         """Called by threads of the link, as `_take` is."""
@@ -237,8 +194,7 @@ class Agent:
     def _step(self) -> None:
         if self._failure is not None:
             raise self._failure
-        events = self._backend.wait(self._patience_s())
-        for event in events:
+        for event in self._backend.wait(self._patience_s()):
             self._tell(event)
         for message in self._backend.heard_from_relay():
             if isinstance(message, Marked):
@@ -250,9 +206,9 @@ class Agent:
         while not self._ending and (self._owes_welcome or self._orders):
             if self._owes_welcome:
                 self._owes_welcome = False
-                self._say(Welcome(str(self._backend.run_folder.path), self._held()))
+                self._say(orders.Welcome(str(self._backend.run_folder.path), self._held()))
                 if self._lost:
-                    self._say(told(ElementsLost(self.name, self._lost)))
+                    self._say(orders.told(events.ElementsLost(self.name, self._lost)))
                     self._lost = 0
             else:
                 self._obey(self._orders.popleft())
@@ -273,18 +229,18 @@ class Agent:
             due_s = min(due_s, self._talk.due_s())
         return max(0.0, due_s - time.monotonic())
 
-    def _say(self, message: FromAgent) -> None:
+    def _say(self, message: orders.FromAgent) -> None:
         if self._talk is not None and not self._ending:
             self._talk.say(message)
 
     def _hear(self, key: str, head: bytes, payload: bytes) -> None:
         *_, kind, _, name = key.split("/")
-        session = read_session(name)
+        session = orders.read_session(name)
         if session is None:
             return
         talk = self._talk
         if talk is None or session != talk.session:
-            if kind == HEARD:
+            if kind == orders.HEARD:
                 return
             if talk is not None and not _supersedes(session, talk.session):
                 is_alive = self._managers.has(f"{alive_key(MANAGER)}/{talk.session.manager}", time.monotonic())
@@ -293,75 +249,75 @@ class Agent:
             if talk is not None and session.manager != talk.session.manager:
                 self._superseded = time.monotonic() + LEASE_S, talk.session
                 self._held_term = talk.session.term
-            talk = self._talk = Talk(self._link, self.name, MANAGER, session, Order)
+            talk = self._talk = orders.Talk(self._link, self.name, MANAGER, session, orders.Order)
             self._orders.clear()
             self._is_left = False
         try:
-            orders = talk.hear(kind, head, payload, time.monotonic())
-            self._orders += orders
-            self._is_left = self._is_left or any(isinstance(order, LeaveOrder) for order in orders)
+            heard = talk.hear(kind, head, payload, time.monotonic())
+            self._orders += heard
+            self._is_left = self._is_left or any(isinstance(order, orders.LeaveOrder) for order in heard)
         except msgspec.MsgspecError as error:
             self._tell_user(f"an order of another version of cfgplan is not carried out: {error}")
 
-    def _refuse(self, session: Session, later: Session, *, is_obeyed: bool) -> None:
+    def _refuse(self, session: orders.Session, later: orders.Session, *, is_obeyed: bool) -> None:
         """Tell a manager that its term is over, and whether the later one is there."""
-        put = self._link.publisher(crossing_key(self.name, REFUSE, MANAGER, str(session)), "orders")
+        put = self._link.publisher(crossing_key(self.name, orders.REFUSE, MANAGER, str(session)), "orders")
         put(b"", f"{later.term} {int(is_obeyed)}".encode())
 
-    def _obey(self, order: Order) -> None:
+    def _obey(self, order: orders.Order) -> None:
         backend = self._backend
         match order:
-            case GreetOrder(adopts):
+            case orders.GreetOrder(adopts):
                 self._owes_welcome = True
                 if not adopts:
                     self._lost += self._relay.lost
                     self._end_everything()
-            case LeaveOrder():
+            case orders.LeaveOrder():
                 self._end_everything()
-            case ClockOrder(ahead_ns):
+            case orders.ClockOrder(ahead_ns):
                 self._ahead_ns = ahead_ns
                 backend.correct_clock(ahead_ns)
-            case StartOrder():
+            case orders.StartOrder():
                 self._start(order)
-            case PrepareOrder():
+            case orders.PrepareOrder():
                 self._prepare(order)
-            case DiscardOrder(spare):
+            case orders.DiscardOrder(spare):
                 self._spares.pop(spare, None)
                 backend.discard(spare)
-            case StopOrder(unit, after):
+            case orders.StopOrder(unit, after):
                 self._stopping[unit] = after
                 if unit in self._units:
                     self._units[unit].is_stopping = True
-            case KillOrder(unit, dump):
+            case orders.KillOrder(unit, dump):
                 if self._stopping.pop(unit, None) is not None:
                     backend.stop(unit)
                 backend.kill(unit, dump=dump)
-            case ConnectOrder(wire, stream, inlet, queue, blocks):
+            case orders.ConnectOrder(wire, stream, inlet, queue, blocks):
                 self._hold_wire(order)
                 backend.connect(wire, stream, inlet, queue=queue, blocks=blocks)
-            case CutOrder(wire, inlet):
+            case orders.CutOrder(wire, inlet):
                 self._forget_wire(wire)
                 backend.disconnect(wire, inlet)
-            case EndWireOrder(wire, stream, inlet):
+            case orders.EndWireOrder(wire, stream, inlet):
                 self._forget_wire(wire)
                 backend.end_wire(wire, stream, inlet)
-            case SwitchOrder(inlet):
+            case orders.SwitchOrder(inlet):
                 backend.switch_now(inlet)
-            case OpenTopicOrder(topic, host):
+            case orders.OpenTopicOrder(topic, host):
                 if topic not in self._topics:
                     backend.open_outlet(topic, None)
                 self._topics[topic] = host
-            case CloseTopicOrder(topic) if topic in self._topics:
+            case orders.CloseTopicOrder(topic) if topic in self._topics:
                 del self._topics[topic]
                 self._wires.pop(Inlet("", topic), None)
                 backend.close_outlet(topic)
-            case RenewOrder(helper):
+            case orders.RenewOrder(helper):
                 backend.renew(helper)
             case Export(crossing):
-                self._exports[crossing] = HeldExport(order)
+                self._exports[crossing] = orders.HeldExport(order)
                 backend.tell_relay(order)
             case Import(crossing):
-                self._imports[crossing] = HeldImport(order)
+                self._imports[crossing] = orders.HeldImport(order)
                 backend.tell_relay(order)
             case Release(crossing):
                 self._tell_usage(())  # the last that is heard of it
@@ -372,9 +328,9 @@ class Agent:
             case TellMark():
                 backend.tell_relay(order)
 
-    def _held(self) -> Held:
+    def _held(self) -> orders.Held:
         wires = list(self._wires.values())
-        return Held(
+        return orders.Held(
             self._held_term,
             self._units,
             self._spares,
@@ -385,12 +341,12 @@ class Agent:
             self._ahead_ns,
         )
 
-    def _hold_wire(self, order: ConnectOrder) -> None:
+    def _hold_wire(self, order: orders.ConnectOrder) -> None:
         if order.inlet.unit == RELAY and order.inlet.port in self._exports:
             export = self._exports[order.inlet.port]
             export.wire, export.stream = order.wire, order.stream
             return
-        self._wires[order.inlet] = HeldWire(order.wire, order.stream, order.inlet)
+        self._wires[order.inlet] = orders.HeldWire(order.wire, order.stream, order.inlet)
         if order.stream.unit == RELAY and order.stream.port in self._imports:
             self._imports[order.stream.port].connected += 1
 
@@ -419,27 +375,27 @@ class Agent:
                 del self._stopping[unit]
                 self._backend.stop(unit)
 
-    def _start(self, start: StartOrder) -> None:
+    def _start(self, start: orders.StartOrder) -> None:
         unit = start.order.unit
         if start.spare is not None:
             self._spares.pop(start.spare, None)
         other = self._other_version(start)
         if other:
             self._backend.discard(start.spare or "")
-            self._say(told(UnitDied(unit, other)))
+            self._say(orders.told(events.UnitDied(unit, other)))
             return
-        self._units[unit] = HeldUnit(start.label, msgspec.structs.replace(start.order, state=None))
+        self._units[unit] = orders.HeldUnit(start.label, msgspec.structs.replace(start.order, state=None))
         self._backend.start_unit(start.order, start.spare)
 
-    def _prepare(self, prepare: PrepareOrder) -> None:
+    def _prepare(self, prepare: orders.PrepareOrder) -> None:
         spare, other = prepare.order.unit, self._other_version(prepare)
         if other:
-            self._say(told(SpareLost(spare, other)))
+            self._say(orders.told(events.SpareLost(spare, other)))
             return
-        self._spares[spare] = HeldUnit(prepare.label, prepare.order)
+        self._spares[spare] = orders.HeldUnit(prepare.label, prepare.order)
         self._backend.prepare_unit(prepare.order)
 
-    def _other_version(self, order: StartOrder | PrepareOrder) -> str:
+    def _other_version(self, order: orders.StartOrder | orders.PrepareOrder) -> str:
         """In words why an order can't be carried out with the code that is here; empty if it can."""
         file = source_file(order.order.source, self._backend.code_folder)
         if order.digest is None or file is None or digest_of(file) == order.digest:
@@ -447,45 +403,45 @@ class Agent:
         is_there = "another version than the manager's" if file.exists() else "not there"
         return f"can't be started on {self.name}: {file} is {is_there}"
 
-    def _tell(self, event: Event) -> None:
+    def _tell(self, event: events.Event) -> None:
         match event:
-            case WireSwitched(wire) | InputLost(_, _, wire) if wire < 0:
+            case events.WireSwitched(wire) | events.InputLost(_, _, wire) if wire < 0:
                 pass  # a wire of the relay's
-            case WireSwitched(wire):
+            case events.WireSwitched(wire):
                 for held in self._wires.values():
                     held.has_switched = held.has_switched or held.wire == wire
-                self._say(told(event))
-            case InputLost(_, _, wire):
+                self._say(orders.told(event))
+            case events.InputLost(_, _, wire):
                 self._forget_wire(wire)
-                self._say(told(event))
-            case UnitDied(unit) | UnitStopped(unit) if unit in self._ending:
+                self._say(orders.told(event))
+            case events.UnitDied(unit) | events.UnitStopped(unit) if unit in self._ending:
                 self._ending.discard(unit)
                 del self._units[unit]
-            case UnitDied(unit) | UnitStopped(unit):
+            case events.UnitDied(unit) | events.UnitStopped(unit):
                 self._units.pop(unit, None)
                 self._wires = {inlet: held for inlet, held in self._wires.items() if inlet.unit != unit}
-                self._say(told(event))
-            case UnitReady(unit, labor_us):
+                self._say(orders.told(event))
+            case events.UnitReady(unit, labor_us):
                 self._units[unit].labor_us = labor_us
                 self._tell_usage([unit])
-                self._say(told(event))
-            case SparePrepared(spare, labor_us):
+                self._say(orders.told(event))
+            case events.SparePrepared(spare, labor_us):
                 self._spares[spare].labor_us = labor_us
-                self._say(told(event))
-            case SpareLost(spare):
+                self._say(orders.told(event))
+            case events.SpareLost(spare):
                 self._spares.pop(spare, None)
-                self._say(told(event))
+                self._say(orders.told(event))
             case _:
-                self._say(told(event))
+                self._say(orders.told(event))
 
     def _tell_usage(self, units: Iterable[str]) -> None:
         usage = {unit: used for unit in units if (used := self._backend.usage(unit)) is not None}
         crossings = self._relay.counts()
         if usage or crossings:
-            self._say(UsageTold(usage, crossings))
+            self._say(orders.UsageTold(usage, crossings))
 
 
-def _supersedes(session: Session, other: Session) -> bool:
+def _supersedes(session: orders.Session, other: orders.Session) -> bool:
     """Whether an agent in the `other` session goes over to this one."""
     if session.manager == other.manager and session.term == other.term:
         return session.greeting > other.greeting

@@ -16,23 +16,10 @@ from cfgplan.domain import MANAGER, Stream, Transformation
 from cfgplan.errors import InputError
 from cfgplan_runtime.children.messages import Flow, ImportUnused
 from cfgplan_runtime.children.unit_order import unit_order
+from cfgplan_runtime.fleet import orders
 from cfgplan_runtime.fleet.adoption import adopt
 from cfgplan_runtime.fleet.agent import digest_of, source_file
 from cfgplan_runtime.fleet.links import config
-from cfgplan_runtime.fleet.orders import (
-    CloseTopicOrder,
-    DiscardOrder,
-    EventTold,
-    FromAgent,
-    KillOrder,
-    OpenTopicOrder,
-    PrepareOrder,
-    RenewOrder,
-    StartOrder,
-    SwitchOrder,
-    UsageTold,
-    event_of,
-)
 from cfgplan_runtime.fleet.presence import (
     AgentClockSet,
     AgentGone,
@@ -46,24 +33,8 @@ from cfgplan_runtime.fleet.routes import Counts, OrderTo, Routes
 from cfgplan_runtime.fleet.tunnels import RemoteTopics, TunnelClient, TunnelServer
 from cfgplan_runtime.streams.run_folder import RunFolder
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
+from cfgplan_runtime.supervision import events
 from cfgplan_runtime.supervision.backend import Found, Inlet, Usage
-from cfgplan_runtime.supervision.events import (
-    ClockMoved,
-    CrossingsStatus,
-    Event,
-    HelperAlive,
-    HostJoined,
-    HostLost,
-    InputLost,
-    OutletsLost,
-    OutletsOpened,
-    OutOfDescriptors,
-    SpareLost,
-    TopicsStatus,
-    UnitDied,
-    UnitStopped,
-    WireSwitched,
-)
 
 WAIT_S = 3.0
 """Seconds that hosts are waited for at the beginning."""
@@ -101,7 +72,7 @@ class FleetBackend:
         takes_over: bool = False,
     ) -> None:
         self._folder = folder or Path.cwd()
-        self._events: list[Event] = []
+        self._events: list[events.Event] = []
         self._told: dict[str, _Told] = {}
         self._units: dict[str, str] = {}
         self._spares: dict[str, str] = {}
@@ -126,7 +97,7 @@ class FleetBackend:
         for one in happened:
             self._take(one)
         joined = {one.host.name for one in happened if isinstance(one, AgentJoined)}
-        self._events += [HostLost(host, "it has no agent") for host in hosts if host not in joined]
+        self._events += [events.HostLost(host, "it has no agent") for host in hosts if host not in joined]
 
     @property
     def id(self) -> str:
@@ -148,7 +119,7 @@ class FleetBackend:
     def wake(self) -> None:
         self._presence.wake()
 
-    def wait(self, timeout_s: float | None) -> Sequence[Event]:
+    def wait(self, timeout_s: float | None) -> Sequence[events.Event]:
         end_s = inf if timeout_s is None else self.now() + timeout_s
         is_awake = False
         while True:
@@ -157,8 +128,8 @@ class FleetBackend:
                 self._take(one)
             if is_awake or self._events or self.now() >= end_s:
                 break
-        events, self._events = self._events, []
-        return events
+        told, self._events = self._events, []
+        return told
 
     def start(
         self, unit: str, transformation: Transformation, state: bytes | None, host: str | None, spare: str | None = None
@@ -172,7 +143,7 @@ class FleetBackend:
             return
         self._units[unit] = there
         order = unit_order(unit, transformation, state)
-        self._presence.say(there, StartOrder(transformation.label, order, self._digest(transformation), spare))
+        self._presence.say(there, orders.StartOrder(transformation.label, order, self._digest(transformation), spare))
 
     def prepare(self, spare: str, transformation: Transformation, host: str | None) -> None:
         there = self._place(host)
@@ -180,24 +151,24 @@ class FleetBackend:
             return
         self._spares[spare] = there
         order = unit_order(spare, transformation, None)
-        self._presence.say(there, PrepareOrder(transformation.label, order, self._digest(transformation)))
+        self._presence.say(there, orders.PrepareOrder(transformation.label, order, self._digest(transformation)))
 
     def discard(self, spare: str) -> None:
-        self._presence.say(self._spares.pop(spare, None), DiscardOrder(spare))
+        self._presence.say(self._spares.pop(spare, None), orders.DiscardOrder(spare))
 
     def stop(self, unit: str) -> None:
         if unit in self._units:
             self._give(self._routes.stop(unit, self._units[unit]))
 
     def kill(self, unit: str, *, dump: bool = False) -> None:
-        self._presence.say(self._units.get(unit), KillOrder(unit, dump))
+        self._presence.say(self._units.get(unit), orders.KillOrder(unit, dump))
 
     def connect(self, wire: int, stream: Stream, inlet: Inlet, *, queue: int, blocks: bool) -> None:
         source, target = self._units.get(stream.unit), self._host_of(inlet)
         if target is None:
             return
         if source is None:
-            self._events.append(InputLost(inlet.unit or None, inlet.port, wire))
+            self._events.append(events.InputLost(inlet.unit or None, inlet.port, wire))
             return
         self._give(self._routes.connect(wire, stream, inlet, source, target, queue=queue, blocks=blocks))
 
@@ -211,13 +182,13 @@ class FleetBackend:
         self._give(self._routes.end(wire, has_both_ends=has_consumer and has_source))
 
     def switch_now(self, inlet: Inlet) -> None:
-        self._presence.say(self._host_of(inlet), SwitchOrder(inlet))
+        self._presence.say(self._host_of(inlet), orders.SwitchOrder(inlet))
 
     def open_outlet(self, topic: str, host: str | None) -> None:
         there = self._place(host)
         if there is not None:
             self._topics[topic] = (host, there)
-            self._presence.say(there, OpenTopicOrder(topic, host))
+            self._presence.say(there, orders.OpenTopicOrder(topic, host))
             self._show(topic, there)
         elif host is None:
             self._unplaced.add(topic)
@@ -226,11 +197,11 @@ class FleetBackend:
         _, there = self._topics.pop(topic, (None, ""))
         self._unplaced.discard(topic)
         self._topics_elsewhere.hide(topic)
-        self._presence.say(there, CloseTopicOrder(topic))
+        self._presence.say(there, orders.CloseTopicOrder(topic))
 
     def renew(self, helper: str) -> None:
         host, _, name = helper.partition(": ")
-        self._presence.say(host, RenewOrder(name))
+        self._presence.say(host, orders.RenewOrder(name))
 
     def usage(self, unit: str) -> Usage | None:
         told = self._told.get(self._units.get(unit) or self._spares.get(unit, ""))
@@ -248,14 +219,14 @@ class FleetBackend:
     def _take(self, news: AgentNews) -> None:
         match news:
             case AgentJoined(host, day_ahead_ns):
-                self._events.append(HostJoined(host.name, day_ahead_ns // 1000))
+                self._events.append(events.HostJoined(host.name, day_ahead_ns // 1000))
                 if self._unplaced:
                     unplaced, self._unplaced = self._unplaced, set()
                     for topic in unplaced:
                         self.open_outlet(topic, None)
-                    self._events.append(OutletsOpened())
+                    self._events.append(events.OutletsOpened())
             case AgentClockSet(host, day_ahead_ns):
-                self._events.append(ClockMoved(host.name, day_ahead_ns // 1000))
+                self._events.append(events.ClockMoved(host.name, day_ahead_ns // 1000))
             case AgentGone(host, cause):
                 self._lose(host, cause)
             case AgentSaid(host, message):
@@ -267,13 +238,13 @@ class FleetBackend:
     def _lose(self, host: HostState, cause: str) -> None:
         self._reaching.lose(host.life)
         helpers = self._told.pop(host.name, _Told()).helpers
-        self._events += [HelperAlive(f"{host.name}: {helper}", inf) for helper in helpers]
+        self._events += [events.HelperAlive(f"{host.name}: {helper}", inf) for helper in helpers]
         if not host.is_there:
             return
         self._units = {unit: at for unit, at in self._units.items() if at != host.name}
         self._spares = {spare: at for spare, at in self._spares.items() if at != host.name}
         self._give(self._routes.forget_host(host.name))
-        self._events.append(HostLost(host.name, cause))
+        self._events.append(events.HostLost(host.name, cause))
         moved = [topic for topic, (asked, at) in self._topics.items() if at == host.name and asked is None]
         for topic in [topic for topic, (_, at) in self._topics.items() if at == host.name]:
             self._topics_elsewhere.hide(topic)
@@ -281,48 +252,50 @@ class FleetBackend:
         for topic in moved:
             self.open_outlet(topic, None)
         if moved:
-            self._events += [OutletsLost(f"{host.name} is gone"), OutletsOpened()]
+            self._events += [events.OutletsLost(f"{host.name} is gone"), events.OutletsOpened()]
 
-    def _understand(self, host: str, message: FromAgent) -> None:
+    def _understand(self, host: str, message: orders.FromAgent) -> None:
         match message:
-            case EventTold():
-                self._note(host, event_of(message))
-            case UsageTold(usage, crossings):
+            case orders.EventTold():
+                self._note(host, orders.event_of(message))
+            case orders.UsageTold(usage, crossings):
                 self._told.setdefault(host, _Told()).usage.update(usage)
                 counts = self._counts.after(crossings, self._routes)
                 if counts:
-                    self._events.append(CrossingsStatus(counts))
+                    self._events.append(events.CrossingsStatus(counts))
             case ImportUnused(crossing, served):
                 self._give(self._routes.note_unused(crossing, served))
 
-    def _note(self, host: str, event: Event) -> None:
+    def _note(self, host: str, event: events.Event) -> None:
         told = self._told.setdefault(host, _Told())
         match event:
-            case UnitDied(unit) | UnitStopped(unit) if self._units.get(unit, host) != host:
+            case events.UnitDied(unit) | events.UnitStopped(unit) if self._units.get(unit, host) != host:
                 return  # another of that id is kept elsewhere
-            case UnitDied(unit) | UnitStopped(unit):
+            case events.UnitDied(unit) | events.UnitStopped(unit):
                 self._units.pop(unit, None)
                 told.usage.pop(unit, None)
                 self._routes.forget_unit(unit)
-            case SpareLost(spare):
+            case events.SpareLost(spare):
                 self._spares.pop(spare, None)
                 told.usage.pop(spare, None)
-            case WireSwitched(wire):
+            case events.WireSwitched(wire):
                 self._routes.note_switch(wire)
-            case InputLost(_, _, wire):
+            case events.InputLost(_, _, wire):
                 self._routes.forget(wire)
-            case HelperAlive(helper, patience_s):
+            case events.HelperAlive(helper, patience_s):
                 told.helpers.add(helper)
-                event = HelperAlive(f"{host}: {helper}", patience_s)
-            case TopicsStatus(flows):
+                event = events.HelperAlive(f"{host}: {helper}", patience_s)
+            case events.TopicsStatus(flows):
                 told.flows = dict(flows)
-                event = TopicsStatus({topic: flow for one in self._told.values() for topic, flow in one.flows.items()})
-            case OutOfDescriptors(cause):
-                event = OutOfDescriptors(f"{host}: {cause}")
+                event = events.TopicsStatus(
+                    {topic: flow for one in self._told.values() for topic, flow in one.flows.items()}
+                )
+            case events.OutOfDescriptors(cause):
+                event = events.OutOfDescriptors(f"{host}: {cause}")
         self._events.append(event)
 
-    def _give(self, orders: Iterable[OrderTo]) -> None:
-        for host, order in orders:
+    def _give(self, given: Iterable[OrderTo]) -> None:
+        for host, order in given:
             self._presence.say(host, order)
 
     def _digest(self, transformation: Transformation) -> str | None:

@@ -17,24 +17,10 @@ import msgspec
 
 from cfgplan.domain import MANAGER
 from cfgplan.errors import InputError
+from cfgplan_runtime.fleet import orders
 from cfgplan_runtime.fleet.agent import clock_key
 from cfgplan_runtime.fleet.clocks import CALLS, CALLS_AGAIN, CLOCK_S, HostClock, Reading, corrected, has_moved
 from cfgplan_runtime.fleet.links import LEASE_S, MISSED_SIGNS, Pulse, sign_period_s
-from cfgplan_runtime.fleet.orders import (
-    HEARD,
-    REFUSE,
-    SAY,
-    ClockOrder,
-    FromAgent,
-    GreetOrder,
-    Held,
-    LeaveOrder,
-    Order,
-    Session,
-    Talk,
-    Welcome,
-    read_session,
-)
 from cfgplan_runtime.fleet.ways import alive_key, reach_key
 from cfgplan_runtime.streams.crossing import crossing_key
 from cfgplan_runtime.streams.run_folder import is_alive
@@ -51,7 +37,7 @@ class HostState:
     name: str
     life: str
     """What tells this agent from one of the same name before it."""
-    talk: Talk[FromAgent]
+    talk: orders.Talk[orders.FromAgent]
     pulse: Pulse
     is_there: bool = False
     reading: Reading | None = None
@@ -63,7 +49,7 @@ class HostState:
     gone: threading.Event = field(default_factory=threading.Event)
     run: Path | None = None
     """The folder of its topics' sockets, if that is on this computer."""
-    held: Held = field(default_factory=Held)
+    held: orders.Held = field(default_factory=orders.Held)
     """What ran there when it was greeted."""
 
 
@@ -94,7 +80,7 @@ class AgentGone(AgentNews, frozen=True):
 class AgentSaid(AgentNews, frozen=True):
     """What an agent says."""
 
-    message: FromAgent
+    message: orders.FromAgent
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +125,7 @@ class Presence:
         """Agents that are alive and can't be given orders; what tells them from others, as in `_seen`."""
         self._refusing: list[HostState] = []
         """Hosts that obey another manager, at the beginning."""
-        for kind in (SAY, HEARD, REFUSE):
+        for kind in (orders.SAY, orders.HEARD, orders.REFUSE):
             link.hear(crossing_key(None, kind, MANAGER, "*"), lambda *came: self._inbox.put(came))
         link.watch(f"{alive_key(None)}/*", lambda *came: self._inbox.put(came))
         link.hear(f"{alive_key(None)}/*", lambda key, *_: self._inbox.put((key, time.monotonic())))
@@ -159,7 +145,7 @@ class Presence:
         found = self._hosts.get(host)
         return found if found is not None and found.is_there else None
 
-    def say(self, host: str | None, order: Order) -> None:
+    def say(self, host: str | None, order: orders.Order) -> None:
         """Give an order to a host with the next `wait`; does nothing if it is not there, or None."""
         found = None if host is None else self.find(host)
         if found is not None:
@@ -217,7 +203,7 @@ class Presence:
         """Tell all hosts that the run is over; wait a while until they have heard."""
         for host in self._hosts.values():
             host.gone.set()
-            self.say(host.name, LeaveOrder())
+            self.say(host.name, orders.LeaveOrder())
         end_s = time.monotonic() + _LEAVE_S
         while any(not host.talk.is_done for host in self._hosts.values()) and time.monotonic() < end_s:
             self.wait(min(end_s, time.monotonic() + 0.05))
@@ -303,11 +289,11 @@ class Presence:
         if name in self._hosts:
             self._lose(self._hosts[name], cause)
         self._serial += 1
-        session = Session(self._term, self._run, self._serial)
-        talk: Talk[FromAgent] = Talk(self._link, MANAGER, name, session, FromAgent)
+        session = orders.Session(self._term, self._run, self._serial)
+        talk: orders.Talk[orders.FromAgent] = orders.Talk(self._link, MANAGER, name, session, orders.FromAgent)
         now_s = time.monotonic()
         self._hosts[name] = HostState(name, life, talk, Pulse(now_s, now_s))
-        talk.say(GreetOrder(adopts=self._is_beginning))
+        talk.say(orders.GreetOrder(adopts=self._is_beginning))
 
     def _lose(self, host: HostState, cause: str) -> None:
         del self._hosts[host.name]
@@ -317,14 +303,14 @@ class Presence:
     def _hear_agent(self, key: str, head: bytes, payload: bytes) -> None:
         _, name, kind, _, session = key.split("/")
         host = self._hosts.get(unquote(name))
-        if host is None or host.talk.session != read_session(session):
+        if host is None or host.talk.session != orders.read_session(session):
             return
-        if kind == REFUSE:
+        if kind == orders.REFUSE:
             self._heed(host, payload)
             return
         try:
             for message in host.talk.hear(kind, head, payload, time.monotonic()):
-                if isinstance(message, Welcome):
+                if isinstance(message, orders.Welcome):
                     self._welcome(host, message)
                 else:
                     self._happened.append(AgentSaid(host, message))
@@ -351,7 +337,7 @@ class Presence:
             self._term = max(self._term, term + 1)
             self._greet(host.name, host.life, "it obeyed a manager that is gone")
 
-    def _welcome(self, host: HostState, welcome: Welcome) -> None:
+    def _welcome(self, host: HostState, welcome: orders.Welcome) -> None:
         host.held, host.ahead_ns = welcome.held, welcome.held.ahead_ns
         path = Path(welcome.run)
         host.run = path if is_alive(path) else None
@@ -391,4 +377,4 @@ class Presence:
         before_ns, measured_ns = host.ahead_ns, reading.ahead_ns + self._run_ahead_ns
         host.ahead_ns = measured_ns if before_ns is None else corrected(before_ns, measured_ns, reading.doubt_ns)
         if host.ahead_ns != before_ns:
-            self.say(host.name, ClockOrder(host.ahead_ns))
+            self.say(host.name, orders.ClockOrder(host.ahead_ns))

@@ -14,17 +14,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import inf
 
+from cfgplan_runtime.children import messages
 from cfgplan_runtime.children.control import ControlConnection
-from cfgplan_runtime.children.messages import (
-    CrossingCounts,
-    Export,
-    Import,
-    ImportUnused,
-    Marked,
-    Release,
-    TellMark,
-    ToChild,
-)
 from cfgplan_runtime.children.ports import Ports, UnitInput, UnitOutput
 from cfgplan_runtime.streams.crossing import (
     LAST_PIECE,
@@ -80,7 +71,7 @@ class Relay:
         self._host = host
         self._link = link
         self._failed = failed
-        self._ports = Ports(ControlConnection(control, ToChild), self._obey)
+        self._ports = Ports(ControlConnection(control, messages.ToChild), self._obey)
         self._exports: dict[str, _Export] = {}
         self._imports: dict[str, _Import] = {}
         self._arrived: deque[tuple[str, bytes, bytes]] = deque()
@@ -92,10 +83,10 @@ class Relay:
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
-    def counts(self) -> dict[str, CrossingCounts]:
+    def counts(self) -> dict[str, messages.CrossingCounts]:
         """The counts of each export; for any thread."""
         return {
-            name: CrossingCounts(one.input.elements, one.sending.dropped, one.sending.depth)
+            name: messages.CrossingCounts(one.input.elements, one.sending.dropped, one.sending.depth)
             for name, one in list(self._exports.items())
         }
 
@@ -146,18 +137,18 @@ class Relay:
         told = [one.receiving.due_s for one in self._imports.values()]
         return min((due_s for due_s in sent + told if due_s is not None), default=inf)
 
-    def _obey(self, message: ToChild, _: list[socket.socket]) -> None:
+    def _obey(self, message: messages.ToChild, _: list[socket.socket]) -> None:
         match message:
-            case Export(name, host, queue, blocks):
+            case messages.Export(name, host, queue, blocks):
                 self._export(name, host, queue, blocks)
-            case Import(name, host):
+            case messages.Import(name, host):
                 put = self._link.publisher(crossing_key(self._host, "credit", host, name), "orders")
                 self._imports[name] = _Import(host, PutThread(put))
                 self._ports.outputs[name] = UnitOutput()
-            case TellMark(name, unit) if name in self._exports:
+            case messages.TellMark(name, unit) if name in self._exports:
                 self._ports.take_in(name)
                 self._exports[name].sending.offer(Piece(0, 0, unit.encode(), is_mark=True))
-            case Release(name):
+            case messages.Release(name):
                 self._release(name)
 
     def _export(self, name: str, host: str, queue: int, blocks: bool) -> None:
@@ -227,7 +218,7 @@ class Relay:
     def _acknowledge(self, name: str, one: _Import, now_s: float) -> None:
         if one.marks and not any(sender.depth for sender in self._ports.outputs[name].senders):
             for unit in one.marks:
-                self._ports.say(Marked(name, unit))
+                self._ports.say(messages.Marked(name, unit))
             one.marks.clear()
         if not self._ports.outputs[name].served:
             return  # what comes before anybody takes it would be lost
@@ -242,4 +233,4 @@ class Relay:
             output = self._ports.outputs[name]
             if not output.senders and output.served != one.told_unused:
                 one.told_unused = output.served
-                self._ports.say(ImportUnused(name, output.served))
+                self._ports.say(messages.ImportUnused(name, output.served))

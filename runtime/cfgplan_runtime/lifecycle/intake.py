@@ -25,62 +25,45 @@ from cfgplan_runtime.lifecycle.perturbations import (
 from cfgplan_runtime.lifecycle.reports import WorldRefused
 from cfgplan_runtime.lifecycle.state import Note, State, Updating
 from cfgplan_runtime.lifecycle.turns import Match, Matched, Respond, Tell, Terminate, Turn
+from cfgplan_runtime.supervision import events
 from cfgplan_runtime.supervision.delays import doubling_s
-from cfgplan_runtime.supervision.events import (
-    ClockMoved,
-    Event,
-    HostJoined,
-    HostLost,
-    InputLost,
-    SpareLost,
-    SparePrepared,
-    SpareUsed,
-    TopicsStatus,
-    UnitDied,
-    UnitFailed,
-    UnitHung,
-    UnitReady,
-    UnitStatus,
-    UnitStopped,
-    UnitTooLarge,
-)
 
 IN_A_ROW_S = 10.0
 """Losses of one input are in a row if less than this lies between them."""
 
 
-def heard(turn: Turn, event: Event) -> Turn:
+def heard(turn: Turn, event: events.Event) -> Turn:
     """Take in an event of a unit. What comes before its death (hung, too large, failed) is noted as the cause."""
     state = turn.state
     match event:
-        case UnitReady(unit):
+        case events.UnitReady(unit):
             return _unnoted(turn, unit)
-        case UnitStopped(unit):
+        case events.UnitStopped(unit):
             return _unnoted(turn, unit).answered(unit)
-        case UnitHung(unit):
+        case events.UnitHung(unit):
             return _noted(turn, unit, replace(_note(state, unit), end="hung"))
-        case UnitTooLarge(unit):
+        case events.UnitTooLarge(unit):
             return _noted(turn, unit, replace(_note(state, unit), end="too large"))
-        case UnitFailed(unit, text=text) if text:
+        case events.UnitFailed(unit, text=text) if text:
             return _noted(turn, unit, replace(_note(state, unit), error=text))
-        case UnitDied(unit, cause):
+        case events.UnitDied(unit, cause):
             return _gone(turn, unit, cause)
-        case SparePrepared(spare):
+        case events.SparePrepared(spare):
             return turn.situated(replace(state.situation, prepared=state.situation.prepared | {spare}))
-        case SpareLost(spare) | SpareUsed(_, spare):
+        case events.SpareLost(spare) | events.SpareUsed(_, spare):
             return turn.situated(replace(state.situation, prepared=state.situation.prepared - {spare}))
-        case HostLost(host, cause):
+        case events.HostLost(host, cause):
             return _host_lost(turn, host, cause)
-        case HostJoined(host, ahead_us):
+        case events.HostJoined(host, ahead_us):
             return _host_joined(turn, host, ahead_us)
-        case ClockMoved(host, ahead_us):
+        case events.ClockMoved(host, ahead_us):
             clocks = {**state.situation.clocks_ahead_us, host: ahead_us}
             return turn.situated(replace(state.situation, clocks_ahead_us=clocks))
-        case InputLost(unit_or_none, port):
+        case events.InputLost(unit_or_none, port):
             return _lost(turn, SubscriptionLost(unit_or_none, port))
-        case UnitStatus():
+        case events.UnitStatus():
             return _still_failing(_giving(turn, event), event)
-        case TopicsStatus(flows) if state.living.may_be_silent or state.situation.silences:
+        case events.TopicsStatus(flows) if state.living.may_be_silent or state.situation.silences:
             return _silent(turn, flows)
     return turn
 
@@ -230,14 +213,14 @@ def _lost(turn: Turn, lost: SubscriptionLost) -> Turn:
     return turn.perturbed(lost, delay_s=delay_s)
 
 
-def _giving(turn: Turn, status: UnitStatus) -> Turn:
+def _giving(turn: Turn, status: events.UnitStatus) -> Turn:
     state = turn.state
     if not state.living.may_be_silent:
         return turn
     return turn.to(replace(state, giving=state.giving.after_status(status, turn.at_s)))
 
 
-def _still_failing(turn: Turn, status: UnitStatus) -> Turn:
+def _still_failing(turn: Turn, status: events.UnitStatus) -> Turn:
     state, unit, policy = turn.state, status.unit, turn.state.policy
     label, note = state.situation.label_of(unit), _note(turn.state, status.unit)
     if label is None or unit in state.situation.failing:

@@ -16,16 +16,7 @@ from cfgplan.errors import Fault, InputError, InvalidValueError
 from cfgplan.formats.document import Document, read_declared, read_document
 from cfgplan.formats.fields import FORMAT, EnvironmentPart
 from cfgplan.matching import Ontology, TagError, UnknownNameError, check_tag
-from cfgplan_runtime.lifecycle.changes import (
-    Add,
-    Declare,
-    Individual,
-    Remove,
-    ReplaceWorld,
-    Restore,
-    Withdraw,
-    WorldChange,
-)
+from cfgplan_runtime.lifecycle import changes
 
 T = TypeVar("T")
 
@@ -65,11 +56,11 @@ class LivingWorld:
     base: World
     targets: Requested[Target] = Requested()
     transformations: Requested[Transformation] = Requested()
-    individuals: Requested[Individual] = Requested()
-    declared: Mapping[str, Declare] = field(default_factory=dict)
+    individuals: Requested[changes.Individual] = Requested()
+    declared: Mapping[str, changes.Declare] = field(default_factory=dict)
     refuses_hosts: bool = False
 
-    def after(self, change: WorldChange) -> LivingWorld:
+    def after(self, change: changes.WorldChange) -> LivingWorld:
         """The world after a change. Raises InputError if the change, or the world after it, is bad."""
         changed = self._changed(change)
         _ = changed.world  # it is made now, and is bad or not
@@ -136,17 +127,17 @@ class LivingWorld:
         except InvalidValueError as error:
             raise InputError.of(str(error), mend="give each a name of its own") from None
 
-    def _changed(self, change: WorldChange) -> LivingWorld:
+    def _changed(self, change: changes.WorldChange) -> LivingWorld:
         world = self.world.environment
         match change:
-            case Add(targets, transformations, individuals):
+            case changes.Add(targets, transformations, individuals):
                 return replace(
                     self,
                     targets=self.targets.adding({each.label: each for each in targets}),
                     transformations=self.transformations.adding({each.label: each for each in transformations}),
                     individuals=self.individuals.adding({each.name: each for each in individuals}),
                 )
-            case Remove(labels, of_library, names):
+            case changes.Remove(labels, of_library, names):
                 _check_known("target", labels, world.target)
                 _check_known("transformation", of_library, world.transformation)
                 _check_known("individual", names, self.world.ontology.individuals)
@@ -158,15 +149,15 @@ class LivingWorld:
                     transformations=self.transformations.removing(of_library),
                     individuals=self.individuals.removing(names).restoring(only_added),
                 )
-            case Declare(name):
+            case changes.Declare(name):
                 return self._declaring(name, change)
-            case Withdraw(name):
+            case changes.Withdraw(name):
                 _check_known("declaration", [name], self.declared)
                 return replace(self, declared=_without(self.declared, [name]))
-            case Restore(names):
+            case changes.Restore(names):
                 _check_known("removed name", names, dict.fromkeys(self.removed))
                 return self._restoring(names, names, names)
-            case ReplaceWorld(base):
+            case changes.ReplaceWorld(base):
                 old, new = self.base.environment, base.environment
                 return replace(
                     self,
@@ -186,7 +177,7 @@ class LivingWorld:
             individuals=self.individuals.restoring(individuals),
         )
 
-    def _declaring(self, name: str, change: Declare) -> LivingWorld:
+    def _declaring(self, name: str, change: changes.Declare) -> LivingWorld:
         """Add a declaration. What it declares comes back, even if a request had removed it."""
         declared = replace(self, declared={**self.declared, name: change})
         after = declared._restoring((), (), [one.name for one in change.individuals])
@@ -253,7 +244,7 @@ def _exact(value: Any) -> Any:
     return value
 
 
-def with_individuals(ontology: Ontology, come: Iterable[Individual], gone: Collection[str]) -> Ontology:
+def with_individuals(ontology: Ontology, come: Iterable[changes.Individual], gone: Collection[str]) -> Ontology:
     """Add the individuals `come` to an ontology, and remove those named in `gone` with every axiom about them.
 
     Raises InputError for a name that the ontology does not know, and for an environment without an ontology.
@@ -278,7 +269,7 @@ def with_individuals(ontology: Ontology, come: Iterable[Individual], gone: Colle
     return Ontology(kept, ontology.prefixes, files=ontology.files, dropped=ontology.dropped, ignored=ontology.ignored)
 
 
-def _axioms(one: Individual, iris: dict[str, str], ontology: Ontology) -> Iterable[str]:
+def _axioms(one: changes.Individual, iris: dict[str, str], ontology: Ontology) -> Iterable[str]:
     me = iris[one.name]
     yield f"Declaration(NamedIndividual(<{me}>))"
     for name in one.classes:
@@ -295,7 +286,7 @@ def _iri(name: str, kind: str, ontology: Ontology) -> str:
     return found[1]
 
 
-def _own_iri(one: Individual, ontology: Ontology) -> str:
+def _own_iri(one: changes.Individual, ontology: Ontology) -> str:
     """The IRI of an individual: a known one, the one that its name spells, or one in its first class's namespace."""
     try:
         known = ontology.individual_names.find(one.name)

@@ -13,19 +13,8 @@ from cfgplan import answers
 from cfgplan.errors import CfgplanError, InputError
 from cfgplan.explaining.why_words import why_lines
 from cfgplan.formats.plan_file import read_run_plan
+from cfgplan_runtime.lifecycle import changes
 from cfgplan_runtime.lifecycle.basis import Preview, plan_text, previewed
-from cfgplan_runtime.lifecycle.changes import (
-    ApplyPlan,
-    Change,
-    KillUnit,
-    LoseHost,
-    RegainHost,
-    Remove,
-    Restore,
-    ReviewNow,
-    Stop,
-    Withdraw,
-)
 from cfgplan_runtime.lifecycle.reports import Review, Snapshot
 from cfgplan_runtime.operating.control_server import Method
 from cfgplan_runtime.operating.declaration import declaration
@@ -48,7 +37,7 @@ T = TypeVar("T")
 class Controlled(Protocol):
     """A manager, as its operators use it."""
 
-    def request(self, change: Change) -> Future[Review | None]: ...
+    def request(self, change: changes.Change) -> Future[Review | None]: ...
 
     def preview(self) -> Future[Preview]: ...
 
@@ -64,15 +53,15 @@ class Methods:
 
     def by_name(self) -> dict[str, Method]:
         """The methods for the control server; `cfgplan/manual/control.md` has their params and results."""
-        one_name: dict[str, tuple[str, Callable[[str], Change]]] = {
-            "withdraw": ("name", Withdraw),
-            "remove_target": ("label", lambda label: Remove(targets=(label,))),
-            "remove_transformation": ("label", lambda label: Remove(transformations=(label,))),
-            "remove_individual": ("name", lambda name: Remove(individuals=(name,))),
-            "restore": ("name", lambda name: Restore((name,))),
-            "kill": ("unit", KillUnit),
-            "lose_host": ("host", lambda host: LoseHost(host, "told through the control socket")),
-            "regain_host": ("host", RegainHost),
+        one_name: dict[str, tuple[str, Callable[[str], changes.Change]]] = {
+            "withdraw": ("name", changes.Withdraw),
+            "remove_target": ("label", lambda label: changes.Remove(targets=(label,))),
+            "remove_transformation": ("label", lambda label: changes.Remove(transformations=(label,))),
+            "remove_individual": ("name", lambda name: changes.Remove(individuals=(name,))),
+            "restore": ("name", lambda name: changes.Restore((name,))),
+            "kill": ("unit", changes.KillUnit),
+            "lose_host": ("host", lambda host: changes.LoseHost(host, "told through the control socket")),
+            "regain_host": ("host", changes.RegainHost),
         }
         return {
             "state": self._state,
@@ -111,7 +100,7 @@ class Methods:
 
     def _review(self, params: Mapping[str, Any]) -> Record:
         _only(params, "wait_s")
-        return self._ask(ReviewNow("the control socket"), params)
+        return self._ask(changes.ReviewNow("the control socket"), params)
 
     def _plan(self, params: Mapping[str, Any]) -> Record:
         _only(params, "wait_s")
@@ -155,21 +144,21 @@ class Methods:
                 raise InputError.of("this plan was not made for a run", file=name, mend=mend)
         except InputError as error:
             raise _refusal(error) from None
-        return self._ask(ApplyPlan(plan.change_set, basis, name), params)
+        return self._ask(changes.ApplyPlan(plan.change_set, basis, name), params)
 
     def _stop(self, params: Mapping[str, Any]) -> Record:
         _only(params)
-        self._manager.request(Stop())
+        self._manager.request(changes.Stop())
         return {}
 
-    def _changing(self, key: str, change: Callable[[str], Change]) -> Method:
+    def _changing(self, key: str, change: Callable[[str], changes.Change]) -> Method:
         def method(params: Mapping[str, Any]) -> Record:
             _only(params, key, "wait_s")
             return self._ask(change(_text(params, key)), params)
 
         return method
 
-    def _ask(self, change: Change, params: Mapping[str, Any]) -> Record:
+    def _ask(self, change: changes.Change, params: Mapping[str, Any]) -> Record:
         """Request a change, and wait for what its review decides."""
         try:
             review = _waited_for(self._manager.request(change), params)

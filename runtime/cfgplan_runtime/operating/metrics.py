@@ -14,17 +14,8 @@ from prometheus_client.registry import Collector
 
 from cfgplan_runtime.children.messages import CrossingCounts, Flow, PortCounts
 from cfgplan_runtime.errors import RuntimeFaultError
+from cfgplan_runtime.lifecycle import reports
 from cfgplan_runtime.lifecycle.perturbations import UnitGone
-from cfgplan_runtime.lifecycle.reports import (
-    BackingOff,
-    Perturbed,
-    Report,
-    Review,
-    Reviewed,
-    Snapshot,
-    TargetView,
-    UnitEvent,
-)
 from cfgplan_runtime.operating.flows import Flows
 from cfgplan_runtime.supervision.observation import Observation
 
@@ -61,7 +52,7 @@ class _Measure(Generic[Measured]):
         return family
 
 
-_OF_ALL: Final[Sequence[_Measure[Snapshot]]] = (
+_OF_ALL: Final[Sequence[_Measure[reports.Snapshot]]] = (
     _Measure("units", "Units that run.", lambda now: sum(not view.unit.standby for view in now.units)),
     _Measure(
         "spares",
@@ -87,12 +78,12 @@ _OF_ALL: Final[Sequence[_Measure[Snapshot]]] = (
         lambda now: now.saving_us / _US_PER_S,
     ),
 )
-_OF_HELD_OUT: Final[_Measure[BackingOff]] = _Measure(
+_OF_HELD_OUT: Final[_Measure[reports.BackingOff]] = _Measure(
     "transformation_held_out_seconds",
     "For how long a transformation that keeps failing is not started.",
     lambda one: one.left_s,
 )
-_OF_TARGETS: Final[_Measure[TargetView]] = _Measure(
+_OF_TARGETS: Final[_Measure[reports.TargetView]] = _Measure(
     "target_met", "Whether a stream meets the target, and is not silent for too long.", lambda one: float(one.is_met)
 )
 _OF_FLOWS: Final[Sequence[_Measure[Flow]]] = (
@@ -142,7 +133,7 @@ _OF_OUTPUTS: Final[_Measure[PortCounts]] = _Measure(
 class Present(Collector):
     """Reads a snapshot and the flows at each scrape, in the scraper's thread."""
 
-    def __init__(self, snapshot: Callable[[], Snapshot], flows: Flows) -> None:
+    def __init__(self, snapshot: Callable[[], reports.Snapshot], flows: Flows) -> None:
         self._snapshot = snapshot
         self._flows = flows
 
@@ -175,7 +166,7 @@ class Metrics:
     ended are left out.
     """
 
-    def __init__(self, snapshot: Callable[[], Snapshot] | None = None, flows: Flows | None = None) -> None:
+    def __init__(self, snapshot: Callable[[], reports.Snapshot] | None = None, flows: Flows | None = None) -> None:
         self.registry = CollectorRegistry()
         self._perturbations = Counter(
             "cfgplan_perturbations", "Perturbations noticed.", ["kind"], registry=self.registry
@@ -203,19 +194,19 @@ class Metrics:
         if snapshot is not None:
             self.registry.register(Present(snapshot, flows or Flows()))
 
-    def listen(self, report: Report) -> None:
+    def listen(self, report: reports.Report) -> None:
         """Count a report; from any thread."""
         match report:
-            case Perturbed(perturbation):
+            case reports.Perturbed(perturbation):
                 self._perturbations.labels(type(perturbation).__name__).inc()
                 if isinstance(perturbation, UnitGone):
                     self._failures.labels(perturbation.transformation, perturbation.how).inc()
-            case Reviewed(review):
+            case reports.Reviewed(review):
                 self._count(review)
-            case UnitEvent(event):
+            case reports.UnitEvent(event):
                 self._events.labels(type(event).__name__).inc()
 
-    def _count(self, review: Review) -> None:
+    def _count(self, review: reports.Review) -> None:
         self._reviews.labels(review.decision.value).inc()
         for phase, seconds in review.seconds.items():
             self._phases.labels(phase).observe(seconds)

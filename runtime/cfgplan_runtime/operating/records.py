@@ -16,23 +16,14 @@ import msgspec
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Stream
 from cfgplan.formats.dump import plain_unit
+from cfgplan_runtime.lifecycle import reports
 from cfgplan_runtime.lifecycle.perturbations import Perturbation
-from cfgplan_runtime.lifecycle.reports import (
-    Observed,
-    Report,
-    Review,
-    Reviewed,
-    Snapshot,
-    TargetView,
-    UnitEvent,
-    UnitView,
-)
 from cfgplan_runtime.operating.protocol import Record
 from cfgplan_runtime.operating.sentences import review_sentence
 from cfgplan_runtime.supervision.run_log import RunLog
 
 
-def snapshot_record(snapshot: Snapshot, flows: Mapping[str, Record] | None = None) -> Record:
+def snapshot_record(snapshot: reports.Snapshot, flows: Mapping[str, Record] | None = None) -> Record:
     """The state of a run; `flows` has rate and latency by topic, where they are measured."""
     return {
         "phase": snapshot.phase.value,
@@ -54,7 +45,7 @@ def snapshot_record(snapshot: Snapshot, flows: Mapping[str, Record] | None = Non
     }
 
 
-def review_record(review: Review) -> Record:
+def review_record(review: reports.Review) -> Record:
     """A review as a record; `says` is its sentence, and its change set is as `change_record` gives it."""
     record = _fields(review)
     record["says"] = review_sentence(review)
@@ -71,12 +62,12 @@ def change_record(changes: ChangeSet) -> Record:
     }
 
 
-def report_record(report: Report) -> Record:
+def report_record(report: reports.Report) -> Record:
     """A report as a record: its `kind` and its fields."""
     match report:
-        case UnitEvent(event, host):
+        case reports.UnitEvent(event, host):
             return {**_with_kind(event), **({} if host is None else {"host": host})}
-        case Reviewed(review):
+        case reports.Reviewed(review):
             return {"kind": "Reviewed", **review_record(review)}
     return _with_kind(report)
 
@@ -124,7 +115,7 @@ def _number(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _target(target: TargetView, flow: Record | None) -> Record:
+def _target(target: reports.TargetView, flow: Record | None) -> Record:
     record = {
         "label": target.label,
         "topic": target.topic or None,
@@ -138,7 +129,7 @@ def _target(target: TargetView, flow: Record | None) -> Record:
     return {**record, **(flow or {})}
 
 
-def _unit(view: UnitView, environment: Environment) -> Record:
+def _unit(view: reports.UnitView, environment: Environment) -> Record:
     record = {**wired(view.unit), "host": view.host}
     transformation = environment.transformation.get(view.unit.transformation)
     if view.unit.standby:
@@ -166,11 +157,11 @@ def wired(unit: ComputationUnit) -> Record:
     return {"id": unit.id, "transformation": unit.transformation, "inputs": {}, "topics": {}, **plain_unit(unit)}
 
 
-def logging_to(log: RunLog) -> Callable[[Report], None]:
+def logging_to(log: RunLog) -> Callable[[reports.Report], None]:
     """A listener for `Manager.listen` that writes every report but the observations of each second."""
 
-    def write(report: Report) -> None:
-        if not isinstance(report, Observed):
+    def write(report: reports.Report) -> None:
+        if not isinstance(report, reports.Observed):
             says = report_record(report)
             log.write_line(says.pop("kind"), says)
 

@@ -22,21 +22,8 @@ from collections.abc import Sequence
 
 from setproctitle import setproctitle
 
+from cfgplan_runtime.children import messages
 from cfgplan_runtime.children.control import ControlConnection
-from cfgplan_runtime.children.messages import (
-    Alive,
-    ChildOrder,
-    Fork,
-    Forked,
-    Gone,
-    Kill,
-    NotForked,
-    OutletOrder,
-    SpareOrder,
-    ToChild,
-    ToNursery,
-    Trouble,
-)
 from cfgplan_runtime.children.outlet_child import NO_DESCRIPTOR, OutletChild
 from cfgplan_runtime.children.unit_child import UnitChild
 
@@ -53,7 +40,7 @@ class Nursery:
 
     def __init__(self, end: socket.socket, run: str) -> None:
         self._run = run
-        self._control: ControlConnection[ToNursery] = ControlConnection(end, ToNursery)
+        self._control: ControlConnection[messages.ToNursery] = ControlConnection(end, messages.ToNursery)
         self._serials: dict[int, int] = {}
         self._selector = selectors.DefaultSelector()
         self._sign_s = 0.0
@@ -70,22 +57,22 @@ class Nursery:
         while not self._control.has_ended:
             if time.monotonic() >= self._sign_s:
                 self._sign_s = time.monotonic() + _SIGN_PERIOD_S
-                self._control.send(Alive())
+                self._control.send(messages.Alive())
             self._selector.select(max(0.0, self._sign_s - time.monotonic()))
             with contextlib.suppress(BlockingIOError):
                 self._bell.recv(4096)
             self._reap()
             for message, sockets in self._control.receive():
                 match message:
-                    case Fork(serial, order):
+                    case messages.Fork(serial, order):
                         self._fork(serial, order, sockets)
-                    case Kill(serial, dump):
+                    case messages.Kill(serial, dump):
                         self._kill(serial, dump)
         signal.set_wakeup_fd(-1)
         for pid in self._serials:
             _kill_group(pid)
 
-    def _fork(self, serial: int, order: ChildOrder, sockets: list[socket.socket]) -> None:
+    def _fork(self, serial: int, order: messages.ChildOrder, sockets: list[socket.socket]) -> None:
         parent = os.getpid()
         cause, pid = NO_DESCRIPTOR, -1
         if len(sockets) == _SOCKETS_OF_A_CHILD:
@@ -103,12 +90,12 @@ class Nursery:
         for end in sockets:
             end.close()
         if pid == -1:
-            self._control.send(NotForked(serial, cause))
+            self._control.send(messages.NotForked(serial, cause))
             return
         with contextlib.suppress(OSError):
             os.setpgid(pid, pid)
         self._serials[pid] = serial
-        self._control.send(Forked(serial, pid))
+        self._control.send(messages.Forked(serial, pid))
 
     def _become_child(self, parent: int) -> None:
         die_with_parent(parent)
@@ -135,37 +122,37 @@ class Nursery:
             status = _end_of(pid)
             if status is not None:
                 del self._serials[pid]
-                self._control.send(Gone(serial, status))
+                self._control.send(messages.Gone(serial, status))
 
 
-def be_child(order: ChildOrder, control_end: socket.socket, printed: socket.socket, *, run: str) -> int:
+def be_child(order: messages.ChildOrder, control_end: socket.socket, printed: socket.socket, *, run: str) -> int:
     """Run as a unit, a spare or the outlets until told to finish. Returns the exit status."""
     _redirect(printed)
     random.seed()
-    control: ControlConnection[ToChild] = ControlConnection(control_end, ToChild)
+    control: ControlConnection[messages.ToChild] = ControlConnection(control_end, messages.ToChild)
     unit: UnitChild | None = None
     try:
-        if isinstance(order, OutletOrder):
+        if isinstance(order, messages.OutletOrder):
             setproctitle(f"cfgplan {run} outlets")
             OutletChild(order, control).run()
             return 0
         if "numpy.random" in sys.modules:
             sys.modules["numpy.random"].seed()
-        of_unit, title = (order.order, "spare ") if isinstance(order, SpareOrder) else (order, "")
+        of_unit, title = (order.order, "spare ") if isinstance(order, messages.SpareOrder) else (order, "")
         setproctitle(f"cfgplan {run} {title}{of_unit.unit}")
         _limit_memory(of_unit.memory_bytes)
         unit = UnitChild(of_unit, control)
-        if isinstance(order, SpareOrder):
+        if isinstance(order, messages.SpareOrder):
             begun = unit.await_beginning()
             if begun is None:
                 return 0
             setproctitle(f"cfgplan {run} {begun}")
         unit.run()
     except SystemExit as error:
-        _tell(control, Trouble("exited", unit.step if unit else 0, "".join(traceback.format_exception(error))))
+        _tell(control, messages.Trouble("exited", unit.step if unit else 0, "".join(traceback.format_exception(error))))
         return error.code if isinstance(error.code, int) else int(error.code is not None)
     except BaseException as error:
-        _tell(control, Trouble("failed", unit.step if unit else 0, "".join(traceback.format_exception(error))))
+        _tell(control, messages.Trouble("failed", unit.step if unit else 0, "".join(traceback.format_exception(error))))
         return FAILED
     finally:
         for stream in (sys.stdout, sys.stderr):
@@ -174,7 +161,7 @@ def be_child(order: ChildOrder, control_end: socket.socket, printed: socket.sock
     return 0
 
 
-def _tell(control: ControlConnection[ToChild], trouble: Trouble) -> None:
+def _tell(control: ControlConnection[messages.ToChild], trouble: messages.Trouble) -> None:
     control.socket.setblocking(True)
     control.send(trouble)
 

@@ -14,42 +14,8 @@ from pathlib import Path
 import msgspec
 
 from cfgplan.domain import Stream, Transformation
+from cfgplan_runtime.children import messages
 from cfgplan_runtime.children.control import ControlConnection
-from cfgplan_runtime.children.messages import (
-    Alive,
-    BeginUnit,
-    ChildOrder,
-    CloseOutlet,
-    Cut,
-    End,
-    Exhausted,
-    Feed,
-    Finish,
-    Flowing,
-    Forked,
-    FromChild,
-    FromRelay,
-    Gone,
-    ImportUnused,
-    Lost,
-    Marked,
-    NotForked,
-    OpenOutlet,
-    OutletOrder,
-    Prepared,
-    Ready,
-    Serve,
-    SetClock,
-    SpareOrder,
-    Switched,
-    SwitchNow,
-    ToRelay,
-    Trouble,
-    UnitOrder,
-    UnitSign,
-    Unserve,
-    Unserved,
-)
 from cfgplan_runtime.children.unit_order import unit_order
 from cfgplan_runtime.processes.child_process import (
     ChildProcess,
@@ -64,28 +30,9 @@ from cfgplan_runtime.processes.nursery_link import NurseryLink
 from cfgplan_runtime.streams.channel import socket_pair
 from cfgplan_runtime.streams.ends import Bell, Ends
 from cfgplan_runtime.streams.run_folder import RunFolder
+from cfgplan_runtime.supervision import events
 from cfgplan_runtime.supervision.backend import Inlet, Usage
 from cfgplan_runtime.supervision.delays import doubling_s
-from cfgplan_runtime.supervision.events import (
-    Event,
-    HelperAlive,
-    InputLost,
-    OutletsLost,
-    OutletsOpened,
-    OutOfDescriptors,
-    SourceExhausted,
-    SpareLost,
-    SparePrepared,
-    SpareUsed,
-    TopicsStatus,
-    UnitDied,
-    UnitFailed,
-    UnitPrinted,
-    UnitReady,
-    UnitStatus,
-    UnitStopped,
-    WireSwitched,
-)
 
 OUTLETS, RELAY = "", "/relay"
 """Names of the outlets among children, and of this process's own relay; no unit has one of them."""
@@ -128,7 +75,7 @@ class ProcessBackend:
         self._ends = Ends()
         self._bell = Bell()
         self._ends.watch(self._bell.socket, self._bell.hear)
-        self._events: list[Event] = []
+        self._events: list[events.Event] = []
         self._children: dict[int, ChildProcess] = {}
         self._by_name: dict[str, ChildProcess] = {}
         self._spares: dict[str, ChildProcess] = {}
@@ -152,7 +99,7 @@ class ProcessBackend:
         """When the outlets are to be made anew; None if they need not."""
         self._is_short = False
         """Whether there was no descriptor for the last wire."""
-        self._from_relay: list[FromRelay] = []
+        self._from_relay: list[messages.FromRelay] = []
 
     @property
     def id(self) -> str:
@@ -172,7 +119,7 @@ class ProcessBackend:
     def wake(self) -> None:
         self._bell.ring()
 
-    def wait(self, timeout_s: float | None) -> Sequence[Event]:
+    def wait(self, timeout_s: float | None) -> Sequence[events.Event]:
         if self._outlets_due_s is not None:
             left_s = max(0.0, self._outlets_due_s - self.now())
             timeout_s = left_s if timeout_s is None else min(timeout_s, left_s)
@@ -184,8 +131,8 @@ class ProcessBackend:
         if self._look_due_s <= self.now():
             self._look_due_s = self.now() + _SPARES_LOOK_S
             self._watch_spares()
-        events, self._events = self._events, []
-        return events
+        happened, self._events = self._events, []
+        return happened
 
     def start(
         self,
@@ -197,7 +144,7 @@ class ProcessBackend:
     ) -> None:
         self.start_unit(unit_order(unit, transformation, state), spare)
 
-    def start_unit(self, order: UnitOrder, spare: str | None = None) -> None:
+    def start_unit(self, order: messages.UnitOrder, spare: str | None = None) -> None:
         """Start a unit with this computer's code and clock; see `Backend.start`."""
         prepared = None if spare is None else self._spares.get(spare)
         if spare is None or prepared is None or prepared.changed_file() is not None:
@@ -207,16 +154,16 @@ class ProcessBackend:
         del self._spares[spare]
         prepared.name, prepared.is_spare, prepared.trouble = order.unit, False, ""
         self._by_name[order.unit] = prepared
-        self._events.append(SpareUsed(order.unit, spare))
-        self._tell(prepared, BeginUnit(order.unit, order.state))
+        self._events.append(events.SpareUsed(order.unit, spare))
+        self._tell(prepared, messages.BeginUnit(order.unit, order.state))
 
     def prepare(self, spare: str, transformation: Transformation, host: str | None) -> None:  # noqa: ARG002
         self.prepare_unit(unit_order(spare, transformation, None))
 
-    def prepare_unit(self, order: UnitOrder) -> None:
+    def prepare_unit(self, order: messages.UnitOrder) -> None:
         """Prepare a spare with this computer's code and clock; see `Backend.prepare`."""
         self.discard(order.unit)
-        child = self._fork(order.unit, SpareOrder(self._here(order)))
+        child = self._fork(order.unit, messages.SpareOrder(self._here(order)))
         place = Path(self._code_folder, order.source.rpartition(":")[0])
         changed = changed_ns(place)
         if child is not None:
@@ -234,12 +181,12 @@ class ProcessBackend:
         self.run_folder.tell_clock(self.clock_offset_ns - ahead_ns)
         for child in self._children.values():
             if child.name != RELAY:
-                self._tell(child, SetClock(self.clock_offset_ns - ahead_ns))
+                self._tell(child, messages.SetClock(self.clock_offset_ns - ahead_ns))
 
     def open_relay(self) -> socket.socket:
         """The relay's end of its connection: wires from and to RELAY are led there. Raises OSError."""
         ours, theirs = socket.socketpair()
-        relay = ChildProcess(_NO_PROCESS, RELAY, ControlConnection(ours, FromChild), PrintedLines(ours))
+        relay = ChildProcess(_NO_PROCESS, RELAY, ControlConnection(ours, messages.FromChild), PrintedLines(ours))
         self._children[_NO_PROCESS] = self._by_name[RELAY] = relay
         self._ends.watch(ours, lambda: self._hear(relay))
         return theirs
@@ -249,13 +196,13 @@ class ProcessBackend:
         if not self._nursery.is_open:
             self._nursery_socket = self._nursery.open()
             self._ends.watch(self._nursery_socket, self._hear_nursery)
-            self._events.append(HelperAlive(NURSERY_HELPER, _HELPER_START_S))
+            self._events.append(events.HelperAlive(NURSERY_HELPER, _HELPER_START_S))
 
-    def tell_relay(self, message: ToRelay) -> None:
+    def tell_relay(self, message: messages.ToRelay) -> None:
         """Have the relay do something."""
         self._tell(self._by_name[RELAY], message)
 
-    def heard_from_relay(self) -> list[FromRelay]:
+    def heard_from_relay(self) -> list[messages.FromRelay]:
         """What the relay has said since the last call."""
         heard, self._from_relay = self._from_relay, []
         return heard
@@ -264,7 +211,7 @@ class ProcessBackend:
         child = self._by_name.get(unit)
         if child is not None:
             child.is_stopping = True
-            self._tell(child, Finish())
+            self._tell(child, messages.Finish())
 
     def kill(self, unit: str, *, dump: bool = False) -> None:
         child = self._by_name.get(unit)
@@ -277,7 +224,7 @@ class ProcessBackend:
         try:
             sender, receiver = socket_pair()
         except OSError as error:
-            self._events.append(InputLost(inlet.unit or None, inlet.port, wire))
+            self._events.append(events.InputLost(inlet.unit or None, inlet.port, wire))
             self._run_short(f"{stream} can't be connected to {inlet}", error)
             return
         self._is_short = bool(self._unopened)
@@ -285,28 +232,28 @@ class ProcessBackend:
         if consumer is None:
             receiver.close()
         else:
-            self._tell(consumer, Feed(inlet.port, wire), [receiver])
+            self._tell(consumer, messages.Feed(inlet.port, wire), [receiver])
         if producer is None:
             sender.close()
         else:
-            self._tell(producer, Serve(stream.port, wire, queue, blocks), [sender])
+            self._tell(producer, messages.Serve(stream.port, wire, queue, blocks), [sender])
 
     def disconnect(self, wire: int, inlet: Inlet) -> None:
         child = self._by_name.get(inlet.unit)
         if child is not None:
-            self._tell(child, Cut(inlet.port, wire))
+            self._tell(child, messages.Cut(inlet.port, wire))
 
     def end_wire(self, wire: int, stream: Stream, inlet: Inlet) -> None:
         producer, consumer = self._by_name.get(stream.unit), self._by_name.get(inlet.unit)
         if consumer is not None:
-            self._tell(consumer, End(inlet.port, wire))
+            self._tell(consumer, messages.End(inlet.port, wire))
         if producer is not None:
-            self._tell(producer, Unserve(stream.port, wire))
+            self._tell(producer, messages.Unserve(stream.port, wire))
 
     def switch_now(self, inlet: Inlet) -> None:
         child = self._by_name.get(inlet.unit)
         if child is not None:
-            self._tell(child, SwitchNow(inlet.port))
+            self._tell(child, messages.SwitchNow(inlet.port))
 
     def open_outlet(self, topic: str, host: str | None) -> None:  # noqa: ARG002
         self._topics.append(topic)
@@ -320,7 +267,7 @@ class ProcessBackend:
         self._unopened.discard(topic)
         self.run_folder.forget(topic)
         if OUTLETS in self._by_name:
-            self._tell(self._by_name[OUTLETS], CloseOutlet(topic))
+            self._tell(self._by_name[OUTLETS], messages.CloseOutlet(topic))
 
     def renew(self, helper: str) -> None:
         if helper == NURSERY_HELPER:
@@ -351,18 +298,18 @@ class ProcessBackend:
 
     def _start_outlets(self) -> None:
         self._outlets_due_s, self._outlets_since_s = None, self.now()
-        order = OutletOrder(str(self.run_folder.path), _OUTLET_QUEUE, self.clock_offset_ns - self._ahead_ns)
+        order = messages.OutletOrder(str(self.run_folder.path), _OUTLET_QUEUE, self.clock_offset_ns - self._ahead_ns)
         child = self._fork(OUTLETS, order)
         if child is not None:
-            self._events.append(HelperAlive(OUTLETS_HELPER, _HELPER_START_S))
+            self._events.append(events.HelperAlive(OUTLETS_HELPER, _HELPER_START_S))
             if self._outlets_lost:
-                self._events.append(OutletsOpened())
+                self._events.append(events.OutletsOpened())
             for topic in self._topics:
                 self._open(child, topic)
 
     def _open(self, outlets: ChildProcess, topic: str) -> None:
         try:
-            self._tell(outlets, OpenOutlet(topic), [self.run_folder.listen(topic)])
+            self._tell(outlets, messages.OpenOutlet(topic), [self.run_folder.listen(topic)])
             self._unopened.discard(topic)
         except OSError as error:
             self._unopened.add(topic)
@@ -372,17 +319,17 @@ class ProcessBackend:
         if not self._is_short:
             self._is_short = True
             mend = "; raise the limit of open files (ulimit -n)" if error.errno in _NO_DESCRIPTOR else ""
-            self._events.append(OutOfDescriptors(f"{what}: {error.strerror}{mend}"))
+            self._events.append(events.OutOfDescriptors(f"{what}: {error.strerror}{mend}"))
 
     def _lose_outlets(self, cause: str) -> None:
         """Report that the outlets were lost. They are made anew at once the first time, later after losses in a row."""
         lived_well = self.now() - self._outlets_since_s >= _GOOD_LIFE_S
         self._outlets_lost = 1 if lived_well else self._outlets_lost + 1
-        self._events += [HelperAlive(OUTLETS_HELPER, inf), OutletsLost(cause)]
+        self._events += [events.HelperAlive(OUTLETS_HELPER, inf), events.OutletsLost(cause)]
         if self._topics:
             self._outlets_due_s = self.now() + doubling_s(self._outlets_lost, _AGAIN_S, _MOST_AGAIN_S)
 
-    def _fork(self, name: str, order: ChildOrder) -> ChildProcess | None:
+    def _fork(self, name: str, order: messages.ChildOrder) -> ChildProcess | None:
         """Have a child made. If the system has no room, report the child as dead and return None."""
         ends: list[socket.socket] = []
         try:
@@ -393,15 +340,15 @@ class ProcessBackend:
             for end in ends:
                 end.close()
             cause = f"no process can be made: {error.strerror}"
-            if isinstance(order, SpareOrder):
-                self._events.append(SpareLost(name, cause))
+            if isinstance(order, messages.SpareOrder):
+                self._events.append(events.SpareLost(name, cause))
             else:
                 self._tell_end(name, cause, was_asked=False)
             return None
         self._serial += 1
         ours, theirs, printed, printing = ends
-        child = ChildProcess(self._serial, name, ControlConnection(ours, FromChild), PrintedLines(printed))
-        child.is_spare = isinstance(order, SpareOrder)
+        child = ChildProcess(self._serial, name, ControlConnection(ours, messages.FromChild), PrintedLines(printed))
+        child.is_spare = isinstance(order, messages.SpareOrder)
         self._children[child.serial] = (self._spares if child.is_spare else self._by_name)[name] = child
         self._ends.watch(ours, lambda: self._hear(child))
         self._ends.watch(printed, lambda: self._hear_print(child))
@@ -409,18 +356,18 @@ class ProcessBackend:
         return child
 
     def _hear_nursery(self) -> None:
-        self._events.append(HelperAlive(NURSERY_HELPER, HELPER_S))
+        self._events.append(events.HelperAlive(NURSERY_HELPER, HELPER_S))
         for message in self._nursery.hear():
-            child = None if isinstance(message, Alive) else self._children.get(message.serial)
+            child = None if isinstance(message, messages.Alive) else self._children.get(message.serial)
             match message:
-                case Forked(_, pid) if child is not None:
+                case messages.Forked(_, pid) if child is not None:
                     child.pid = pid
                     if self._cpu is not None and child.name != OUTLETS:
                         self._cpu.take(pid)
                     self._tell_ready(child)
-                case Gone(_, status) if child is not None:
+                case messages.Gone(_, status) if child is not None:
                     self._bury(child, status)
-                case NotForked(_, cause) if child is not None:
+                case messages.NotForked(_, cause) if child is not None:
                     child.trouble = cause
                     self._bury(child, 0)
         if self._nursery.has_died:
@@ -430,7 +377,7 @@ class ProcessBackend:
         assert self._nursery_socket is not None
         self._ends.unwatch(self._nursery_socket)
         self._nursery.close()
-        self._events.append(HelperAlive(NURSERY_HELPER, inf))
+        self._events.append(events.HelperAlive(NURSERY_HELPER, inf))
         for child in [child for child in self._children.values() if child.serial != _NO_PROCESS]:
             child.trouble = child.trouble or "killed together with the nursery"
             self._bury(child, 0)
@@ -447,13 +394,13 @@ class ProcessBackend:
         if not child.is_spare:
             self._tell_end(child.name, cause, was_asked=child.is_stopping)
         elif is_wanted:
-            self._events.append(SpareLost(child.name, cause))
+            self._events.append(events.SpareLost(child.name, cause))
 
     def _tell_end(self, name: str, cause: str, *, was_asked: bool) -> None:
         if name == OUTLETS:
             self._lose_outlets(cause)
         else:
-            self._events.append(UnitStopped(name) if was_asked else UnitDied(name, cause))
+            self._events.append(events.UnitStopped(name) if was_asked else events.UnitDied(name, cause))
 
     def _forget(self, child: ChildProcess) -> None:
         self._children.pop(child.serial, None)
@@ -478,47 +425,47 @@ class ProcessBackend:
 
     def _hear_print(self, child: ChildProcess) -> bool:
         lines, is_open = child.printed.read()
-        self._events.extend(UnitPrinted(child.name, line) for line in lines)
+        self._events.extend(events.UnitPrinted(child.name, line) for line in lines)
         if not is_open:
             self._ends.unwatch(child.printed.socket)
         return bool(lines) and is_open
 
-    def _understand(self, child: ChildProcess, message: FromChild) -> None:
+    def _understand(self, child: ChildProcess, message: messages.FromChild) -> None:
         name = child.name
         match message:
-            case Ready(cpu_ns):
+            case messages.Ready(cpu_ns):
                 child.labor_us = cpu_ns // 1000
                 self._tell_ready(child)
-            case Prepared(cpu_ns, changed):
+            case messages.Prepared(cpu_ns, changed):
                 child.due_s, child.changed_ns = inf, child.changed_ns | changed
                 if self._spares.get(name) is child:
-                    self._events.append(SparePrepared(name, cpu_ns // 1000))
-            case Switched(_, wire):
-                self._events.append(WireSwitched(wire))
-            case Lost(port, wire):
-                self._events.append(InputLost(name or None, port, wire))
-            case Trouble("exited" | "failed", step, text):
+                    self._events.append(events.SparePrepared(name, cpu_ns // 1000))
+            case messages.Switched(_, wire):
+                self._events.append(events.WireSwitched(wire))
+            case messages.Lost(port, wire):
+                self._events.append(events.InputLost(name or None, port, wire))
+            case messages.Trouble("exited" | "failed", step, text):
                 child.trouble = f"{text.strip()} (in step {step})" if step else text.strip()
-            case Trouble(kind, step, text, suppressed):
-                self._events.append(UnitFailed(name, kind, step, text, suppressed))
-            case Exhausted():
-                self._events.append(SourceExhausted(name))
-            case Flowing(flows):
-                self._events += [HelperAlive(OUTLETS_HELPER, HELPER_S), TopicsStatus(flows)]
-            case ImportUnused() | Marked():
+            case messages.Trouble(kind, step, text, suppressed):
+                self._events.append(events.UnitFailed(name, kind, step, text, suppressed))
+            case messages.Exhausted():
+                self._events.append(events.SourceExhausted(name))
+            case messages.Flowing(flows):
+                self._events += [events.HelperAlive(OUTLETS_HELPER, HELPER_S), events.TopicsStatus(flows)]
+            case messages.ImportUnused() | messages.Marked():
                 self._from_relay.append(message)
-            case Unserved(topic, cause):
-                self._events.append(OutOfDescriptors(f"subscribers of {topic} wait: {cause}"))
-            case UnitSign(steps, errors, inputs, outputs, state):
+            case messages.Unserved(topic, cause):
+                self._events.append(events.OutOfDescriptors(f"subscribers of {topic} wait: {cause}"))
+            case messages.UnitSign(steps, errors, inputs, outputs, state):
                 child.steps = steps
-                self._events.append(UnitStatus(name, steps, errors, inputs, outputs, state))
+                self._events.append(events.UnitStatus(name, steps, errors, inputs, outputs, state))
 
     def _tell_ready(self, child: ChildProcess) -> None:
         """Report a unit as ready once it has said so and its process id is known, in either order."""
         if child.name != OUTLETS and child.pid is not None and child.labor_us is not None:
-            self._events.append(UnitReady(child.name, child.labor_us))
+            self._events.append(events.UnitReady(child.name, child.labor_us))
 
-    def _here(self, order: UnitOrder) -> UnitOrder:
+    def _here(self, order: messages.UnitOrder) -> messages.UnitOrder:
         """An order with this computer's code folder and clock."""
         offset_ns = self.clock_offset_ns - self._ahead_ns
         return msgspec.structs.replace(order, folder=self._code_folder, clock_offset_ns=offset_ns)

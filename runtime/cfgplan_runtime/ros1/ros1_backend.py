@@ -15,17 +15,8 @@ import msgspec
 from cfgplan.domain import Stream, Transformation
 from cfgplan.errors import InputError
 from cfgplan.ros.node_api import SilentError
+from cfgplan_runtime.children import messages
 from cfgplan_runtime.children.control import ControlConnection
-from cfgplan_runtime.children.messages import (
-    CloseOutlet,
-    Cut,
-    End,
-    Lost,
-    OpenOutlet,
-    PortCounts,
-    Switched,
-    SwitchNow,
-)
 from cfgplan_runtime.processes.child_process import cpu_us, end_of_process, memory_bytes
 from cfgplan_runtime.processes.nursery_link import start_helper
 from cfgplan_runtime.ros1.node_process import NodeProcess
@@ -45,23 +36,9 @@ from cfgplan_runtime.ros1.ros_master import RosMaster, forget_node
 from cfgplan_runtime.ros1.ros_unit import RosUnit, executable, graph_word, node_source
 from cfgplan_runtime.streams.ends import Ends, Posted
 from cfgplan_runtime.streams.run_folder import RunFolder
+from cfgplan_runtime.supervision import events
 from cfgplan_runtime.supervision.backend import Inlet, Usage
 from cfgplan_runtime.supervision.delays import doubling_s
-from cfgplan_runtime.supervision.events import (
-    Event,
-    HelperAlive,
-    InputLost,
-    OutletsLost,
-    OutletsOpened,
-    OutOfDescriptors,
-    TopicsStatus,
-    UnitDied,
-    UnitPrinted,
-    UnitReady,
-    UnitStatus,
-    UnitStopped,
-    WireSwitched,
-)
 
 _RELAY_CODE = "from cfgplan_runtime.ros1.topic_relay import main; main()"
 _RELAY_HELPER = "relay of topics"
@@ -123,7 +100,7 @@ class Ros1Backend:
         self._folder = (folder or Path.cwd()).resolve()
         self._ends = Ends()
         self._posted = Posted(self._ends)
-        self._events: list[Event] = []
+        self._events: list[events.Event] = []
         self._nodes: dict[str, _UnitNode] = {}
         self._units: dict[str, str] = {}
         """The unit of each node by the node's name."""
@@ -155,7 +132,7 @@ class Ros1Backend:
     def wake(self) -> None:
         self._posted.wake()
 
-    def wait(self, timeout_s: float | None) -> Sequence[Event]:
+    def wait(self, timeout_s: float | None) -> Sequence[events.Event]:
         if self._relay_due_s is not None:
             left_s = max(0.0, self._relay_due_s - self.now())
             timeout_s = left_s if timeout_s is None else min(timeout_s, left_s)
@@ -163,8 +140,8 @@ class Ros1Backend:
         self._posted.do()
         if self._relay_due_s is not None and self._relay_due_s <= self.now():
             self._start_relay()
-        events, self._events = self._events, []
-        return events
+        happened, self._events = self._events, []
+        return happened
 
     def start(
         self,
@@ -179,7 +156,7 @@ class Ros1Backend:
             name = source.name if source.kind == "external" else self._free_name(unit)
             self._begin(_UnitNode(unit, RosUnit(name, source, transformation)))
         except (InputError, SilentError, OSError) as error:
-            self._events.append(UnitDied(unit, f"can't be started: {error}"))
+            self._events.append(events.UnitDied(unit, f"can't be started: {error}"))
 
     def prepare(self, spare: str, transformation: Transformation, host: str | None) -> None:
         """Do nothing: a node that waits would run."""
@@ -212,7 +189,7 @@ class Ros1Backend:
     def connect(self, wire: int, stream: Stream, inlet: Inlet, *, queue: int, blocks: bool) -> None:  # noqa: ARG002
         producer, consumer = self._nodes.get(stream.unit), self._nodes.get(inlet.unit)
         if producer is None or (consumer is None and not inlet.is_outlet):
-            self._events.append(InputLost(inlet.unit or None, inlet.port, wire))
+            self._events.append(events.InputLost(inlet.unit or None, inlet.port, wire))
             return
         target = inlet.port if consumer is None else consumer.ros.listens_at(inlet.input)
         publisher = producer.ros.name if producer.ros.is_foreign else None
@@ -224,22 +201,22 @@ class Ros1Backend:
 
     def disconnect(self, wire: int, inlet: Inlet) -> None:
         self._leads.pop(wire, None)
-        self._tell(Cut(str(inlet), wire))
+        self._tell(messages.Cut(str(inlet), wire))
 
     def end_wire(self, wire: int, stream: Stream, inlet: Inlet) -> None:  # noqa: ARG002
         self._leads.pop(wire, None)
-        self._tell(End(str(inlet), wire))
+        self._tell(messages.End(str(inlet), wire))
 
     def switch_now(self, inlet: Inlet) -> None:
-        self._tell(SwitchNow(str(inlet)))
+        self._tell(messages.SwitchNow(str(inlet)))
 
     def open_outlet(self, topic: str, host: str | None) -> None:  # noqa: ARG002
         self._topics.append(topic)
-        self._tell(OpenOutlet(topic))
+        self._tell(messages.OpenOutlet(topic))
 
     def close_outlet(self, topic: str) -> None:
         self._topics.remove(topic)
-        self._tell(CloseOutlet(topic))
+        self._tell(messages.CloseOutlet(topic))
         with suppress(SilentError):  # who asks for topics from now on does not find it
             self.master.ask_as(self._relay_node, "unregisterPublisher", topic, self._relay_address)
 
@@ -294,7 +271,7 @@ class Ros1Backend:
 
     def note_late(self, node: str, topics: list[str]) -> None:
         line = f"cfgplan: {node} does not publish {', '.join(topics)}: what is it called in its code (`remap`)?"
-        self._post(node, lambda of: self._events.append(UnitPrinted(of.unit, line)))
+        self._post(node, lambda of: self._events.append(events.UnitPrinted(of.unit, line)))
 
     def note_silence(self, node: str) -> None:
         self._post(node, self._note_silence)
@@ -312,19 +289,19 @@ class Ros1Backend:
     def _tell_ready(self, node: _UnitNode, address: str) -> None:
         node.address = address
         usage = self.usage(node.unit)
-        self._events.append(UnitReady(node.unit, 0 if usage is None else usage.cpu_us))
+        self._events.append(events.UnitReady(node.unit, 0 if usage is None else usage.cpu_us))
 
-    def _status(self, node: _UnitNode) -> UnitStatus:
+    def _status(self, node: _UnitNode) -> events.UnitStatus:
         """A sign of life, with what the relay has seen of a unit's streams."""
         outputs = {
-            port.name: PortCounts(self._passed.sources.get(node.ros.publishes_at(port.name), 0))
+            port.name: messages.PortCounts(self._passed.sources.get(node.ros.publishes_at(port.name), 0))
             for port in node.ros.transformation.outputs
         }
         inputs = {}
         for inlet, lead in self._leads.values():
             if inlet.unit == node.unit and lead.inlet in self._passed.inlets:
                 inputs[inlet.port] = self._passed.inlets[lead.inlet]
-        return UnitStatus(node.unit, sum(counts.elements for counts in outputs.values()), 0, inputs, outputs)
+        return events.UnitStatus(node.unit, sum(counts.elements for counts in outputs.values()), 0, inputs, outputs)
 
     def _note_silence(self, node: _UnitNode) -> None:
         if node.process is None and (node.group is None or node.group.process is None):
@@ -374,7 +351,7 @@ class Ros1Backend:
 
     def _hear_print(self, process: NodeProcess, unit: str) -> bool:
         lines, is_open = process.printed.read()
-        self._events.extend(UnitPrinted(unit, line) for line in lines)
+        self._events.extend(events.UnitPrinted(unit, line) for line in lines)
         if not is_open:
             self._ends.unwatch(process.printed.socket)
         return bool(lines) and is_open
@@ -402,7 +379,7 @@ class Ros1Backend:
         if node.process is not None and node.address is not None:
             self._to_master.submit(forget_node, self.master.address, node.ros.name, node.address)
         self._tell(CloseInlets(node.unit))
-        self._events.append(UnitStopped(node.unit) if node.is_stopping else UnitDied(node.unit, cause))
+        self._events.append(events.UnitStopped(node.unit) if node.is_stopping else events.UnitDied(node.unit, cause))
 
     # Nodelets.
 
@@ -432,7 +409,7 @@ class Ros1Backend:
                 self._bury(node, cause)
             elif known is node:
                 node.is_loaded = True
-                self._events.append(UnitReady(node.unit, labor_us))
+                self._events.append(events.UnitReady(node.unit, labor_us))
                 if node.is_leaving:
                     self._unload_now(node, group)
 
@@ -512,32 +489,32 @@ class Ros1Backend:
         try:
             relay = self._relay = _Relay(order)
         except OSError as error:
-            self._events.append(OutOfDescriptors(f"the relay of topics can't be started: {error.strerror}"))
+            self._events.append(events.OutOfDescriptors(f"the relay of topics can't be started: {error.strerror}"))
             self._plan_relay()
             return
         self._ends.watch(relay.control.socket, lambda: self._hear_relay(relay))
-        self._events.append(HelperAlive(_RELAY_HELPER, _RELAY_START_S))
+        self._events.append(events.HelperAlive(_RELAY_HELPER, _RELAY_START_S))
         for topic in self._topics:
-            self._tell(OpenOutlet(topic))
+            self._tell(messages.OpenOutlet(topic))
         if self._relay_losses:
             self._leads = {wire: one for wire, one in self._leads.items() if not one[0].is_outlet}
             for _, lead in self._leads.values():
                 self._tell(lead)
-            self._events.append(OutletsOpened())
+            self._events.append(events.OutletsOpened())
 
     def _hear_relay(self, relay: _Relay) -> None:
         for message in relay.hear():
             match message:
                 case Listening(address):
                     self._relay_address = address
-                case Switched(_, wire):
+                case messages.Switched(_, wire):
                     self._note_switch(wire)
-                case Lost(_, wire) if wire in self._leads:
+                case messages.Lost(_, wire) if wire in self._leads:
                     inlet, _ = self._leads.pop(wire)
-                    self._events.append(InputLost(inlet.unit or None, inlet.port, wire))
+                    self._events.append(events.InputLost(inlet.unit or None, inlet.port, wire))
                 case Passed(_, _, flows):
                     self._passed = message
-                    self._events += [HelperAlive(_RELAY_HELPER, _RELAY_S), TopicsStatus(flows)]
+                    self._events += [events.HelperAlive(_RELAY_HELPER, _RELAY_S), events.TopicsStatus(flows)]
                     self._relay_losses = 0
                 case Refused(topic, cause):
                     self._tell_refusal(topic, cause)
@@ -555,12 +532,12 @@ class Ros1Backend:
             self._leads = {
                 other: one for other, one in self._leads.items() if other >= wire or one[0] != inlet
             }  # what it has replaced
-        self._events.append(WireSwitched(wire))
+        self._events.append(events.WireSwitched(wire))
 
     def _tell_refusal(self, topic: str, cause: str) -> None:
         unit = next((inlet.unit for inlet, lead in self._leads.values() if lead.target == topic), "")
         if unit:
-            self._events.append(UnitPrinted(unit, f"cfgplan: {topic}: {cause}"))
+            self._events.append(events.UnitPrinted(unit, f"cfgplan: {topic}: {cause}"))
 
     def _lose_relay(self) -> None:
         """End the relay and report that. It is made anew at once the first time, later after losses in a row."""
@@ -570,7 +547,10 @@ class Ros1Backend:
         status = self._relay.close()
         self._relay = None
         self._plan_relay()
-        self._events += [HelperAlive(_RELAY_HELPER, inf), OutletsLost(f"the relay was {end_of_process(status)}")]
+        self._events += [
+            events.HelperAlive(_RELAY_HELPER, inf),
+            events.OutletsLost(f"the relay was {end_of_process(status)}"),
+        ]
 
     def _plan_relay(self) -> None:
         self._relay_losses += 1

@@ -11,47 +11,10 @@ from dataclasses import replace
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Transformation
 from cfgplan_runtime.errors import ApplyError, RuntimeFaultError, StaleChangeSetError
+from cfgplan_runtime.supervision import events, updates
 from cfgplan_runtime.supervision.backend import Backend, Found, Inlet
-from cfgplan_runtime.supervision.events import (
-    Applied,
-    Event,
-    HelperAlive,
-    HelperHung,
-    HostJoined,
-    HostLost,
-    InputLost,
-    OutletsOpened,
-    RolledBack,
-    SpareLost,
-    SparePrepared,
-    UnitDied,
-    UnitFailed,
-    UnitHung,
-    UnitReady,
-    UnitStatus,
-    UnitStopped,
-    UnitTooLarge,
-    WireSwitched,
-)
 from cfgplan_runtime.supervision.observation import Observation, UnitRecord
 from cfgplan_runtime.supervision.spares import MEGABYTE, Spares
-from cfgplan_runtime.supervision.updates import (
-    Believe,
-    CarriedOut,
-    CloseTopic,
-    Command,
-    Connect,
-    Disconnect,
-    EndUnit,
-    GoOver,
-    OpenTopic,
-    Patience,
-    StartUnit,
-    StopUnit,
-    WaitUntil,
-    carry_out,
-    environment_after,
-)
 from cfgplan_runtime.supervision.wiring import Wire, Wiring, without_feed
 
 HANG_S = 10.0
@@ -72,7 +35,7 @@ class Supervisor:
     The update under way sees it as `applying.Actual`; nobody else changes that state.
     """
 
-    def __init__(self, backend: Backend, environment: Environment, report: Callable[[Event], None]) -> None:
+    def __init__(self, backend: Backend, environment: Environment, report: Callable[[events.Event], None]) -> None:
         self.backend = backend
         self.environment = environment
         self.wiring = Wiring(backend)
@@ -80,14 +43,14 @@ class Supervisor:
         self.alive: set[str] = set()
         self.ready: set[str] = set()
         self.topics: dict[str, str | None] = {}
-        self.hosts: dict[str, HostJoined | HostLost] = {}
+        self.hosts: dict[str, events.HostJoined | events.HostLost] = {}
         """The last that was heard of each host; nothing of hosts that the backend does not tell of."""
         self.cause_of_death: dict[str, str] = {}
         self.is_ending = False
         self.is_abandoned = False
         self._report = report
-        self._applied: dict[str, Applied] = {}
-        self._update_patience = Patience()
+        self._applied: dict[str, events.Applied] = {}
+        self._update_patience = updates.Patience()
         """That of the last update."""
         self._records: dict[str, UnitRecord] = {}
         self._states: dict[str, bytes] = {}
@@ -113,9 +76,9 @@ class Supervisor:
         *,
         id: str | None = None,  # noqa: A002
         basis: Environment | None = None,
-        patience: Patience | None = None,
+        patience: updates.Patience | None = None,
         keeps_new: bool = False,
-    ) -> Applied:
+    ) -> events.Applied:
         """Carry out a change set as a whole or not at all; the same `id` is carried out once.
 
         `basis` is the environment that it was planned for. Raises StaleChangeSetError if that, or what the
@@ -126,25 +89,25 @@ class Supervisor:
             return self._applied[id]
         if basis is not None and basis.units != self.environment.units:
             raise StaleChangeSetError("the change set was planned for other running units than there are now")
-        after = environment_after(self.environment, change_set, self.lost_hosts)
+        after = updates.environment_after(self.environment, change_set, self.lost_hosts)
         name = id or uuid.uuid4().hex[:12]
         self.cause_of_death.clear()
         self.is_abandoned = False
-        self._update_patience = patience or Patience()
+        self._update_patience = patience or updates.Patience()
         again = self._stopping.keys() & {unit.id for unit in change_set.started}
-        self._wait(WaitUntil(lambda: self._stopping.keys().isdisjoint(again), self._update_patience.kill_s))
+        self._wait(updates.WaitUntil(lambda: self._stopping.keys().isdisjoint(again), self._update_patience.kill_s))
         try:
-            commands = carry_out(self, change_set, after, self._update_patience, keeps_new=keeps_new)
+            commands = updates.carry_out(self, change_set, after, self._update_patience, keeps_new=keeps_new)
             carried = self._drive(commands)
         except ApplyError as error:
             self.spares.keep(self.environment, self.now())
-            self._report(RolledBack(name, str(error)))
+            self._report(events.RolledBack(name, str(error)))
             raise
         finally:
             self.wiring.settle()
         self.environment = carried.environment
         self.spares.keep(self.environment, self.now())
-        applied = self._applied[name] = Applied(name, dict(carried.seconds), carried.unswitched)
+        applied = self._applied[name] = events.Applied(name, dict(carried.seconds), carried.unswitched)
         if len(self._applied) > _MOST_REMEMBERED:
             del self._applied[next(iter(self._applied))]
         self._report(applied)
@@ -183,12 +146,12 @@ class Supervisor:
         wire = self.wiring.feeds[inlet]
         self.wiring.disconnect(inlet)
         self.environment = without_feed(self.environment, inlet, wire.stream)
-        self._report(InputLost(unit, port, wire.id))
+        self._report(events.InputLost(unit, port, wire.id))
 
     @property
     def lost_hosts(self) -> set[str]:
         """The hosts of which the backend has last told that they are gone."""
-        return {host for host, last in self.hosts.items() if isinstance(last, HostLost)}
+        return {host for host, last in self.hosts.items() if isinstance(last, events.HostLost)}
 
     @property
     def feeds(self) -> Mapping[Inlet, Wire]:
@@ -223,42 +186,42 @@ class Supervisor:
                 self.ready.add(unit.id)
                 record.labor_us = found.labor_us[unit.id]
 
-    def _drive(self, commands: Generator[Command, None, CarriedOut]) -> CarriedOut:
+    def _drive(self, commands: Generator[updates.Command, None, updates.CarriedOut]) -> updates.CarriedOut:
         while True:
             try:
                 command = next(commands)
             except StopIteration as end:
-                carried: CarriedOut = end.value
+                carried: updates.CarriedOut = end.value
                 return carried
             self._obey(command)
 
-    def _obey(self, command: Command) -> None:
+    def _obey(self, command: updates.Command) -> None:
         match command:
-            case OpenTopic(topic, host):
+            case updates.OpenTopic(topic, host):
                 self.topics[topic] = host
                 self.backend.open_outlet(topic, host)
-            case CloseTopic(topic):
+            case updates.CloseTopic(topic):
                 self.topics.pop(topic, None)
                 self.backend.close_outlet(topic)
-            case StartUnit(unit, transformation):
+            case updates.StartUnit(unit, transformation):
                 self._start(unit, transformation)
-            case StopUnit(unit_id):
+            case updates.StopUnit(unit_id):
                 self.wiring.forget_inputs(unit_id)
                 self.backend.stop(unit_id)
-            case EndUnit(unit_id):
+            case updates.EndUnit(unit_id):
                 self.backend.kill(unit_id)
-            case Connect(stream, inlet):
+            case updates.Connect(stream, inlet):
                 self.wiring.connect(stream, inlet, self._library.get(inlet.unit))
-            case Disconnect(inlet):
+            case updates.Disconnect(inlet):
                 self.wiring.disconnect(inlet)
-            case GoOver(inlet):
+            case updates.GoOver(inlet):
                 self.backend.switch_now(inlet)
-            case Believe(environment):
+            case updates.Believe(environment):
                 self.environment = environment
-            case WaitUntil():
+            case updates.WaitUntil():
                 self._wait(command)
 
-    def _wait(self, until: WaitUntil) -> None:
+    def _wait(self, until: updates.WaitUntil) -> None:
         deadline = self.now() + until.patience_s
         while not until.holds() and self.now() < deadline:
             if self.is_ending:
@@ -280,59 +243,59 @@ class Supervisor:
         self.backend.start(unit.id, transformation, self._states.get(transformation.label), unit.host, spare)
 
     def _hear(self, timeout_s: float) -> None:
-        events = self.backend.wait(timeout_s)
+        happened = self.backend.wait(timeout_s)
         now = self.backend.now()
         if now - self._round_s > _LONGEST_ROUND_S:
             self._gaps_s += now - self._round_s
         self._round_s = now
-        for event in events:
+        for event in happened:
             if self._understand(event):
                 self._report(event)
 
-    def _understand(self, event: Event) -> bool:
+    def _understand(self, event: events.Event) -> bool:
         """Update the state by an event. Returns whether to report it to others."""
         match event:
-            case UnitReady(unit, labor_us) if unit in self._records:
+            case events.UnitReady(unit, labor_us) if unit in self._records:
                 self.ready.add(unit)
                 record = self._records[unit]
                 record.labor_us, record.sign_s = labor_us, self.now()
-            case UnitDied(unit, cause):
+            case events.UnitDied(unit, cause):
                 self.cause_of_death[unit] = cause
                 self._bury(unit)
                 self.environment = self.environment.without_unit(unit)
-            case UnitStopped(unit):
+            case events.UnitStopped(unit):
                 self._bury(unit)
-            case SparePrepared():
+            case events.SparePrepared():
                 return self.spares.note_prepared(event, self.now())
-            case SpareLost(unit):
+            case events.SpareLost(unit):
                 return self.spares.note_loss(unit, self.now())
-            case WireSwitched(wire):
+            case events.WireSwitched(wire):
                 self.wiring.note_switch(wire)
-            case InputLost(_, _, wire):
+            case events.InputLost(_, _, wire):
                 lost = self.wiring.note_loss(wire)
                 if lost is None:
                     return False
                 self.environment = without_feed(self.environment, lost.inlet, lost.stream)
-            case UnitStatus(unit):
+            case events.UnitStatus(unit):
                 self._note_status(unit, event)
-            case UnitFailed(unit):
+            case events.UnitFailed(unit):
                 if unit in self._records and event.text:
                     self._records[unit].failure = event
-            case HelperAlive(helper, patience_s):
+            case events.HelperAlive(helper, patience_s):
                 self._patience[helper] = self.now(), patience_s
                 return False
-            case OutletsOpened():
+            case events.OutletsOpened():
                 self._restore_outlets()
-            case HostLost(host, cause):
+            case events.HostLost(host, cause):
                 self.hosts[host] = event
                 self._lose(host, cause)
-            case HostJoined(host):
+            case events.HostJoined(host):
                 self.hosts[host] = event
                 for topic in [topic for topic, at in self.topics.items() if at == host]:
                     self.backend.open_outlet(topic, host)
         return True
 
-    def _note_status(self, unit: str, status: UnitStatus) -> None:
+    def _note_status(self, unit: str, status: events.UnitStatus) -> None:
         record = self._records.get(unit)
         if record is None:
             return
@@ -379,7 +342,7 @@ class Supervisor:
         for helper, (sign_s, silence_s) in list(self._patience.items()):
             if now - sign_s > silence_s:
                 del self._patience[helper]
-                self._report(HelperHung(helper, now - sign_s))
+                self._report(events.HelperHung(helper, now - sign_s))
                 self.backend.renew(helper)
         for unit in [unit for unit, (_, end_s) in self._stopping.items() if now >= end_s]:
             self.backend.kill(unit)
@@ -392,13 +355,13 @@ class Supervisor:
             patience_s = _patience_s(self._library[unit]) if unit in self.ready else self._patience_to_start_s
             if patience_s is not None and now - record.sign_s > patience_s:
                 record.killed_s = now
-                self._report(UnitHung(unit, now - record.sign_s))
+                self._report(events.UnitHung(unit, now - record.sign_s))
                 self.backend.kill(unit, dump=True)
             elif run.memory_mb is not None:
                 usage = self.backend.usage(unit)
                 if usage is not None and usage.memory_bytes > run.memory_mb * MEGABYTE:
                     record.killed_s = now
-                    self._report(UnitTooLarge(unit, usage.memory_bytes))
+                    self._report(events.UnitTooLarge(unit, usage.memory_bytes))
                     self.backend.kill(unit)
 
 
