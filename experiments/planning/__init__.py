@@ -29,17 +29,21 @@ VARIANTS: Mapping[str, Entrant] = MappingProxyType(
 )
 """The model with lazy cuts alone, with level variables in place of these, and that with CP-SAT's defaults."""
 
+ALL_SEEDS = frozenset({"cpsat", "highs", "scip", "clingo-usc"})
 ONE_SEED = frozenset({*PARTS, *LED, "clingo-bb"})
 MODELS, LARGE = frozenset({"levels-alone", "cpsat-defaults"}), 5_000
 
 
 def takes_part(instance: Instance, entrant: Entrant) -> bool:
-    """Whether an entrant runs on an instance: on every first seed all do, on the others who has a chance or tells most.
+    """Whether an entrant runs on an instance: the planner and its closest peers on all seeds, all on every first seed.
 
-    From `LARGE` transformations on a model without preprocessing has not even a plan within the limit.
+    The others run on the first three, unless they tell little there. From `LARGE` transformations on a model without
+    preprocessing has not even a plan within the limit.
     """
-    if instance.seed == SCALE_SEEDS[0]:
+    if instance.seed == SCALE_SEEDS[0] or entrant.name in ALL_SEEDS:
         return True
+    if entrant.name in ONE_SEED or instance.seed not in SCALE_SEEDS[:3]:
+        return False
     size = instance.parameters.get("transformations", 0)
     assert isinstance(size, int)
-    return entrant.name not in ONE_SEED and (entrant.name not in MODELS or size < LARGE)
+    return entrant.name not in MODELS or size < LARGE

@@ -34,7 +34,7 @@ OTHERS: Mapping[str, tuple[str, Mapping[str, int]]] = MappingProxyType(
     }
 )
 """The other families by name."""
-SCALE_SEEDS = (7310, 7311, 7312)
+SCALE_SEEDS = tuple(range(7310, 7320))
 """Other ones than those that the planner's constants were chosen on."""
 
 
@@ -44,7 +44,7 @@ def families() -> dict[str, tuple[str, Mapping[str, float]]]:
 
 
 def scale() -> Iterator[Instance]:
-    """Random libraries of 50 to 50,000 transformations, robots and transports, three of each family."""
+    """Random libraries of 50 to 50,000 transformations, robots and transports, ten of each family."""
     for family, parameters in families().values():
         for seed in SCALE_SEEDS:
             yield generated(family, seed, **parameters)
