@@ -148,7 +148,7 @@ def everyone(rows: Sequence[Row]) -> Table:
             )
     gaps = (f"bound at {GAPS_S:.0f} s", f"plan at {GAPS_S:.0f} s")
     heads = ("family", "planner", "proven", "s to proof", *gaps, "peak MB", f"lead of {BASE}")
-    title = "Every planner: geometric mean of its times to proof, worst gaps of bound and plan where it had none yet"
+    title = "Every planner: geometric mean and range of its times to proof, worst gaps of bound and plan where it had none yet"
     return Table(title, heads, tuple(lines))
 
 
@@ -194,7 +194,9 @@ def _proven(rows: Sequence[Row]) -> str:
 
 def _mean_s(rows: Sequence[Row]) -> str:
     times = [seconds(row) for row in rows if row.proven]
-    return f"{_geometric(times):.2g}" if times else "-"
+    if len(times) < 2:
+        return f"{times[0]:.2g}" if times else "-"
+    return f"{_geometric(times):.2g} ({min(times):.2g} to {max(times):.2g})"
 
 
 def _time(row: Row) -> str:
