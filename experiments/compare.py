@@ -91,7 +91,7 @@ def _options() -> argparse.Namespace:
     which.add_argument("--short", dest="suite", action="store_const", const="short", help="under five minutes")
     which.add_argument("--full", dest="suite", action="store_const", const="full", help="the study: half an hour")
     which.add_argument(
-        "--scale", dest="suite", action="store_const", const="scale", help="50 to 50,000 transformations: an hour"
+        "--scale", dest="suite", action="store_const", const="scale", help="50 to 50,000 transformations: two hours"
     )
     which.add_argument(
         "--instance",
