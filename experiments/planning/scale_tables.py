@@ -148,7 +148,7 @@ def everyone(rows: Sequence[Row]) -> Table:
             )
     gaps = (f"bound at {GAPS_S:.0f} s", f"plan at {GAPS_S:.0f} s")
     heads = ("family", "planner", "proven", "s to proof", *gaps, "peak MB", f"lead of {BASE}")
-    title = "Every planner: geometric mean and range of its times to proof, worst gaps of bound and plan where it had none yet"
+    title = "Every planner: mean and range of its times to proof, worst gaps of bound and plan where it had none yet"
     return Table(title, heads, tuple(lines))
 
 
