@@ -50,7 +50,7 @@ def test_rows_belong_to_the_family_of_their_parameters() -> None:
 
 def test_the_summary_names_the_closest_peer_and_the_mean_over_families() -> None:
     assert summary(ROWS).lines == (
-        ("50", "2 of 2", "1.4", "highs", "1.4", "1.4"),
+        ("50", "2 of 2", "1.4 (1 to 2)", "highs", "1.4", "1.4"),
         ("5,000", "0 of 1", "-", "highs", "1 open: bounds 0:1, plans 1:0", "1 open: bounds 0:1, plans 1:0"),
         ("geometric mean", "", "", "", "1.4 (families: 1)", "1.4 (families: 1)"),
     )
@@ -73,7 +73,7 @@ def test_planning_is_set_against_loading_and_building_against_solving() -> None:
 def test_gaps_of_what_is_not_proven_are_to_the_best_cost_of_all_planners() -> None:
     lines = {line[:2]: line[2:] for line in everyone(ROWS).lines}
     assert lines["5,000", "highs"] == ("0 of 1", "-", "-5.0%", "+10.0%", "10", "1 open: bounds 0:1, plans 1:0")
-    assert lines["50", "highs"] == ("2 of 2", "2", "", "", "10", "1.4")
+    assert lines["50", "highs"] == ("2 of 2", "2 (1 to 4)", "", "", "10", "1.4")
 
 
 def test_gaps_are_those_after_ten_seconds_also_of_what_is_proven_later() -> None:
