@@ -10,6 +10,8 @@ from types import MappingProxyType
 
 from cfgplan.planning import Problem
 from experiments.families.adversarial import adversarial
+from experiments.families.deployments import deployment
+from experiments.families.fleets import fleet
 from experiments.families.nao import nao
 from experiments.families.random_library import random_library, replanning
 from experiments.families.transport import transport
@@ -17,6 +19,8 @@ from experiments.families.transport import transport
 FAMILIES: Mapping[str, Callable[..., Problem]] = MappingProxyType(
     {
         "adversarial": adversarial,
+        "deployment": deployment,
+        "fleet": fleet,
         "nao": nao,
         "random_library": random_library,
         "replanning": replanning,
@@ -25,4 +29,4 @@ FAMILIES: Mapping[str, Callable[..., Problem]] = MappingProxyType(
 )
 """Each is called with a seed and keyword parameters; see its docstring for what these mean."""
 
-__all__ = ["FAMILIES", "adversarial", "nao", "random_library", "replanning", "transport"]
+__all__ = ["FAMILIES", "adversarial", "deployment", "fleet", "nao", "random_library", "replanning", "transport"]

@@ -5,15 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 from random import Random
 
-from cfgplan.domain import ComputationUnit, Environment, Host, OutputPort, Transformation
+from cfgplan.domain import ComputationUnit, Transformation
 from cfgplan.planning import Failures, Problem
 from cfgplan.qualities import MICRO, Better, Contribution, Over, QualityAttribute, QualityRule, Wish
+from experiments.families.fleets import fleet
 from experiments.families.random_library import random_library
 
 ERROR = QualityAttribute("error", Better.LOWER, worst=100 * MICRO)
 LATENCY = QualityAttribute("latency", Better.LOWER, worst=1000 * MICRO)
-SIZES = (64, 1_000, 20_000, 300_000)
-"""Bytes of an element: a number, a list, a scan, an image."""
 
 
 def plain(seed: int, transformations: int = 415, targets: int = 8) -> Problem:
@@ -41,15 +40,7 @@ def both(seed: int, transformations: int = 415, targets: int = 8) -> Problem:
 
 def hosted(seed: int, transformations: int = 415, targets: int = 8, *, hosts: int = 3, tight: bool = True) -> Problem:
     """Units are placed on some alike hosts, which bear about twice what the cheapest plan needs if it is `tight`."""
-    problem = plain(seed, transformations, targets)
-    random = Random(seed)
-    names = [f"h{i}" for i in range(hosts)]
-    library = tuple(_placed(random, t, names) for t in problem.environment.library)
-    share = 2 * 10_000 * 3 * targets * 5 // hosts
-    there = tuple(Host(name, share if tight else None) for name in names)
-    targets_at = tuple(replace(t, host=random.choice([None, *names])) for t in problem.environment.targets)
-    environment = Environment((), library, targets_at, there, (), transfer_us=20_000)
-    return replace(problem, environment=environment)
+    return fleet(seed, transformations=transformations, targets=targets, hosts=hosts, room=2 if tight else 0)
 
 
 def surviving(seed: int, transformations: int = 60, targets: int = 3) -> Problem:
@@ -86,18 +77,6 @@ def _stating(random: Random, transformation: Transformation) -> Transformation:
     stated = (error, Contribution("latency", QualityRule.ADD, latency))
     outputs = tuple(replace(port, quality=stated) for port in transformation.outputs)
     return replace(transformation, outputs=outputs)
-
-
-def _placed(random: Random, transformation: Transformation, names: list[str]) -> Transformation:
-    """A tenth is bound to one host, a fifth to some, the others may be anywhere."""
-    kind = random.random()
-    host = random.choice(names) if kind < 0.1 else None
-    hosts = tuple(random.sample(names, 2)) if 0.1 <= kind < 0.3 and len(names) > 2 else ()
-    outputs = tuple(
-        OutputPort(p.name, p.tag, rate_uhz=random.choice((1, 10, 30)) * MICRO, size_bytes=random.choice(SIZES))
-        for p in transformation.outputs
-    )
-    return replace(transformation, host=host, hosts=hosts, outputs=outputs)
 
 
 def _asking(problem: Problem, *wishes: Wish) -> Problem:

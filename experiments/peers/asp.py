@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Sequence
 from math import gcd
+from typing import NamedTuple
 
 import clingo
 
 from cfgplan.errors import InputError
 from cfgplan.planning import Plan, Problem, Progress, Status
 from cfgplan.reasons import unmet_reasons
+from experiments.peers.counting import Counting, is_counted
 from experiments.peers.lead import Lead, lead_apart
+from experiments.peers.placing import selection_of
 from experiments.peers.selection import Selection
 
 RULES = """
@@ -32,6 +37,32 @@ fed_port(U, P) :- feed(U, P, L).
 
 #minimize { C, U : run(U), cost(U, C) }.
 #show run/1.
+"""
+NUMBERS = """
+% at(L, H, N): at least N units of L are on H.
+{ at(L, H, 1..M) } :- most(L, H, M).
+:- at(L, H, N), N > 1, not at(L, H, N - 1).
+has(L, H) :- at(L, H, 1).
+used(H) :- has(L, H).
+runs(L) :- has(L, H).
+:- least(L, M), #count { H, N : at(L, H, N) } < M.
+:- greatest(L, M), #count { H, N : at(L, H, N) } > M.
+:- room(H, R, M), #sum { A, L, N : at(L, H, N), takes(L, H, R, A) } > M.
+:- conflict(L, O), runs(L), runs(O).
+:- conflict_on_host(L, O), has(L, H), has(O, H).
+:- beside(L, O), has(L, H), not has(O, H).
+
+% Targets, and inputs with their number of streams; whom limited streams feed.
+:- wanted(T), not runs(O) : gives(O, T).
+:- needs(L, T, K), runs(L), #count { O, H, N : at(O, H, N), gives(O, T) } < K.
+:- serves(O, P, M), #sum { K, L, I, H, N : at(L, H, N), taker(O, P, L, I, K); K, 0, I : targets(O, P, I, K);
+                           -M, O, H, N : at(O, H, N) } > 0.
+
+% Of hosts alike the first ones are used.
+:- next(G, H), used(H), not used(G).
+
+#minimize { C, L, H, N : at(L, H, N), cost(L, H, C); C, H : used(H), rent(H, C) }.
+#show at/3.
 """
 CORES = "usc,one,stratify"
 LARGEST_WEIGHT = 2**31 - 1
@@ -70,28 +101,88 @@ def _plan(
     is_led: bool = False,
 ) -> Plan:
     began = time.monotonic()
-    selection = Selection(problem, who)
+    if not is_led and is_counted(problem):
+        return _plan_numbers(Counting(problem, who), strategy, began, time_limit_s, report)
+    selection = Selection(problem, who) if is_led else selection_of(problem, who)
     if not all(map(selection.feeders, selection.wanted)):
         return Plan(who, Status.INFEASIBLE, reasons=unmet_reasons(problem))
-    scale = gcd(*(candidate.cost_us for candidate in selection.candidates)) or 1
-    if any(candidate.cost_us // scale > LARGEST_WEIGHT for candidate in selection.candidates):
-        raise InputError.of(f"{who} counts in 32 bits, and a cost is too large for it")
+    scale = _scale(who, [candidate.cost_us for candidate in selection.candidates])
     lead = lead_apart(problem, who, time_limit_s) if is_led else Lead(None, 0, [], [])
-    best, bound_us = lead.plan, lead.bound_us
-    known = [] if best is None else [f"--opt-mode=opt,{selection.cost_us(best) // scale}"]
-    control = clingo.Control([f"--opt-strategy={strategy}", *CHEAP_FIRST, *known, "--models=0", "--warn=none"])
+    best, best_us = lead.plan, None if lead.plan is None else selection.cost_us(lead.plan)
+    control = _control(strategy, None if best_us is None else best_us // scale)
     control.add("base", [], RULES + "\n".join((*_facts(selection, scale), *_known(lead))))
+    found = _optimum(control, scale, best_us, lead.bound_us, began, time_limit_s, report)
+    if found.is_infeasible and not is_led:
+        return Plan(who, Status.INFEASIBLE, seconds=found.seconds, counts=found.counts)
+    if found.shown is not None:
+        best = [symbol.arguments[0].number for symbol in found.shown]
+    return selection.answer(best, found.bound_us, seconds=found.seconds, counts=found.counts)
+
+
+def _plan_numbers(
+    counting: Counting,
+    strategy: str,
+    began: float,
+    time_limit_s: float | None,
+    report: Callable[[Progress], None] | None,
+) -> Plan:
+    if reasons := unmet_reasons(counting.problem):
+        return Plan(counting.who, Status.INFEASIBLE, reasons=reasons)
+    scale = _scale(counting.who, [*map(counting.cost_us, counting.most), *counting.rents_us.values()])
+    control = _control(strategy)
+    control.add("base", [], NUMBERS + "\n".join(_facts_of_numbers(counting, scale)))
+    found = _optimum(control, scale, None, 0, began, time_limit_s, report)
+    if found.is_infeasible:
+        return Plan(counting.who, Status.INFEASIBLE, seconds=found.seconds, counts=found.counts)
+    numbers = None
+    if found.shown is not None:
+        numbers = Counter((symbol.arguments[0].string, symbol.arguments[1].string) for symbol in found.shown)
+    return counting.answer(numbers, found.bound_us, seconds=found.seconds, counts=found.counts)
+
+
+def _scale(who: str, costs: Collection[int]) -> int:
+    scale = gcd(*costs) or 1
+    if max(costs, default=0) // scale > LARGEST_WEIGHT:
+        raise InputError.of(f"{who} counts in 32 bits, and a cost is too large for it")
+    return scale
+
+
+def _control(strategy: str, best: int | None = None) -> clingo.Control:
+    known = [] if best is None else [f"--opt-mode=opt,{best}"]
+    return clingo.Control([f"--opt-strategy={strategy}", *CHEAP_FIRST, *known, "--models=0", "--warn=none"])
+
+
+class _Found(NamedTuple):
+    """What the best model shows, None if there is none, which may be proven; `bound_us` is."""
+
+    shown: Sequence[clingo.Symbol] | None
+    is_infeasible: bool
+    bound_us: int
+    seconds: dict[str, float]
+    counts: dict[str, int]
+
+
+def _optimum(
+    control: clingo.Control,
+    scale: int,
+    best_us: int | None,
+    bound_us: int,
+    began: float,
+    time_limit_s: float | None,
+    report: Callable[[Progress], None] | None,
+) -> _Found:
+    """Ground and solve; a plan of `best_us` may be known before."""
     control.ground([("base", [])])
     built_s = time.monotonic() - began
+    shown: Sequence[clingo.Symbol] | None = None
 
     def tell() -> None:
         if report is not None:
-            cost_us = None if best is None else selection.cost_us(best)
-            report(Progress(time.monotonic() - began, cost_us, bound_us))
+            report(Progress(time.monotonic() - began, best_us, bound_us))
 
     def on_model(model: clingo.Model) -> None:
-        nonlocal best
-        best = [symbol.arguments[0].number for symbol in model.symbols(shown=True)]
+        nonlocal shown, best_us
+        shown, best_us = model.symbols(shown=True), sum(model.cost) * scale
         tell()
 
     def on_unsat(lower: Sequence[int]) -> None:
@@ -103,12 +194,15 @@ def _plan(
     with control.solve(on_model=on_model, on_unsat=on_unsat, async_=True) as handle:
         handle.wait(None if time_limit_s is None else max(0.0, time_limit_s - (time.monotonic() - began)))
         handle.cancel()
-        if handle.get().exhausted and best is not None:  # with a lead, its plan is the best if there was no model
-            bound_us = selection.cost_us(best)
+        is_over = bool(handle.get().exhausted)
+    if is_over and best_us is not None:  # with a lead, its plan is the best if there was no model
+        bound_us = best_us
     solving = control.statistics["solving"]["solvers"]
     counts = {"choices": int(solving["choices"]), "conflicts": int(solving["conflicts"])}
-    seconds = {"build": built_s, "search": time.monotonic() - began - built_s}
-    return selection.answer(best, bound_us, seconds=seconds, counts=counts)
+    is_infeasible = is_over and best_us is None
+    return _Found(
+        shown, is_infeasible, bound_us, {"build": built_s, "search": time.monotonic() - began - built_s}, counts
+    )
 
 
 def _facts(selection: Selection, scale: int) -> Iterator[str]:
@@ -137,6 +231,8 @@ def _facts(selection: Selection, scale: int) -> Iterator[str]:
                 yield f"picky{back}({i},{name},{use(port.tag)}). group({i},{name},{group})."
     yield from (f"wanted({use(tag)})." for tag in selection.wanted)
     yield from (f"kept({i})." for i in sorted(selection.kept))
+    for limit in selection.limits:
+        yield f":- #sum {{ {'; '.join(f'{n},{i} : run({i})' for i, n in limit.takes.items())} }} > {limit.most}."
     for tag, tag_number in used.items():
         yield from (f"gives({i},{tag_number})." for i in selection.feeders(tag))
 
@@ -145,3 +241,32 @@ def _known(lead: Lead) -> Iterator[str]:
     for least, members in lead.landmarks:
         yield f":- #sum {{ {'; '.join(f'{n},{i} : run({i})' for i, n in members.items())} }} < {least}."
     yield from (f":- run({i})." for i in lead.dropped)
+
+
+def _facts_of_numbers(counting: Counting, scale: int) -> Iterator[str]:
+    environment = counting.problem.environment
+
+    def fact(name: str, *parts: str | int) -> str:
+        return f"{name}({','.join(json.dumps(part, ensure_ascii=False) for part in parts)})."
+
+    for (label, host), most in counting.most.items():
+        yield fact("most", label, host, most) + fact("cost", label, host, counting.cost_us((label, host)) // scale)
+        yield from (fact("takes", label, host, *taken) for taken in counting.takes((label, host)).items())
+    for host, rent_us in counting.rents_us.items():
+        yield fact("rent", host, rent_us // scale)
+        rooms = {each: counting.room(host, each) for each in counting.resources}
+        yield from (fact("room", host, each, room) for each, room in rooms.items() if room is not None)
+    yield from (fact("next", *hosts) for hosts in counting.alike())
+    for label, units in counting.kinds.items():
+        kind = counting.kind(label)
+        yield fact("least", label, kind.min_instances) + fact("greatest", label, len(units))
+        for name in ("conflict", "conflict_on_host", "beside"):
+            yield from (fact(name, label, other) for other in counting.company(label)[name])
+        yield from (fact("needs", label, port.tag, port.count) for port in kind.inputs)
+    for tag in sorted(counting.tags):
+        yield from (fact("gives", label, tag) for label, _ in counting.givers(tag))
+    yield from (fact("wanted", target.tag) for target in environment.targets)
+    for giver, most in counting.limited():
+        yield fact("serves", *giver, most)
+        for number, (label, count) in enumerate(counting.takers(giver)):
+            yield fact("taker", *giver, label, number, count) if label else fact("targets", *giver, number, count)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from math import gcd
 
 from cfgplan.errors import InputError
+from experiments.peers.counting import Counting, Where
 from experiments.peers.lead import Lead
 from experiments.peers.selection import Selection
 
@@ -56,6 +58,7 @@ class Program:
         self.is_picky = any(p.distinct is not None for c in selection.candidates for p in c.transformation.inputs)
         self.closure = Closure(selection, self.needs)
         self.costs = [float(candidate.cost_us // self.scale) for candidate in selection.candidates]
+        self.most = [1] * len(self.costs)
         self._y: dict[str, int] = {}
         rows = self.rows
         for i in selection.kept:
@@ -69,6 +72,8 @@ class Program:
             for tag in tags:
                 rows.implies(i, [self._y[tag]])
             self._feed_from_different_ones(i, rows)
+        for limit in (*selection.limits, *selection.implied):
+            rows.at_least(-limit.most, list(limit.takes), [-float(each) for each in limit.takes.values()])
         if lead is not None:
             for least, members in lead.landmarks:
                 rows.at_least(least, list(members), [float(count) for count in members.values()])
@@ -87,6 +92,7 @@ class Program:
 
     def _column(self) -> int:
         self.costs.append(0.0)
+        self.most.append(1)
         return len(self.costs) - 1
 
     def _feed_from_different_ones(self, i: int, rows: Rows) -> None:
@@ -103,6 +109,84 @@ class Program:
             rows.implies(i, list(feeds.values()))
         for columns in taken.values():
             rows.at_least(-1, columns, [-1.0] * len(columns))
+
+
+class NumberProgram:
+    """A number for each transformation on each host; whether any is there, whether a host is used, who runs at all.
+
+    All are whole. Of hosts alike the first ones are used.
+    """
+
+    def __init__(self, counting: Counting) -> None:
+        environment, self.rows = counting.problem.environment, Rows()
+        self.costs: list[float] = []
+        self.most: list[int] = []
+        self.scale = gcd(*map(counting.cost_us, counting.most), *counting.rents_us.values()) or 1
+        self.at = {w: self._column(most, counting.cost_us(w) // self.scale) for w, most in counting.most.items()}
+        self._used = {host: self._column(1, us // self.scale) for host, us in counting.rents_us.items()}
+        self._has = {w: self._column(1) if most > 1 else self.at[w] for w, most in counting.most.items()}
+        self._of: dict[str, list[int]] = defaultdict(list)
+        for (label, host), has in self._has.items():
+            number, most = self.at[label, host], counting.most[label, host]
+            self._of[label].append(number)
+            self._at_most(0, {self._used[host]: -1}, {has: 1})
+            if has != number:
+                self._at_most(0, {number: -1}, {has: 1})
+                self._at_most(0, {has: -most}, {number: 1})
+        for resource, host in product(counting.resources, self._used):
+            room = counting.room(host, resource)
+            taken = {at: counting.takes(w).get(resource, 0) for w, at in self.at.items() if w[1] == host}
+            if room is not None:
+                self._at_most(0, {self._used[host]: -room}, taken)
+        for one, other in counting.alike():
+            self._at_most(0, {self._used[one]: -1}, {self._used[other]: 1})
+        self._runs = {label: self._column(1) for label in counting.kinds}
+        for label, units in counting.kinds.items():
+            numbers, least = self._of[label], counting.kind(label).min_instances
+            self._at_most(-least, dict.fromkeys(numbers, -1))
+            self._at_most(0, {self._runs[label]: -len(units)}, dict.fromkeys(numbers, 1))
+            self._keep_company(counting, label)
+            for port in counting.kind(label).inputs:
+                self._at_most(0, {self._runs[label]: port.count}, self._fewer(counting, port.tag))
+        for target in environment.targets:
+            self._at_most(-1, self._fewer(counting, target.tag))
+        for (label, port), serves in counting.limited():
+            taken: dict[int, int] = defaultdict(int, dict.fromkeys(self._of[label], -serves))
+            targets = 0
+            for taker, count in counting.takers((label, port)):
+                targets += 0 if taker else count
+                for number in self._of[taker] if taker else ():
+                    taken[number] += count
+            self._at_most(-targets, taken)
+
+    def numbers(self, values: Sequence[float]) -> dict[Where, int]:
+        """How many units are where."""
+        return {where: number for where, column in self.at.items() if (number := round(values[column]))}
+
+    def _keep_company(self, counting: Counting, label: str) -> None:
+        company = counting.company(label)
+        for other in company["conflict"]:
+            self._at_most(1, {self._runs[label]: 1, self._runs[other]: 1})
+        for (_, host), has in [(where, has) for where, has in self._has.items() if where[0] == label]:
+            for other in company["conflict_on_host"]:
+                if (other, host) in self._has:
+                    self._at_most(0, {has: 1, self._has[other, host]: 1, self._used[host]: -1})
+            for other in company["beside"]:
+                self._at_most(0, {has: 1}, {self._has[other, host]: -1} if (other, host) in self._has else {})
+
+    def _fewer(self, counting: Counting, tag: str) -> dict[int, int]:
+        """Minus the number of units that give what is demanded."""
+        givers = {label for label, _ in counting.givers(tag)}
+        return {number: -1 for label in givers for number in self._of[label]}
+
+    def _at_most(self, most: int, *terms: Mapping[int, int]) -> None:
+        columns = {column: value for each in terms for column, value in each.items()}
+        self.rows.at_least(-most, list(columns), [-float(value) for value in columns.values()])
+
+    def _column(self, most: int, cost: int = 0) -> int:
+        self.costs.append(float(cost))
+        self.most.append(most)
+        return len(self.costs) - 1
 
 
 class Closure:

@@ -14,8 +14,10 @@ import pyscipopt  # type: ignore[import-not-found, unused-ignore]
 
 from cfgplan.planning import Plan, Problem, Progress, Status
 from cfgplan.reasons import unmet_reasons
+from experiments.peers.counting import Counting, is_counted
 from experiments.peers.lead import Lead, lead_apart
-from experiments.peers.program import Program, Rows
+from experiments.peers.placing import selection_of
+from experiments.peers.program import NumberProgram, Program, Rows
 from experiments.peers.selection import Selection
 
 Report = Callable[[Progress], None] | None
@@ -23,14 +25,18 @@ Report = Callable[[Progress], None] | None
 
 def plan(problem: Problem, *, time_limit_s: float | None = None, report: Report = None) -> Plan:
     """The cheapest update; refuses feedback inputs. See `planning.Planner`."""
-    return _plan(Selection(problem, "scip"), None, time.monotonic(), time_limit_s, report)
+    began = time.monotonic()
+    if is_counted(problem):
+        return _plan_numbers(Counting(problem, "scip"), began, time_limit_s, report)
+    return _plan(selection_of(problem, "scip"), None, began, time_limit_s, report)
 
 
 def plan_led(problem: Problem, *, time_limit_s: float | None = None, report: Report = None) -> Plan:
     """The same after `cpsat`'s bounds: with its landmarks, its plan as the first one, and only what these leave."""
     began = time.monotonic()
-    lead = lead_apart(problem, "scip-led", time_limit_s)
-    return _plan(Selection(problem, "scip-led"), lead, began, time_limit_s, report)
+    selection = Selection(problem, "scip-led")
+    lead = lead_apart(problem, selection.who, time_limit_s)
+    return _plan(selection, lead, began, time_limit_s, report)
 
 
 def _plan(selection: Selection, lead: Lead | None, began: float, time_limit_s: float | None, report: Report) -> Plan:
@@ -60,18 +66,51 @@ def _plan(selection: Selection, lead: Lead | None, began: float, time_limit_s: f
         is_proven = best is not None and model.getStatus() in ("optimal", "infeasible")
         bound_us = selection.cost_us(best or ()) if is_proven else max(bound_us, _bound_us(program, model))
         counts = {"nodes": int(model.getNTotalNodes()), "landmarks": grounded.landmarks}
+        if best is None and lead is None and model.getStatus() == "infeasible":
+            seconds["search"] = time.monotonic() - began - seconds["build"]
+            return Plan(selection.who, Status.INFEASIBLE, seconds=seconds, counts=counts)
     if report is not None:
         report(Progress(time.monotonic() - began, None if best is None else selection.cost_us(best), bound_us))
     seconds["search"] = time.monotonic() - began - seconds["build"]
     return selection.answer(best, bound_us, seconds=seconds, counts=counts)
 
 
-def _model(program: Program) -> Any:
+def _plan_numbers(counting: Counting, began: float, time_limit_s: float | None, report: Report) -> Plan:
+    if reasons := unmet_reasons(counting.problem):
+        return Plan(counting.who, Status.INFEASIBLE, reasons=reasons)
+    program = NumberProgram(counting)
+    model, variables = _plain_model(program)
+    built_s = time.monotonic() - began
+    if time_limit_s is not None:
+        model.setParam("limits/time", max(0.01, time_limit_s - built_s))
+    model.optimizeNogil()
+    seconds = {"build": built_s, "search": time.monotonic() - began - built_s}
+    counts = {"nodes": int(model.getNTotalNodes())}
+    if model.getStatus() == "infeasible":
+        return Plan(counting.who, Status.INFEASIBLE, seconds=seconds, counts=counts)
+    numbers, bound_us = None, _bound_us(program, model)
+    if model.getNSols():
+        best = model.getBestSol()
+        numbers = program.numbers([model.getSolVal(best, variable) for variable in variables])
+        bound_us = counting.plan_us(numbers) if model.getStatus() == "optimal" else bound_us
+    if report is not None:
+        report(Progress(time.monotonic() - began, None if numbers is None else counting.plan_us(numbers), bound_us))
+    return counting.answer(numbers, bound_us, seconds=seconds, counts=counts)
+
+
+def _plain_model(program: Program | NumberProgram) -> tuple[Any, list[Any]]:
+    """The model, and the variables in the program's order: SCIP has those that are 0 or 1 first."""
     model = pyscipopt.Model()
     model.hideOutput()
-    variables = [model.addVar(vtype="B", obj=cost) for cost in program.costs]
+    columns = zip(program.costs, program.most, strict=True)
+    variables = [model.addVar(vtype="I" if most > 1 else "B", ub=most, obj=cost) for cost, most in columns]
     _add(model, variables, program.rows)
     model.setParam("parallel/maxnthreads", 1)
+    return model, variables
+
+
+def _model(program: Program) -> Any:
+    model, _ = _plain_model(program)
     # What is known of the rows alone would cut off solutions, or fix variables, that landmarks to come allow.
     model.setParam("misc/allowstrongdualreds", False)
     model.setParam("misc/allowweakdualreds", False)
@@ -92,7 +131,7 @@ def _chosen(program: Program, model: Any) -> list[int] | None:
     return program.selection.plan_within(chosen)
 
 
-def _bound_us(program: Program, model: Any) -> int:
+def _bound_us(program: Program | NumberProgram, model: Any) -> int:
     bound = float(model.getDualbound())
     return max(0, ceil(bound - 1e-6 * max(1.0, abs(bound)))) * program.scale if abs(bound) < 1e19 else 0
 

@@ -7,12 +7,21 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
 
 from cfgplan.domain import ComputationUnit, InputPort, Publication, Stream, Subscription
 from cfgplan.errors import InputError
 from cfgplan.planners.exact.candidates import Candidates
-from cfgplan.planning import Plan, Problem, Status
+from cfgplan.planning import Plan, Problem, Status, refuse_notions
 from cfgplan.reasons import assign_different
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Some candidates take so much each, and all that are chosen of them at most `most`."""
+
+    most: int
+    takes: Mapping[int, int]
 
 
 class Selection:
@@ -20,10 +29,15 @@ class Selection:
 
     A transformation with a running unit has no new one, which could do nothing better. `kept` are the running
     units of pinned transformations, `wanted` the tags of the targets. Raises InputError if a transformation
-    is required, since a set of units does not tell which of them a target uses.
+    is required, since a set of units does not tell which of them a target uses, and for all beyond the paper.
     """
 
+    limits: tuple[Limit, ...] = ()
+    implied: tuple[Limit, ...] = ()
+    """Limits that whole numbers keep anyway, but fractions do not."""
+
     def __init__(self, problem: Problem, who: str) -> None:
+        refuse_notions(problem, who)
         if any(transformation.required for transformation in problem.environment.library):
             raise InputError.of(f"{who} does not know required transformations", mend="use the planner cpsat")
         self.problem = problem

@@ -12,7 +12,7 @@ from inspect import signature
 from typing import Any
 
 from cfgplan.errors import InputError, InvalidValueError
-from cfgplan.planning import Problem, refuse_notions
+from cfgplan.planning import Problem
 from experiments.families import FAMILIES
 
 
@@ -33,7 +33,9 @@ class Instance:
     @cached_property
     def text(self) -> str:
         """The problem as one line of JSON, the same for equal problems."""
-        return json.dumps(_document(self.problem), ensure_ascii=False, sort_keys=True, separators=(",", ":"))
+        return json.dumps(
+            _document(self.problem), default=str, ensure_ascii=False, sort_keys=True, separators=(",", ":")
+        )
 
     @cached_property
     def digest(self) -> str:
@@ -88,12 +90,16 @@ def given(name: str, problem: Problem, *, family: str = "own") -> Instance:
 
 
 def _document(problem: Problem) -> dict[str, Any]:
-    """The problem as plain data, without what only running needs. Raises InputError if it asks more than the paper."""
+    """The problem as plain data, without what only running needs; one that asks more than the paper as its file."""
+    from cfgplan.formats.dump import plain_environment
     from cfgplan.formats.environment_file import later_fields
     from cfgplan.formats.fields import OutputPart, TargetPart, TransformationPart
 
-    refuse_notions(problem, "a comparison with other planners")
     environment = problem.environment
+    offers = {tag: sorted(offered) for tag, offered in sorted(problem.similarity.offers.items())}
+    if problem.notions:
+        limits = {"horizon_s": problem.horizon_s, "max_cost_us": problem.max_cost_us, "survive": problem.survive}
+        return {"environment": plain_environment(environment, **limits), "offers": offers}
     return {
         "units": [
             {
@@ -125,7 +131,7 @@ def _document(problem: Problem) -> dict[str, Any]:
             {"label": t.label, "tag": t.tag, "topic": t.topic, "priority": t.priority} | later_fields(TargetPart, t)
             for t in environment.targets
         ],
-        "offers": {tag: sorted(offered) for tag, offered in sorted(problem.similarity.offers.items())},
+        "offers": offers,
         "horizon_s": problem.horizon_s,
         "max_cost_us": problem.max_cost_us,
     }

@@ -9,9 +9,10 @@ from cfgplan.planners import PLANNERS
 from cfgplan.planning import Problem, Status
 from cfgplan.reasons import unmet_reasons
 from cfgplan.validity import Rule, violations
-from experiments.families import FAMILIES, adversarial, nao, random_library, replanning, transport
+from experiments.families import FAMILIES, adversarial, fleet, nao, random_library, replanning, transport
 from experiments.families.adversarial import KINDS
 from experiments.families.configurations import cheap_configuration
+from experiments.study.instances import generated
 from experiments.study.suites import wsc_sets
 
 SMALL: list[tuple[str, dict[str, object]]] = [
@@ -20,6 +21,8 @@ SMALL: list[tuple[str, dict[str, object]]] = [
     ("replanning", {"transformations": 40, "failures": 2, "gone": 0.5}),
     ("adversarial", {"kind": "cover", "size": 8}),
     ("transport", {"crates": 3}),
+    ("fleet", {"transformations": 40, "room": 0.5, "memory": 0.5}),
+    ("deployment", {"hosts": 4}),
 ]
 
 
@@ -72,6 +75,19 @@ def test_more_sharing_means_fewer_demanded_concepts() -> None:
         return len({port.tag for t in library for port in t.inputs})
 
     assert demanded(0.9) < demanded(0.0) / 2
+
+
+def test_a_fleet_has_the_room_that_was_asked_for() -> None:
+    def hosts(**parameters: float) -> set[tuple[int | None, int | None]]:
+        return {(host.cpu_us, host.memory_mb) for host in fleet(1, targets=2, **parameters).environment.hosts}
+
+    assert hosts(room=2.0, memory=0.5) == {(200_000, 750)}
+    assert hosts(room=0) == {(None, None)}
+
+
+def test_the_digest_of_a_fleet_is_also_of_its_hosts() -> None:
+    digests = {generated("fleet", 1, transformations=20, targets=1, room=room).digest for room in (1.0, 1.0, 2.0)}
+    assert len(digests) == 2
 
 
 def test_the_share_of_running_units_is_what_was_asked_for() -> None:
