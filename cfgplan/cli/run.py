@@ -312,7 +312,7 @@ def _output_for(screen: Screen, operation: Operation, *, plain: bool) -> RunOutp
         return JsonLines(screen, operation)
     if plain or not sys.stdout.isatty() or os.environ.get("TERM") in (None, "", "dumb"):
         return Lines(screen, operation)
-    from cfgplan.cli.live_view import LiveView
+    from cfgplan.cli.run_picture import LiveView
 
     return LiveView(screen, operation)
 

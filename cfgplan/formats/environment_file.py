@@ -12,21 +12,7 @@ from pathlib import Path as FilePath
 from typing import Any, TypeAlias
 
 from cfgplan.domain import Environment
-from cfgplan.formats.fields import (
-    AttributePart,
-    ConflictsPart,
-    EnvironmentPart,
-    FieldRow,
-    HostPart,
-    InputPart,
-    LinkPart,
-    OutputPart,
-    Part,
-    TargetPart,
-    TransformationPart,
-    UnitPart,
-    Use,
-)
+from cfgplan.formats import fields
 from cfgplan.formats.places import Passage, Place
 from cfgplan.planning import Failures
 
@@ -132,48 +118,48 @@ def _file_digest(path: FilePath) -> bytes:
     return hashlib.sha256(path.read_bytes()).digest() if path.is_file() else b""
 
 
-_HELD: Mapping[type[Part], str] = {
-    EnvironmentPart: "format ontology imports horizon max_cost defaults include hosts transfer links qualities survive "
-    "transformations units targets",
-    HostPart: "name cpu memory",
-    LinkPart: "",
-    AttributePart: "name better worst best",
-    TransformationPart: "label host labor upkeep pinned required memory conflicts min_instances max_instances standby "
-    "run inputs outputs",
-    ConflictsPart: "system",
-    InputPart: "tag distinct feedback",
-    OutputPart: "tag quality rate size",
-    UnitPart: "id transformation inputs topics host standby",
-    TargetPart: "label topic tag priority quality host",
+_HELD: Mapping[type[fields.Part], str] = {
+    fields.EnvironmentPart: "format ontology imports horizon max_cost defaults include hosts transfer links "
+    "qualities survive transformations units targets",
+    fields.HostPart: "name cpu memory",
+    fields.LinkPart: "",
+    fields.AttributePart: "name better worst best",
+    fields.TransformationPart: "label host labor upkeep pinned required memory conflicts min_instances "
+    "max_instances standby run inputs outputs",
+    fields.ConflictsPart: "system",
+    fields.InputPart: "tag distinct feedback",
+    fields.OutputPart: "tag quality rate size",
+    fields.UnitPart: "id transformation inputs topics host standby",
+    fields.TargetPart: "label topic tag priority quality host",
 }
 """The keys that digests held before fields were rows. A later one that planning uses counts unless it is default."""
 
 
-def later_fields(part: type[Part], value: object) -> dict[str, object]:
+def later_fields(part: type[fields.Part], value: object) -> dict[str, object]:
     """A value's later fields that planning uses, without defaults, by the domain's names."""
     rows = _later_rows(part).items()
     return {row.to: getattr(value, row.to) for key, row in rows if part.plain(key, value) is not None}
 
 
 @cache
-def _later_rows(part: type[Part]) -> Mapping[str, FieldRow]:
+def _later_rows(part: type[fields.Part]) -> Mapping[str, fields.FieldRow]:
     held = _HELD[part].split()
-    return {key: row for key, row in part.rows().items() if Use.PLANNING in row.use and key not in held}
+    return {key: row for key, row in part.rows().items() if fields.Use.PLANNING in row.use and key not in held}
 
 
 def _later_parts(environment: Environment) -> Iterator[list[object]]:
     library = environment.library
-    groups: list[tuple[type[Part], Iterable[tuple[str, object]]]] = [
-        (EnvironmentPart, [("", environment)]),
-        (HostPart, ((host.name, host) for host in environment.hosts)),
-        (LinkPart, ((str(number), link) for number, link in enumerate(environment.links))),
-        (AttributePart, ((attribute.name, attribute) for attribute in environment.qualities)),
-        (TransformationPart, ((t.label, t) for t in library)),
-        (ConflictsPart, ((t.label, t) for t in library)),
-        (InputPart, ((f"{t.label}/{port.name}", port) for t in library for port in t.inputs)),
-        (OutputPart, ((f"{t.label}/{port.name}", port) for t in library for port in t.outputs)),
-        (UnitPart, ((unit.id, unit) for unit in environment.units)),
-        (TargetPart, ((target.label, target) for target in environment.targets)),
+    groups: list[tuple[type[fields.Part], Iterable[tuple[str, object]]]] = [
+        (fields.EnvironmentPart, [("", environment)]),
+        (fields.HostPart, ((host.name, host) for host in environment.hosts)),
+        (fields.LinkPart, ((str(number), link) for number, link in enumerate(environment.links))),
+        (fields.AttributePart, ((attribute.name, attribute) for attribute in environment.qualities)),
+        (fields.TransformationPart, ((t.label, t) for t in library)),
+        (fields.ConflictsPart, ((t.label, t) for t in library)),
+        (fields.InputPart, ((f"{t.label}/{port.name}", port) for t in library for port in t.inputs)),
+        (fields.OutputPart, ((f"{t.label}/{port.name}", port) for t in library for port in t.outputs)),
+        (fields.UnitPart, ((unit.id, unit) for unit in environment.units)),
+        (fields.TargetPart, ((target.label, target) for target in environment.targets)),
     ]
     for part, values in groups:
         for name, value in values if _later_rows(part) else ():

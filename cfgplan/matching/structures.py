@@ -14,16 +14,7 @@ from itertools import combinations
 from operator import ge, le
 from typing import Final, TypeAlias
 
-from cfgplan.matching.axioms import (
-    LITERAL,
-    DisjointExpressions,
-    DisjointRoles,
-    Statement,
-    Subclass,
-    Subrole,
-    Subvalue,
-    statements_of,
-)
+from cfgplan.matching import axioms
 from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI
 from cfgplan.matching.expressions import BUILT_IN_ROLE
 from cfgplan.matching.functional import Tree, leaves
@@ -244,32 +235,32 @@ class Interpretation:
             return self.members(least, certain) & self.members(most, certain)
         return set() if certain else self.things
 
-    def broken(self, statement: Statement) -> Set[int]:
+    def broken(self, statement: axioms.Statement) -> Set[int]:
         """The things that break a statement, or may break it. If there are none, it holds.
 
         If there are any, it may hold once they are removed.
         """
         match statement:
-            case Subclass(sub, sup):
+            case axioms.Subclass(sub, sup):
                 return self.members(sub, False) - self.members(sup, True)
-            case DisjointExpressions(parts):
+            case axioms.DisjointExpressions(parts):
                 counts = Counter(thing for part in parts for thing in self.members(part, False))
                 return {thing for thing, times in counts.items() if times > 1}
-            case Subrole(sub, sup):
+            case axioms.Subrole(sub, sup):
                 above = self.successors(sup)
                 return {x for x, targets in linked_by(self, sub) if not targets <= above.get(x, set())}
-            case DisjointRoles(roles):
+            case axioms.DisjointRoles(roles):
                 pairs = combinations(map(self.successors, roles), 2)
                 return {x for one, other in pairs for x in one.keys() & other.keys() if one[x] & other[x]}
-            case Subvalue(sub, sup):
+            case axioms.Subvalue(sub, sup):
                 given = self.valued(sup)
                 return {x for x, own in self.valued(sub).items() if not own <= given.get(x, set())}
 
 
-def checks_of(axiom: Tree) -> Sequence[Statement]:
+def checks_of(axiom: Tree) -> Sequence[axioms.Statement]:
     """The statements by which an axiom holds in a structure; for one that is not understood, one that nothing keeps."""
-    statements = None if not _BUILT_IN_PROPERTIES.isdisjoint(leaves(axiom)) else statements_of(axiom)
-    return (Subclass(THING_IRI, NOTHING_IRI),) if statements is None else statements
+    statements = None if not _BUILT_IN_PROPERTIES.isdisjoint(leaves(axiom)) else axioms.statements_of(axiom)
+    return (axioms.Subclass(THING_IRI, NOTHING_IRI),) if statements is None else statements
 
 
 def linked_by(structure: Interpretation, chain: Tree) -> Iterator[tuple[int, Set[int]]]:
@@ -285,7 +276,7 @@ def linked_by(structure: Interpretation, chain: Tree) -> Iterator[tuple[int, Set
 
 def surely_in(value: Tree, datatype: Tree) -> bool:
     """Whether a literal, or something of a datatype, is in a datatype for certain."""
-    if datatype == LITERAL:
+    if datatype == axioms.LITERAL:
         return True
     if isinstance(value, tuple):
         return value[1] == datatype

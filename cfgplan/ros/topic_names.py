@@ -189,7 +189,7 @@ def node_units(environment: Environment) -> Iterator[NodeUnit]:
 
 
 def word(text: str) -> str:
-    """A text as ROS 2 allows it in names: letters, digits and single underscores, no digit first."""
+    """A text as ROS allows it in names: letters, digits and single underscores, no digit first."""
     found = re.sub(r"_+", "_", re.sub(r"\W", "_", text, flags=re.ASCII)).strip("_")
     return found if found[:1].isalpha() else f"n{found}"
 

@@ -16,19 +16,10 @@ from cfgplan.domain import MANAGER, Stream, Transformation
 from cfgplan.errors import InputError
 from cfgplan_runtime.children.messages import Flow, ImportUnused
 from cfgplan_runtime.children.unit_order import unit_order
-from cfgplan_runtime.fleet import orders
+from cfgplan_runtime.fleet import orders, presence
 from cfgplan_runtime.fleet.adoption import adopt
 from cfgplan_runtime.fleet.agent import digest_of, source_file
 from cfgplan_runtime.fleet.links import config
-from cfgplan_runtime.fleet.presence import (
-    AgentClockSet,
-    AgentGone,
-    AgentJoined,
-    AgentNews,
-    AgentSaid,
-    HostState,
-    Presence,
-)
 from cfgplan_runtime.fleet.routes import Counts, OrderTo, Routes
 from cfgplan_runtime.fleet.tunnels import RemoteTopics, TunnelClient, TunnelServer
 from cfgplan_runtime.streams.run_folder import RunFolder
@@ -88,7 +79,7 @@ class FleetBackend:
         self._tunnels = TunnelServer(self._link, MANAGER, self.id, run_folder.path)
         self._reaching = TunnelClient(self._link)
         self._topics_elsewhere = RemoteTopics(self._reaching, run_folder)
-        self._presence = Presence(self._link, self.id, run_folder.tell_clock)
+        self._presence = presence.Presence(self._link, self.id, run_folder.tell_clock)
         try:
             happened = self._presence.await_all(hosts, wait_s, takes_over=takes_over)
         except InputError:
@@ -96,7 +87,7 @@ class FleetBackend:
             raise
         for one in happened:
             self._take(one)
-        joined = {one.host.name for one in happened if isinstance(one, AgentJoined)}
+        joined = {one.host.name for one in happened if isinstance(one, presence.AgentJoined)}
         self._events += [events.HostLost(host, "it has no agent") for host in hosts if host not in joined]
 
     @property
@@ -216,26 +207,26 @@ class FleetBackend:
         for end in (self._topics_elsewhere, self._reaching, self._tunnels, self._link):
             end.close()
 
-    def _take(self, news: AgentNews) -> None:
+    def _take(self, news: presence.AgentNews) -> None:
         match news:
-            case AgentJoined(host, day_ahead_ns):
+            case presence.AgentJoined(host, day_ahead_ns):
                 self._events.append(events.HostJoined(host.name, day_ahead_ns // 1000))
                 if self._unplaced:
                     unplaced, self._unplaced = self._unplaced, set()
                     for topic in unplaced:
                         self.open_outlet(topic, None)
                     self._events.append(events.OutletsOpened())
-            case AgentClockSet(host, day_ahead_ns):
+            case presence.AgentClockSet(host, day_ahead_ns):
                 self._events.append(events.ClockMoved(host.name, day_ahead_ns // 1000))
-            case AgentGone(host, cause):
+            case presence.AgentGone(host, cause):
                 self._lose(host, cause)
-            case AgentSaid(host, message):
+            case presence.AgentSaid(host, message):
                 try:
                     self._understand(host.name, message)
                 except msgspec.MsgspecError as error:
                     self._presence.leave_alone(host, f"its agent is of another version of cfgplan: {error}")
 
-    def _lose(self, host: HostState, cause: str) -> None:
+    def _lose(self, host: presence.HostState, cause: str) -> None:
         self._reaching.lose(host.life)
         helpers = self._told.pop(host.name, _Told()).helpers
         self._events += [events.HelperAlive(f"{host.name}: {helper}", inf) for helper in helpers]

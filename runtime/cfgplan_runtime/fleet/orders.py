@@ -8,13 +8,7 @@ import msgspec
 
 from cfgplan.domain import Stream
 from cfgplan_runtime.children.messages import CrossingCounts, Export, Import, ImportUnused, ToRelay, UnitOrder
-from cfgplan_runtime.streams.crossing import (
-    PIECES_UNDER_WAY,
-    Conversation,
-    Piece,
-    Sending,
-    crossing_key,
-)
+from cfgplan_runtime.streams import crossing
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 from cfgplan_runtime.supervision import events
 from cfgplan_runtime.supervision.backend import Inlet, Usage
@@ -269,9 +263,9 @@ class Talk(Generic[Spoken]):
         """Whether messages were lost for good: a new session is needed."""
         self._decoder: msgspec.msgpack.Decoder[list[Spoken]] = msgspec.msgpack.Decoder(list[incoming])  # type: ignore[valid-type]
         self._unsent: list[msgspec.Struct] = []
-        self._both = Conversation(Sending(granted=PIECES_UNDER_WAY))
-        self._put = link.publisher(crossing_key(me, SAY, other, str(session)), "orders")
-        self._put_credit = link.publisher(crossing_key(me, HEARD, other, str(session)), "orders")
+        self._both = crossing.Conversation(crossing.Sending(granted=crossing.PIECES_UNDER_WAY))
+        self._put = link.publisher(crossing.crossing_key(me, SAY, other, str(session)), "orders")
+        self._put_credit = link.publisher(crossing.crossing_key(me, HEARD, other, str(session)), "orders")
 
     def say(self, message: msgspec.Struct) -> None:
         """Have the other end told with the next `pump`."""
@@ -289,7 +283,7 @@ class Talk(Generic[Spoken]):
     def pump(self, now_s: float) -> None:
         """Send what is due."""
         if self._unsent:
-            self._both.sending.offer(Piece(0, 0, msgspec.msgpack.encode(self._unsent)))
+            self._both.sending.offer(crossing.Piece(0, 0, msgspec.msgpack.encode(self._unsent)))
             self._unsent.clear()
         self._both.pump(self._put, self._put_credit, now_s)
 

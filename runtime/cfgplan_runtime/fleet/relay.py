@@ -17,15 +17,7 @@ from math import inf
 from cfgplan_runtime.children import messages
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.ports import Ports, UnitInput, UnitOutput
-from cfgplan_runtime.streams.crossing import (
-    LAST_PIECE,
-    Piece,
-    Receiving,
-    Sending,
-    crossing_key,
-    read_credit,
-    read_frame,
-)
+from cfgplan_runtime.streams import crossing
 from cfgplan_runtime.streams.element import Element, Outgoing
 from cfgplan_runtime.streams.ends import Bell
 from cfgplan_runtime.streams.inlet import InputQueue
@@ -39,7 +31,7 @@ _LOOK_S = 0.1
 
 @dataclass(slots=True)
 class _Export:
-    sending: Sending
+    sending: crossing.Sending
     host: str
     input: UnitInput
     was_fed: bool = False
@@ -51,7 +43,7 @@ class _Export:
 class _Import:
     host: str
     put_credit: PutThread
-    receiving: Receiving = field(default_factory=Receiving)
+    receiving: crossing.Receiving = field(default_factory=crossing.Receiving)
     skipped: int = 0
     has_ended: bool = False
     told_unused: int = 0
@@ -79,7 +71,7 @@ class Relay:
         self._bell = Bell()
         self._ports.ends.watch(self._bell.socket, self._bell.hear)
         for kind in ("data", "credit"):
-            link.hear(crossing_key(None, kind, host, "*"), self._take)
+            link.hear(crossing.crossing_key(None, kind, host, "*"), self._take)
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
@@ -142,17 +134,17 @@ class Relay:
             case messages.Export(name, host, queue, blocks):
                 self._export(name, host, queue, blocks)
             case messages.Import(name, host):
-                put = self._link.publisher(crossing_key(self._host, "credit", host, name), "orders")
+                put = self._link.publisher(crossing.crossing_key(self._host, "credit", host, name), "orders")
                 self._imports[name] = _Import(host, PutThread(put))
                 self._ports.outputs[name] = UnitOutput()
             case messages.TellMark(name, unit) if name in self._exports:
                 self._ports.take_in(name)
-                self._exports[name].sending.offer(Piece(0, 0, unit.encode(), is_mark=True))
+                self._exports[name].sending.offer(crossing.Piece(0, 0, unit.encode(), is_mark=True))
             case messages.Release(name):
                 self._release(name)
 
     def _export(self, name: str, host: str, queue: int, blocks: bool) -> None:
-        sending = Sending(blocks=blocks, most=queue) if blocks else Sending()
+        sending = crossing.Sending(blocks=blocks, most=queue) if blocks else crossing.Sending()
         inlet, known = InputQueue(queue), 0
 
         def take(element: Element) -> None:
@@ -160,7 +152,7 @@ class Relay:
             sending.dropped += inlet.dropped - known
             known = inlet.dropped
             payload = element.payload if isinstance(element.payload, bytes) else bytes(element.payload)
-            sending.offer(Piece(element.time_ns, element.turn, payload))
+            sending.offer(crossing.Piece(element.time_ns, element.turn, payload))
 
         port = self._ports.inputs[name] = UnitInput(name, inlet, take, lambda: not sending.is_full)
         self._exports[name] = _Export(sending, host, port)
@@ -181,14 +173,14 @@ class Relay:
             key, head, payload = self._arrived.popleft()
             _, _, kind, _, name = key.split("/")
             if kind == "credit" and name in self._exports:
-                credit = read_credit(payload)
+                credit = crossing.read_credit(payload)
                 if credit is not None:
                     self._exports[name].sending.hear(credit)
             elif kind == "data" and name in self._imports:
                 self._hand_on(name, self._imports[name], head, payload, now_s)
 
     def _hand_on(self, name: str, one: _Import, head: bytes, payload: bytes, now_s: float) -> None:
-        frame = read_frame(head, payload)
+        frame = crossing.read_frame(head, payload)
         for piece in () if frame is None else one.receiving.take(frame, now_s):
             if one.receiving.dropped > one.skipped:
                 self._ports.skip(name, one.receiving.dropped - one.skipped)
@@ -205,13 +197,13 @@ class Relay:
             export.was_fed = True
         elif export.was_fed and not export.has_ended:
             export.has_ended = True
-            export.sending.offer(LAST_PIECE)
+            export.sending.offer(crossing.LAST_PIECE)
         for frame in export.sending.due(now_s):
             payload = b"" if frame.piece is None else frame.piece.payload
             assert isinstance(payload, bytes)
             if export.thread is None:
                 lane: Lane = "large" if len(payload) > LARGE_BYTES else "small"
-                key = crossing_key(self._host, "data", export.host, name)
+                key = crossing.crossing_key(self._host, "data", export.host, name)
                 export.thread = PutThread(self._link.publisher(key, lane))
             export.thread.give(frame.head(), payload)
 

@@ -22,17 +22,7 @@ from pathlib import Path
 
 from cfgplan.domain import MANAGER
 from cfgplan_runtime.errors import RuntimeFaultError
-from cfgplan_runtime.streams.crossing import (
-    LAST_PIECE,
-    PIECES_UNDER_WAY,
-    Conversation,
-    Piece,
-    Put,
-    Sending,
-    crossing_key,
-    host_key,
-    read_frame,
-)
+from cfgplan_runtime.streams import crossing
 from cfgplan_runtime.streams.ends import Bell
 from cfgplan_runtime.streams.run_folder import RunFolder, address, control_address
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
@@ -54,13 +44,15 @@ class _Tunnel:
 
     def __init__(
         self,
-        declare: Callable[[], tuple[Put, Put]],
+        declare: Callable[[], tuple[crossing.Put, crossing.Put]],
         ended: Callable[[], None],
         find: Callable[[str], socket.socket | None] = lambda _: None,
     ) -> None:
         self._declare, self._ended, self._find = declare, ended, find
         self._end: socket.socket | None = None
-        self._both = Conversation(Sending(blocks=True, most=_MOST_TUNNEL_CHUNKS, granted=PIECES_UNDER_WAY))
+        self._both = crossing.Conversation(
+            crossing.Sending(blocks=True, most=_MOST_TUNNEL_CHUNKS, granted=crossing.PIECES_UNDER_WAY)
+        )
         self._arrived: deque[tuple[bool, bytes, bytes]] = deque()
         self._unread = bytearray()
         self._is_closing = False
@@ -74,7 +66,7 @@ class _Tunnel:
         if end is not None:
             self._join(end)
         if wanted is not None:
-            self._both.sending.offer(Piece(0, 0, wanted.encode()))
+            self._both.sending.offer(crossing.Piece(0, 0, wanted.encode()))
         threading.Thread(target=self._run, name="cfgplan-tunnel", daemon=True).start()
 
     def take(self, is_credit: bool, head: bytes, payload: bytes) -> None:
@@ -108,7 +100,7 @@ class _Tunnel:
         if last is not None:
             put_credit(b"", last.packed())
 
-    def _step(self, put: Put, put_credit: Put) -> None:
+    def _step(self, put: crossing.Put, put_credit: crossing.Put) -> None:
         """Send what is due, then wait for more, and take it."""
         self._both.pump(put, put_credit, time.monotonic(), has_room=len(self._unread) < _MOST_UNREAD)
         self._watch()
@@ -161,7 +153,7 @@ class _Tunnel:
         except OSError:
             chunk = b""
         if chunk:
-            self._both.sending.offer(Piece(0, 0, chunk))
+            self._both.sending.offer(crossing.Piece(0, 0, chunk))
         else:
             self._finish()
 
@@ -179,7 +171,7 @@ class _Tunnel:
     def _finish(self) -> None:
         """Our end is closed: have the other one told, after all that was written."""
         if self._close_s == inf:
-            self._both.sending.offer(LAST_PIECE)
+            self._both.sending.offer(crossing.LAST_PIECE)
             self._begin_close()
 
     def _begin_close(self) -> None:
@@ -226,7 +218,7 @@ class TunnelServer:
         self._ended: set[str] = set()
         """The tunnels that were there, so that what is sent again makes no new one; until their client is gone."""
         for kind in _TUNNEL_IN:
-            link.hear(crossing_key(MANAGER, kind, host, f"{life}/*/*"), self._take)
+            link.hear(crossing.crossing_key(MANAGER, kind, host, f"{life}/*/*"), self._take)
         link.watch(_client_key("*"), self._note_client)
 
     def close(self) -> None:
@@ -238,7 +230,7 @@ class TunnelServer:
         name, is_credit = f"{client}/{number}", kind == _TUNNEL_IN[1]
 
         def made() -> _Tunnel | None:
-            frame = None if is_credit else read_frame(head, payload)
+            frame = None if is_credit else crossing.read_frame(head, payload)
             is_first = frame is not None and frame.number == 0 and frame.piece is not None
             return self._made(name) if is_first and name not in self._ended else None
 
@@ -247,7 +239,7 @@ class TunnelServer:
             tunnel.take(is_credit, head, payload)
 
     def _made(self, name: str) -> _Tunnel:
-        keys = [crossing_key(self._host, kind, MANAGER, f"{self._life}/{name}") for kind in _TUNNEL_OUT]
+        keys = [crossing.crossing_key(self._host, kind, MANAGER, f"{self._life}/{name}") for kind in _TUNNEL_OUT]
         tunnel = _Tunnel(lambda: _declared(self._link, *keys), lambda: self._forget(name), self._connected)
         tunnel.start()
         return tunnel
@@ -282,7 +274,7 @@ class TunnelClient:
         """Their names begin with the life of the agent, or manager, at the other end."""
         self._numbers = count(1)
         for kind in _TUNNEL_OUT:
-            link.hear(crossing_key(None, kind, MANAGER, f"*/{self._id}/*"), self._take)
+            link.hear(crossing.crossing_key(None, kind, MANAGER, f"*/{self._id}/*"), self._take)
         link.live(_client_key(self._id))
 
     def connect(self, host: str, life: str, wanted: str) -> socket.socket:
@@ -295,7 +287,7 @@ class TunnelClient:
         """Have `end` connected, and closed with the tunnel."""
         number = next(self._numbers)
         name = f"{life}/{number}"
-        keys = [crossing_key(MANAGER, kind, host, f"{life}/{self._id}/{number}") for kind in _TUNNEL_IN]
+        keys = [crossing.crossing_key(MANAGER, kind, host, f"{life}/{self._id}/{number}") for kind in _TUNNEL_IN]
         tunnel = _Tunnel(lambda: _declared(self._link, *keys), lambda: self._tunnels.forget(name))
         self._tunnels.find(name, lambda: tunnel)
         tunnel.start(end, wanted)
@@ -350,11 +342,11 @@ class RemoteTopics:
                 self._client.join(end, host, life, topic)
 
 
-def _declared(link: ZenohLink, data_key: str, credit_key: str) -> tuple[Put, Put]:
+def _declared(link: ZenohLink, data_key: str, credit_key: str) -> tuple[crossing.Put, crossing.Put]:
     """What puts at the keys of a tunnel. What runs is not delayed by what is looked at."""
     return link.publisher(data_key, "large"), link.publisher(credit_key, "orders")
 
 
 def _client_key(client: str) -> str:
     """The key under which who reaches out is alive."""
-    return f"{host_key(MANAGER)}/reaches/{client}"
+    return f"{crossing.host_key(MANAGER)}/reaches/{client}"

@@ -15,6 +15,7 @@ import msgspec
 from cfgplan.domain import Stream, Transformation
 from cfgplan.errors import InputError
 from cfgplan.ros.node_api import SilentError
+from cfgplan.ros.topic_names import word
 from cfgplan_runtime.children import messages
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.processes.child_process import cpu_us, end_of_process, memory_bytes
@@ -33,7 +34,7 @@ from cfgplan_runtime.ros1.relay_messages import (
     ToTopicRelay,
 )
 from cfgplan_runtime.ros1.ros_master import RosMaster, forget_node
-from cfgplan_runtime.ros1.ros_unit import RosUnit, executable, graph_word, node_source
+from cfgplan_runtime.ros1.ros_unit import RosUnit, executable, node_source
 from cfgplan_runtime.streams.ends import Ends, Posted
 from cfgplan_runtime.streams.run_folder import RunFolder
 from cfgplan_runtime.supervision import events
@@ -311,7 +312,7 @@ class Ros1Backend:
 
     def _free_name(self, unit: str) -> str:
         """A name for a unit's node. Raises SilentError if another node of that name is there."""
-        first = f"/{graph_word(unit)}"
+        first = f"/{word(unit)}"
         names = (first, *(f"{first}_{number}" for number in range(2, len(self._units) + 3)))
         name = next(name for name in names if name not in self._units)
         with suppress(SilentError):

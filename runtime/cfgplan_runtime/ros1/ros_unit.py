@@ -13,6 +13,7 @@ from cfgplan.domain import Environment
 from cfgplan.errors import Fault, InputError
 from cfgplan.ros.graph import resolved
 from cfgplan.ros.sources import NodeSource
+from cfgplan.ros.topic_names import word
 from cfgplan.ros.types import MessageType
 from cfgplan.transformations import InputPort, OutputPort, Transformation
 
@@ -64,13 +65,7 @@ class RosUnit:
     def _name_of(self, port: InputPort | OutputPort, direction: str) -> str:
         if self.is_foreign:
             return resolved(port.remap or port.name, self.name.rpartition("/")[0], self.name)
-        return f"{self.name}/{direction}/{graph_word(port.name)}"
-
-
-def graph_word(text: str) -> str:
-    """A text as ROS 1 allows it in names: letters, digits and underscores, a letter first."""
-    word = re.sub(r"_+", "_", re.sub(r"\W", "_", text, flags=re.ASCII)).strip("_")
-    return word if word[:1].isalpha() else f"n{word}"
+        return f"{self.name}/{direction}/{word(port.name)}"
 
 
 def node_source(transformation: Transformation) -> NodeSource:
