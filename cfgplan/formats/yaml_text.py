@@ -97,7 +97,7 @@ class _YamlReading:
                 if not is_list and key is _NO_KEY:
                     self._stop(event, "a key is a list or a mapping", 'write it in quotes if it is text, such as "{a}"')
                 if len(above) > DEEPEST_NESTING:
-                    self._stop(event, f"values are nested more than {DEEPEST_NESTING} deep", "flatten the document")
+                    self._stop(event, *_TOO_DEEP)
                 if event.tag is not None and not event.implicit:
                     self._check_yaml_tag(event)
                 if event.anchor is not None:
@@ -205,6 +205,7 @@ def _child(node: Any, step: str | int) -> tuple[Any, Any]:
     return None, None
 
 
+_TOO_DEEP = f"values are nested more than {DEEPEST_NESTING} deep", "flatten the document"
 _YAML_MENDS = {
     "cannot start any token": "indent by spaces, not tabs; quote a text that begins with @, ` or %",
     "mapping values are not allowed": 'quote a text that has ": " in it, and check the indentation',
@@ -227,6 +228,8 @@ def _syntax_fault(error: yaml.YAMLError, text: str, file: str) -> Fault:
         mend = "remove the control character, or write it as an escape in double quotes"
     else:
         line, column = mark.line, mark.column
+    if "nesting depth" in problem:  # newer ones of PyYAML have a limit too, and look ahead
+        return Fault(_TOO_DEEP[0], file, line + 1, column + 1, mend=_TOO_DEEP[1])
     return Fault(f"this is not YAML: {problem}", file, line + 1, column + 1, mend=mend)
 
 

@@ -188,8 +188,7 @@ def test_a_fault_has_its_place_and_its_mend(
         ("a: 'open\n", (2, 1), "this is not YAML"),
         ("a: \x01\n", (1, 4), "this is not YAML"),
         ("format: cfgplan/1\n---\nformat: cfgplan/1\n", (2, 1), "a second document begins"),
-        ("a: " + "[" * 1000 + "]" * 1000, (1, 68), "nested more than 64 deep"),
-        ("a: " + "[" * 100_000, (1, 68), "nested more than 64 deep"),
+        ("a: " + "[" * 100 + "]" * 100, (1, 68), "nested more than 64 deep"),
         ("a: &x [*x]\n", (1, 8), "*x stands inside of &x"),
         ("a: *x\n", (1, 4), "*x refers to an anchor that is not defined before"),
         ("a: &x 1\nb: &x 2\n", (2, 4), "the anchor &x is defined twice"),
@@ -203,6 +202,12 @@ def test_what_is_no_yaml_document_has_one_fault(
     fault = only_fault(tmp_path, text)
     assert (place_of(fault), message in fault.message) == (place, True), fault
     assert fault.mend
+
+
+@pytest.mark.parametrize("depth", [2000, 100_000])
+def test_very_deep_nesting_is_told_as_that_wherever_libyaml_gives_up(tmp_path: Path, depth: int) -> None:
+    fault = only_fault(tmp_path, "a: " + "[" * depth)
+    assert (place_of(fault)[0], fault.message) == (1, "values are nested more than 64 deep")
 
 
 @pytest.mark.parametrize(
