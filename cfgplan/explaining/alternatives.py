@@ -196,12 +196,12 @@ class _Ranking:
         required = sorted(self._required & self._kept)
         for size in reversed(range(len(required) + 1)):
             found = []
-            for serving in map(frozenset, combinations(required, size)):
-                plan = self._plan(others, runs | serving, exempt=serving)
+            for used in map(frozenset, combinations(required, size)):
+                plan = self._plan(others, runs | used, exempt=used)
                 if plan.change_set is None or plan.unused_required:
                     continue
                 if runs.intersection(self._required, self._unused(plan)):
-                    strict = self._planner(_restricted(self._problem, others, runs | serving))
+                    strict = self._planner(_restricted(self._problem, others, runs | used))
                     if strict.unused_required or strict.rank != plan.rank:
                         return None
                     plan = strict
@@ -217,7 +217,7 @@ class _Ranking:
 
         A unit that runs anyway but is `exempt` does not count as a target.
         """
-        restricted = _restricted(self._keeping.serving(exempt), without, required)
+        restricted = _restricted(self._keeping.with_own_targets(exempt), without, required)
         return self._keeping.really(self._planner(restricted, time_limit_s=limit_s), restricted)
 
     def _unused(self, plan: Plan) -> tuple[str, ...]:

@@ -30,7 +30,7 @@ class Kept:
     def labels(self) -> Labels:
         return frozenset(label for label, _ in self._stays)
 
-    def serving(self, without: Labels = frozenset()) -> Problem:
+    def with_own_targets(self, without: Labels = frozenset()) -> Problem:
         """The problem in which each such unit that has inputs is published for an artificial target, at no cost.
 
         Whatever feeds such a unit then serves a target, so that `required` treats it like any other. Units of the
@@ -59,11 +59,11 @@ class Kept:
             ),
         )
 
-    def really(self, plan: Plan, serving: Problem) -> Plan:
-        """A plan of `serving`, or of a part of it, translated back: without the publications for artificial targets."""
+    def really(self, plan: Plan, planned: Problem) -> Plan:
+        """A plan of a problem with own targets, or of a part of it, without the publications for these."""
         if plan.change_set is None:
             return plan
-        units = [_without(unit) for unit in serving.after(plan).units]
+        units = [_without(unit) for unit in planned.after(plan).units]
         return replace(plan, change_set=self.problem.environment.change_to(units))
 
     @cached_property

@@ -159,13 +159,13 @@ def _feeding_what_stays(problem: Problem, planner: Planner, label: str) -> Plan 
     if Notion.SURVIVAL in problem.notions:
         return None
     kept = Kept(problem)
-    serving = kept.serving()
-    if serving is problem:
+    wanted = kept.with_own_targets()
+    if wanted is problem:
         return None
-    found = planner(serving)
+    found = planner(wanted)
     if found.change_set is None or label in found.unused_required:
         return None
-    plan = kept.really(found, serving)
+    plan = kept.really(found, wanted)
     unused = unused_required(problem.after(plan))
     return replace(plan, unused_required=tuple(each for each in unused if each != label))
 
@@ -204,9 +204,9 @@ def _served(environment: Environment, units: Iterable[ComputationUnit], port: st
 
     through = reached(served_by(units, port), lambda unit: served_by([environment.unit[unit]], None))
     topics.update(p.topic for unit in through for p in environment.unit[unit].publications)
-    serving = {*through, *(u.id for u in units if port is None)}
+    used = {*through, *(u.id for u in units if port is None)}
     to_run = environment.wanted_to_run.keys()
-    met = {label for label, u in environment.meeting(environment.units).items() if u.id in serving and label in to_run}
+    met = {label for label, u in environment.meeting(environment.units).items() if u.id in used and label in to_run}
     return tuple(target.label for target in environment.targets if target.topic in topics or target.label in met)
 
 

@@ -103,7 +103,7 @@ class FastEngine:
         newcomers = [self._rules.atom(Nominal(name)) for name in sorted(come)]
         return self._saturation.let_individuals_come(newcomers) and not self.is_inconsistent
 
-    def is_crowded(self, concepts: int) -> bool:
+    def is_too_large(self, concepts: int) -> bool:
         """Whether a new engine should take the place of this one, which knows many more concepts than are left."""
         return len(self._offers) + len(self._demands) > 2 * concepts + _FEW_CONCEPTS
 

@@ -209,7 +209,7 @@ class Matcher:
         return self._current_engine().outside
 
     def _current_engine(self) -> FastEngine:
-        if self._engine is None or self._engine.is_crowded(len(self._offered.texts) + len(self._demanded.texts)):
+        if self._engine is None or self._engine.is_too_large(len(self._offered.texts) + len(self._demanded.texts)):
             roles = set().union(*map(roles_in, (*self._offered.texts, *self._demanded.texts)))
             engine = FastEngine(self._ontology.trees, roles, self._ontology.dropped)
             if engine.is_inconsistent:

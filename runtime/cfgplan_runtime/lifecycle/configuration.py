@@ -130,7 +130,7 @@ def _capped(cost_us: int) -> int:
 def avoided_now(world: Environment, running: Environment, situation: Situation) -> dict[str, str]:
     """Why transformations are left out, by label. One that backs off is not, while a good unit of it runs."""
     avoided: dict[str, str] = {}
-    serving = {
+    sound = {
         situation.units[unit.id].transformation.label: situation.units[unit.id].transformation
         for unit in running.units
         if unit.id in situation.units and unit.id not in situation.failing
@@ -140,8 +140,8 @@ def avoided_now(world: Environment, running: Environment, situation: Situation) 
         if places and all(map(situation.is_lost, places)):
             avoided[label] = gone_host(*places)
         elif label in situation.back_offs.avoided:
-            served = serving.get(label)
-            if served is None or not _has_ports_of(served, transformation):
+            runs = sound.get(label)
+            if runs is None or not _has_ports_of(runs, transformation):
                 avoided[label] = situation.back_offs.refusal(label) or "it keeps failing"
     return avoided
 

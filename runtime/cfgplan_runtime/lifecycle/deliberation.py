@@ -426,5 +426,5 @@ def _served(wanted: Environment, met: list[str], running: Environment) -> tuple[
 
 def _used(environment: Environment) -> set[str]:
     """The transformations of the units that serve some target, directly or through others."""
-    serving = needed_by(environment, meeting_targets(environment))
-    return {environment.unit[unit].transformation for unit in serving}
+    needed = needed_by(environment, meeting_targets(environment))
+    return {environment.unit[unit].transformation for unit in needed}
