@@ -8,18 +8,7 @@ from typing import Any
 
 import yaml
 
-from cfgplan.domain import (
-    ChangeSet,
-    ComputationUnit,
-    Environment,
-    InputPort,
-    OutputPort,
-    Publication,
-    Stream,
-    Subscription,
-    Target,
-    Transformation,
-)
+from cfgplan import domain
 from cfgplan.errors import InputError
 from cfgplan.formats import fields
 from cfgplan.formats.document import Document
@@ -68,7 +57,7 @@ def plain_document(document: Document) -> dict[str, Any]:
 
 
 def plain_environment(
-    environment: Environment,
+    environment: domain.Environment,
     *,
     horizon_s: int,
     max_cost_us: int | None = None,
@@ -107,7 +96,7 @@ def _imports(imports: Mapping[str, str | None]) -> str | dict[str, str]:
     return {iri: fields.IGNORE if path is None else path for iri, path in imports.items()}
 
 
-def _transformation(transformation: Transformation, environment: Environment) -> dict[str, Any]:
+def _transformation(transformation: domain.Transformation, environment: domain.Environment) -> dict[str, Any]:
     """A transformation, with every `${` in its texts escaped."""
     said: dict[str, Any] = escaped(
         fields.TransformationPart.written(
@@ -122,17 +111,17 @@ def _transformation(transformation: Transformation, environment: Environment) ->
     return said
 
 
-def _conflicts(transformation: Transformation) -> Any:
+def _conflicts(transformation: domain.Transformation) -> Any:
     if transformation.conflicts_on_host:
         return fields.ConflictsPart.written(transformation)
     return list(transformation.conflicts)
 
 
-def _input(port: InputPort) -> dict[str, Any]:
+def _input(port: domain.InputPort) -> dict[str, Any]:
     return fields.InputPart.written(port, **({"feedback": None} if port.service else {}))
 
 
-def _output(port: OutputPort, environment: Environment) -> dict[str, Any]:
+def _output(port: domain.OutputPort, environment: domain.Environment) -> dict[str, Any]:
     return fields.OutputPart.written(port, quality={q.attribute: _contribution(q, environment) for q in port.quality})
 
 
@@ -140,7 +129,7 @@ def _port(said: dict[str, Any]) -> Any:
     return said["tag"] if len(said) == 1 else said
 
 
-def _contribution(contribution: Contribution, environment: Environment) -> Any:
+def _contribution(contribution: Contribution, environment: domain.Environment) -> Any:
     attribute = environment.quality.get(contribution.attribute)
     value = plain_quality(contribution.value)
     if attribute is not None and attribute.rule is contribution.rule and contribution.over is Over.WORST:
@@ -155,12 +144,12 @@ def _attribute(attribute: QualityAttribute) -> dict[str, Any]:
     return fields.AttributePart.written(attribute, **scale)
 
 
-def _wish(wish: Wish, environment: Environment) -> dict[str, Any]:
+def _wish(wish: Wish, environment: domain.Environment) -> dict[str, Any]:
     is_low = environment.quality[wish.attribute].better is Better.LOWER
     return fields.WishPart.written(wish, **{"at_least" if is_low else "at_most": None})
 
 
-def plain_unit(unit: ComputationUnit) -> dict[str, Any]:
+def plain_unit(unit: domain.ComputationUnit) -> dict[str, Any]:
     """A unit as an environment file says it."""
     topics: dict[str, list[str]] = {}
     for publication in unit.publications:
@@ -169,23 +158,23 @@ def plain_unit(unit: ComputationUnit) -> dict[str, Any]:
     return fields.UnitPart.written(unit, inputs=inputs, topics=topics)
 
 
-def unit_of(said: Mapping[str, Any]) -> ComputationUnit:
+def unit_of(said: Mapping[str, Any]) -> domain.ComputationUnit:
     """The unit of which a mapping says what `plain_unit` says."""
     fed = ((port, [of] if isinstance(of, str) else of) for port, of in said.get("inputs", {}).items())
-    return ComputationUnit(
+    return domain.ComputationUnit(
         said["id"],
         said["transformation"],
-        tuple(Subscription(port, Stream.parse(stream)) for port, streams in fed for stream in streams),
-        tuple(Publication(port, topic) for port, topics in said.get("topics", {}).items() for topic in topics),
+        tuple(domain.Subscription(port, domain.Stream.parse(stream)) for port, streams in fed for stream in streams),
+        tuple(domain.Publication(port, topic) for port, topics in said.get("topics", {}).items() for topic in topics),
         said.get("host"),
         said.get("standby", False),
     )
 
 
-def changes_of(said: Mapping[str, Any]) -> ChangeSet:
+def changes_of(said: Mapping[str, Any]) -> domain.ChangeSet:
     """The changes of units of which a mapping tells, as a plan file does."""
     started, rewired = (tuple(map(unit_of, said[key])) for key in ("started", "rewired"))
-    return ChangeSet(started, rewired, tuple(said["stopped"]))
+    return domain.ChangeSet(started, rewired, tuple(said["stopped"]))
 
 
 def one_or_more(texts: list[str]) -> str | list[str]:
@@ -193,7 +182,7 @@ def one_or_more(texts: list[str]) -> str | list[str]:
     return texts[0] if len(texts) == 1 else texts
 
 
-def _target(target: Target, environment: Environment) -> dict[str, Any]:
+def _target(target: domain.Target, environment: domain.Environment) -> dict[str, Any]:
     stream = {} if target.run is None else {"tag": None, "topic": None}
     return fields.TargetPart.written(
         target, **stream, quality={wish.attribute: _wish(wish, environment) for wish in target.quality}

@@ -13,13 +13,7 @@ from math import inf
 from cfgplan.api import World
 from cfgplan.domain import ChangeSet
 from cfgplan.errors import InputError
-from cfgplan_runtime.errors import (
-    AbandonedError,
-    ApplyError,
-    NoSourceError,
-    RuntimeFaultError,
-    StaleChangeSetError,
-)
+from cfgplan_runtime import errors
 from cfgplan_runtime.lifecycle import intake
 from cfgplan_runtime.lifecycle.back_off import BackOffs
 from cfgplan_runtime.lifecycle.basis import basis_of, staleness
@@ -296,18 +290,18 @@ def _failed(turn: Turn, updating: Updating, error: Exception) -> tuple[Turn, Upd
     """The perturbation that a failed update is; its transformations are refused, postponed or blamed."""
     slow: tuple[str, ...] = ()
     match error:
-        case StaleChangeSetError():
+        case errors.StaleChangeSetError():
             failed = UpdateFailed(str(error), is_stale=True)
-        case NoSourceError(transformations=labels, cause=cause):
+        case errors.NoSourceError(transformations=labels, cause=cause):
             failed = UpdateFailed(str(error), labels)
             for label in labels:
                 situation = turn.state.situation
                 refusing = situation.back_offs.refusing(label, cause)
                 turn = turn.situated(replace(situation, back_offs=refusing)).telling_back_off(label)
-        case AbandonedError(units=slow):
+        case errors.AbandonedError(units=slow):
             turn, postponed = _postponed(turn, slow)
             failed = UpdateFailed(str(error), postponed)
-        case ApplyError(units=slow):
+        case errors.ApplyError(units=slow):
             turn, blamed = _blamed(turn, updating, slow, str(error))
             failed = UpdateFailed(str(error), blamed)
         case _:
@@ -428,7 +422,7 @@ def _finished(turn: Turn, cause: str) -> Turn:
     left = [outcome for outcomes in state.waiting.values() for outcome in outcomes]
     left += [outcome for entry in entries for outcome in entry.outcomes]
     left += [request.outcome for request in state.given]
-    error = RuntimeFaultError("the manager has ended")
+    error = errors.RuntimeFaultError("the manager has ended")
     nothing = replace(state, doing=None, entries=(), waiting={}, stops=(), given=(), previews=(), is_over=True)
     turn = turn.to(nothing).also(*(Respond(outcome, error) for outcome in state.previews))
     turn = turn.also(*(Respond(outcome) for outcome in state.stops))

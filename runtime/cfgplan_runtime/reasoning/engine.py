@@ -17,19 +17,10 @@ from typing import Any, NamedTuple
 
 from cfgplan.domain import Target
 from cfgplan_runtime.errors import RuntimeFaultError
+from cfgplan_runtime.reasoning import queries
 from cfgplan_runtime.reasoning.conditions import Evaluator
 from cfgplan_runtime.reasoning.features import Feature
 from cfgplan_runtime.reasoning.monitor import Monitor
-from cfgplan_runtime.reasoning.queries import (
-    Answer,
-    Noted,
-    Progressed,
-    Query,
-    QueryReport,
-    SetUp,
-    Subscriptions,
-    UnmetTargetsError,
-)
 from cfgplan_runtime.reasoning.states import Synchroniser
 from cfgplan_runtime.reasoning.truth import VERDICT_OF, Verdict
 
@@ -50,9 +41,9 @@ class Engine:
 
     def __init__(
         self,
-        query: Query,
-        subscriptions: Subscriptions,
-        report: Callable[[QueryReport], None],
+        query: queries.Query,
+        subscriptions: queries.Subscriptions,
+        report: Callable[[queries.QueryReport], None],
         *,
         name: str | None = None,
         clock_ns: Callable[[], int] = time.time_ns,
@@ -74,7 +65,7 @@ class Engine:
         self._absent: tuple[str, ...] = ()
         self._dropped: dict[str, int] = {}
 
-    def run(self, *, for_s: float | None = None, wait_s: float = 0.0, every_s: float = 1.0) -> Answer:
+    def run(self, *, for_s: float | None = None, wait_s: float = 0.0, every_s: float = 1.0) -> queries.Answer:
         """Answer the query: until the answer is final, for at most `for_s`, or until all its streams have ended.
 
         Reports progress every `every_s`. Waits up to `wait_s` for targets that can't be met yet, then raises
@@ -122,9 +113,9 @@ class Engine:
                     told = {
                         names[label]: why.replace(f"target {label}", names[label]) for label, why in reasons.items()
                     }
-                    raise UnmetTargetsError(told)
+                    raise queries.UnmetTargetsError(told)
                 time.sleep(_ENGINE_LOOK_S)
-        self._report(SetUp(topics, time.monotonic() - begin))
+        self._report(queries.SetUp(topics, time.monotonic() - begin))
 
     def _take_down(self, labels: Sequence[str]) -> None:
         try:
@@ -150,7 +141,7 @@ class Engine:
         except Exception as error:
             self._inbox.put(error)
 
-    def _follow(self, for_s: float | None, every_s: float) -> Answer:
+    def _follow(self, for_s: float | None, every_s: float) -> queries.Answer:
         begin = time.monotonic()
         begin_ns = self._clock_ns()
         end = None if for_s is None else begin + for_s
@@ -185,10 +176,10 @@ class Engine:
                 if isinstance(found, Exception):
                     raise found
                 if isinstance(found, str):
-                    self._report(Noted(found))
+                    self._report(queries.Noted(found))
                 elif isinstance(found, _Ended):
                     self._ended.add(found.feature)
-                    self._report(Noted(f"the stream of {found.feature} has ended"))
+                    self._report(queries.Noted(f"the stream of {found.feature} has ended"))
                 else:
                     name, value, time_ns = found
                     if self._streams is None:
@@ -220,15 +211,15 @@ class Engine:
         return self.monitor.verdict
 
     def _tell_progress(self) -> None:
-        if self.monitor.time_ns is not None:
-            monitor = self.monitor
-            told = Progressed(self.monitor.time_ns, monitor.states, monitor.waiting(), monitor.possible, self._absent)
-            self._report(told)
+        monitor = self.monitor
+        if monitor.time_ns is not None:
+            waiting = monitor.waiting()
+            self._report(queries.Progressed(monitor.time_ns, monitor.states, waiting, monitor.possible, self._absent))
 
-    def _answer(self) -> Answer:
+    def _answer(self) -> queries.Answer:
         monitor, streams = self.monitor, self._streams
         is_final = monitor.verdict is not Verdict.OPEN and monitor.time_ns is not None
-        return Answer(
+        return queries.Answer(
             monitor.verdict,
             monitor.states,
             self._first_ns,
@@ -248,7 +239,7 @@ class Engine:
             while True:
                 found = self._inbox.get_nowait()
                 if isinstance(found, str):
-                    self._report(Noted(found))
+                    self._report(queries.Noted(found))
 
     def _note(self, text: str) -> None:
         self._inbox.put(text)

@@ -9,6 +9,7 @@ from decimal import Decimal
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from cfgplan.errors import Fault, did_you_mean
+from cfgplan_runtime.reasoning import syntax
 from cfgplan_runtime.reasoning.conditions import (
     RCC8,
     Absolute,
@@ -24,20 +25,6 @@ from cfgplan_runtime.reasoning.conditions import (
     Value,
 )
 from cfgplan_runtime.reasoning.regions import Region
-from cfgplan_runtime.reasoning.syntax import (
-    ALL_TIME,
-    Always,
-    And,
-    Atom,
-    Constant,
-    Eventually,
-    Formula,
-    Implies,
-    Interval,
-    Not,
-    Or,
-    Until,
-)
 
 if TYPE_CHECKING:
     from lark import Token, Tree
@@ -61,7 +48,7 @@ _UNIT_NS = {
 _LONGEST_NS = 100 * 366 * 24 * 3600 * SECOND_NS
 DEEPEST_FORMULA = 60
 _PLAIN_SIGN = {"≤": "<=", "≥": ">=", "≠": "!=", "=": "=="}
-_NOTHING = Constant(True)
+_NOTHING = syntax.Constant(True)
 
 
 @dataclass(frozen=True)
@@ -81,7 +68,7 @@ class Reader:
         self._file = file
         self._depth = 0
 
-    def formula(self, node: Node) -> Formula:
+    def formula(self, node: Node) -> syntax.Formula:
         """The formula that a node is."""
         with self._deeper(node) as is_shallow:
             return self._formula(node) if is_shallow else _NOTHING
@@ -96,41 +83,41 @@ class Reader:
         yield self._depth <= DEEPEST_FORMULA
         self._depth -= 1
 
-    def _formula(self, node: Any) -> Formula:
+    def _formula(self, node: Any) -> syntax.Formula:
         parts = node.children
         match node.data:
             case "implication":
-                return Implies(self.formula(parts[0]), self.formula(parts[2]))
+                return syntax.Implies(self.formula(parts[0]), self.formula(parts[2]))
             case "disjunction" | "conjunction":
                 joined = self.formula(parts[0])
                 for part in parts[2::2]:
                     right = self.formula(part)
-                    joined = Or(joined, right) if node.data == "disjunction" else And(joined, right)
+                    joined = syntax.Or(joined, right) if node.data == "disjunction" else syntax.And(joined, right)
                 return joined
             case "negation":
-                return Not(self.formula(parts[1]))
+                return syntax.Not(self.formula(parts[1]))
             case "always" | "eventually":
-                kind = Always if node.data == "always" else Eventually
+                kind = syntax.Always if node.data == "always" else syntax.Eventually
                 return kind(self.formula(parts[-1]), self._interval(parts[1:-1]))
             case "strife":
-                return Until(self.formula(parts[0]), self.formula(parts[-1]), self._interval(parts[2:-1]))
+                return syntax.Until(self.formula(parts[0]), self.formula(parts[-1]), self._interval(parts[2:-1]))
             case "comparison":
                 return self._comparison(node)
             case "call":
                 return self._call(node)
             case "field":
                 found = self._field(node)
-                return _NOTHING if found is None else Atom(Flag(found))
+                return _NOTHING if found is None else syntax.Atom(Flag(found))
             case "true" | "false":
-                return Constant(node.data == "true")
+                return syntax.Constant(node.data == "true")
             case _:
                 self._wrong(node, "this is a value, no formula", "compare it with another: `ball.x > 0`")
                 return _NOTHING
 
-    def _comparison(self, node: Any) -> Formula:
+    def _comparison(self, node: Any) -> syntax.Formula:
         values = [self._value(part) for part in node.children[::2]]
         signs = [_PLAIN_SIGN.get(str(sign), str(sign)) for sign in node.children[1::2]]
-        joined: Formula | None = None
+        joined: syntax.Formula | None = None
         for sign, left, right in zip(signs, values, values[1:], strict=False):
             if left is None or right is None:
                 continue
@@ -140,19 +127,19 @@ class Reader:
                 self._wrong(node, "a number and a text can't be compared", "write both as numbers, or both in quotes")
             elif bool in kinds and sign not in ("==", "!="):
                 self._wrong(node, "true and false have no order", "compare them by == or !=")
-            atom = Atom(Comparison(sign, left, right))
-            joined = atom if joined is None else And(joined, atom)
+            atom = syntax.Atom(Comparison(sign, left, right))
+            joined = atom if joined is None else syntax.And(joined, atom)
         return joined or _NOTHING
 
-    def _call(self, node: Any) -> Formula:
+    def _call(self, node: Any) -> syntax.Formula:
         name, arguments = str(node.children[0]), node.children[1:]
         plain = name.lower() if name.lower() in RCC8 else name
         if plain == "in" and self._has_two(node, "a point and a region: in(ball, goal)"):
             point, region = self._field_of(arguments[0], "a point"), self._region(arguments[1])
-            return Atom(Membership(point, region)) if point and region else _NOTHING
+            return syntax.Atom(Membership(point, region)) if point and region else _NOTHING
         if plain in RCC8 and self._has_two(node, f"two regions: {name}(hull, goal)"):
             left, right = self._region(arguments[0]), self._region(arguments[1])
-            return Atom(Relation(plain, left, right)) if left and right else _NOTHING
+            return syntax.Atom(Relation(plain, left, right)) if left and right else _NOTHING
         if plain in ("distance", "abs"):
             self._wrong(node, f"{name}(...) is a number, no formula", f"compare it: `{name}(...) < 1`")
         elif plain not in FUNCTIONS:
@@ -229,10 +216,7 @@ class Reader:
         if name in self._vocabulary.regions:
             self._wrong(node, f"{name} is a region", f"say what is in it: `in(ball, {name})`")
             return None
-        known = sorted(self._vocabulary.features)
-        listed = f"there is {', '.join(known)}; declare" if known else "declare"
-        otherwise = f"{listed} it with --feature {name}='TAG' or in a features file"
-        self._wrong(node, f"unknown feature `{name}`", did_you_mean(name, known, otherwise))
+        self._unknown_name(node, "feature", self._vocabulary.features, "TAG")
         return None
 
     def _field_of(self, node: Any, what: str) -> Field | None:
@@ -247,10 +231,8 @@ class Reader:
             if name in self._vocabulary.regions:
                 return RegionName(name)
             if name not in self._vocabulary.features:
-                known = sorted([*self._vocabulary.regions, *self._vocabulary.features])
-                listed = f"there is {', '.join(known)}; declare" if known else "declare"
-                otherwise = f"{listed} it with --region {name}='{{box: [x, y, x, y]}}' or in a features file"
-                self._wrong(node, f"unknown region `{name}`", did_you_mean(name, known, otherwise))
+                known = [*self._vocabulary.regions, *self._vocabulary.features]
+                self._unknown_name(node, "region", known, "{box: [x, y, x, y]}")
                 return None
         return self._field_of(node, "a region")
 
@@ -260,15 +242,21 @@ class Reader:
         self._wrong(node, f"{node.children[0]} takes {what}")
         return False
 
+    def _unknown_name(self, node: Any, kind: str, known: Collection[str], form: str) -> None:
+        name, listed = str(node.children[0]), ", ".join(sorted(known))
+        declare = f"declare it with --{kind} {name}='{form}' or in a features file"
+        otherwise = f"there is {listed}; {declare}" if known else declare
+        self._wrong(node, f"unknown {kind} `{name}`", did_you_mean(name, sorted(known), otherwise))
+
     def _unknown_function(self, node: Any) -> None:
         name = str(node.children[0])
         otherwise = f"there is {', '.join(FUNCTIONS)}"
         mend = f"`{name}` is written {SPELLED[name]} here" if name in SPELLED else None
         self._wrong(node, f"unknown function `{name}`", mend or did_you_mean(name, FUNCTIONS, otherwise))
 
-    def _interval(self, nodes: list[Any]) -> Interval:
+    def _interval(self, nodes: list[Any]) -> syntax.Interval:
         if not nodes:
-            return ALL_TIME
+            return syntax.ALL_TIME
         node = nodes[0]
         first, last, bracket = node.children
         units = [str(bound.children[1]) for bound in (first, last) if len(bound.children) == 2]
@@ -276,16 +264,16 @@ class Reader:
         end = self._bound(last, units[-1] if units else "s")
         if begin is None:
             self._wrong(first, "an interval can't begin at infinity")
-            return ALL_TIME
+            return syntax.ALL_TIME
         if end is None:
-            return Interval(begin)
+            return syntax.Interval(begin)
         end -= bracket.type == "RPAR"
         if end < begin:
             is_empty = end + 1 == begin and bracket.type == "RPAR"
             what = "is empty" if is_empty else "ends before it starts"
             self._wrong(node, f"the interval {what}", "write the earlier bound first: [0, 10s]")
-            return ALL_TIME
-        return Interval(begin, end)
+            return syntax.ALL_TIME
+        return syntax.Interval(begin, end)
 
     def _bound(self, node: Any, unit: str) -> int | None:
         number = node.children[0]

@@ -14,14 +14,8 @@ import msgspec
 from cfgplan.domain import ALL, ChangeSet, ComputationUnit, Environment, Stream, Transformation
 from cfgplan.errors import InvalidValueError
 from cfgplan_runtime.errors import AbandonedError, ApplyError, NoSourceError, StaleChangeSetError
+from cfgplan_runtime.supervision import wiring
 from cfgplan_runtime.supervision.backend import Inlet
-from cfgplan_runtime.supervision.wiring import (
-    Wire,
-    starved_units,
-    wanted_feeds,
-    wanted_topics,
-    without_feed,
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +47,7 @@ class Actual(Protocol):
     @property
     def lost_hosts(self) -> Set[str]: ...
     @property
-    def feeds(self) -> Mapping[Inlet, Wire]: ...
+    def feeds(self) -> Mapping[Inlet, wiring.Wire]: ...
     @property
     def cause_of_death(self) -> Mapping[str, str]: ...
     @property
@@ -177,7 +171,7 @@ def carry_out(
 
     With `keeps_new`, new units that have not failed then run on, unconnected.
     """
-    wanted = wanted_feeds(after, {inlet: wire.stream for inlet, wire in actual.feeds.items()})
+    wanted = wiring.wanted_feeds(after, {inlet: wire.stream for inlet, wire in actual.feeds.items()})
     update, seconds = _Update(actual, change_set, after, wanted, patience), dict[str, float]()
     try:
         yield from _timed("start", update.start(), actual, seconds)
@@ -189,7 +183,7 @@ def carry_out(
     unswitched = len(update.switching())
     yield from _timed("stop", update.stop(), actual, seconds)
     yield WaitUntil(update.may_end, patience.stop_s)
-    yield from update.close_topics(actual.topics.keys() - wanted_topics(after).keys())
+    yield from update.close_topics(actual.topics.keys() - wiring.wanted_topics(after).keys())
     return CarriedOut(update.as_it_lives(), seconds, unswitched)
 
 
@@ -212,7 +206,7 @@ def _faults(after: Environment, change_set: ChangeSet, lost_hosts: Set[str]) -> 
                 yield f"{transformation.label!r} has no input {port!r}"
             elif ALL != transformation.input[port].count < len(streams):
                 yield f"input {port} of {unit.id} takes {transformation.input[port].count} streams, not {len(streams)}"
-    for inlet, stream in wanted_feeds(after).items():
+    for inlet, stream in wiring.wanted_feeds(after).items():
         unit_of_stream = after.unit.get(stream.unit)
         producer = after.transformation.get(unit_of_stream.transformation) if unit_of_stream else None
         if producer is None or stream.port not in producer.output:
@@ -241,7 +235,7 @@ class _Update:
 
     def start(self) -> Commands:
         actual = self.actual
-        for topic, host in sorted(wanted_topics(self.after).items()):
+        for topic, host in sorted(wiring.wanted_topics(self.after).items()):
             if topic in actual.topics and actual.topics[topic] != host:
                 yield from self.close_topic_elsewhere(topic)
             if topic not in actual.topics:
@@ -270,7 +264,7 @@ class _Update:
             if fed is None or fed.stream != stream:
                 self.rewired[inlet] = None if fed is None else fed.stream
                 yield Connect(stream, inlet)
-        idle = starved_units(actual.environment) | actual.dry_units()
+        idle = wiring.starved_units(actual.environment) | actual.dry_units()
         starved = idle.intersection(self.change_set.stopped)
         yield WaitUntil(
             lambda: bool(self.dead()) or self.may_end(starved),
@@ -334,7 +328,7 @@ class _Update:
         outlet = Inlet("", topic)
         if outlet in self.actual.feeds:
             yield Disconnect(outlet)
-            yield Believe(without_feed(self.actual.environment, outlet))
+            yield Believe(wiring.without_feed(self.actual.environment, outlet))
         yield CloseTopic(topic)
 
     def close_topics(self, topics: Iterable[str]) -> Commands:
@@ -393,7 +387,7 @@ class _Update:
                 environment = environment.without_unit(unit.id)
         for inlet, stream in self.wanted.items():
             if inlet not in self.actual.feeds:
-                environment = without_feed(environment, inlet, stream)
+                environment = wiring.without_feed(environment, inlet, stream)
         return environment
 
     def loading(self, units: Set[str]) -> list[str]:
