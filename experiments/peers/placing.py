@@ -54,6 +54,9 @@ class Placing(Selection):
         for i, candidate in enumerate(self.candidates):
             if candidate.transformation.label in self._place_of:
                 self._places[self._place_of[candidate.transformation.label][0]].append(i)
+        bare = replace(environment, hosts=(), targets=tuple(replace(t, host=None) for t in environment.targets))
+        self.hostless = Selection(replace(problem, environment=bare), who)
+        """The same, if there were no hosts."""
         self.limits, self.implied = tuple(self._limits()), tuple(self._wherever_it_is())
 
     def answer(
@@ -63,6 +66,14 @@ class Placing(Selection):
         if found.change_set is None:
             return found
         return replace(found, change_set=self._fleet.environment.change_to(self._units(found.change_set.started)))
+
+    def places(self, kinds: Collection[int]) -> list[int]:
+        """The choices to run some of the hostless candidates, wherever."""
+        return [i for kind in kinds for i in self._places[self.hostless.candidates[kind].transformation.label]]
+
+    def kinds(self, chosen: Collection[int]) -> list[int]:
+        """The hostless candidates of which a unit is chosen."""
+        return [i for i in range(len(self.hostless.candidates)) if not set(chosen).isdisjoint(self.places([i]))]
 
     def _plain(self) -> Problem:
         """The problem with a transformation for each unit on a host and each journey, which cost what these cost."""

@@ -11,6 +11,7 @@ from math import gcd
 from cfgplan.errors import InputError
 from experiments.peers.counting import Counting, Where
 from experiments.peers.lead import Lead
+from experiments.peers.placing import Placing
 from experiments.peers.selection import Selection
 
 
@@ -54,9 +55,10 @@ class Program:
             raise InputError.of(f"{selection.who} does not know feedback inputs")
         self.selection, self.rows = selection, Rows()
         self.scale = gcd(*(candidate.cost_us for candidate in selection.candidates)) or 1
-        self.needs = [sorted({port.tag for port in c.transformation.inputs}) for c in selection.candidates]
+        self.needs = _needs(selection)
         self.is_picky = any(p.distinct is not None for c in selection.candidates for p in c.transformation.inputs)
         self.closure = Closure(selection, self.needs)
+        self.placing = selection if isinstance(selection, Placing) else None
         self.costs = [float(candidate.cost_us // self.scale) for candidate in selection.candidates]
         self.most = [1] * len(self.costs)
         self._y: dict[str, int] = {}
@@ -81,8 +83,15 @@ class Program:
                 rows.at_least(0, [i], [-1.0])
 
     def missed(self, chosen: list[int]) -> Rows:
-        """Landmarks that these chosen miss: one of the ways in must be taken; or one of those outside a grown set."""
+        """Landmarks that these chosen miss: one of the ways in must be taken; or one of those outside a grown set.
+
+        Of a fleet also those that would be missed wherever units were.
+        """
         rows = Rows()
+        if self.placing is not None:
+            hostless = Closure(self.placing.hostless, _needs(self.placing.hostless))
+            for outside in hostless.missed(self.placing.kinds(chosen)):
+                rows.some(self.placing.places(outside))
         if self.is_picky:
             rows.some(self.selection.ways_in(chosen))
         else:
@@ -109,6 +118,11 @@ class Program:
             rows.implies(i, list(feeds.values()))
         for columns in taken.values():
             rows.at_least(-1, columns, [-1.0] * len(columns))
+
+
+def _needs(selection: Selection) -> list[list[str]]:
+    """The tags that each candidate demands."""
+    return [sorted({port.tag for port in c.transformation.inputs}) for c in selection.candidates]
 
 
 class NumberProgram:

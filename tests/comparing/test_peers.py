@@ -27,6 +27,7 @@ from cfgplan.planning import Problem, Status
 from experiments.peers import LED, PEERS, downward
 from experiments.peers.counting import Counting, is_counted
 from experiments.peers.placing import Placing, selection_of
+from experiments.peers.program import Program
 from experiments.peers.selection import Selection
 from experiments.study.instances import Instance, generated, given
 from experiments.study.runner import run_one
@@ -167,8 +168,8 @@ def test_a_unit_is_on_one_host_and_hosts_have_limits() -> None:
     assert sorted((limit.most, *limit.takes.values()) for limit in placing.limits) == [(0, 1), (1, 1, 1), (2, 1)]
 
 
-def test_what_a_solver_chose_beside_a_plan_is_left_out_of_it() -> None:
-    """It ended SCIP, and cut off solutions: a ring that nothing feeds gives what is wanted, but so does a source."""
+def ringed(**parts: Any) -> Problem:
+    """A ring that nothing feeds, but a dear start, gives what is wanted; so does a source."""
     library = (
         Transformation("source", (), (OutputPort("out", "X"),), 1_000),
         Transformation("one", (InputPort("in", "Z"),), (OutputPort("out", "Y"), OutputPort("more", "X")), 1_000),
@@ -176,11 +177,24 @@ def test_what_a_solver_chose_beside_a_plan_is_left_out_of_it() -> None:
         Transformation("start", (), (OutputPort("out", "Z"),), 9_000),
     )
     relation = Similarity({tag: frozenset(tag) for tag in "XYZ"})
-    selection = Selection(Problem(Environment((), library, (Target("q", "X", "/q"),)), relation, 1), "scip")
+    return Problem(Environment((), library, (Target("q", "X", "/q"),), **parts), relation, 1)
+
+
+def test_what_a_solver_chose_beside_a_plan_is_left_out_of_it() -> None:
+    """It ended SCIP, and cut off solutions."""
+    selection = Selection(ringed(), "scip")
     of = {candidate.transformation.label: i for i, candidate in enumerate(selection.candidates)}
     ring = [of["one"], of["other"]]
     assert selection.plan_within([*ring, of["source"]]) == [of["source"]]
     assert selection.plan_within(ring) is None
+
+
+def test_a_ring_on_one_host_misses_a_landmark_over_all_hosts() -> None:
+    placing = Placing(ringed(hosts=(Host("a"), Host("b"))), "highs")
+    labels = [candidate.transformation.label for candidate in placing.candidates]
+    missed = Program(placing, None).missed([labels.index("one on a"), labels.index("other on a")])
+    _, columns, _ = next(iter(missed.each()))
+    assert {labels[i] for i in columns} == {"source on a", "source on b", "start on a", "start on b"}
 
 
 def test_fast_downward_out_of_memory_is_told_as_that(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
