@@ -16,8 +16,8 @@ from worlds import problems
 from cfgplan.planners.bounding.bounds import cheapest_way
 from cfgplan.planners.bounding.branching import LEFT_OUT, Branching, Links, Ways
 from cfgplan.planners.cpsat import PlannerSession
-from cfgplan.planners.exact.deciding import decide
 from cfgplan.planners.exact.memory import Memory, Structure
+from cfgplan.planners.exact.stages import decide
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.exact.work import Work
 from cfgplan.planners.networks.greedy import is_plan
