@@ -407,7 +407,7 @@ JUDGE = _room(
     ),
     ("units that conflict are on one host", "hosts.py", "if other in there and other != label:", "if False:"),
     ("a unit runs alone", "hosts.py", "if (other, unit.host) not in running:", "if False:"),
-    ("company is needless", "reading.py", "if len(ids) == 1]", "if len(ids) == 9]"),
+    ("company is needless", "facts.py", "if len(ids) == 1]", "if len(ids) == 9]"),
     (
         "the failure of its company is not a unit's",
         "survival.py",
@@ -431,7 +431,7 @@ JUDGE = _room(
         "for label in feeding) < 0:",
     ),
     ("a wanted unit does not run", "environments.py", "target.run not in running:", "False:"),
-    ("a wanted unit is needless", "reading.py", "and not u.standby)[:1])", "and not u.standby)[:0])"),
+    ("a wanted unit is needless", "facts.py", "and not u.standby)[:1])", "and not u.standby)[:0])"),
     ("too few units run", "environments.py", "if len(running[label]) < transformation.min_instances:", "if False:"),
 )
 
@@ -543,58 +543,58 @@ SATURATION = _room(
 
 SUPERVISION = _room(
     "runtime/cfgplan_runtime/supervision",
-    ("tests/runtime/test_supervisor.py", "tests/runtime/test_applying.py"),
-    ("an undone update leaves topics open", "applying.py", "        yield from self.close_topics(self.opened)\n", ""),
+    ("tests/runtime/test_supervisor.py", "tests/runtime/test_updates.py"),
+    ("an undone update leaves topics open", "updates.py", "        yield from self.close_topics(self.opened)\n", ""),
     (
         "an undone update leaves new units",
-        "applying.py",
+        "updates.py",
         "sorted({*self.started, *failed} - kept)",
         "sorted({*failed} - kept)",
     ),
     (
         "an undone update leaves its wires",
-        "applying.py",
+        "updates.py",
         "        for inlet, old in back.items():",
         "        for inlet, old in ():",
     ),
     (
         "topics that nobody wants stay open",
-        "applying.py",
-        "    yield from update.close_topics(actual.topics.keys() - wanted_topics(after).keys())\n",
+        "updates.py",
+        "    yield from update.close_topics(actual.topics.keys() - wiring.wanted_topics(after).keys())\n",
         "",
     ),
     (
         "a unit that does not stop is not killed",
-        "applying.py",
+        "updates.py",
         "in sorted(actual.alive & set(stopped)):",
         "in ():",
     ),
-    ("a dead unit fails no update", "applying.py", "        if dead:", "        if False:"),
+    ("a dead unit fails no update", "updates.py", "        if dead:", "        if False:"),
     (
         "what died during an update is believed to live",
-        "applying.py",
+        "updates.py",
         "if unit.standby else unit.id not in self.actual.alive:",
         "if unit.standby else False:",
     ),
     (
         "spares on a host that is lost during an update are believed to be ready",
-        "applying.py",
+        "updates.py",
         "if unit.host in self.actual.lost_hosts if unit.standby else",
         "if False if unit.standby else",
     ),
     (
         "what is planned on a lost host is tried",
-        "applying.py",
+        "updates.py",
         "        if unit.host in lost_hosts:\n",
         "        if False:\n",
     ),
     (
         "a cold spare is started",
-        "applying.py",
+        "updates.py",
         "            if not unit.standby:\n                yield StartUnit",
         "            if True:\n                yield StartUnit",
     ),
-    ("a topic stays where it was", "applying.py", "and actual.topics[topic] != host:", "and False:"),
+    ("a topic stays where it was", "updates.py", "and actual.topics[topic] != host:", "and False:"),
     (
         "spares on a lost host stay",
         "supervisor.py",
@@ -653,8 +653,8 @@ SPARES = _room(
     (
         "a spare that an undone update has used is gone",
         "supervision/supervisor.py",
-        "            self.spares.keep(self.environment, self.now())\n            self._report(RolledBack",
-        "            self._report(RolledBack",
+        "            self.spares.keep(self.environment, self.now())\n            self._report(events.RolledBack",
+        "            self._report(events.RolledBack",
     ),
     (
         "a unit begins in a spare of old code",
@@ -735,7 +735,7 @@ LIFECYCLE = _room(
     (
         "an update that is given up blames its slow units",
         "decisions.py",
-        "case AbandonedError(units=slow):",
+        "case errors.AbandonedError(units=slow):",
         "case OSError(errno=slow):",
     ),
     (
@@ -748,8 +748,8 @@ LIFECYCLE = _room(
     (
         "what a unit has done counts for the next of its id",
         "intake.py",
-        "        case UnitReady(unit):\n            return _unnoted(turn, unit)",
-        "        case UnitReady(unit):\n            return turn",
+        "        case events.UnitReady(unit):\n            return _unnoted(turn, unit)",
+        "        case events.UnitReady(unit):\n            return turn",
     ),
     (
         "one good step does not count",
