@@ -15,7 +15,7 @@ README = Path(__file__).parents[2] / "experiments" / "planning" / "README.md"
 NOT_TUNED = {
     "networks/core.py": {"NEVER", "MOST_PASSES", "MOST_CROWDS"},
     "networks/greedy.py": {"DEAREST", "FREE"},
-    "closing/program.py": {"FROM_THE_LAST_BASIS", "FINE", "LARGEST_CHARGES"},
+    "closing/program.py": {"FROM_THE_LAST_BASIS", "FINEST", "LARGEST_CHARGES"},
     "closing/separation.py": {"WHOLE", "CREEP"},
     "exact/answer_sets.py": {"LARGEST_WEIGHT"},
     "exact/patterns.py": {"FINE"},
