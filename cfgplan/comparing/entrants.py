@@ -38,8 +38,8 @@ class Entrant:
 def _registered(name: str) -> Entrant:
     module = f"cfgplan.planners.{name.replace('-', '_')}"
     if name == "cpsat":
-        engines = ("ortools.sat.python.cp_model", "ortools.linear_solver.pywraplp", "cfgplan.planners.exact.search")
-        return Entrant(name, engines=engines)
+        parts = (f"cfgplan.planners.exact.{part}" for part in ("fleet", "search", "deployment"))
+        return Entrant(name, engines=("ortools.linear_solver.pywraplp", module, *parts))
     return Entrant(name, engines=(module,) if find_spec(module) else ())
 
 

@@ -6,6 +6,7 @@ import json
 import os
 import pickle
 import signal
+import subprocess
 import sys
 import time
 from base64 import b64decode
@@ -20,7 +21,7 @@ from cfgplan.comparing.runs import pickled
 from cfgplan.errors import InputError, InvalidValueError
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Plan, Problem, Progress, Status
-from experiments.study.instances import generated, given, named
+from experiments.study.instances import Instance, generated, given, named
 from experiments.study.rows import read_rows
 from experiments.study.runner import Advance, run, run_one
 from experiments.study.suites import SUITES
@@ -89,6 +90,23 @@ def test_a_row_tells_what_the_planner_answered_and_when() -> None:
     assert {"closure", "bounds"} <= row.seconds.keys()
     assert sum(row.seconds.values()) <= (row.total_s or 0.0)
     assert (row.family, dict(row.parameters), row.seed) == ("adversarial", {"kind": "dedicated", "size": 3}, 0)
+
+
+AT_ITS_FIRST_CALL = """
+import pickle, sys
+from cfgplan.comparing import entrant
+problem, planner = pickle.load(sys.stdin.buffer), entrant("cpsat").planner()
+loaded = set(sys.modules)
+planner(problem)
+print(sorted(name for name in sys.modules if name not in loaded))
+"""
+
+
+@pytest.mark.parametrize("instance", [SMALL, generated("fleet", transformations=30), generated("deployment", hosts=3)])
+def test_what_the_planner_loads_is_loaded_before_its_clock_starts(instance: Instance) -> None:
+    task = pickle.dumps(instance.problem)
+    child = subprocess.run([sys.executable, "-c", AT_ITS_FIRST_CALL], input=task, stdout=subprocess.PIPE, check=True)
+    assert child.stdout.decode().strip() == "[]"
 
 
 def test_a_planner_without_a_proof_has_no_time_of_proof() -> None:
