@@ -16,7 +16,7 @@ from rich.console import Console
 
 from cfgplan.comparing import REGISTERED, Limits, entrant
 from cfgplan.errors import CfgplanError
-from experiments.peers import PEERS, SHARING
+from experiments.peers import LED, PEERS, SHARING
 from experiments.planning import VARIANTS, takes_part
 from experiments.planning.scale_suite import SCALE_SEEDS, scale
 from experiments.planning.scaling import measure_loads, write_scale
@@ -29,7 +29,7 @@ from experiments.study.suites import SUITES, wsc_sets
 
 INSTANCES = {**SUITES, "scale": scale}
 ENTRANTS = {**REGISTERED, SHARING.name: SHARING, **VARIANTS, **PEERS}
-STUDY = (*REGISTERED, SHARING.name, *PEERS)
+STUDY = (*REGISTERED, SHARING.name, *(name for name in PEERS if name not in LED))
 AT_SCALE = ("cpsat", *VARIANTS, *PEERS)
 REPORTS = {
     "own": Path("build", "compare"),

@@ -111,6 +111,7 @@ DISTRIBUTIONS = {
     "experiments.peers.downward": "up-fast-downward",
     "highspy": "highspy",
     "ortools": "ortools",
+    "pyscipopt": "pyscipopt",
 }
 """Modules of entrants, and the packages whose versions belong to a result of theirs."""
 
