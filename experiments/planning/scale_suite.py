@@ -31,9 +31,13 @@ OTHERS: Mapping[str, tuple[str, Mapping[str, int]]] = MappingProxyType(
         "NAO, 10 of 20 robots fused": ("nao", {"robots": 20, "fusion": 10}),
         "transport, 6 crates": ("transport", {"crates": 6}),
         "transport, 10 crates": ("transport", {"places": 5, "trucks": 3, "crates": 10}),
+        "fleet, 60 on 3 hosts": ("fleet", {"transformations": 60, "hosts": 3}),
+        "fleet, 150 on 3 hosts": ("fleet", {"transformations": 150, "hosts": 3}),
+        "deployment, 6 hosts, 2 replicas": ("deployment", {"hosts": 6, "replicas": 2}),
+        "deployment, 20 hosts, 6 replicas": ("deployment", {"hosts": 20, "replicas": 6}),
     }
 )
-"""The other families by name."""
+"""The other families by name; fleets and deployments start from nothing."""
 SCALE_SEEDS = tuple(range(7310, 7320))
 """Other ones than those that the planner's constants were chosen on."""
 
@@ -44,7 +48,7 @@ def families() -> dict[str, tuple[str, Mapping[str, float]]]:
 
 
 def scale() -> Iterator[Instance]:
-    """Random libraries of 50 to 50,000 transformations, robots and transports, ten of each family."""
+    """Random libraries of 50 to 50,000 transformations, robots, transports, fleets, deployments; ten of each family."""
     for family, parameters in families().values():
         for seed in SCALE_SEEDS:
             yield generated(family, seed, **parameters)
