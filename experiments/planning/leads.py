@@ -61,8 +61,8 @@ def lead(pairs: Iterable[tuple[Row, Row]]) -> Lead:
 def matched(rows: Iterable[Row], base: str, others: Sequence[str]) -> Iterator[tuple[Row, Row]]:
     """For each instance the base's row and the first to prove among the others' rows, any if none did."""
     for group in by_instance(rows).values():
-        bases = [row for row in group if row.planner == base and _took_part(row)]
-        rivals = [row for row in group if row.planner in others and _took_part(row)]
+        bases = [row for row in group if row.planner == base and took_part(row)]
+        rivals = [row for row in group if row.planner in others and took_part(row)]
         if bases and rivals:
             yield bases[0], min(rivals, key=lambda row: (not row.proven, seconds(row), -row.bound_us, _cost_us(row)))
 
@@ -72,12 +72,13 @@ def seconds(row: Row) -> float:
     return row.time_limit_s if row.proof_s is None else min(row.time_limit_s, max(SHORTEST_PROOF_S, row.proof_s))
 
 
+def took_part(row: Row) -> bool:
+    """Whether the planner did not refuse the problem, and was there."""
+    return row.outcome not in (RunFailure.REFUSED, RunFailure.UNAVAILABLE)
+
+
 def _cost_us(row: Row) -> float:
     return row.cost_us if row.cost_us is not None and row.has_plan else float("inf")
-
-
-def _took_part(row: Row) -> bool:
-    return row.outcome not in (RunFailure.REFUSED, RunFailure.UNAVAILABLE)
 
 
 def _count(wins: list[int], ours: float, theirs: float) -> None:

@@ -11,7 +11,7 @@ from cfgplan.comparing import RunFailure
 from cfgplan.planning import Status
 from experiments.peers import LED
 from experiments.planning import scale_suite
-from experiments.planning.leads import Lead, lead, matched, seconds
+from experiments.planning.leads import Lead, lead, matched, seconds, took_part
 from experiments.study.invariants import gap, references
 from experiments.study.report import Table, head
 from experiments.study.rows import Row, planners
@@ -126,7 +126,7 @@ def everyone(rows: Sequence[Row]) -> Table:
     for name, group in families(rows).items():
         for planner in planners(group):
             own = [row for row in group if row.planner == planner]
-            left = [row for row in (known_after(run, GAPS_S) for run in own) if not row.proven]
+            left = [row for row in (known_after(run, GAPS_S) for run in own if took_part(run)) if not row.proven]
             known = [(row, best.cost_us) for row in left if (best := reference.get((row.instance, row.digest)))]
             below = [1 - row.bound_us / cost_us for row, cost_us in known if cost_us]
             above = [found for row in left if (found := gap(row, reference)) is not None]
@@ -186,10 +186,11 @@ def _geometric(values: Sequence[float]) -> float:
 
 
 def _proven(rows: Sequence[Row]) -> str:
-    """How many of the runs were proven, and how the others failed that did."""
+    """How many of the runs that it did not refuse a planner proved, and how the others failed that did."""
     failed = Counter(str(row.outcome) for row in rows if row.outcome in frozenset(RunFailure))
-    names = "".join(f", {count} {name}" for name, count in failed.items())
-    return f"{sum(row.proven for row in rows)} of {len(rows)}{names}"
+    tried = sum(map(took_part, rows))
+    proven = [f"{sum(row.proven for row in rows)} of {tried}"] if tried else []
+    return ", ".join([*proven, *(f"{count} {name}" for name, count in failed.items())])
 
 
 def _mean_s(rows: Sequence[Row]) -> str:

@@ -96,6 +96,12 @@ def test_how_a_planner_failed_is_told() -> None:
     assert everyone([ROWS[0], lost]).lines[1][2:6] == ("0 of 1, 1 out of memory", "-", "-100.0%", "1 without")
 
 
+def test_what_a_planner_refuses_counts_neither_as_a_run_nor_as_a_gap() -> None:
+    refused = row("highs", None, instance="s#0", parameters=SMALL, outcome=RunFailure.REFUSED, violations=None)
+    assert everyone([ROWS[0], refused]).lines[1][2:6] == ("1 refused", "-", "", "")
+    assert everyone([ROWS[0], refused, ROWS[4]]).lines[1][2:6] == ("1 of 1, 1 refused", "1", "", "")
+
+
 def test_who_ran_on_a_part_of_a_family_is_not_its_closest_peer() -> None:
     once = row("clingo-bb", 10, 0.1, instance="s#0", parameters=SMALL)
     assert summary([*ROWS, once]).lines[0][3] == "highs"
