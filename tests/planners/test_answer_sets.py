@@ -28,7 +28,7 @@ ALWAYS = replace(USUAL, cycles=Cycles(labels=0, values=1000, near=1.0))
 
 def program_of(problem: Problem) -> LogicProgram:
     structure = Structure.of(problem, None, Clock())
-    weighing = Weighing.with_changes(problem, structure.network, structure.pinned)
+    weighing = Weighing.with_changes(problem, structure.network)
     assert weighing is not None
     return LogicProgram(structure.network, weighing, Clock())
 

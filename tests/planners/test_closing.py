@@ -105,7 +105,7 @@ def test_repairs_give_plans_that_are_never_dearer(problem: Problem) -> None:
 def test_a_new_beginning_that_is_dearer_leaves_the_best_plan_as_it_was() -> None:
     problem = random_library(3, transformations=80, targets=4)
     structure = Structure.of(problem, None, Clock())
-    _, cost = costs(problem, structure.network, structure.pinned)
+    _, cost = costs(problem, structure.network)
     plan = first_plan(structure.network, cost, 20, Clock())
     assert plan is not None
     repairs = Repairs(structure.network, cost, plan, Close(in_vain=0, noise=1.0))

@@ -130,7 +130,7 @@ def test_a_search_step_by_step_ends_with_the_same_plan_and_its_bounds_hold(probl
 def test_no_bound_of_an_interrupted_search_is_above_the_best_plan_though_some_nodes_ahead_are(seed: int) -> None:
     problem = random_library(seed, transformations=20, depth=3, targets=2)
     structure = Structure.of(problem, None, Clock())
-    weight = Weighing.of(problem, structure.network, structure.pinned).weight
+    weight = Weighing.of(problem, structure.network).weight
     search = Branching(structure.network.core, weight, 2**50, 1, lambda: False)
     bounds = []
     while not search.run(1):
@@ -160,7 +160,7 @@ def test_others_are_all_labels_of_plans_below_the_limit_but_those_of_one(problem
 @given(problems(special=False))
 def test_the_weight_of_labels_is_never_more_than_what_a_plan_costs_and_changes(problem: Problem) -> None:
     stage = Stage(problem)
-    weighing = Weighing.with_changes(problem, stage.network, [])
+    weighing = Weighing.with_changes(problem, stage.network)
     changes = stage.plan.change_set
     assert weighing is not None
     assert changes is not None

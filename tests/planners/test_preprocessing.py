@@ -144,7 +144,7 @@ def test_dearest_chains_charged_one_after_the_other_are_never_more_than_the_opti
 @given(problems(special=False))
 def test_a_weight_is_cost_and_where_nothing_runs_started_units(problem: Problem) -> None:
     stage = Stage(problem)
-    weighing = Weighing.of(problem, stage.network, [])
+    weighing = Weighing.of(problem, stage.network)
     used = np.array(sorted(stage.numbers(stage.used)), np.int64)
     weight = weighing.of_plan(used)
     assert weighing.cost_us(weight) == int(stage.cost[used].sum())

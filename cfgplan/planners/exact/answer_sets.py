@@ -30,7 +30,7 @@ def prove_by_answer_sets(work: Work) -> bool:
     network, clock, tuning = work.structure.network, work.clock, work.clock.tuning.cycles
     if len(network.labels) < tuning.labels or network.special or work.memory.rest is not None:
         return False
-    weighing = Weighing.with_changes(work.problem, network, work.structure.pinned)
+    weighing = Weighing.with_changes(work.problem, network)
     if weighing is None or not _is_fit(weighing, tuning.values) or not is_there("clingo"):
         return False
     first = first_plan(network, weighing.weight, clock.tuning.begin.attempts, clock)

@@ -148,7 +148,7 @@ class Memory:
     def settle(self, problem: Problem, clock: Clock) -> None:
         """After a proven plan that changes nothing, prepare for the next one: keep its `Rest`."""
         network = self.structure.network
-        _, cost = costs(problem, network, self.structure.pinned)
+        _, cost = costs(problem, network)
         plan = np.array(sorted({network.number[label] for label in self.last} | set(network.pinned)), np.int64)
         if self.rest is not None and np.array_equal(self.rest.cost, cost) and np.array_equal(self.rest.plan, plan):
             return

@@ -11,59 +11,50 @@ import heapq
 import numpy as np
 
 from cfgplan.planners.bounding.bounds import Bound, tightened
-from cfgplan.planners.exact.memory import Structure
 from cfgplan.planners.exact.rest import Remainder
 from cfgplan.planners.exact.standing import Incumbent, Standing
 from cfgplan.planners.exact.work import Left, Work
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.greedy import first_plan, support_of
 from cfgplan.planners.networks.network import Network, Weighing, costs
-from cfgplan.planners.solving.clock import Clock
-from cfgplan.planning import Problem
 
 
 def left_with_all(work: Work) -> Left:
     """What may be in a plan that uses all required transformations; if such a plan is found it is offered."""
-    problem, clock, structure, standing = work.problem, work.clock, work.structure, work.standing
+    clock, structure, standing = work.clock, work.structure, work.standing
     required = frozenset(t.label for t in structure.network.transformations if t.required)
-    network = structure.network_with(problem, required, clock)
-    fixed_us, cost = costs(problem, network, structure.pinned)
+    network = structure.network_with(work.problem, required, clock)
+    fixed_us, cost = costs(work.problem, network)
     shunned: set[int] = set()
     for _ in range(clock.tuning.begin.ways):
-        few = _few(problem, structure, required, shunned, clock)
-        found = None if few is None else _among(few, problem, structure, clock)
+        few = _few(work, required, shunned)
+        found = None if few is None else _among(work, few)
         if found is not None:
             standing.offer(found.units)
         if few is None or found is not None or clock.is_over():
             break
     best = standing.best
-    incumbent = best if best is not None and best.key.unused == structure.hopeless_required else None
-    limit = int(cost.sum()) if incumbent is None else incumbent.key.cost_us - fixed_us
+    is_with_all = best is not None and best.key.unused == structure.hopeless_required
+    limit = best.key.cost_us - fixed_us if best is not None and is_with_all else int(cost.sum())
     part = Remainder.by(tightened(Bound(network.core, cost), limit, limit, clock), limit)
     labels = np.union1d(part.labels, np.array(network.pinned, np.int64))
     weighing = Weighing(cost, 1, 1, fixed_us)
     return Left(network, weighing, labels, part.value, bound=part.bound, holds_for=structure.hopeless_required)
 
 
-def _few(
-    problem: Problem,
-    structure: Structure,
-    required: frozenset[str],
-    shunned: set[int],
-    clock: Clock,
-) -> list[str] | None:
-    """Labels of a greedy plan with all required ones and, for each, a cheap way on to a target; None if there is none.
+def _few(work: Work, required: frozenset[str], shunned: set[int]) -> list[str] | None:
+    """The labels of a greedy plan that has all required ones and, for each, a cheap way on to a target.
 
-    Ways avoid the `shunned` labels, and their own labels are added to these.
+    None if no such plan is found. Ways avoid the `shunned` labels, and their own labels are added to these.
     """
-    network = structure.network
-    _, cost = costs(problem, network, structure.pinned)
+    network, clock = work.structure.network, work.clock
+    _, cost = costs(work.problem, network)
     numbers = {network.number[label] for label in required}
     ways = [_way_to_a_target(network, cost, label, shunned - numbers) for label in clock.each(sorted(numbers), 1)]
-    shunned |= {label for way in ways for label in way}
+    shunned.update(label for way in ways for label in way)
     wanted = required.union(network.labels[i] for way in ways for i in way)
-    wider = structure.network_with(problem, wanted, clock)
-    plan = first_plan(wider, costs(problem, wider, structure.pinned)[1], clock.tuning.begin.attempts, clock)
+    wider = work.structure.network_with(work.problem, wanted, clock)
+    plan = first_plan(wider, costs(work.problem, wider)[1], clock.tuning.begin.attempts, clock)
     return None if plan is None else [wider.labels[i] for i in sorted(plan)]
 
 
@@ -73,7 +64,7 @@ def _way_to_a_target(network: Network, cost: Ints, label: int, shunned: set[int]
     Labels that feed the first are avoided, as they could hardly be fed by it. The chain is empty if there is none.
     """
     core = network.core
-    shunned = shunned | support_of(network, cost, label)
+    shunned = shunned | support_of(network, cost, label) | {core.goal}
     wanted = {network.fact_of_tag[tag] for tag in network.targets}
     ahead = [(0, label)]
     before = {label: label}
@@ -83,23 +74,23 @@ def _way_to_a_target(network: Network, cost: Ints, label: int, shunned: set[int]
         if here in done:
             continue
         done.add(here)
-        gives = core.gives[here].tolist()
+        gives = core.gives.lists[here]
         if not wanted.isdisjoint(gives):
             way = [here]
             while before[way[-1]] != way[-1]:
                 way.append(before[way[-1]])
             return way
-        for consumer in {int(i) for fact in gives for i in core.needed_by[fact]} - done - shunned - {core.goal}:
+        for consumer in {one for fact in gives for one in core.needed_by.lists[fact]} - done - shunned:
             heapq.heappush(ahead, (so_far + int(cost[consumer]), consumer))
             before.setdefault(consumer, here)
     return []
 
 
-def _among(few: list[str], problem: Problem, structure: Structure, clock: Clock) -> Incumbent | None:
+def _among(work: Work, few: list[str]) -> Incumbent | None:
     """The best plan among a few labels that uses all required ones; None if none is found."""
     from cfgplan.planners.exact.search import Search
 
-    standing = Standing(problem, clock, None)
-    Search(structure.candidates(problem, few), standing).run_with_all_required()
+    standing = Standing(work.problem, work.clock, None)
+    Search(work.structure.candidates(work.problem, few), standing).run_with_all_required()
     best = standing.best
-    return best if best is not None and best.key.unused == structure.hopeless_required else None
+    return best if best is not None and best.key.unused == work.structure.hopeless_required else None

@@ -56,7 +56,7 @@ def use_all_required(work: Work) -> bool:
     structure, network = work.structure, work.structure.network
     if not structure.has_required:
         return False
-    fixed_us, cost = costs(work.problem, network, structure.pinned)
+    fixed_us, cost = costs(work.problem, network)
     plan = first_plan(network, cost, 0, work.clock)
     if plan is not None:
         work.offer(plan)
@@ -83,7 +83,7 @@ def raise_bound(work: Work) -> bool:
     standing, memory, clock, network = work.standing, work.memory, work.clock, work.structure.network
     is_first = not memory.last
     memory.keep_plan(standing)
-    weighing = Weighing.of(work.problem, network, work.structure.pinned)
+    weighing = Weighing.of(work.problem, network)
     plan = _known_plan(work, network)
     is_new = plan is None or is_first
     if is_new:
@@ -181,7 +181,7 @@ def decide(work: Work) -> bool:
     standing, network, tuning = work.standing, work.structure.network, work.clock.tuning.decide
     if not tuning.steps or len(network.labels) > tuning.labels or network.special:
         return False
-    weighing = Weighing.with_changes(work.problem, network, work.structure.pinned)
+    weighing = Weighing.with_changes(work.problem, network)
     if weighing is None:
         return False
     plans: list[set[int]] = []

@@ -9,7 +9,7 @@ group. Feedback inputs are left out: bounds stay valid.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -84,25 +84,17 @@ class Network:
         )
 
 
-def costs(problem: Problem, network: Network, pinned: Collection[str]) -> tuple[int, Ints]:
+def costs(problem: Problem, network: Network) -> tuple[int, Ints]:
     """The fixed cost of the network's pinned labels, and what each label costs beyond that, in microseconds.
 
-    Of labels in `pinned` all running units are kept, of others one is enough.
+    Of a pinned transformation all running units are kept, of other labels one unit is enough.
     """
-    running: dict[str, int] = {}
-    for unit in problem.environment.units:
-        running[unit.transformation] = running.get(unit.transformation, 0) + 1
-    library = problem.environment.transformation
-    cost = np.fromiter(
-        (
-            (keep_cost_us if label in running else start_cost_us)(library[label], problem.horizon_s)
-            for label in network.labels
-        ),
-        np.int64,
-        len(network.labels),
-    )
-    times = {i: running[network.labels[i]] if network.labels[i] in pinned else 1 for i in network.pinned}
-    fixed_us = sum(times[i] * int(cost[i]) for i in network.pinned)
+    running = Counter(unit.transformation for unit in problem.environment.units)
+    library = problem.environment.transformation  # the network may be older than costs are
+    kinds = [library[label] for label in network.labels]
+    each_us = [(keep_cost_us if t.label in running else start_cost_us)(t, problem.horizon_s) for t in kinds]
+    fixed_us = sum(each_us[i] * (running[kinds[i].label] or 1 if kinds[i].pinned else 1) for i in network.pinned)
+    cost = np.array(each_us, np.int64)
     cost[network.pinned] = 0
     return fixed_us, cost
 
@@ -124,36 +116,33 @@ class Weighing:
     fixed_us: int
 
     @classmethod
-    def of(cls, problem: Problem, network: Network, pinned: Collection[str]) -> Weighing:
-        """Weigh cost and, where nothing runs, starts. For `pinned` see `costs`."""
-        fixed_us, cost = costs(problem, network, pinned)
+    def of(cls, problem: Problem, network: Network) -> Weighing:
+        """Weigh cost and, where nothing runs, starts."""
+        fixed_us, cost = costs(problem, network)
         scale = len(cost) + 1
-        if (
-            any(unit.transformation in network.number for unit in problem.environment.units)
-            or int(cost.sum()) * scale >= NEVER // 4
-        ):
+        is_running = any(unit.transformation in network.number for unit in problem.environment.units)
+        if is_running or int(cost.sum()) * scale >= NEVER // 4:
             return cls(cost, 1, 1, fixed_us)
         return cls(cost * scale + 1, scale, scale, fixed_us)
 
     @classmethod
-    def with_changes(cls, problem: Problem, network: Network, pinned: Collection[str]) -> Weighing | None:
-        """Weigh cost, rewirings and starts; None if the sum would be too large. No change of a pinned label counts."""
-        fixed_us, cost = costs(problem, network, pinned)
+    def with_changes(cls, problem: Problem, network: Network) -> Weighing | None:
+        """Weigh cost, rewirings and starts; None if the sum would be too large.
+
+        No change of a pinned transformation with running units counts.
+        """
+        fixed_us, cost = costs(problem, network)
         rewiring = len(cost) + 1
         scale = rewiring**2
         if int(cost.sum()) * scale >= NEVER // 4:
             return None
-        library = problem.environment.transformation  # the network may be older than costs are
         change = np.ones(len(cost), np.int64)
-        staying: dict[int, bool] = {}
         for unit in problem.environment.units:
-            label = network.number.get(unit.transformation)
-            if label is not None:
-                staying[label] = staying.get(label, False) or may_stay(problem, network.number, unit)
-        for label, may in staying.items():
-            can_be_started = library[network.labels[label]].labor_us == 0
-            change[label] = 0 if may else 1 if can_be_started else rewiring
-        change[[network.number[label] for label in pinned if label in network.number]] = 0
+            label = network.number.get(unit.transformation, -1)
+            if label >= 0 and change[label]:
+                kind = problem.environment.transformation[unit.transformation]
+                is_unchanged = kind.pinned or may_stay(problem, network.number, unit)
+                change[label] = 0 if is_unchanged else 1 if kind.labor_us == 0 else rewiring
         return cls(cost * scale + change, scale, rewiring, fixed_us)
 
     @property
