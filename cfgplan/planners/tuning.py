@@ -159,7 +159,7 @@ class Fleets:
     place: float = said(1.0, "the engine's s", "Counted units may take so long to be placed.", DEPLOYMENTS)
     recounts: int = said(3, "times", "Units that can't be placed are counted again this often.", DEPLOYMENTS)
     apart: int = said(12, "hosts", "Up to here each is looked at by itself where not all fits.", DEPLOYMENTS)
-    company: float = said(3.0, "hosts", "Units with company, or that are it, weigh at most this.", DEPLOYMENTS)
+    company: float = said(10.0, "hosts", "Units with company, or that are it, weigh at most this.", DEPLOYMENTS)
     small: int = said(20_000, "booleans", "Below this size of a fleet's model, probing takes too long.", FLEETS)
     wired: int = said(12_000, "booleans", "Below it, relaxing who feeds counted inputs in full takes too long.", SERVED)
 

@@ -183,8 +183,8 @@ def _most_badness(candidates: Candidates, attribute: QualityAttribute) -> dict[s
 
     for target in candidates.environment.targets:
         allow(target.tag, candidates.bounds.get((target.label, attribute.name), attribute.scale))
-    for i, candidate in enumerate(candidates.all):
-        for port in candidate.transformation.inputs if candidates.is_asked_for(i) else ():
+    for label in candidates.asked_for:
+        for port in candidates.environment.transformation[label].inputs:
             allow(port.tag, attribute.scale)
     demands = _demands(candidates)
     fed = [

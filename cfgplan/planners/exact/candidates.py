@@ -150,10 +150,16 @@ class Candidates:
             left = startable(Environment((), library), self.givers, self.clock.each)
             library = tuple(t for t in library if t.label in left)
         labels = {t.label for t in library}
-        asked = {c.transformation.label for i, c in enumerate(self.all) if self.is_asked_for(i)}
         targets = [target.tag for target in self.environment.targets]
         met = [tag for tag in targets if not labels.isdisjoint(self.givers.of(tag))]
-        return Network(library, met, asked & labels, self.givers, self.clock.each)
+        return Network(library, met, self.asked_for & labels, self.givers, self.clock.each)
+
+    @cached_property
+    def asked_for(self) -> frozenset[str]:
+        """The transformations of which a unit is pinned, or is wanted by a target or by number."""
+        wanted = {*self.environment.wanted_to_run.values()}
+        kinds = [(i, candidate.transformation) for i, candidate in enumerate(self.all)]
+        return frozenset(t.label for i, t in kinds if self.is_pinned(i) or t.min_instances or t.label in wanted)
 
     @cached_property
     def least_us(self) -> Ints:
@@ -226,21 +232,11 @@ class Candidates:
         return self._may_stay[index]
 
     def _is_valid(self, unit: ComputationUnit) -> bool:
-        if not may_stay(self.problem, self._units, unit):
-            return False
         inputs = self.environment.transformation[unit.transformation].input
-        tag_of = {target.topic: target.tag for target in self.environment.stream_targets} if unit.publications else {}
-        return (
-            all(self.gives(s.stream, inputs[s.port].tag) for s in unit.subscriptions)
-            and all(self.gives(Stream(unit.id, p.port), tag_of[p.topic]) for p in unit.publications)
-            and not any(s.stream.unit == unit.id and not inputs[s.port].feedback for s in unit.subscriptions)
+        return may_stay(self.problem, self._units, unit) and all(
+            self.gives(s.stream, inputs[s.port].tag) and (s.stream.unit != unit.id or inputs[s.port].feedback)
+            for s in unit.subscriptions
         )
-
-    def is_asked_for(self, index: int) -> bool:
-        """Whether the candidate has to run, a target wants a unit of its transformation, or that asks for a number."""
-        kind = self.all[index].transformation
-        wanted = self.environment.wanted_to_run.values()
-        return self.is_pinned(index) or kind.min_instances > 0 or kind.label in wanted
 
     def is_pinned(self, index: int) -> bool:
         """Whether the candidate is a running unit that must be kept."""

@@ -34,7 +34,7 @@ from cfgplan.planners.exact.patterns import Patterns
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.networks.keys import Key
 from cfgplan.planners.solving.clock import Clock, ContradictionError
-from cfgplan.planners.solving.engine import OnSolution, repeatable_solver, solve
+from cfgplan.planners.solving.engine import repeatable_solver, solve
 from cfgplan.planners.tuning import Fleets
 from cfgplan.planning import Notion
 
@@ -160,7 +160,7 @@ class _Deployment:
             return not is_placed or self._offer(counts, solution.response_proto.solution)
 
         solver.best_bound_callback = learn_bound
-        status = solve(solver, counts.cp, OnSolution(look_at), clock)
+        status = solve(solver, counts.cp, clock, look_at)
         self.standing.counts["rounds"] += 1
         self.standing.counts["conflicts"] += solver.num_conflicts
         if status == INFEASIBLE:
@@ -217,7 +217,7 @@ class _Deployment:
             counts.cp.add(number >= units if is_free else number == units)
         solver = _solver(clock)
         solver.parameters.max_deterministic_time = clock.tuning.fleet.place
-        status = solve(solver, counts.cp, OnSolution(lambda _: True), clock)
+        status = solve(solver, counts.cp, clock)
         if status not in (OPTIMAL, FEASIBLE):
             return _Placed({}, is_misfit=status == INFEASIBLE)
         found: dict[int, list[HostName]] = defaultdict(list)
@@ -271,7 +271,7 @@ class _Deployment:
                 counts.cp.add(first.what <= first.value(self.standing.best.key))
                 counts.cp.maximize(counts.used[k])
                 solver = _solver(self.standing.clock)
-                if solve(solver, counts.cp, OnSolution(lambda _: True), self.standing.clock) == OPTIMAL:
+                if solve(solver, counts.cp, self.standing.clock) == OPTIMAL:
                     most = solver.value(counts.used[k])
             found += kind.apart()[:most]
         return found

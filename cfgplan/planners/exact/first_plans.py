@@ -33,7 +33,7 @@ class FirstPlans:
         labels = candidates.clock.each(self.network.labels)
         units = [[c.cost_us for c in candidates.of(label) if c.may_run] for label in labels]
         self._run_us = np.array([min(these, default=np.inf) for these in units], np.float64)
-        self._cost = np.where(np.isfinite(self._run_us), self._run_us, 0).astype(np.int64)
+        self._cost = candidates.least_us
         self._numbered = [t for t in candidates.environment.library if t.min_instances]
         self._pinned = {candidate.id for i, candidate in enumerate(candidates.all) if candidates.is_pinned(i)}
         self._attribute = _asked(candidates)

@@ -72,9 +72,7 @@ def _look_among_used(candidates: Candidates, standing: Standing, cuts: Iterable[
     """Search among the incumbent's transformations and those that run to a `share` in the relaxation."""
     from cfgplan.planners.exact.search import Search
 
-    used = {candidates.all[i].transformation.label for i in np.flatnonzero(share > 1e-6)}
-    if standing.best is not None:
-        used |= {unit.transformation for unit in standing.best.units}
+    used = _best(standing) | {candidates.all[i].transformation.label for i in np.flatnonzero(share > 1e-6)}
     tuning = standing.clock.tuning.fleet
     if tuning.fewer * len(used) < len(candidates.labels):
         Search(candidates.among(used), standing, is_all=False, cuts=cuts).run(tuning.look)
@@ -144,10 +142,8 @@ def look_among_few(candidates: Candidates, standing: Standing, first: FirstPlans
     tuning, order = standing.clock.tuning, left_by_bounds(candidates, standing).order
     sizes = [size for size in tuning.fleet.sizes if 2 * size <= len(order)]
 
-    asked = {c.transformation.label for i, c in enumerate(candidates.all) if candidates.is_asked_for(i)}
-
     def among(size: int) -> Candidates:
-        return candidates.among(_best(standing).union(order[:size], asked))
+        return candidates.among(_best(standing).union(order[:size], candidates.asked_for))
 
     if sizes:
         FirstPlans(among(sizes[0]), standing).look(tuning.begin.attempts)

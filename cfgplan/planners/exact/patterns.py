@@ -15,7 +15,7 @@ from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.counting import PLACED, CountingModel, Weights
 from cfgplan.planners.exact.groups import Group, HostKind
 from cfgplan.planners.solving.clock import Clock
-from cfgplan.planners.solving.engine import OnSolution, repeatable_solver, solve
+from cfgplan.planners.solving.engine import repeatable_solver, solve
 
 FINE = 1_000
 """Weights are integers, in so many parts of a host."""
@@ -36,17 +36,19 @@ class Patterns:
         self._known: list[Pattern] = []
         self._engine, self._optimal = pywraplp.Solver.CreateSolver("GLOP"), pywraplp.Solver.OPTIMAL
         self._weights = {}
+        most = candidates.clock.tuning.fleet.company
         for n in self._there:
-            is_company = groups[n].label in candidates.environment.companions
-            self._weights[n] = self._engine.NumVar(
-                -10.0 * float(is_company),
-                10.0 if groups[n].first.transformation.beside else 1 / max(1, one.most_there(n, 0)),
-                "",
-            )
+            least = -most if groups[n].label in candidates.environment.companions else 0.0
+            has_company = bool(groups[n].first.transformation.beside)
+            largest = most if has_company else 1 / max(1, one.most_there(n, 0))
+            self._weights[n] = self._engine.NumVar(least, largest, "")
         self._engine.Objective().SetMaximization()
 
     def is_too_much(self, there: Pattern, hosts: int, clock: Clock) -> bool:
-        """Whether so many hosts can't have these units, by a new limit; False too if the time is over."""
+        """Whether some new limit, the last of `limits` then, says that so many hosts can't have these units.
+
+        False too if the time is over.
+        """
         for n, weight in self._weights.items():
             self._engine.Objective().SetCoefficient(weight, there.get(n, 0) + 1 / FINE)
         while not clock.is_over() and self._engine.Solve() == self._optimal:
@@ -78,7 +80,7 @@ class Patterns:
             return True
 
         solver = repeatable_solver(small=True, time_limit_s=clock.left_s())
-        return found if solve(solver, self._cp, OnSolution(look_at), clock) == OPTIMAL else []
+        return found if solve(solver, self._cp, clock, look_at) == OPTIMAL else []
 
 
 def _weight(weights: Mapping[int, int], units: Pattern) -> int:

@@ -32,7 +32,7 @@ from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.exact.survival import Survival
 from cfgplan.planners.networks.keys import Key
 from cfgplan.planners.solving.clock import Clock, ContradictionError
-from cfgplan.planners.solving.engine import OnSolution, repeatable_solver, solve
+from cfgplan.planners.solving.engine import repeatable_solver, solve
 from cfgplan.planning import Notion
 
 EXACT = 2**50
@@ -83,14 +83,11 @@ class Search:
         self.model.enough_of_each_run(landmarks)
         chains_are_as_bad_as_who_runs_lets_them(self.model, cuts)
         self._cost = self.model.cost()
-        self._is_no_dearer_than_the_incumbent()
+        if (largest_us := standing.largest_us) is not None:
+            self.model.cp.add(self._cost <= largest_us)
         for name in ("rounds", "cuts", "conflicts"):
             standing.counts.setdefault(name, 0)
         standing.counts["booleans"] = len(self.model.literals)
-
-    def _is_no_dearer_than_the_incumbent(self) -> None:
-        if (largest_us := self.standing.largest_us) is not None:
-            self.model.cp.add(self._cost <= largest_us)
 
     def run(self, slice_s: float = inf) -> None:
         """Minimise unused required transformations, cost and changes, until the clock or `slice_s` ends it.
@@ -120,16 +117,15 @@ class Search:
 
     def _use_required(self) -> bool:
         """Use as many required transformations as possible; False if the time is over before that is proven."""
-        model, standing, hopeless = self.model, self.standing, self._hopeless_required()
-        used = LinearExpr.sum(list(model.uses_required.values()))
-        most = len(model.uses_required) + hopeless
+        model, standing, required = self.model, self.standing, len(self.problem.environment.required)
         if model.uses_required:
-            if not self.minimise(-used, lambda key: key.unused - most):
+            used = LinearExpr.sum([*model.uses_required.values()])
+            if not self.minimise(-used, lambda key: key.unused - required):
                 return False
             assert standing.best is not None
             if self.is_all:
                 standing.fewest_unused = standing.best.key.unused
-            model.cp.add(used >= most - standing.best.key.unused)
+            model.cp.add(used >= required - standing.best.key.unused)
         return True
 
     def _minimise_in_order(self) -> bool:
@@ -186,10 +182,6 @@ class Search:
             model.cp.add(self._cost <= standing.best.key.cost_us)
         standing.are_ties_proven = self.minimise(model.changes(), self._changes)
 
-    def _hopeless_required(self) -> int:
-        """How many required transformations can never be used, whatever is planned."""
-        return len(self.problem.environment.required) - len(self.model.uses_required)
-
     def _changes(self, key: Key) -> int:
         """A plan's rewired and started units, as the model adds them up."""
         return (len(self.model.started()) + 1) * key.rewired + key.started
@@ -223,7 +215,7 @@ class Search:
             solver = self.solver()
             self._hint()
             solver.best_bound_callback = learn_bound
-            status = solve(solver, self.model.cp, OnSolution(self._look_at), standing.clock)
+            status = solve(solver, self.model.cp, standing.clock, self._look_at)
             standing.counts["conflicts"] += solver.num_conflicts
             self._left_s -= solver.response_proto.deterministic_time
             if status == INFEASIBLE:
@@ -315,14 +307,10 @@ class Search:
 
     def _hint(self) -> None:
         """Hint the incumbent's units and hosts."""
-        model = self.model
+        model, best = self.model, self.standing.best
         model.cp.clear_hints()  # type: ignore[no-untyped-call]
-        if self.standing.best is None:
-            return
-        there = {unit.id: unit for unit in self.standing.best.units}
+        there = {(unit.id, unit.host, unit.standby) for unit in (() if best is None else best.units)}
         for places, is_standby in ((model.runs_on, False), (model.waits_on, True)):
-            for i, on in places.items():
-                unit = there.get(model.candidates.all[i].id)
-                here = unit is not None and unit.standby == is_standby
+            for i, on in places.items() if best is not None else ():
                 for host, literal in on.items():
-                    model.cp.add_hint(literal, here and unit is not None and unit.host == host)
+                    model.cp.add_hint(literal, (model.candidates.all[i].id, host, is_standby) in there)

@@ -13,9 +13,11 @@ from functools import partial
 from threading import Event
 from typing import Final
 
-from cfgplan.domain import ComputationUnit, Environment
+from cfgplan.domain import Environment
 from cfgplan.planners.exact.candidates import ONLY_IN_THE_MODEL, Candidates, Closure
 from cfgplan.planners.exact.configuration import wire
+from cfgplan.planners.exact.decode import lean
+from cfgplan.planners.exact.first_plans import FirstPlans
 from cfgplan.planners.exact.memory import Memory
 from cfgplan.planners.exact.stages import STAGES
 from cfgplan.planners.exact.standing import Standing
@@ -104,16 +106,7 @@ def offer_what_runs(standing: Standing) -> None:
     candidates = Candidates(problem, Closure(givers, possible, possible))
     units = wire(candidates, [i for i, c in enumerate(candidates.all) if c.running is not None and c.may_run])
     if units is not None and not problem.is_plain:
-        units = _valid(candidates, units, standing)
-    if units is not None:
+        cold = [c.running for c in candidates.all if c.running is not None and c.running.standby]
+        units = lean(candidates, [*units, *cold])
+    if units is not None and (problem.is_plain or FirstPlans(candidates, standing).is_valid(units)):
         standing.offer(units)
-
-
-def _valid(candidates: Candidates, hot: list[ComputationUnit], standing: Standing) -> list[ComputationUnit] | None:
-    """These units and the cold spares that wait, less what nothing needs; None if that is not valid."""
-    from cfgplan.planners.exact.decode import lean
-    from cfgplan.planners.exact.first_plans import FirstPlans
-
-    cold = [c.running for c in candidates.all if c.running is not None and c.running.standby]
-    units = lean(candidates, [*hot, *cold])
-    return units if FirstPlans(candidates, standing).is_valid(units) else None

@@ -21,7 +21,7 @@ from ortools.sat.python.cp_model import (
 from cfgplan.domain import ALL, InputPort, Stream, Target, Transformation
 from cfgplan.planners.exact.candidates import Candidates, HostName
 from cfgplan.planners.solving.clock import OutOfTimeError
-from cfgplan.planners.solving.engine import OnSolution, repeatable_solver, solve
+from cfgplan.planners.solving.engine import repeatable_solver, solve
 
 
 class Sharing:
@@ -55,7 +55,7 @@ class Sharing:
     def exists(self) -> bool:
         """Whether there is such a wiring. Raises OutOfTimeError by the candidates' clock."""
         solver = repeatable_solver(small=True, time_limit_s=self._clock.left_s())
-        status = solve(solver, self._cp, OnSolution(lambda _: True), self._clock)
+        status = solve(solver, self._cp, self._clock)
         if status not in (OPTIMAL, FEASIBLE, INFEASIBLE):
             raise OutOfTimeError
         return status != INFEASIBLE

@@ -36,12 +36,19 @@ def at_least(model: CpModel, least: int, literals: Sequence[IntVar]) -> None:
         model.add(sum(literals) >= least)
 
 
-def solve(solver: CpSolver, model: CpModel, callback: CpSolverSolutionCallback, clock: Clock) -> CpSolverStatus:
+def solve(
+    solver: CpSolver,
+    model: CpModel,
+    clock: Clock,
+    look_at: Callable[[CpSolverSolutionCallback], bool] = lambda _: True,
+) -> CpSolverStatus:
     """Solve in a thread, so that `stop` and Ctrl-C end it with the best solution so far.
 
-    Raises KeyboardInterrupt if Ctrl-C comes before the thread is there, and what the callback raises. No solving thread
-    is left behind: at the end of the process it would make it abort.
+    `look_at` is called at each solution, and returns whether to go on. Raises KeyboardInterrupt if Ctrl-C comes before
+    the thread is there, and what `look_at` raises. No solving thread is left behind: it would make the process abort
+    when that ends.
     """
+    callback = _OnSolution(look_at)
     status: list[CpSolverStatus] = []
     raised: list[BaseException] = []
     begun, done, is_given_up = Event(), Event(), Event()
@@ -78,8 +85,8 @@ def solve(solver: CpSolver, model: CpModel, callback: CpSolverSolutionCallback, 
     return status[0]
 
 
-class OnSolution(CpSolverSolutionCallback):
-    """Calls `look_at` at each solution, with itself, which knows the values; it returns whether to go on."""
+class _OnSolution(CpSolverSolutionCallback):
+    """Calls `look_at` with itself, which knows the values of the solution."""
 
     def __init__(self, look_at: Callable[[CpSolverSolutionCallback], bool]) -> None:
         super().__init__()
