@@ -25,7 +25,8 @@ from cfgplan.domain import (
     Target,
     Transformation,
 )
-from cfgplan.planners.exact.rules import RULES, one_of_new_units_alike_is_enough
+from cfgplan.planners.exact.rules import RULES
+from cfgplan.planners.exact.units import one_of_new_units_alike_is_enough
 from cfgplan.planning import Problem
 
 MOST_CUTS = 200

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence, Set
 
-from ortools.sat.python.cp_model import CpModel, IntVar, LinearExpr, LinearExprT
+from ortools.sat.python.cp_model import CpModel, IntVar, LinearExpr, LinearExprT, LiteralT
 
 from cfgplan.costs import transfer_cost_us
 from cfgplan.domain import ALL, InputPort, Objective, Stream
@@ -122,6 +122,13 @@ class Model:
             self.cp.add_implication(literal, part)
         self.support.rests_on_all(literal.index, [part.index for part in parts])
 
+    def only_if(self, *literals: LiteralT) -> IntVar:
+        """A boolean that may hold only if all of some literals do."""
+        found = self.boolean()
+        for literal in literals:
+            self.cp.add_implication(found, literal)
+        return found
+
     def choices(self, tag: str) -> tuple[Stream, ...]:
         """The streams that match a demanded tag. Where ports don't matter, each unit has one stream, without a port."""
         if self.tells_ports:
@@ -152,10 +159,17 @@ class Model:
             self.demand(target.tag)
         return needing
 
+    def there_on(self, unit: int) -> list[tuple[HostName, IntVar]]:
+        """The booleans that a candidate is on each host, running or as a cold spare."""
+        return [*self.runs_on[unit].items(), *self.waits_on[unit].items()]
+
+    def running(self, label: str) -> list[int]:
+        """The candidates of a transformation that may run."""
+        return [i for i in self.candidates.units_of(label) if i in self.runs]
+
     def to_run(self, label: str) -> list[int]:
-        """The candidates of a transformation that may run, by id: the first that runs meets targets that want one."""
-        units = [i for i in self.candidates.units_of(label) if i in self.runs]
-        return sorted(units, key=lambda i: self.candidates.all[i].id)
+        """The same by id: the first that runs meets targets that want one."""
+        return sorted(self.running(label), key=lambda i: self.candidates.all[i].id)
 
     def unit_of(self, stream: Stream) -> int:
         return self.candidates.index_of[stream.unit]
@@ -239,8 +253,7 @@ class Model:
     def enough_of_each_run(self, landmarks: Iterable[tuple[Iterable[str], int]]) -> None:
         """Demand so many units, or more, of each landmark's labels; a label counts as often as it is named."""
         for labels, least in landmarks:
-            units = [i for label in labels for i in self.candidates.units_of(label)]
-            at_least(self.cp, least, [self.runs[i] for i in units if i in self.runs])
+            at_least(self.cp, least, [self.runs[i] for label in labels for i in self.running(label)])
 
     def cost(self) -> LinearExprT:
         """Labor, upkeep and standby, and what rules have added."""

@@ -110,7 +110,7 @@ class Survival:
 
     def forbid_spares(self, model: Model, true: Collection[int], needless: Collection[int]) -> None:
         """Forbid spares where all others are there that a solution has: these bear all failures."""
-        states = [(i, literal) for on in (model.runs_on, model.waits_on) for i in on for literal in on[i].values()]
+        states = [(i, literal) for i in model.runs_on for _, literal in model.there_on(i)]
         for spare in needless:
             others = [literal.negated() for i, literal in states if literal.index in true and i != spare]
             model.cp.add_bool_or([model.spares[spare].negated(), *others])
@@ -118,7 +118,7 @@ class Survival:
     def _there(self, model: Model, site: Site) -> Iterator[tuple[HostName, IntVar]]:
         """The booleans that units of a site are there, with their hosts."""
         for i in self.candidates.units_of(site[0]):
-            for host, literal in (*model.runs_on[i].items(), *model.waits_on[i].items()):
+            for host, literal in model.there_on(i):
                 if site_of(self.candidates.environment, site[0], host) == site:
                     yield host, literal
 

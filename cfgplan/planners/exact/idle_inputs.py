@@ -1,0 +1,107 @@
+"""The rules of inputs that start nothing, and of outputs that serve only so many."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+
+from ortools.sat.python.cp_model import IntVar, LinearExpr
+
+from cfgplan.domain import ALL, InputPort, Stream
+from cfgplan.onward import reached
+from cfgplan.planners.exact.model import Model
+from cfgplan.planners.exact.targets import who_serves
+
+
+def a_stream_serves_no_more_than_it_may(model: Model) -> None:
+    for stream, most in model.serves.items():
+        taking = _taking(model, stream)
+        if len(taking) > most:
+            model.cp.add(LinearExpr.sum(taking) <= most)
+
+
+def _taking(model: Model, stream: Stream) -> list[IntVar]:
+    """The booleans that inputs and topics take a stream that serves only so many."""
+    choices = [*model.connects.values(), *model.publishes.values()]
+    return [choice[stream] for choice in choices if stream in choice]
+
+
+def an_input_that_starts_nothing_is_fed_by_what_is_needed_anyway(model: Model) -> None:
+    """What is needed: what serves a target, is pinned, or is there by number or for a failure. Nothing else takes a
+    stream that serves only so many, since there would be room for the input without it.
+    """
+    if not model.idle_feeders:
+        return
+    candidates, roots = model.candidates, defaultdict[int, list[IntVar]](list)
+    for i in sorted(model.tracked):
+        if candidates.is_pinned(i):
+            roots[i].append(model.runs[i])
+    for t in model.environment.library:
+        running = {i: model.runs[i] for i in model.running(t.label)} if t.min_instances else {}
+        for i, asked in [(i, model.only_if(runs)) for i, runs in running.items()]:
+            model.cp.add(LinearExpr.sum([*running.values()]) <= t.min_instances).only_enforce_if(asked)
+            roots[i].append(asked)
+    for i in sorted(model.tracked & model.runs.keys()) if model.problem.survive is not None else ():
+        model.spares[i] = model.only_if(model.runs[i])
+        roots[i].append(model.spares[i])
+    needed = who_serves(model, roots)
+    for (unit, name), connects in model.connects.items():
+        is_idle = name in candidates.all[unit].transformation.idle_inputs
+        for stream, connected in connects.items():
+            if is_idle:
+                model.cp.add_implication(connected, needed[model.unit_of(stream)])
+            if stream in model.serves and model.unit_of(stream) in model.idle_feeders:
+                model.cp.add_implication(connected, needed[unit])
+
+
+def an_input_that_starts_nothing_is_fed_where_it_can_be(model: Model) -> None:
+    """It is unfed only where too few units run that may feed it: others depend on its unit, or are not distinct."""
+    candidates = model.candidates.all
+    for (unit, name), fed in list(model.is_fed.items()):
+        port = candidates[unit].transformation.input[name]
+        if not port.starts_nothing or port.count == ALL:
+            continue
+        free: dict[int | str, IntVar] = {}
+        below = {} if port.feedback else _below(model, unit, port)
+        for stream in model.connects[unit, name]:
+            feeder = model.unit_of(stream)
+            label = candidates[feeder].transformation.label
+            key = feeder if port.distinct is None else label
+            barred = [below[feeder]] if feeder in below else []
+            barred += [c for s, c in _of_group(model, unit, port) if model.candidates.label_of(s) == label]
+            if stream in model.serves:
+                barred.append(full := model.boolean())
+                model.cp.add(LinearExpr.sum(_taking(model, stream)) >= model.serves[stream]).only_enforce_if(full)
+            is_free = free[key] if key in free else model.boolean()
+            free[key] = is_free
+            model.cp.add_bool_or([is_free, model.runs[unit].negated(), model.runs[feeder].negated(), *barred])
+        unfed = [fed.negated(), model.runs[unit]]
+        model.cp.add(LinearExpr.sum(list(free.values())) < port.count).only_enforce_if(unfed)
+
+
+def _of_group(model: Model, unit: int, port: InputPort) -> list[tuple[Stream, IntVar]]:
+    """The streams that may feed other inputs of a distinct input's group, each with the boolean that it does."""
+    others = [] if port.distinct is None else model.candidates.all[unit].transformation.inputs
+    names = [other.name for other in others if other.distinct == port.distinct and other != port]
+    return [entry for name in names for entry in model.connects[unit, name].items()]
+
+
+def _below(model: Model, unit: int, port: InputPort) -> dict[int, IntVar]:
+    """For each unit that may depend on a unit, and feed its input, and those between: a boolean that it does depend."""
+    candidates = model.candidates.all
+    ways: dict[int, list[tuple[int, IntVar]]] = defaultdict(list)
+    readers: dict[int, set[int]] = defaultdict(set)
+    for (reader, name), connects in model.connects.items():
+        for stream, connected in connects.items() if not candidates[reader].transformation.input[name].feedback else ():
+            readers[model.unit_of(stream)].add(reader)
+            ways[reader].append((model.unit_of(stream), connected))
+    _, *below = reached([unit], lambda here: sorted(readers[here]))
+    found = {reader: model.boolean() for reader in below}
+    if found.keys().isdisjoint(model.candidates.feeders(port.tag)):
+        return {}
+    for reader, depends in found.items():
+        choices = [connected for feeder, connected in ways[reader] if feeder == unit]
+        for feeder, connected in ways[reader]:
+            if feeder in found:
+                choices.append(model.only_if(connected, found[feeder]))
+        model.needs_any(depends, choices)
+    return found

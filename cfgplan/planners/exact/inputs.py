@@ -1,0 +1,198 @@
+"""The rules of inputs: each is fed by streams that are there, and what feeds a unit comes before it."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+
+from ortools.sat.python.cp_model import IntVar, LinearExpr
+
+from cfgplan.domain import ALL, InputPort, Stream
+from cfgplan.planners.exact.candidates import HostName
+from cfgplan.planners.exact.model import Model
+from cfgplan.planning import Notion
+
+
+def a_staying_unit_keeps_its_feeders(model: Model) -> None:
+    """It stays if its streams are there, grounded before it except at feedback inputs; for topics see targets."""
+    for i, stays in model.stays.items():
+        candidate = model.candidates.all[i]
+        assert candidate.running is not None
+        (host,) = candidate.hosts
+        kept = [(candidate.transformation.input[s.port], s.stream) for s in candidate.running.subscriptions]
+        model.rests_on_all(stays, [model.present(stream, host) for port, stream in kept if not port.feedback])
+        for stream in [stream for port, stream in kept if port.feedback]:
+            model.cp.add_implication(stays, model.present(stream, host))
+
+
+def a_wired_unit_is_fed(model: Model) -> None:
+    """Inputs rest on hubs, or on feeders told apart; a feedback input is fed by any unit that runs."""
+    for i in model.candidates.clock.each(model.runs):
+        inputs = model.candidates.all[i].transformation.inputs
+        told_apart = [port for port in inputs if model.is_told_apart(i, port)]
+        apart = {port.name: an_input_told_apart_has_its_feeders(model, i, port) for port in told_apart}
+        for host, wired in model.wired_on(i).items():
+            parts = []
+            for port in inputs:
+                if port.name in apart:
+                    parts += apart[port.name]
+                elif port.feedback:
+                    model.needs_any(wired, [way for s in model.choices(port.tag) for way in model.ways(s, host)])
+                else:
+                    parts.append(model.hub(port.tag, host))
+            model.rests_on_all(wired, parts)
+
+
+def an_input_told_apart_has_its_feeders(model: Model, unit: int, port: InputPort) -> list[IntVar]:
+    """Add a boolean for each stream that may feed an input. Returns what the unit's wiring then rests on."""
+    may_be_own = port.feedback and port.count != ALL
+    streams = [s for s in model.choices(port.tag) if model.unit_of(s) != unit or may_be_own]
+    connects = model.connects[unit, port.name] = {stream: model.boolean() for stream in streams}
+    if port.is_usual:
+        model.cp.add_exactly_one(*connects.values(), model.runs[unit].negated())
+    else:
+        an_input_takes_its_number_of_streams_or_none(model, unit, port)
+    running = model.candidates.all[unit].running
+    if unit in model.stays and running is not None:
+        feeds = running.feeds.get(port.name, ())
+        for kept in feeds:
+            same = [c for s, c in connects.items() if s == kept or (s.unit == kept.unit and not model.tells_ports)]
+            model.cp.add_implication(model.stays[unit], same[0])
+        if not feeds:
+            model.cp.add_implication(model.stays[unit], model.is_fed[unit, port.name].negated())
+        for connected in [c for s, c in connects.items() if s not in feeds] if port.count == ALL else ():
+            model.cp.add_implication(model.stays[unit], connected.negated())
+    for stream, connected in connects.items():
+        feeder = model.runs[model.unit_of(stream)]
+        if port.feedback:
+            model.cp.add_implication(connected, feeder)
+        else:
+            model.rests_on_all(connected, [feeder])
+        for host, on in model.runs_on[unit].items() if model.is_placed(stream) else ():
+            model.cp.add_bool_or([connected.negated(), on.negated(), *model.ways(stream, host)])
+    if port.feedback:
+        return []
+    if not port.is_usual:
+        return [_grounded_if_it_holds(model, connected) for connected in connects.values()]
+    fed = model.boolean()
+    model.rests_on_any(fed, list(connects.values()))
+    return [fed]
+
+
+def an_input_takes_its_number_of_streams_or_none(model: Model, unit: int, port: InputPort) -> None:
+    """So many streams of different units, or all that there are of other ones; none at an optional input."""
+    connects, runs = model.connects[unit, port.name], model.runs[unit]
+    fed = model.is_fed[unit, port.name] = model.boolean() if port.optional else runs
+    if port.optional:
+        model.cp.add_implication(fed, runs)
+        model.more_costs.append(port.worth_us * model.problem.horizon_s * (runs - fed))
+    of_units: dict[int, list[IntVar]] = defaultdict(list)
+    for stream, connected in connects.items():
+        of_units[model.unit_of(stream)].append(connected)
+    if port.count == ALL:
+        model.needs_any(fed, list(connects.values()))
+        for feeder, literals in of_units.items():
+            for connected in literals:
+                model.cp.add_implication(connected, fed)
+                model.cp.add_implication(connected, model.runs[feeder])
+                model.cp.add_bool_or([connected, runs.negated(), model.runs[feeder].negated()])
+        return
+    model.cp.add(port.count * fed == LinearExpr.sum(list(connects.values())))
+    for literals in of_units.values() if port.count > 1 else ():
+        model.cp.add_at_most_one(literals)
+
+
+def _grounded_if_it_holds(model: Model, literal: IntVar) -> IntVar:
+    """A boolean that rests on a literal where that holds, and on nothing else."""
+    unneeded, found = model.boolean(), model.boolean()
+    model.cp.add(unneeded != literal)
+    model.support.rests_on_all(unneeded.index, [])
+    model.rests_on_any(found, [literal, unneeded])
+    return found
+
+
+def inputs_of_a_group_are_fed_by_different_transformations(model: Model) -> None:
+    candidates = model.candidates.all
+    for i in model.runs:
+        sharing: dict[tuple[str, str], list[IntVar]] = defaultdict(list)
+        for port in candidates[i].transformation.inputs:
+            if port.distinct is not None:
+                for stream, connected in model.connects[i, port.name].items():
+                    sharing[port.distinct, candidates[model.unit_of(stream)].transformation.label].append(connected)
+        for connections in sharing.values():
+            if len(connections) > 1:
+                model.cp.add_at_most_one(connections)
+
+
+def units_that_feed_each_other_come_one_after_the_other(model: Model) -> None:
+    """Implied, but where inputs need not be fed there are too many ways to close a ring to cut them one by one."""
+    if Notion.OPTIONAL not in model.problem.notions:
+        return
+    from networkx import DiGraph, strongly_connected_components
+
+    candidates = model.candidates
+    feeds = [
+        (candidates.index_of[stream.unit], unit, connected)
+        for (unit, name), connects in model.connects.items()
+        for stream, connected in connects.items()
+        if not candidates.all[unit].transformation.input[name].feedback
+    ]
+    rings = strongly_connected_components(DiGraph([(feeder, unit) for feeder, unit, _ in feeds]))
+    for ring in (ring for ring in rings if len(ring) > 1):
+        place = {unit: model.cp.new_int_var(1, len(ring), "") for unit in sorted(ring)}
+        for feeder, unit, connected in feeds:
+            if feeder in ring and unit in ring:
+                model.cp.add(place[feeder] < place[unit]).only_enforce_if(connected)
+
+
+def a_demand_is_met_first_by_a_unit_that_does_not_need_it(model: Model) -> None:
+    """On each host, and at all."""
+    what_is_met_on_a_host_is_met_at_all(model)
+    for (demand, host), hub in model.candidates.clock.each(model.hubs.items()):
+        first = {stream: _first_ways(model, stream, demand, host) for stream in model.streams_of(demand)}
+        ways = {way.index: way for these in first.values() for way in these}
+        if demand in model.is_apart_for_quality and (host is not None or not model.is_carried(demand)):
+            model.needs_any(hub, list(ways.values()))
+            one_stream_meets_a_demand(model, (demand, host), first)
+        else:
+            model.rests_on_any(hub, list(ways.values()))
+
+
+def what_is_met_on_a_host_is_met_at_all(model: Model) -> None:
+    """So is what a running unit needs, whatever its host.
+
+    This is implied, but the model's relaxation spreads units over hosts, and its search lacks it most.
+    """
+    on_hosts = list(dict.fromkeys(demand for demand, host in model.hubs if host is not None))
+    for demand in on_hosts:
+        model.hubs.setdefault((demand, None), model.boolean())
+    for (demand, host), hub in model.hubs.items():
+        if host is not None:
+            model.cp.add_implication(hub, model.hubs[demand, None])
+    needs: dict[int, list[IntVar]] = {i: [] for i in (model.runs if on_hosts else ())}
+    for demand in on_hosts:
+        met = model.hubs[demand, None]
+        for unit in sorted(model.needing[demand]):
+            needs[unit].append(met)
+            model.cp.add_implication(model.runs[unit], met)
+        first = [s for s in model.streams_of(demand) if model.unit_of(s) not in model.needing[demand]]
+        model.anywhere.rests_on_any(met.index, sorted({model.runs[model.unit_of(stream)].index for stream in first}))
+    for unit, met_at_all in needs.items():
+        model.anywhere.rests_on_all(model.runs[unit].index, [met.index for met in met_at_all])
+
+
+def _first_ways(model: Model, stream: Stream, demand: int, host: HostName) -> list[IntVar]:
+    """The ways by which a stream may be the first on a host to meet a demand."""
+    unit = model.unit_of(stream)
+    if unit not in model.needing[demand]:
+        return model.ways(stream, host)
+    here = model.runs[unit] if host is None else model.runs_on[unit].get(host)
+    return [way for way in model.ways(stream, host) if way is not here]
+
+
+def one_stream_meets_a_demand(model: Model, key: tuple[int, HostName], first: dict[Stream, list[IntVar]]) -> None:
+    """All who have the demand there and are wired take it: its quality is theirs."""
+    meets = model.meets[key] = {stream: model.boolean() for stream, ways in first.items() if ways}
+    for stream, taken in meets.items():
+        model.rests_on_any(taken, first[stream])
+    model.cp.add_exactly_one(*meets.values(), model.hubs[key].negated())
+    model.support.rests_on_any(model.hubs[key].index, [taken.index for taken in meets.values()])

@@ -1,0 +1,114 @@
+"""The rules of targets: each is met by one stream or unit, and it is known which units serve one."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+
+from ortools.sat.python.cp_model import IntVar, LiteralT
+
+from cfgplan.domain import Stream
+from cfgplan.planners.exact.model import Model
+
+
+def a_target_is_published_by_one_unit(model: Model) -> None:
+    """A staying unit publishes exactly what it published before."""
+    for target in model.environment.stream_targets:
+        choices = model.publishes[target.label] = {}
+        others: list[IntVar] = []
+        for stream in model.choices(target.tag):
+            feeder = model.unit_of(stream)
+            running = model.candidates.all[feeder].running
+            is_told_apart = model.is_apart or target.quality or feeder in model.tracked or stream in model.serves
+            if not is_told_apart and running is None:
+                others += model.ways(stream, target.host)
+                continue
+            publishes = choices[stream] = model.boolean()
+            model.rests_on_all(publishes, [model.present(stream, target.host)])
+            if running is not None and feeder in model.stays:
+                keeps = any(
+                    p.topic == target.topic and (p.port == stream.port or not model.tells_ports)
+                    for p in running.publications
+                )
+                model.cp.add_implication(model.stays[feeder], publishes if keeps else publishes.negated())
+        publishers = list(choices.values())
+        if others:
+            publishers.append(model.boolean())
+            model.rests_on_any(publishers[-1], others)
+        met = model.boolean()
+        model.rests_on_any(met, publishers)
+        model.cp.add_exactly_one(publishers)
+        model.cp.add(met == 1)
+
+
+def a_unit_runs_that_a_target_wants(model: Model) -> None:
+    """Where it matters who feeds whom there is a boolean for the first unit that runs, as for one that publishes."""
+    for target, label in model.environment.wanted_to_run.items():
+        running = [(i, model.runs[i]) for i in model.to_run(label)]
+        met = model.boolean()
+        model.rests_on_any(met, [runs for _, runs in running])
+        model.cp.add(met == 1)
+        choices = model.publishes[target] = {}
+        for number, (i, runs) in enumerate(running):
+            if i not in model.tracked:
+                continue
+            earlier = [before.negated() for _, before in running[:number]]
+            choices[Stream(model.candidates.all[i].id, "")] = model.only_if(runs, *earlier)
+
+
+def required_transformations_serve_a_target(model: Model) -> None:
+    candidates = model.candidates
+    if not model.environment.required:
+        return
+    units: dict[str, list[IntVar]] = defaultdict(list)
+    for i, serves in who_serves(model).items():
+        if candidates.all[i].transformation.required:
+            units[candidates.all[i].transformation.label].append(serves)
+    for label, serving in units.items():
+        model.uses_required[label] = model.boolean()
+        model.needs_any(model.uses_required[label], serving)
+
+
+def who_serves(model: Model, roots: Mapping[int, Sequence[IntVar]] | None = None) -> dict[int, IntVar]:
+    """For each tracked unit a boolean that it serves a target: it publishes one, or feeds a unit that serves one.
+
+    With `roots`, a unit serves also where its literals there say so, and where one that serves can't run without it.
+    The distance to the target grows along the way; else two units could serve through each other's feedback inputs.
+    """
+    candidates = model.candidates
+    tracked = sorted(model.tracked)
+    distance = {i: model.cp.new_int_var(0, len(tracked), "") for i in tracked}
+    ways: dict[int, list[IntVar]] = {i: [*(roots or {}).get(i, ())] for i in tracked}
+    serving = {i: model.boolean() for i in tracked}
+    for choices in model.publishes.values():
+        for stream, publishes in choices.items():
+            if model.unit_of(stream) in ways:
+                ways[model.unit_of(stream)].append(publishes)
+    for (consumer, name), choices in candidates.clock.each(model.connects.items()):
+        is_reason = consumer in ways and name not in candidates.all[consumer].transformation.idle_inputs
+        for stream, connected in choices.items() if is_reason else ():
+            feeder = model.unit_of(stream)
+            if feeder in ways:
+                ways[feeder].append(through := model.only_if(connected, serving[consumer]))
+                model.cp.add(distance[feeder] > distance[consumer]).only_enforce_if(through)
+    for user, alone, both_run in _company(model) if roots is not None else ():
+        if user in ways and alone in ways:
+            ways[alone].append(through := model.only_if(*both_run, serving[user]))
+            model.cp.add(distance[alone] > distance[user]).only_enforce_if(through)
+    for i, choices_of in ways.items():
+        model.needs_any(serving[i], choices_of)
+    return serving
+
+
+def _company(model: Model) -> Iterator[tuple[int, int, list[LiteralT]]]:
+    """Each unit, one that it may run with on a host, and the literals that both run there, the latter alone of its
+    transformation.
+    """
+    for user, places in model.runs_on.items():
+        for label in model.candidates.all[user].transformation.beside:
+            units = model.running(label)
+            for host, runs in places.items():
+                there = {i: model.runs_on[i][host] for i in units if host in model.runs_on[i]}
+                for alone in sorted(there.keys() - {user}):
+                    others = (other.negated() for i, other in there.items() if i != alone)
+                    yield user, alone, [runs, there[alone], *others]

@@ -1,0 +1,127 @@
+"""The rules of units: what each of them does, and how many are there together."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable
+from itertools import product
+
+from ortools.sat.python.cp_model import IntVar, LinearExpr
+
+from cfgplan.planners.exact.model import Model
+
+
+def a_unit_runs_or_waits_in_one_place(model: Model) -> None:
+    for i, candidate in model.candidates.clock.each(enumerate(model.candidates.all)):
+        model.runs_on[i] = {host: model.boolean() for host in candidate.hosts} if candidate.may_run else {}
+        model.waits_on[i] = {host: model.boolean() for host in candidate.hosts} if candidate.may_wait else {}
+        if candidate.may_run:
+            model.runs[i] = _any_of(model, list(model.runs_on[i].values()))
+        if candidate.may_wait:
+            model.waits[i] = _any_of(model, list(model.waits_on[i].values()))
+        model.is_there[i] = _any_of(model, [state[i] for state in (model.runs, model.waits) if i in state])
+        if len(candidate.hosts) > 1 and candidate.may_run:
+            model.support.rests_on_any(model.runs[i].index, [on.index for on in model.runs_on[i].values()])
+
+
+def _any_of(model: Model, literals: list[IntVar]) -> IntVar:
+    """The boolean that one of some literals holds; no two of them may."""
+    if len(literals) == 1:
+        return literals[0]
+    found = model.boolean()
+    model.cp.add_exactly_one(*literals, found.negated())
+    return found
+
+
+def a_kept_unit_stays_or_is_wired_anew(model: Model) -> None:
+    for i, runs in model.runs.items():
+        model.is_wired[i] = runs
+        if model.candidates.may_stay(i):
+            stays, wired = model.boolean(), model.boolean()
+            model.stays[i], model.is_wired[i] = stays, wired
+            model.cp.add_exactly_one(stays, wired, runs.negated())
+            model.support.rests_on_any(runs.index, [stays.index, wired.index])
+
+
+def pinned_units_run(model: Model) -> None:
+    for i, runs in model.runs.items():
+        if model.candidates.is_pinned(i):
+            model.cp.add_bool_or([runs])
+
+
+def units_that_conflict_are_not_there_together(model: Model) -> None:
+    for transformation in model.environment.library:
+        for other in transformation.conflicts:
+            if other != transformation.label:
+                are_apart(model, _there(model, transformation.label), _there(model, other))
+
+
+def are_apart(model: Model, some: Iterable[IntVar], others: Iterable[IntVar]) -> None:
+    for one, second in product(some, others):
+        model.cp.add_at_most_one(one, second)
+
+
+def there_are_as_many_units_as_asked_for_and_allowed(model: Model) -> None:
+    for t in model.environment.library:
+        there = _there(model, t.label)
+        if t.min_instances:
+            model.cp.add(LinearExpr.sum([model.runs[i] for i in model.running(t.label)]) >= t.min_instances)
+        if t.max_instances is not None and len(there) > t.max_instances:
+            model.cp.add(LinearExpr.sum(there) <= t.max_instances)
+
+
+def _there(model: Model, label: str) -> list[IntVar]:
+    """The booleans that units of a transformation are there, running or as cold spares."""
+    return [model.is_there[i] for i in model.candidates.units_of(label)]
+
+
+def new_units_come_in_order(model: Model) -> None:
+    """Of several new units of a transformation the first ones are taken: they are all alike."""
+    candidates = model.candidates.all
+    for i in range(1, len(candidates)):
+        one, next_one = candidates[i - 1], candidates[i]
+        if one.transformation == next_one.transformation and one.running is None and next_one.running is None:
+            model.cp.add_implication(model.is_there[i], model.is_there[i - 1])
+
+
+def one_of_new_units_alike_is_enough(model: Model) -> None:
+    """Of new units that meet the same demands at most one runs, and those that have a need share it.
+
+    It shortens the proof where nothing is asked beyond the paper; `closing.program.alike` says why it holds. Where
+    transformations are required two of them may be wanted.
+    """
+    if model.problem.notions or model.tracked:
+        return
+    candidates = model.candidates
+    apart: set[int] = set()
+    demands = {model.demand(target.tag): target.tag for target in model.environment.targets}
+    for candidate in candidates.all:
+        for port in candidate.transformation.inputs:
+            demands[model.demand(port.tag)] = port.tag
+            if port.distinct is not None:
+                apart.update(candidates.feeders(port.tag))
+    given: dict[int, list[int]] = defaultdict(list)
+    for demand in sorted(demands):
+        for feeder in candidates.feeders(demands[demand]):
+            given[feeder].append(demand)
+    groups: dict[tuple[int, ...], list[int]] = defaultdict(list)
+    for unit, candidate in enumerate(candidates.all):
+        if candidate.running is None and unit not in apart:
+            groups[tuple(given[unit])].append(unit)
+    for units in groups.values():
+        if len(units) > 1:
+            model.cp.add_at_most_one(model.runs[unit] for unit in units)
+            _needs_are_shared(model, units)
+
+
+def _needs_are_shared(model: Model, units: list[int]) -> None:
+    needing: dict[int, list[int]] = defaultdict(list)
+    for unit in units:
+        ports = model.candidates.all[unit].transformation.inputs
+        hubs = {model.hub(p.tag, None).index for p in ports if not p.feedback and not model.is_told_apart(unit, p)}
+        for hub in sorted(hubs):
+            needing[hub].append(unit)
+    for hub, sharing in needing.items():
+        if len(sharing) > 1:
+            met = model.cp.get_bool_var_from_proto_index(hub)
+            model.cp.add_at_most_one([met.negated(), *(model.runs[unit] for unit in sharing)])
