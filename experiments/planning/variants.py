@@ -7,7 +7,8 @@ from contextlib import suppress
 
 from ortools.sat.python.cp_model import CpSolver
 
-from cfgplan.planners.exact.candidates import Candidates, Closure
+from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.closure import Closure
 from cfgplan.planners.exact.model import ModelRule
 from cfgplan.planners.exact.rules import RULES
 from cfgplan.planners.exact.search import Search

@@ -12,7 +12,8 @@ from cfgplan.planners import PLANNERS
 from cfgplan.planners.bounding.bounds import Bound, chained_bound, cheapest_way
 from cfgplan.planners.closing.program import charged
 from cfgplan.planners.cpsat import PlannerSession
-from cfgplan.planners.exact.candidates import Candidates, relevant
+from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.closure import relevant
 from cfgplan.planners.exact.configuration import wire
 from cfgplan.planners.networks.greedy import first_plan, is_plan
 from cfgplan.planners.networks.network import Network, Weighing

@@ -67,11 +67,11 @@ def least_badness(candidates: Candidates, attribute: QualityAttribute) -> dict[S
 
     It is 0 where inputs take none or several: together these may be better than any by itself.
     """
-    if attribute not in candidates.least and ONLY_IN_THE_MODEL & candidates.problem.notions:
-        streams = (Stream(c.id, port.name) for c in candidates.all for port in c.transformation.outputs)
-        candidates.least[attribute] = dict.fromkeys(streams, 0)
     if attribute not in candidates.least:
-        candidates.least[attribute] = _least_badness(candidates, attribute)
+        streams = (Stream(c.id, port.name) for c in candidates.all for port in c.transformation.outputs)
+        is_of_several = not ONLY_IN_THE_MODEL.isdisjoint(candidates.problem.notions)
+        least = dict.fromkeys(streams, 0) if is_of_several else _least_badness(candidates, attribute)
+        candidates.least[attribute] = least
     return candidates.least[attribute]
 
 
@@ -148,6 +148,13 @@ class Making:
                 return cls(inputs, stated.over, stated.value, shift, 0, alone)
         return cls(inputs, stated.over, MICRO, attribute.sign * stated.value * MICRO, 0, alone)
 
+    def allowed(self, badness: int, worst: int) -> int:
+        """How bad inputs may be if the output is to be no worse than a badness, as far as the rule says that."""
+        is_combined = self.over is not Over.WORST and len(self.inputs) > 1
+        if badness == worst or is_combined or self.gain != MICRO:
+            return worst
+        return min(max(badness - self.shift // MICRO, 0), worst)
+
 
 def stated_of(port: OutputPort, attribute: QualityAttribute) -> Contribution | None:
     """What an output states of an attribute."""
@@ -188,10 +195,10 @@ def _most_badness(candidates: Candidates, attribute: QualityAttribute) -> dict[s
             allow(port.tag, attribute.scale)
     demands = _demands(candidates)
     fed = [
-        (demands[output.tag], stated_of(output, attribute), candidate.transformation)
-        for candidate in candidates.all
-        for output in candidate.transformation.outputs
-        if output.tag in demands and candidate.transformation.inputs
+        (demands[output.tag], Making.of(attribute, t, output), t.inputs)
+        for t in (candidate.transformation for candidate in candidates.all)
+        for output in t.outputs
+        if output.tag in demands and t.inputs
     ]
     meeting: dict[str, list[int]] = defaultdict(list)
     for number, (tags, _, _) in enumerate(fed):
@@ -201,26 +208,13 @@ def _most_badness(candidates: Candidates, attribute: QualityAttribute) -> dict[s
     while ahead:
         worse: set[str] = set()
         for number in candidates.clock.each(sorted({number for tag in ahead for number in meeting[tag]})):
-            tags, stated, transformation = fed[number]
-            wanted = max(most[tag] for tag in tags if tag in most)
-            ordinary = _allowed_before(attribute, transformation, stated, wanted)
-            for port in transformation.inputs:
-                if allow(port.tag, attribute.scale if port.feedback else ordinary):
+            tags, making, inputs = fed[number]
+            allowed = making.allowed(max(most[tag] for tag in tags if tag in most), attribute.scale)
+            for port in inputs:
+                if allow(port.tag, attribute.scale if port.feedback else allowed):
                     worse.add(port.tag)
         ahead = worse
     return most
-
-
-def _allowed_before(attribute: QualityAttribute, of: Transformation, stated: Contribution | None, out: int) -> int:
-    """How bad inputs may be if an output is to be no worse than `out`, as far as the rule says that."""
-    if stated is None:
-        return out
-    is_combined = stated.over is not Over.WORST and sum(not port.feedback for port in of.inputs) > 1
-    if out == attribute.scale or is_combined or stated.rule in (QualityRule.SCALE, QualityRule.SET):
-        return attribute.scale
-    if stated.rule is QualityRule.LIMIT:
-        return out
-    return min(max(out - attribute.sign * stated.value, 0), attribute.scale)
 
 
 def demands_of_quality(candidates: Candidates) -> dict[Demand, bool]:

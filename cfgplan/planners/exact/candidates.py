@@ -12,14 +12,14 @@ import numpy as np
 
 from cfgplan.costs import keep_cost_us, standby_cost_us, start_cost_us, taken
 from cfgplan.domain import ComputationUnit, Environment, Host, Stream, Transformation
-from cfgplan.onward import reached
+from cfgplan.planners.exact.closure import Closure
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.keys import may_stay
 from cfgplan.planners.networks.network import Network
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Notion, Problem, fresh_units
 from cfgplan.qualities import QualityAttribute, worst_allowed
-from cfgplan.reasons import Givers, startable
+from cfgplan.reasons import startable
 
 ONLY_IN_THE_MODEL: Final = frozenset({Notion.OPTIONAL, Notion.COUNTS, Notion.LIMITS})
 """What first plans and bounds don't know."""
@@ -63,27 +63,6 @@ class Candidate:
     def waiting_cost_us(self) -> int:
         """What it costs if it waits where it is cheapest."""
         return min(place.waiting_cost_us for place in self.places.values())
-
-
-@dataclass(frozen=True)
-class Closure:
-    """Who gives what, which transformations can be started at all, and which of those may be needed."""
-
-    givers: Givers
-    possible: frozenset[str]
-    relevant: frozenset[str]
-
-    @classmethod
-    def of(cls, problem: Problem, clock: Clock, old: Closure | None = None) -> Closure:
-        """The closure of a problem; `old` is one of the same library and matching. Raises OutOfTimeError."""
-        environment = problem.environment
-        if old is not None:
-            givers, possible = old.givers, old.possible
-        else:
-            givers = Givers(environment.library, problem.similarity)
-            possible = startable(environment, givers, clock.each)
-            givers = givers.among(possible)
-        return cls(givers, possible, relevant(environment, givers, possible, clock))
 
 
 class Candidates:
@@ -247,35 +226,6 @@ class Candidates:
             and candidate.may_run
             and candidate.transformation.label in self.possible
         )
-
-
-def relevant(environment: Environment, givers: Givers, possible: frozenset[str], clock: Clock) -> frozenset[str]:
-    """The labels out of `possible` that a target, a pinned unit or a number asks for, directly or through others."""
-    library = environment.transformation
-    asked = {t.label for t in environment.library if t.min_instances}
-    asked |= {u.transformation for u in environment.units if u.transformation in library}
-    asked = {label for label in asked & possible if library[label].pinned or library[label].min_instances}
-    found = set(with_companions(environment, asked))
-    ahead = [target.tag for target in environment.targets]
-    ahead += [port.tag for label in sorted(found) for port in library[label].inputs]
-    seen = set(ahead)
-    for tag in clock.each(ahead):
-        new = [label for label in givers.of(tag) if label in possible and label not in found]
-        for label in with_companions(environment, new):
-            found.add(label)
-            for port in library[label].inputs:
-                if port.tag not in seen:
-                    seen.add(port.tag)
-                    ahead.append(port.tag)
-    return frozenset(found & possible)
-
-
-def with_companions(environment: Environment, labels: Iterable[str]) -> list[str]:
-    """Some transformations and those that they run with, directly or through others."""
-    library = environment.transformation
-    if not environment.companions:
-        return list(labels)
-    return reached(labels, lambda label: (other for other in library[label].beside if other in library))
 
 
 def _candidates(problem: Problem, labels: frozenset[str], clock: Clock) -> Iterator[Candidate]:

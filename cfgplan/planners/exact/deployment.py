@@ -13,8 +13,6 @@ from math import ceil
 from operator import attrgetter
 from typing import NamedTuple
 
-import numpy as np
-from ortools.graph.python.max_flow import SimpleMaxFlow
 from ortools.sat.python.cp_model import (
     FEASIBLE,
     INFEASIBLE,
@@ -25,8 +23,9 @@ from ortools.sat.python.cp_model import (
     LinearExpr,
 )
 
-from cfgplan.domain import ComputationUnit, Objective, Publication, Stream, Subscription
+from cfgplan.domain import Objective
 from cfgplan.planners.exact.candidates import Candidates, HostName
+from cfgplan.planners.exact.counted_wiring import CountedWiring
 from cfgplan.planners.exact.counting import PLACED, CountingModel, Misfit
 from cfgplan.planners.exact.decode import lean, named
 from cfgplan.planners.exact.groups import Group, HostKind, groups_of, host_kinds
@@ -104,7 +103,7 @@ class _Deployment:
         values: Sequence[int] = ()
         proven: list[int] = []
         for number, step in enumerate(steps):
-            learn = step.learn if is_placed or not number else None
+            learn = step.learn if is_placed or not number else _nothing
             found = self._minimise(counts, step.what, values, learn, is_placed=is_placed)
             if found is None:
                 return standing.is_infeasible
@@ -139,11 +138,14 @@ class _Deployment:
         counts: CountingModel,
         what: LinearExpr,
         known: Sequence[int],
-        learn: Callable[[int], None] | None,
+        learn: Callable[[int], None],
         *,
         is_placed: bool,
     ) -> tuple[Sequence[int], int] | None:
-        """The best numbers and their value; None if there are none, or the time is over before they are proven best."""
+        """The best numbers and their value; None if there are none, or the time is over before they are proven best.
+
+        `known` are numbers to begin with, if there are any. `learn` is told bounds.
+        """
         clock = self.standing.clock
         counts.cp.minimize(what)
         if known:
@@ -153,8 +155,7 @@ class _Deployment:
         solver = _solver(clock)
 
         def learn_bound(bound: float) -> None:
-            if learn is not None:
-                learn(ceil(bound - 0.5))
+            learn(ceil(bound - 0.5))
 
         def look_at(solution: CpSolverSolutionCallback) -> bool:
             return not is_placed or self._offer(counts, solution.response_proto.solution)
@@ -195,7 +196,7 @@ class _Deployment:
                     return False
             for n, hosts in placed.hosts.items():
                 hosts_of[n] += hosts
-        units = _WiringByNumber(counts, values, hosts_of).units()
+        units = CountedWiring(counts, values, hosts_of).units()
         self.standing.offer(named(self.candidates, lean(self.candidates, units)))
         return is_fit
 
@@ -228,8 +229,7 @@ class _Deployment:
 
     def _hint(self, counts: CountingModel) -> None:
         """Hint the incumbent's units and hosts."""
-        if self.standing.best is None:
-            return
+        assert self.standing.best is not None
         new = {group.label: n for n, group in enumerate(self.groups) if group.first.running is None}
         running = {group.first.id: n for n, group in enumerate(self.groups) if group.first.running is not None}
         units = self.standing.best.units
@@ -286,6 +286,10 @@ def _more(used: int, most: int) -> Iterator[int]:
     yield most
 
 
+def _nothing(_: int) -> None:
+    """Learn nothing."""
+
+
 def _of_order(place: int, key: Key) -> int:
     """What a plan has of the objective at a place in the order, the first at 1."""
     return key.first[place]
@@ -295,124 +299,3 @@ def _solver(clock: Clock) -> CpSolver:
     solver = repeatable_solver(small=False, time_limit_s=clock.left_s())
     solver.parameters.cut_level = 1
     return solver
-
-
-class _Taker(NamedTuple):
-    """An input of a unit, or a target, with the streams that it may take and those that it has."""
-
-    who: tuple[str, str]
-    number: int
-    streams: Sequence[Stream]
-    old: Sequence[Stream] = ()
-
-
-class _WiringByNumber:
-    """Who takes whose streams, once it is known how many units of each group run, and where."""
-
-    def __init__(
-        self, counts: CountingModel, values: Sequence[int], hosts_of: Mapping[int, Sequence[HostName]]
-    ) -> None:
-        self._counts, self._values, self._candidates = counts, values, counts.candidates
-        self._all = counts.candidates.all
-        self._host_of: dict[int, HostName] = {}
-        for n, hosts in hosts_of.items():
-            self._host_of |= dict(zip(counts.groups[n].units, hosts, strict=False))
-        self._stays = {counts.groups[n].units[0] for n, stays in counts.stays.items() if values[stays.index]}
-
-    def units(self) -> list[ComputationUnit]:
-        """The units, wired; those that stay as they are the same."""
-        demands = list(self._demands())
-        limited = [demand for demand in demands if any(map(self._serves, demand.streams))]
-        taken = {demand.who: _first(demand) for demand in demands if demand not in limited}
-        taken |= self._shared_out(limited)
-        topics: dict[str, list[Publication]] = defaultdict(list)
-        for target in self._counts.environment.stream_targets:
-            for stream in taken.get(("", target.label), ()):
-                topics[stream.unit].append(Publication(stream.port, target.topic))
-        return [self._wired(i, host, taken, topics) for i, host in sorted(self._host_of.items())]
-
-    def _wired(
-        self,
-        unit: int,
-        host: HostName,
-        taken: Mapping[tuple[str, str], Sequence[Stream]],
-        topics: Mapping[str, Sequence[Publication]],
-    ) -> ComputationUnit:
-        candidate = self._all[unit]
-        if unit in self._stays and candidate.running is not None:
-            return candidate.running
-        ports = [port.name for port in candidate.transformation.inputs]
-        wires = [Subscription(port, stream) for port in ports for stream in taken[candidate.id, port]]
-        label = candidate.transformation.label
-        return ComputationUnit(candidate.id, label, tuple(wires), tuple(topics.get(candidate.id, ())), host)
-
-    def _serves(self, stream: Stream) -> int:
-        """How many may take a stream; 0: any number."""
-        return self._all[self._candidates.index_of[stream.unit]].transformation.output[stream.port].serves or 0
-
-    def _running(self, tag: str) -> list[Stream]:
-        return [s for s in self._candidates.streams(tag) if self._candidates.index_of[s.unit] in self._host_of]
-
-    def _demands(self) -> Iterator[_Taker]:
-        """Those of units that do not stay as they are, and those of targets that such units meet."""
-        for i in sorted(self._host_of.keys() - self._stays):
-            old = {} if (running := self._all[i].running) is None else running.feeds
-            for port in self._all[i].transformation.inputs:
-                streams = self._running(port.tag)
-                yield _Taker((self._all[i].id, port.name), port.count, streams, old.get(port.name, ()))
-        index_of, group_of = self._candidates.index_of, self._counts.group_of
-        for target in self._counts.environment.stream_targets:
-            there = [s for s in self._running(target.tag) if index_of[s.unit] not in self._stays]
-            sources = [(group_of[index_of[stream.unit]], stream.port) for stream in there]
-            publishes = [self._values[self._counts.publishes[target.label, source].index] for source in sources]
-            streams = [stream for stream, may in zip(there, publishes, strict=True) if may]
-            if streams:
-                yield _Taker(("", target.label), 1, streams)
-
-    def _shared_out(self, demands: Sequence[_Taker]) -> dict[tuple[str, str], list[Stream]]:
-        """The streams that each demand takes where some serve only so many: a flow from streams to demands."""
-        if not demands:
-            return {}
-        kept = Counter(s.stream for i in self._stays for s in self._running_unit(i).subscriptions)
-        kept.update(Stream(self._all[i].id, p.port) for i in self._stays for p in self._running_unit(i).publications)
-        nodes: dict[object, int] = {}
-        arcs: dict[tuple[int, int], int] = {}
-
-        def arc(tail: object, head: object, most: int) -> tuple[int, int]:
-            found = nodes.setdefault(tail, len(nodes)), nodes.setdefault(head, len(nodes))
-            arcs[found] = most
-            return found
-
-        ways: dict[tuple[int, int], tuple[tuple[str, str], Stream]] = {}
-        for demand in demands:
-            arc(demand.who, "sink", demand.number)
-            for stream in demand.streams:
-                serves = self._serves(stream)
-                arc("source", stream, serves - kept[stream] if serves else len(demands))
-                arc((demand.who, stream.unit), demand.who, 1)
-                ways[arc(stream, (demand.who, stream.unit), 1)] = demand.who, stream
-        flow = SimpleMaxFlow()
-        tails, heads = zip(*arcs, strict=True)
-        numbers = flow.add_arcs_with_capacity(np.array(tails), np.array(heads), np.array(list(arcs.values())))
-        flow.solve(nodes["source"], nodes["sink"])
-        if flow.optimal_flow() < sum(demand.number for demand in demands):
-            raise ContradictionError("the streams that are counted can't be shared out")
-        taken: dict[tuple[str, str], list[Stream]] = {demand.who: [] for demand in demands}
-        for way, used in zip(arcs, flow.flows(numbers).tolist(), strict=True):
-            if used and way in ways:
-                who, stream = ways[way]
-                taken[who].append(stream)
-        return taken
-
-    def _running_unit(self, unit: int) -> ComputationUnit:
-        running = self._all[unit].running
-        assert running is not None
-        return running
-
-
-def _first(demand: _Taker) -> list[Stream]:
-    """The streams of as many different units as are demanded, those that it has first."""
-    of_units: dict[str, Stream] = {}
-    for stream in (*(stream for stream in demand.old if stream in demand.streams), *demand.streams):
-        of_units.setdefault(stream.unit, stream)
-    return list(of_units.values())[: demand.number]

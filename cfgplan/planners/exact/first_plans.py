@@ -12,7 +12,8 @@ import numpy as np
 
 from cfgplan.domain import ComputationUnit
 from cfgplan.figures import links_bear, qualities_of_targets
-from cfgplan.planners.exact.candidates import Candidates, with_companions
+from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.closure import with_companions
 from cfgplan.planners.exact.configuration import Configuration, spare_prices
 from cfgplan.planners.exact.decode import have_company
 from cfgplan.planners.exact.places import Rooms

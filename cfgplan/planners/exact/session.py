@@ -14,7 +14,8 @@ from threading import Event
 from typing import Final
 
 from cfgplan.domain import Environment
-from cfgplan.planners.exact.candidates import ONLY_IN_THE_MODEL, Candidates, Closure
+from cfgplan.planners.exact.candidates import ONLY_IN_THE_MODEL, Candidates
+from cfgplan.planners.exact.closure import Closure
 from cfgplan.planners.exact.configuration import wire
 from cfgplan.planners.exact.decode import lean
 from cfgplan.planners.exact.first_plans import FirstPlans

@@ -1,0 +1,62 @@
+"""The closure of a library: who gives what, what can be started at all, and what of that may be needed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from cfgplan.domain import Environment
+from cfgplan.onward import reached
+from cfgplan.planners.solving.clock import Clock
+from cfgplan.planning import Problem
+from cfgplan.reasons import Givers, startable
+
+
+@dataclass(frozen=True)
+class Closure:
+    """`givers` know who gives what; `possible` are the transformations that can be started; `relevant` those of them
+    that may be needed.
+    """
+
+    givers: Givers
+    possible: frozenset[str]
+    relevant: frozenset[str]
+
+    @classmethod
+    def of(cls, problem: Problem, clock: Clock, old: Closure | None = None) -> Closure:
+        """The closure of a problem; `old` is one of the same library and matching. Raises OutOfTimeError."""
+        environment = problem.environment
+        if old is not None:
+            return cls(old.givers, old.possible, relevant(environment, old.givers, old.possible, clock))
+        givers = Givers(environment.library, problem.similarity)
+        possible = startable(environment, givers, clock.each)
+        givers = givers.among(possible)
+        return cls(givers, possible, relevant(environment, givers, possible, clock))
+
+
+def relevant(environment: Environment, givers: Givers, possible: frozenset[str], clock: Clock) -> frozenset[str]:
+    """The labels out of `possible` that a target, a pinned unit or a number asks for, directly or through others."""
+    library = environment.transformation
+    running = {unit.transformation for unit in environment.units}
+    asked = [t.label for t in environment.library if t.min_instances or (t.pinned and t.label in running)]
+    found = set(with_companions(environment, possible.intersection(asked)))
+    ahead = [target.tag for target in environment.targets]
+    ahead += [port.tag for label in sorted(found) for port in library[label].inputs]
+    seen = set(ahead)
+    for tag in clock.each(ahead):
+        new = [label for label in givers.of(tag) if label in possible and label not in found]
+        for label in with_companions(environment, new):
+            found.add(label)
+            for port in library[label].inputs:
+                if port.tag not in seen:
+                    seen.add(port.tag)
+                    ahead.append(port.tag)
+    return frozenset(found & possible)
+
+
+def with_companions(environment: Environment, labels: Iterable[str]) -> list[str]:
+    """Some transformations and those that they run with, directly or through others."""
+    library = environment.transformation
+    if not environment.companions:
+        return list(labels)
+    return reached(labels, lambda label: (other for other in library[label].beside if other in library))

@@ -1,0 +1,122 @@
+"""Who takes whose streams, once it is known how many units of each group run, and where."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from ortools.graph.python.max_flow import SimpleMaxFlow
+
+from cfgplan.domain import ComputationUnit, Publication, Stream, Subscription
+from cfgplan.planners.exact.candidates import HostName
+from cfgplan.planners.exact.counting import CountingModel
+from cfgplan.planners.solving.clock import ContradictionError
+
+
+class _Taker(NamedTuple):
+    """An input of a unit, or a target, with the streams that it may take and those that it has."""
+
+    who: tuple[str, str]
+    number: int
+    streams: Sequence[Stream]
+    old: Sequence[Stream] = ()
+
+
+class CountedWiring:
+    """The wiring of counted units: `values` are a counting model's, `hosts_of` the hosts of each group's units."""
+
+    def __init__(
+        self, counts: CountingModel, values: Sequence[int], hosts_of: Mapping[int, Sequence[HostName]]
+    ) -> None:
+        self._counts, self._values, self._candidates = counts, values, counts.candidates
+        self._all = counts.candidates.all
+        self._host_of: dict[int, HostName] = {}
+        for n, hosts in hosts_of.items():
+            self._host_of |= dict(zip(counts.groups[n].units, hosts, strict=False))
+        staying = (counts.groups[n].units[0] for n, stays in counts.stays.items() if values[stays.index])
+        self._stays = {i: unit for i in staying if (unit := self._all[i].running) is not None}
+
+    def units(self) -> list[ComputationUnit]:
+        """The units, wired; those that stay as they are the same."""
+        demands = list(self._demands())
+        limited = [demand for demand in demands if any(map(self._serves, demand.streams))]
+        taken = {demand.who: _first(demand) for demand in demands if demand not in limited}
+        taken |= self._shared_out(limited)
+        topics: dict[str, list[Publication]] = defaultdict(list)
+        for target in self._counts.environment.stream_targets:
+            for stream in taken.get(("", target.label), ()):
+                topics[stream.unit].append(Publication(stream.port, target.topic))
+        units = dict(self._stays)
+        for i in self._host_of.keys() - units.keys():
+            id_, kind = self._all[i].id, self._all[i].transformation
+            wires = [Subscription(p.name, stream) for p in kind.inputs for stream in taken[id_, p.name]]
+            units[i] = ComputationUnit(id_, kind.label, tuple(wires), tuple(topics[id_]), self._host_of[i])
+        return [units[i] for i in sorted(units)]
+
+    def _serves(self, stream: Stream) -> int:
+        """How many may take a stream; 0: any number."""
+        return self._all[self._candidates.index_of[stream.unit]].transformation.output[stream.port].serves or 0
+
+    def _running(self, tag: str) -> list[Stream]:
+        return [s for s in self._candidates.streams(tag) if self._candidates.index_of[s.unit] in self._host_of]
+
+    def _demands(self) -> Iterator[_Taker]:
+        """Those of units that do not stay as they are, and those of targets that such units meet."""
+        for i in sorted(self._host_of.keys() - self._stays.keys()):
+            old = {} if (running := self._all[i].running) is None else running.feeds
+            for port in self._all[i].transformation.inputs:
+                streams = self._running(port.tag)
+                yield _Taker((self._all[i].id, port.name), port.count, streams, old.get(port.name, ()))
+        index_of, group_of = self._candidates.index_of, self._counts.group_of
+        for target in self._counts.environment.stream_targets:
+            there = [s for s in self._running(target.tag) if index_of[s.unit] not in self._stays]
+            sources = [(group_of[index_of[stream.unit]], stream.port) for stream in there]
+            publishes = [self._values[self._counts.publishes[target.label, source].index] for source in sources]
+            streams = [stream for stream, may in zip(there, publishes, strict=True) if may]
+            if streams:
+                yield _Taker(("", target.label), 1, streams)
+
+    def _shared_out(self, demands: Sequence[_Taker]) -> dict[tuple[str, str], list[Stream]]:
+        """The streams that each demand takes where some serve only so many: a flow from streams to demands."""
+        if not demands:
+            return {}
+        kept = Counter(s.stream for unit in self._stays.values() for s in unit.subscriptions)
+        kept.update(Stream(unit.id, p.port) for unit in self._stays.values() for p in unit.publications)
+        nodes: dict[object, int] = {}
+        arcs: dict[tuple[int, int], int] = {}
+
+        def arc(tail: object, head: object, most: int) -> tuple[int, int]:
+            found = nodes.setdefault(tail, len(nodes)), nodes.setdefault(head, len(nodes))
+            arcs[found] = most
+            return found
+
+        ways: dict[tuple[int, int], tuple[tuple[str, str], Stream]] = {}
+        for demand in demands:
+            arc(demand.who, "sink", demand.number)
+            for stream in demand.streams:
+                serves = self._serves(stream)
+                arc("source", stream, serves - kept[stream] if serves else len(demands))
+                arc((demand.who, stream.unit), demand.who, 1)
+                ways[arc(stream, (demand.who, stream.unit), 1)] = demand.who, stream
+        flow = SimpleMaxFlow()
+        tails, heads = zip(*arcs, strict=True)
+        numbers = flow.add_arcs_with_capacity(np.array(tails), np.array(heads), np.array(list(arcs.values())))
+        flow.solve(nodes["source"], nodes["sink"])
+        if flow.optimal_flow() < sum(demand.number for demand in demands):
+            raise ContradictionError("the streams that are counted can't be shared out")
+        taken: dict[tuple[str, str], list[Stream]] = {demand.who: [] for demand in demands}
+        for way, used in zip(arcs, flow.flows(numbers).tolist(), strict=True):
+            if used and way in ways:
+                who, stream = ways[way]
+                taken[who].append(stream)
+        return taken
+
+
+def _first(demand: _Taker) -> list[Stream]:
+    """The streams of as many different units as are demanded, those that it has first."""
+    of_units: dict[str, Stream] = {}
+    for stream in (*(stream for stream in demand.old if stream in demand.streams), *demand.streams):
+        of_units.setdefault(stream.unit, stream)
+    return list(of_units.values())[: demand.number]
