@@ -72,11 +72,11 @@ class Deciding:
             problem = self.known(problem)
             if not problem.similarity.open:
                 return self._counted(budget.plan(problem, 1.0, report), budget)
+            decided = replace(problem, similarity=problem.similarity.decided)
             if compelling := _compelling_pairs(problem):
                 if not self._is_stopped() and self._learns(problem, compelling, len(compelling)):
                     continue
-                found = budget.plan(replace(problem, similarity=problem.similarity.decided), 1.0)
-                return self._counted(_without_a_claim(found, compelling), budget)
+                return self._counted(_without_a_claim(budget.plan(decided, 1.0), compelling), budget)
             best = budget.plan(_hopeful(problem), 0.5, _bounds_only(problem, report))
             uses, holds = _hangs_on(problem, best, budget)
             if holds and best.status is not Status.FEASIBLE:
@@ -84,16 +84,12 @@ class Deciding:
                 if report is not None:
                     report(Progress(budget.elapsed_s, best.cost_us, best.bound_us))
                 return self._counted(best, budget)
-            certain = None
-            if not self.asks_early:
-                certain = budget.plan(replace(problem, similarity=problem.similarity.decided), 1.0)
-            if not uses or self._is_stopped() or (certain is not None and certain.change_set is not None):
-                break
-            if not self._learns(problem, uses, batch):
-                break
+            certain = None if self.asks_early else budget.plan(decided, 1.0)
+            is_enough = certain is not None and certain.change_set is not None
+            if not uses or is_enough or self._is_stopped() or not self._learns(problem, uses, batch):
+                certain = certain or budget.plan(decided, 1.0)
+                return self._counted(_answer(problem, best, uses, certain, budget), budget)
             batch *= GROWTH
-        certain = certain or budget.plan(replace(problem, similarity=problem.similarity.decided), 1.0)
-        return self._counted(_answer(problem, best, uses, certain, budget), budget)
 
     def _learns(self, problem: Problem, uses: tuple[Pair, ...], batch: int) -> bool:
         """Have some pairs decided. Returns whether any was."""
@@ -166,11 +162,10 @@ def _compelling_pairs(problem: Problem) -> tuple[Pair, ...]:
 
 
 def _without_a_claim(plan: Plan, undecided: tuple[Pair, ...]) -> Plan:
-    """A plan of which nothing is known to be proven if the pairs match."""
-    status = Status.UNKNOWN if plan.change_set is None else Status.FEASIBLE
-    cost_us = None if plan.change_set is None else plan.cost_us
-    reasons = plan.reasons if plan.change_set is not None else {}
-    return replace(plan.unproven, status=status, cost_us=cost_us, reasons=reasons, undecided=undecided)
+    """The plan without its proofs, which do not hold if the pairs match; unknown if there is no change set."""
+    if plan.change_set is None:
+        return replace(plan.unproven, status=Status.UNKNOWN, cost_us=None, reasons={}, undecided=undecided)
+    return replace(plan.unproven, status=Status.FEASIBLE, undecided=undecided)
 
 
 def _hopeful(problem: Problem) -> Problem:

@@ -94,7 +94,7 @@ MODEL = _room(
     (
         "nothing is carried to inputs told apart",
         "inputs.py",
-        "for host, on in model.runs_on[unit].items() if model.is_placed(stream) else ():",
+        "for host, on in model.runs_on[unit].items() if stream in model.placed else ():",
         "for host, on in ():",
     ),
     (
@@ -290,7 +290,7 @@ MODEL = _room(
         "model.needs_any(runs, [there[host] for there in units if host in there])",
         "pass",
     ),
-    ("a link bears anything", "hosts.py", "loads[link].append(model.bytes_per_s(stream) * journey)", "pass"),
+    ("a link bears anything", "hosts.py", "loads[link].append(model.placed[stream] * journey)", "pass"),
     ("all links cost the same", "hosts.py", "model.more_costs.append((cost_us - least_us) * journey)", "pass"),
     ("hosts are free", "hosts.py", "model.cp.add_implication(there, used)", "pass"),
     ("too many units are on one host", "hosts.py", "<= t.per_host)", "<= t.per_host + 1)"),

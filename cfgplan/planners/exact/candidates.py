@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from cfgplan.costs import keep_cost_us, standby_cost_us, start_cost_us, taken
+from cfgplan.costs import keep_cost_us, standby_cost_us, start_cost_us, taken, transfer_cost_us
 from cfgplan.domain import ComputationUnit, Environment, Host, Stream, Transformation
 from cfgplan.planners.exact.closure import Closure
 from cfgplan.planners.networks.core import Ints
@@ -95,6 +95,7 @@ class Candidates:
         self._streams: dict[str, tuple[Stream, ...]] = {}
         self._feeders: dict[str, tuple[int, ...]] = {}
         self._may_stay: dict[int, bool] = {}
+        self._carried_us: dict[tuple[Stream, int], int] = {}
         self.bounds = {
             (target.label, wish.attribute): attribute.badness(worst_allowed(attribute, wish))
             for target in problem.environment.targets
@@ -149,6 +150,14 @@ class Candidates:
     def numbers(self, labels: Iterable[str]) -> list[int]:
         """The numbers that transformations have in the network, sorted."""
         return sorted(self.network.number[label] for label in labels if label in self.network.number)
+
+    def carried_us(self, stream: Stream, origin: HostName, host: HostName) -> int:
+        """What it costs to carry a stream from one host to another."""
+        key = stream, self.environment.price_us(origin, host)
+        if key not in self._carried_us:
+            port = self.all[self.index_of[stream.unit]].transformation.output[stream.port]
+            self._carried_us[key] = transfer_cost_us(port, self.problem.horizon_s, key[1])
+        return self._carried_us[key]
 
     def label_of(self, stream: Stream) -> str:
         """The transformation of a stream's unit."""

@@ -89,8 +89,8 @@ class _Deployment:
     def count(self, kinds: Sequence[HostKind]) -> bool:
         """Minimise all that is asked, one after the other. Returns whether all is proven.
 
-        Where each kind is one host, each solution is a plan. Else what is best has to be placed, and before that only
-        the bound of what is minimised first is one.
+        Where each kind is one host, each solution is a plan. Else the best numbers have to be placed, and until then
+        only the bound on what is minimised first is proven.
         """
         standing, is_placed = self.standing, all(len(kind.names) == 1 for kind in kinds)
         counts = CountingModel(self.candidates, self.groups, kinds) if is_placed else self._alike(kinds)

@@ -37,7 +37,7 @@ def links_bear_what_is_carried_and_have_their_prices(model: Model) -> None:
                 model.cp.add_bool_or([carried.negated(), made_there.negated(), journey])
             model.more_costs.append((cost_us - least_us) * journey)
             if link is not None and is_limited:
-                loads[link].append(model.bytes_per_s(stream) * journey)
+                loads[link].append(model.placed[stream] * journey)
     for link, load in loads.items():
         model.cp.add(LinearExpr.sum(load) <= (link.bandwidth or 0))
 

@@ -67,7 +67,7 @@ def an_input_told_apart_has_its_feeders(model: Model, unit: int, port: InputPort
             model.cp.add_implication(connected, feeder)
         else:
             model.rests_on_all(connected, [feeder])
-        for host, on in model.runs_on[unit].items() if model.is_placed(stream) else ():
+        for host, on in model.runs_on[unit].items() if stream in model.placed else ():
             model.cp.add_bool_or([connected.negated(), on.negated(), *model.ways(stream, host)])
     if port.feedback:
         return []

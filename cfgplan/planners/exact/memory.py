@@ -24,9 +24,9 @@ from cfgplan.planning import Problem
 
 @dataclass(frozen=True)
 class Structure:
-    """What depends on library, matching and targets alone, whatever runs and whatever it costs.
+    """What depends on library, matching, targets and `pinned` alone, whatever else runs and whatever it costs.
 
-    `network` is that of what is relevant.
+    `pinned` are the pinned transformations with running units. `network` is that of the relevant transformations.
     """
 
     environment: Environment
@@ -78,7 +78,7 @@ class Structure:
         return len(self.environment.required) - sum(t.required for t in self.network.transformations)
 
     def serves(self, problem: Problem) -> bool:
-        """Whether the problem differs in nothing but running units and costs."""
+        """Whether a problem differs in nothing but costs and running units that are not pinned."""
         return (
             (self.similarity is problem.similarity or self.similarity == problem.similarity)
             and _alike(self.environment, problem.environment)
@@ -91,9 +91,9 @@ class Memory:
     """What a session keeps of the problems with one matching. Each stage of a plan may add to it."""
 
     def __init__(self, structure: Structure, last: frozenset[str] = frozenset(), aside: Memory | None = None) -> None:
-        """`last` are the transformations of the last plan. `aside` is what is kept of another matching.
+        """`last` are the transformations of the last plan. `aside` is the memory of another matching.
 
-        That is there as none and all of the open pairs match by turns.
+        Where pairs are open, problems come by turns: as if none, and as if all of them matched.
         """
         self.structure, self.last, self._aside = structure, last, aside
         self.rest: Rest | None = None
@@ -121,7 +121,10 @@ class Memory:
             self.last = frozenset(unit.transformation for unit in standing.best.units if not unit.standby)
 
     def keep_landmarks(self, bound: Callable[[], Bound], scale: int) -> None:
-        """Keep a bound's landmarks that have a charge. In the bound a microsecond weighs `scale`."""
+        """Keep the charged landmarks of a bound, which is computed once they are needed.
+
+        In the bound a microsecond weighs `scale`.
+        """
         self._found = bound, scale
 
     @property

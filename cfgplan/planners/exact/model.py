@@ -25,8 +25,11 @@ ModelRule = Callable[["Model"], None]
 
 
 class Model:
-    """The booleans of a problem's candidates, by their index; streams and ports by name.
+    """The booleans of a problem's candidates, which are named by their index; streams and ports are named by name.
 
+    A candidate `runs` or `waits` as a cold spare, and `is_there` if it does either, each also by host. One that runs
+    `stays` as it was wired, or `is_wired` anew. `hubs` say that a demand is met on a host, and `meets` by which stream
+    where that matters; `connects` say which streams feed an input told apart, and `publishes` which meet a target.
     Every input and target is told apart with `is_apart`.
     """
 
@@ -75,13 +78,13 @@ class Model:
         self._streams: list[tuple[Stream, ...]] = []
         is_limited = any(link.bandwidth is not None for link in self.environment.links)
         largest_us = self.environment.prices_us[-1]
-        self._port = {
-            Stream(c.id, port.name): port
+        self.placed = {
+            Stream(c.id, port.name): port.bytes_per_s
             for c in (candidates.all if self.environment.hosts else ())
             for port in c.transformation.outputs
             if transfer_cost_us(port, self.problem.horizon_s, largest_us) or (is_limited and port.bytes_per_s)
         }
-        """The outputs of which it matters where they are made and wanted."""
+        """The bytes a second of each stream for which it matters where it is made and wanted."""
         self.serves = {
             Stream(c.id, port.name): port.serves
             for c in candidates.all
@@ -90,7 +93,7 @@ class Model:
         }
         """How many inputs and topics may take each stream that serves only so many."""
         takes_all = any(port.count == ALL for t in self.environment.library for port in t.inputs)
-        self.tells_ports = self.is_apart or self.asks_for_quality or bool(self._port) or takes_all or bool(self.serves)
+        self.tells_ports = bool(self.is_apart or self.asks_for_quality or self.placed or takes_all or self.serves)
         """Whether it matters which stream of a unit is taken."""
         self._any_stream = [Stream(candidate.id, "") for candidate in candidates.all]
         self.needing = self._units_by_demand()
@@ -199,30 +202,18 @@ class Model:
 
     def is_carried(self, demand: int) -> bool:
         """Whether a stream that meets the demand costs to be carried, so that it matters where it is met."""
-        return any(map(self.is_placed, self._streams[demand]))
-
-    def is_placed(self, stream: Stream) -> bool:
-        """Whether it matters on which host a stream is made, and where it is wanted."""
-        return stream in self._port
-
-    def bytes_per_s(self, stream: Stream) -> int:
-        return self._port[stream].bytes_per_s
+        return any(stream in self.placed for stream in self._streams[demand])
 
     def journeys_us(self, stream: Stream, host: HostName) -> dict[HostName, int]:
         """What it costs to carry a stream to a host from each other one where it may be made."""
-        return {
-            origin: transfer_cost_us(
-                self._port[stream], self.problem.horizon_s, self.environment.price_us(origin, host)
-            )
-            for origin in self.runs_on[self.unit_of(stream)]
-            if origin != host
-        }
+        origins = [origin for origin in self.runs_on[self.unit_of(stream)] if origin != host]
+        return {origin: self.candidates.carried_us(stream, origin, host) for origin in origins}
 
     def ways(self, stream: Stream, host: HostName) -> list[IntVar]:
         """Booleans one of which holds if the stream is there on a host; one for carrying it is added if needed."""
         unit = self.unit_of(stream)
         is_made_elsewhere = self.runs_on[unit].keys() != {host}
-        if host is not None and self.is_placed(stream) and is_made_elsewhere and (stream, host) not in self.carried:
+        if host is not None and stream in self.placed and is_made_elsewhere and (stream, host) not in self.carried:
             carried = self.carried[stream, host] = self.boolean()
             self.more_costs.append(min(self.journeys_us(stream, host).values()) * carried)
             self.rests_on_all(carried, [self.runs[unit]])
@@ -231,7 +222,7 @@ class Model:
     def known_ways(self, stream: Stream, host: HostName) -> list[IntVar]:
         """Those of `ways` that the model has: the stream is there by no other way."""
         unit = self.unit_of(stream)
-        if host is None or not self.is_placed(stream):
+        if host is None or stream not in self.placed:
             return [self.runs[unit]]
         ways = (self.runs_on[unit].get(host), self.carried.get((stream, host)))
         return [way for way in ways if way is not None]

@@ -6,7 +6,7 @@ from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from functools import partial
 
-from cfgplan.costs import taken, transfer_cost_us
+from cfgplan.costs import taken
 from cfgplan.domain import ComputationUnit, Publication, Stream, Subscription, Transformation, amount_of
 from cfgplan.planners.exact.candidates import Candidates, HostName
 from cfgplan.planners.exact.grounded import Grounded
@@ -72,7 +72,6 @@ class Places:
         self.feeds: dict[tuple[int, str], Stream] = {}
         self.published: dict[str, Stream] = {}
         self._rooms = Rooms(candidates.problem)
-        self._price_us: dict[tuple[Stream, int], int] = {}
 
     def put_all(self, grounded: Grounded, but_on: HostName = None) -> bool:
         """Place the units that run and have no host yet, none on `but_on`, and feed all. False if there is no room."""
@@ -116,16 +115,8 @@ class Places:
 
     def _price_to(self, stream: Stream, host: HostName) -> int:
         """The cost to have a stream on a host; 0 while its unit is not placed."""
-        at = None if host is None else self.host_of.get(self.candidates.index_of[stream.unit])
-        return 0 if host is None or at is None or at == host else self._price(stream, at, host)
-
-    def _price(self, stream: Stream, origin: HostName, host: HostName) -> int:
-        problem = self.candidates.problem
-        key = stream, problem.environment.price_us(origin, host)
-        if key not in self._price_us:
-            port = self.candidates.all[self.candidates.index_of[stream.unit]].transformation.output[stream.port]
-            self._price_us[key] = transfer_cost_us(port, problem.horizon_s, key[1])
-        return self._price_us[key]
+        at = self.host_of.get(self.candidates.index_of[stream.unit])
+        return 0 if host is None or at is None or at == host else self.candidates.carried_us(stream, at, host)
 
     def _feed(self, grounded: Grounded) -> None:
         """Feed each input by a stream that is on its host already if possible, or is cheap to carry there.

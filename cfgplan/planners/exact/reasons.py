@@ -69,10 +69,9 @@ def _unmet(target: Target) -> str:
 def _missing_streams(problem: Problem, givers: Givers, t: Transformation) -> str | None:
     """Name an input for which there can't be units enough; or None."""
     library, holds = problem.environment.transformation, problem.similarity.holds
-    running = Counter(unit.transformation for unit in problem.environment.units if not unit.standby)
     for port in (port for port in t.needed_inputs if port.count > 1):
         placed = {
-            label: _placed(problem, library[label], min(running[label] + problem.most_new(library[label]), port.count))
+            label: _placed(problem, library[label], min(_most_units(problem, label), port.count))
             for label in givers.of(port.tag)
         }
         most = sum(number for number, _ in placed.values())
@@ -110,7 +109,6 @@ def _missing_together(problem: Problem) -> str | None:
 def _missing_places(problem: Problem) -> str | None:
     """Name inputs that take more streams than outputs that serve only so many can give; or None."""
     library, givers = problem.environment.transformation, Givers(problem.environment.library, problem.similarity)
-    running = Counter(unit.transformation for unit in problem.environment.units if not unit.standby)
     demands: dict[str, list[tuple[str, int]]] = defaultdict(list)
     for label, number in _least_units(problem, givers).items():
         for port in library[label].needed_inputs:
@@ -118,13 +116,19 @@ def _missing_places(problem: Problem) -> str | None:
             demands[port.tag].append((f"{number} x {label} take {wanted} streams as {port.name}", wanted))
     for tag, demanded in demands.items():
         outputs = [(g, o) for g in givers.of(tag) for o in library[g].outputs if problem.similarity.holds(o.tag, tag)]
-        offered = [(running[g] + problem.most_new(library[g]), g, o.serves) for g, o in outputs]
+        offered = [(_most_units(problem, g), g, o.serves) for g, o in outputs]
         most = sum(number * (serves or 0) for number, _, serves in offered)
         if all(serves for _, _, serves in offered) and sum(wanted for _, wanted in demanded) > most:
             offers = " and ".join(f"{number} x {giver} (serves {serves})" for number, giver, serves in offered)
             takers = " and ".join(who for who, _ in demanded)
             return f": {takers}, but {offers} give {most} at most; max_instances may allow more"
     return None
+
+
+def _most_units(problem: Problem, label: str) -> int:
+    """How many units of a transformation may run: those that do, and new ones."""
+    running = sum(unit.transformation == label and not unit.standby for unit in problem.environment.units)
+    return running + problem.most_new(problem.environment.transformation[label])
 
 
 def _least_units(problem: Problem, givers: Givers) -> Mapping[str, int]:

@@ -30,7 +30,7 @@ from cfgplan.planning import Notion, Plan, Problem, Progress, Status
 from cfgplan.reasons import Givers, startable
 
 SOLVED_AT_ONCE: Final = ONLY_IN_THE_MODEL | {Notion.ORDER, Notion.LATENCY}
-"""Such a problem goes to the solver at once."""
+"""A problem with one of these goes to the solver without bounds and first plans."""
 
 
 class PlannerSession:

@@ -26,7 +26,7 @@ Stage = Callable[[Work], bool]
 
 
 def see_what_can_be_met(work: Work) -> bool:
-    """By itself each target must have a stream."""
+    """Finish with reasons if some target can't be met, whatever runs."""
     standing, structure = work.standing, work.structure
     if structure.meets_targets:
         standing.counts = structure.counts()
@@ -38,7 +38,7 @@ def see_what_can_be_met(work: Work) -> bool:
 
 
 def plan_fleet(work: Work) -> bool:
-    """What asks for more than the paper is planned in stages of its own."""
+    """Plan what asks for more than the paper in stages of its own."""
     if work.problem.is_plain and not work.clock.tuning.is_solver_only:
         return False
     from cfgplan.planners.exact import deployment, fleet, groups
@@ -52,7 +52,7 @@ def plan_fleet(work: Work) -> bool:
 
 
 def use_all_required(work: Work) -> bool:
-    """Try to use all required transformations; only if that is impossible, see how many can be used."""
+    """Look for the best plan that uses all required transformations; if there is none, for one that uses the most."""
     structure, network = work.structure, work.structure.network
     if not structure.has_required:
         return False
@@ -70,15 +70,15 @@ def use_all_required(work: Work) -> bool:
 
 
 def decide_all(work: Work) -> bool:
-    """Search a structure of which nothing is known yet without the solver."""
+    """Search without the solver where no landmarks are known yet."""
     return work.is_new and (decide(work) or (work.clock.is_over() and work.standing.best is not None))
 
 
 def raise_bound(work: Work) -> bool:
     """Find a plan and a bound, and leave out labels by reduced costs.
 
-    The plan is that at rest or the last one. It is a new one if that no longer is a plan, or in a session's first call,
-    where the last plan is what runs; then ways to do without members are tried too.
+    The plan is the one at rest, or the last one. Where that no longer is a plan, and in a session's first call, where
+    the last plan is what runs, a new one is made too, and the cheaper of both is tried without its dearest members.
     """
     standing, memory, clock, network = work.standing, work.memory, work.clock, work.structure.network
     is_first = not memory.last
@@ -114,9 +114,10 @@ def _known_plan(work: Work, network: Network) -> set[int] | None:
 
 
 def _bounded(work: Work, weighing: Weighing, plan: Ints | None) -> tuple[Ints | None, Remainder]:
-    """Raise the bound by landmarks, less long if closing may follow and there are no crowds. Returns the plan too.
+    """Raise the bound by landmarks. Returns the plan, or a cheaper one, and what the bound leaves.
 
-    With crowds (distinct inputs) the labels that a good bound charges in full often make a cheaper plan.
+    Less work is spent where closing may follow and there are no crowds. With crowds (distinct inputs) the labels that
+    a good bound charges in full often make a cheaper plan.
     """
     network, clock = work.structure.network, work.clock
     limit = int(weighing.weight.sum()) if plan is None else weighing.of_plan(plan)
@@ -168,7 +169,7 @@ STAGES: Final[tuple[Stage, ...]] = (
     close_gap,
     solve,
 )
-"""What is done for a plan once it is offered what runs, and the closure of the library is known."""
+"""The stages that follow once what runs is offered and the closure of the library is known."""
 
 
 def decide(work: Work) -> bool:
@@ -224,7 +225,10 @@ def _proves(work: Work, weighing: Weighing, plan: set[int]) -> bool:
 
 
 def _takes_others(work: Work, left: Left, plan: set[int]) -> bool:
-    """Take the labels of all plans that may change less than the incumbent, which costs least. False if unknown."""
+    """Go on with the labels of all plans that cost as little as the incumbent, the least, and may change less.
+
+    False if the search for them takes too many steps.
+    """
     best, clock, weighing = work.standing.best, work.clock, left.weighing
     if best is None:
         return False

@@ -123,9 +123,10 @@ class Survival:
                     yield host, literal
 
     def _landmark(self, targets: tuple[Target, ...], left: UnitsBySite) -> frozenset[tuple[Site, int]]:
-        """All sites beyond a largest number of units with which the targets are not met; the dear ones are many first.
+        """Sites with a number of units each: with no more of each than its number, the targets are not met.
 
-        More units of a site are added until the targets are met.
+        The numbers begin with the units that are left, and grow as far as they can, those of dear sites first. A site
+        with all its units is no part of the landmark.
         """
         candidates = self.candidates
         without = dict(left)

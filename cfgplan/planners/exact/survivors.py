@@ -1,4 +1,4 @@
-"""Which single failures leave a target without a stream, judged by what the units that are left can start."""
+"""Which single failures leave a target without a stream: what the units that are left can start decides."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ from cfgplan.reasons import startable
 Site = tuple[str, HostName]
 """A transformation and, where some run with others on their host, a host: units of one site may do the same."""
 UnitsBySite = Mapping[Site, int]
-"""How many units of each site there are; one stands for all where no input takes several streams, and none is limited.
-"""
+"""How many units of each site there are; 1 for any number where that does not matter, see `are_counted`."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +36,7 @@ def site_of(environment: Environment, label: str, host: HostName) -> Site:
 
 
 def are_counted(candidates: Candidates) -> bool:
-    """Whether it matters how many units of a site there are."""
+    """Whether the number of units of a site matters: inputs take several streams, or outputs serve only so many."""
     return not {Notion.COUNTS, Notion.LIMITS}.isdisjoint(candidates.problem.notions)
 
 
@@ -48,7 +47,7 @@ def units_of_sites(candidates: Candidates, units: Iterable[ComputationUnit]) -> 
 
 
 def failures(candidates: Candidates, units: Collection[ComputationUnit]) -> Iterator[Failure]:
-    """The single failures to be survived that leave less of some site."""
+    """The single failures to be survived that leave fewer units of some site."""
     problem, environment = candidates.problem, candidates.environment
     if problem.survive is None:
         return
@@ -68,53 +67,60 @@ def failures(candidates: Candidates, units: Collection[ComputationUnit]) -> Iter
 
 
 def unmet(candidates: Candidates, failure: Failure) -> list[tuple[Target, ...]]:
-    """The targets each of which nothing that is left after a failure can meet; else all, if it can't meet all at once.
+    """The targets that the units left after a failure can't meet, each by itself; if they can meet each, all targets
+    together if they can't meet these at once.
 
-    UnitsBySite of one site are alike, so it is enough to know how many are left of each.
+    Units of one site are alike, so it is enough to know how many are left of each.
     """
     reach = Reach(candidates.network, candidates.numbers(label for label, _ in failure.left))
-    single = [(target,) for target in failure.targets if not are_met(candidates, reach, failure.left, (target,))]
-    is_joint = not single and len(failure.targets) > 1 and are_counted(candidates)
-    return (
-        [failure.targets] if is_joint and not are_met(candidates, reach, failure.left, failure.targets) else [*single]
-    )
+    together = [failure.targets] if len(failure.targets) > 1 and are_counted(candidates) else []
+    for wanted in ([(target,) for target in failure.targets], together):
+        found = [targets for targets in wanted if not are_met(candidates, reach, failure.left, targets)]
+        if found:
+            return found
+    return []
 
 
 def are_met(candidates: Candidates, reach: Reach, units: UnitsBySite, targets: tuple[Target, ...]) -> bool:
-    """Whether some units can meet targets, all at once, where `reach` is that of their labels."""
+    """Whether some units can meet targets, all at once. `reach` has to be that of their labels."""
     if not all(reach.meets(target.tag) for target in targets):
         return False
     environment, givers = candidates.environment, candidates.givers
     is_counted = are_counted(candidates)
     if not (candidates.network.special or environment.companions or is_counted):
         return True
-    left = dict(units)
-    while True:
-        library = tuple(environment.transformation[label] for label in sorted({label for label, _ in left}))
-        number: Counter[str] = Counter()
-        for (label, _), there in left.items():
-            number[label] += there
-        possible = startable(Environment((), library), givers, units=number if is_counted else None)
-        able = {
-            (label, host): there
-            for (label, host), there in left.items()
-            if label in possible and all((t, host) in left for t in environment.transformation[label].beside)
-        }
-        if len(able) == len(left):
-            break
-        left = able
-    if any(possible.isdisjoint(givers.of(target.tag)) for target in targets):
+    left = _able(candidates, units)
+    labels = {label for label, _ in left}
+    if any(labels.isdisjoint(givers.of(target.tag)) for target in targets):
         return False
     return not is_counted or _can_share(candidates, left, targets)
 
 
+def _able(candidates: Candidates, units: UnitsBySite) -> UnitsBySite:
+    """The units that can run if all of them may, and each stream feeds all who want it."""
+    library, is_counted = candidates.environment.transformation, are_counted(candidates)
+    while True:
+        number: Counter[str] = Counter()
+        for (label, _), there in units.items():
+            number[label] += there
+        among = Environment((), tuple(library[label] for label in sorted(number)))
+        possible = startable(among, candidates.givers, units=number if is_counted else None)
+        able = {
+            (label, host): there
+            for (label, host), there in units.items()
+            if label in possible and all((other, host) in units for other in library[label].beside)
+        }
+        if len(able) == len(units):
+            return able
+        units = able
+
+
 def _can_share(candidates: Candidates, units: UnitsBySite, targets: tuple[Target, ...]) -> bool:
-    """Whether units that can be fed if each stream feeds all who want it meet targets by what streams really feed."""
+    """Whether units that are `_able` to run meet targets also if outputs serve only so many and inputs take all."""
     library = candidates.environment.transformation
     kinds = [library[label] for label in {label for label, _ in units}]
-    if not any(port.serves is not None for kind in kinds for port in kind.outputs) and not any(
-        port.count == ALL for kind in kinds for port in kind.inputs
-    ):
+    is_limited = any(port.serves is not None for kind in kinds for port in kind.outputs)
+    if not is_limited and not any(port.count == ALL for kind in kinds for port in kind.inputs):
         return True
     from cfgplan.planners.exact.sharing import Sharing  # the solver takes long to import
 
@@ -130,7 +136,10 @@ def bears_all_failures(candidates: Candidates, units: Collection[ComputationUnit
 
 
 def can_do_without(candidates: Candidates, units: Collection[ComputationUnit], one: ComputationUnit) -> bool:
-    """Whether units that bear all failures do so without `one`; failures that leave others of its site don't matter."""
+    """Whether units that bear all failures do so without `one`.
+
+    Where units are not counted, only failures that leave none of its site matter.
+    """
     others = [unit for unit in units if unit is not one]
     site = site_of(candidates.environment, one.transformation, one.host)
     matter = (f for f in failures(candidates, others) if are_counted(candidates) or site not in f.left)

@@ -201,11 +201,11 @@ class Core:
 
     def most_of_needs(self, of_fact: Ints) -> Ints:
         """For each label the greatest value of the facts it needs; 0 for sources."""
-        return _most(self.needs, self._fed, of_fact)
+        return _joined(np.maximum, self.needs, self._fed, of_fact, 0)
 
     def most_of_gifts(self, of_fact: Ints) -> Ints:
         """For each label the greatest value of the facts it gives; 0 if it gives none."""
-        return _most(self.gives, self._giving, of_fact)
+        return _joined(np.maximum, self.gives, self._giving, of_fact, 0)
 
     def needs_with(self, of_fact: npt.NDArray[Number], of_label: npt.NDArray[Number]) -> tuple[Ints, Ints]:
         """The labels that need something, and for each the first of its needs that has the label's value."""
@@ -215,17 +215,11 @@ class Core:
 
     def sum_of_needs(self, of_fact: Floats) -> Floats:
         """For each label the sum over the facts it needs."""
-        value = np.zeros(self.goal + 1)
-        if len(self._fed):
-            value[self._fed] = np.add.reduceat(of_fact[self.needs.items], self.needs.starts[self._fed])
-        return value
+        return _joined(np.add, self.needs, self._fed, of_fact, 0)
 
     def least_of_needs(self, of_fact: Floats) -> Floats:
         """For each label the least value of the facts it needs; 1 for sources."""
-        value = np.ones(self.goal + 1)
-        if len(self._fed):
-            value[self._fed] = np.minimum.reduceat(of_fact[self.needs.items], self.needs.starts[self._fed])
-        return value
+        return _joined(np.minimum, self.needs, self._fed, of_fact, 1)
 
     def share_of_givers(self, of_label: Floats) -> Floats:
         """For each fact the sum over the labels that offer it, divided by how many it takes."""
@@ -300,9 +294,9 @@ class Core:
         )
 
 
-def _most(rows: Rows, filled: Ints, of_item: Ints) -> Ints:
-    """For each row the greatest value of its items; 0 for those that are not filled."""
-    value = np.zeros(len(rows), np.int64)
+def _joined(by: np.ufunc, rows: Rows, filled: Ints, of_item: npt.NDArray[Number], empty: int) -> npt.NDArray[Number]:
+    """For each row the values of its items, joined; `empty` for rows that are not `filled`."""
+    value = np.full(len(rows), empty, of_item.dtype)
     if len(filled):
-        value[filled] = np.maximum.reduceat(of_item[rows.items], rows.starts[filled])
+        value[filled] = by.reduceat(of_item[rows.items], rows.starts[filled])
     return value
