@@ -350,15 +350,15 @@ class Progress:
     bound_us: int
 
 
+OnProgress = Callable[[Progress], None]
+"""Is told of each better plan and each higher bound."""
+
+
 class Planner(Protocol):
     """A function of a problem. `report` is called whenever the best cost or the bound improves."""
 
     def __call__(
-        self,
-        problem: Problem,
-        *,
-        time_limit_s: float | None = None,
-        report: Callable[[Progress], None] | None = None,
+        self, problem: Problem, *, time_limit_s: float | None = None, report: OnProgress | None = None
     ) -> Plan: ...
 
 

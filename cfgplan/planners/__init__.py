@@ -18,18 +18,13 @@ from typing import Any
 
 from cfgplan.errors import CfgplanError, InputError, known
 from cfgplan.planners.undecided import Deciding
-from cfgplan.planning import OwnPlannerError, Plan, Planner, Problem, Progress
+from cfgplan.planning import OnProgress, OwnPlannerError, Plan, Planner, Problem
 
 
 def _deciding(found: Callable[[], Planner]) -> Planner:
     """What is `found` when it is called; in a `Deciding` where pairs are open."""
 
-    def planner(
-        problem: Problem,
-        *,
-        time_limit_s: float | None = None,
-        report: Callable[[Progress], None] | None = None,
-    ) -> Plan:
+    def planner(problem: Problem, *, time_limit_s: float | None = None, report: OnProgress | None = None) -> Plan:
         plan = Deciding(found()) if problem.similarity.open else found()
         return plan(problem, time_limit_s=time_limit_s, report=report)
 

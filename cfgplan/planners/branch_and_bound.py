@@ -19,13 +19,13 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.domain import ComputationUnit, Publication, Stream, Subscription, Transformation
 from cfgplan.planners.networks.keys import key_of, unused_required
-from cfgplan.planning import Plan, Problem, Progress, Status, fresh_unit_ids, refuse_notions
+from cfgplan.planning import OnProgress, Plan, Problem, Progress, Status, fresh_unit_ids, refuse_notions
 from cfgplan.reasons import Givers, startable, unmet_reasons
 from cfgplan.validity import plan_violations
 
@@ -60,12 +60,7 @@ class TreeNode:
         return [self.best[i][1] for i in range(len(self.slots))]
 
 
-def plan(
-    problem: Problem,
-    *,
-    time_limit_s: float | None = None,
-    report: Callable[[Progress], None] | None = None,
-) -> Plan:
+def plan(problem: Problem, *, time_limit_s: float | None = None, report: OnProgress | None = None) -> Plan:
     """The paper's approximation of the optimal update; see `planning.Planner` and the module's text."""
     began = time.monotonic()
     refuse_notions(problem, "branch-and-bound")

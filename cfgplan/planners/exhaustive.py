@@ -25,7 +25,7 @@ from cfgplan.domain import (
     Transformation,
 )
 from cfgplan.errors import InputError
-from cfgplan.planning import Measured, Notion, Plan, Problem, Progress, Status, fresh_units
+from cfgplan.planning import Measured, Notion, OnProgress, Plan, Problem, Progress, Status, fresh_units
 from cfgplan.validity.counts import unfed_us
 from cfgplan.validity.environments import instance_violations, missing_units, violations
 from cfgplan.validity.hosts import carried_us, company_violations, placing_violations
@@ -80,12 +80,7 @@ class _Steps:
         self.look()
 
 
-def plan(
-    problem: Problem,
-    *,
-    time_limit_s: float | None = None,
-    report: Callable[[Progress], None] | None = None,
-) -> Plan:
+def plan(problem: Problem, *, time_limit_s: float | None = None, report: OnProgress | None = None) -> Plan:
     """The optimal plan by enumeration.
 
     Raises InputError for more than `MOST_SETS` sets of units, and after `MOST_STEPS`.

@@ -20,7 +20,7 @@ from typing import Final
 
 from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.domain import ALL, Environment, Similarity
-from cfgplan.planning import REFUSED, Decider, Notion, Pair, Plan, Planner, Problem, Progress, Status
+from cfgplan.planning import REFUSED, Decider, Notion, OnProgress, Pair, Plan, Planner, Problem, Progress, Status
 from cfgplan.reasons import Givers, startable
 
 FIRST_BATCH: Final = 16
@@ -59,11 +59,7 @@ class Deciding:
         return replace(problem, similarity=self._refined[2])
 
     def __call__(
-        self,
-        problem: Problem,
-        *,
-        time_limit_s: float | None = None,
-        report: Callable[[Progress], None] | None = None,
+        self, problem: Problem, *, time_limit_s: float | None = None, report: OnProgress | None = None
     ) -> Plan:
         """The answer to `known(problem)`; see `planning.Planner`."""
         budget = _Budget(self._planner, time_limit_s)
@@ -116,7 +112,7 @@ class _Budget:
         self.seconds: defaultdict[str, float] = defaultdict(float)
         self.elapsed_s = 0.0
 
-    def plan(self, problem: Problem, share: float, report: Callable[[Progress], None] | None = None) -> Plan:
+    def plan(self, problem: Problem, share: float, report: OnProgress | None = None) -> Plan:
         """A plan, in a share of the time that is left."""
         start = time.monotonic()
         limit_s = None if self._limit_s is None else max(LEAST_S, share * self._limit_s)
@@ -172,7 +168,7 @@ def _hopeful(problem: Problem) -> Problem:
     return replace(problem, similarity=problem.similarity.optimistic)
 
 
-def _bounds_only(problem: Problem, report: Callable[[Progress], None] | None) -> Callable[[Progress], None] | None:
+def _bounds_only(problem: Problem, report: OnProgress | None) -> OnProgress | None:
     """A reporter of bounds only, since a hopeful plan's cost may hang on open pairs; None if its bound may, too."""
     if report is None or not _is_monotone(problem):
         return None

@@ -7,7 +7,6 @@ the library, the landmarks, and the last plan as a first one. The answer is as g
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from threading import Event
@@ -26,7 +25,7 @@ from cfgplan.planners.exact.work import Work
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import USUAL, Tuning
 from cfgplan.planners.undecided import Deciding
-from cfgplan.planning import Notion, Plan, Problem, Progress, Status
+from cfgplan.planning import Notion, OnProgress, Plan, Problem, Status
 from cfgplan.reasons import Givers, startable
 
 SOLVED_AT_ONCE: Final = ONLY_IN_THE_MODEL | {Notion.ORDER, Notion.LATENCY}
@@ -49,7 +48,7 @@ class PlannerSession:
         problem: Problem,
         *,
         time_limit_s: float | None = None,
-        report: Callable[[Progress], None] | None = None,
+        report: OnProgress | None = None,
         stop: Event | None = None,
     ) -> Plan:
         """The optimal update. Stopped by the clock, by `stop` or by Ctrl-C it is the best one so far."""
@@ -84,7 +83,7 @@ def plan(
     problem: Problem,
     *,
     time_limit_s: float | None = None,
-    report: Callable[[Progress], None] | None = None,
+    report: OnProgress | None = None,
     stop: Event | None = None,
 ) -> Plan:
     """The optimal update, see `planning.Planner`; `stop` ends it early with the best plan so far, as Ctrl-C does."""

@@ -5,7 +5,6 @@ Nothing here needs the constraint solver: where the first plan meets the bound i
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -14,7 +13,7 @@ from cfgplan.planners.exact.decode import in_order
 from cfgplan.planners.exact.reasons import joint_reasons
 from cfgplan.planners.networks.keys import Key, key_of, unused_required
 from cfgplan.planners.solving.clock import Clock, ContradictionError
-from cfgplan.planning import Measured, Plan, Problem, Progress, Status
+from cfgplan.planning import Measured, OnProgress, Plan, Problem, Progress, Status
 
 
 class Incumbent(NamedTuple):
@@ -27,7 +26,7 @@ class Incumbent(NamedTuple):
 class Standing:
     """The incumbent, and what is proven about the optimum."""
 
-    def __init__(self, problem: Problem, clock: Clock, report: Callable[[Progress], None] | None) -> None:
+    def __init__(self, problem: Problem, clock: Clock, report: OnProgress | None) -> None:
         self.problem = problem
         self.clock = clock
         self.report = report
