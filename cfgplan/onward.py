@@ -1,11 +1,21 @@
-"""What leads on from what."""
+"""Relations as pairs: what leads on from what, and what goes with what."""
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Iterable
 from typing import TypeVar
 
 Item = TypeVar("Item")
+Of = TypeVar("Of")
+
+
+def grouped(pairs: Iterable[tuple[Of, Item]]) -> defaultdict[Of, list[Item]]:
+    """The second parts of pairs by the first, in their order."""
+    found: defaultdict[Of, list[Item]] = defaultdict(list)
+    for of, item in pairs:
+        found[of].append(item)
+    return found
 
 
 def reached(starts: Iterable[Item], onward: Callable[[Item], Iterable[Item]]) -> list[Item]:

@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import Protocol, TypeVar
 
 from cfgplan.domain import A_UNIT_OF, Environment, InputPort, Similarity, Transformation
+from cfgplan.onward import grouped
 from cfgplan.planning import Problem
 
 Item = TypeVar("Item")
@@ -87,11 +88,7 @@ class Givers:
     @cached_property
     def _offering(self) -> Mapping[str, list[str]]:
         """The labels of the transformations that offer a tag."""
-        offering: dict[str, list[str]] = defaultdict(list)
-        for transformation in self._library:
-            for port in transformation.outputs:
-                offering[port.tag].append(transformation.label)
-        return offering
+        return grouped((port.tag, t.label) for t in self._library for port in t.outputs)
 
     def of(self, tag: str) -> tuple[str, ...]:
         """The labels of the transformations that give what `tag` demands, sorted."""
@@ -131,10 +128,8 @@ def _offered_all(environment: Environment, givers: Givers, labels: frozenset[str
     nothing changes.
     """
     left = set(labels)
-    users: dict[str, list[str]] = defaultdict(list)
-    for label in sorted(labels):
-        for port in environment.transformation[label].needed_inputs:
-            users[port.tag].append(label)
+    inputs = ((label, environment.transformation[label].needed_inputs) for label in sorted(labels))
+    users = grouped((port.tag, label) for label, ports in inputs for port in ports)
     offers: dict[str, list[str]] = defaultdict(list)
     count: dict[str, int] = {}
     for tag in users:

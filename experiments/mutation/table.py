@@ -112,8 +112,8 @@ MODEL = _room(
     (
         "two units of one transformation feed one group",
         "inputs.py",
-        "candidates[model.unit_of(stream)].transformation.label].append(connected)",
-        "stream.unit].append(connected)",
+        "((port.distinct, model.candidates.label_of(stream)), connected)",
+        "((port.distinct, stream.unit), connected)",
     ),
     (
         "a target is published on no host",

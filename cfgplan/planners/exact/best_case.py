@@ -6,13 +6,12 @@ run. A stream that misses every bound even then is of no use anywhere.
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Hashable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import chain
 
 from cfgplan.domain import InputPort, OutputPort, Stream, Transformation
-from cfgplan.onward import reached
+from cfgplan.onward import grouped, reached
 from cfgplan.planners.exact.candidates import ONLY_IN_THE_MODEL, Candidate, Candidates
 from cfgplan.qualities import MICRO, Contribution, Over, QualityAttribute, QualityRule, price_us, propagated
 
@@ -81,10 +80,7 @@ def _least_badness(candidates: Candidates, attribute: QualityAttribute) -> dict[
     at: dict[str, int] = {}
     demands = _demands(candidates)
     ordinary = [[port.tag for port in c.transformation.inputs if not port.feedback] for c in candidates.all]
-    needing: dict[str, list[int]] = defaultdict(list)
-    for i, tags in enumerate(ordinary):
-        for tag in set(tags):
-            needing[tag].append(i)
+    needing = grouped((tag, i) for i, tags in enumerate(ordinary) for tag in set(tags))
 
     def of_others(unit: int, tag: str) -> int | None:
         id_ = candidates.all[unit].id
@@ -163,11 +159,7 @@ def stated_of(port: OutputPort, attribute: QualityAttribute) -> Contribution | N
 
 def _demands(candidates: Candidates) -> dict[str, list[str]]:
     """For each offered tag the demanded ones that it meets."""
-    demands: dict[str, list[str]] = defaultdict(list)
-    for tag, offered in candidates.problem.similarity.offers.items():
-        for one in offered:
-            demands[one].append(tag)
-    return demands
+    return grouped((one, tag) for tag, offered in candidates.problem.similarity.offers.items() for one in offered)
 
 
 def most_badness(candidates: Candidates, attribute: QualityAttribute) -> dict[str, int]:
@@ -200,10 +192,7 @@ def _most_badness(candidates: Candidates, attribute: QualityAttribute) -> dict[s
         for output in t.outputs
         if output.tag in demands and t.inputs
     ]
-    meeting: dict[str, list[int]] = defaultdict(list)
-    for number, (tags, _, _) in enumerate(fed):
-        for tag in tags:
-            meeting[tag].append(number)
+    meeting = grouped((tag, number) for number, (tags, _, _) in enumerate(fed) for tag in tags)
     ahead = set(most)
     while ahead:
         worse: set[str] = set()

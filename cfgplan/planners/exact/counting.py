@@ -12,6 +12,7 @@ from typing import Final, NamedTuple
 from ortools.sat.python.cp_model import CpModel, IntVar, LinearExpr
 
 from cfgplan.domain import InputPort, Objective, Stream
+from cfgplan.onward import grouped
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.groups import Group, HostKind
 
@@ -94,10 +95,7 @@ class CountingModel:
     @cached_property
     def of_label(self) -> dict[str, list[int]]:
         """The groups of each transformation."""
-        found: dict[str, list[int]] = defaultdict(list)
-        for number, group in enumerate(self.groups):
-            found[group.label].append(number)
-        return found
+        return grouped((group.label, number) for number, group in enumerate(self.groups))
 
     @cached_property
     def runs(self) -> dict[str, IntVar]:
@@ -276,12 +274,9 @@ def targets_are_met(counts: CountingModel) -> None:
 
 
 def a_stream_serves_only_so_many(counts: CountingModel) -> None:
-    taking: dict[GroupOutput, list[IntVar]] = defaultdict(list)
-    for (_, _, source), streams in counts.streams.items():
-        taking[source].append(streams)
-    for (_, source), publishes in counts.publishes.items():
-        taking[source].append(publishes)
-    for source, taken in taking.items():
+    taking = [(source, streams) for (_, _, source), streams in counts.streams.items()]
+    taking += [(source, publishes) for (_, source), publishes in counts.publishes.items()]
+    for source, taken in grouped(taking).items():
         most = counts.serves(source)
         if most is not None:
             counts.cp.add(LinearExpr.sum(taken) <= most * counts.number[source[0]])

@@ -9,7 +9,7 @@ from itertools import repeat
 from typing import TYPE_CHECKING
 
 from cfgplan.domain import ComputationUnit, Environment, InputPort, Publication, Stream, Subscription, Target
-from cfgplan.onward import reached
+from cfgplan.onward import grouped, reached
 from cfgplan.planners.exact.candidates import Candidates, HostName
 from cfgplan.planners.exact.survivors import can_do_without
 from cfgplan.planners.networks.keys import needed_feeders
@@ -206,8 +206,8 @@ def needed_units(
 
 def have_company(environment: Environment, units: Collection[ComputationUnit]) -> bool:
     """Whether on the host of each running unit there runs one of each transformation that it runs with."""
-    running = _running_on(units) if environment.companions else {}
-    return not environment.companions or all(
+    running = _running_on(units)
+    return all(
         (unit.host, label) in running
         for unit in units
         if not unit.standby
@@ -217,19 +217,13 @@ def have_company(environment: Environment, units: Collection[ComputationUnit]) -
 
 def _running_on(units: Iterable[ComputationUnit]) -> dict[tuple[HostName, str], list[str]]:
     """The ids of the running units of each transformation on each host."""
-    found: dict[tuple[HostName, str], list[str]] = defaultdict(list)
-    for unit in units:
-        if not unit.standby:
-            found[unit.host, unit.transformation].append(unit.id)
-    return found
+    return grouped(((unit.host, unit.transformation), unit.id) for unit in units if not unit.standby)
 
 
 def named(candidates: Candidates, units: list[ComputationUnit]) -> list[ComputationUnit]:
     """Give new units the first free ids, in canonical order."""
-    new: dict[str, list[ComputationUnit]] = defaultdict(list)
-    for unit in sorted(units, key=lambda unit: candidates.index_of[unit.id]):
-        if candidates.all[candidates.index_of[unit.id]].running is None:
-            new[unit.transformation].append(unit)
+    numbered = sorted((candidates.index_of[unit.id], unit) for unit in units)
+    new = grouped((unit.transformation, unit) for i, unit in numbered if candidates.all[i].running is None)
     ids = fresh_units(candidates.environment, {label: len(these) for label, these in sorted(new.items())})
     name = {u.id: new_id for label, these in new.items() for u, new_id in zip(these, ids[label], strict=True)}
 
@@ -249,10 +243,9 @@ def named(candidates: Candidates, units: list[ComputationUnit]) -> list[Computat
 def in_order(environment: Environment, unit: ComputationUnit) -> ComputationUnit:
     """The unit with the streams of inputs that are alike where it has them now, the others sorted."""
     now = environment.unit[unit.id].feeds if unit.id in environment.unit else {}
-    alike: dict[InputPort, list[str]] = defaultdict(list)
-    for port in environment.transformation[unit.transformation].inputs:
-        if port.distinct is not None and port.count == 1 and port.name in unit.feeds:
-            alike[replace(port, name="")].append(port.name)
+    ports = environment.transformation[unit.transformation].inputs
+    distinct = [p for p in ports if p.distinct is not None and p.count == 1 and p.name in unit.feeds]
+    alike = grouped((replace(port, name=""), port.name) for port in distinct)
     if not alike:
         return unit
     feeds = dict(unit.feeds)

@@ -15,6 +15,7 @@ from itertools import count, repeat
 from typing import Final
 
 from cfgplan.domain import InputPort, Stream
+from cfgplan.onward import grouped
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.qualities import Better, QualityAttribute, propagated
 from cfgplan.reasons import assign_different, distinct_groups
@@ -78,12 +79,8 @@ class Grounded:
         units = {all_of[i].id for i in chosen}
         tags = {port.tag for i in chosen for port in all_of[i].transformation.inputs}
         tags |= {target.tag for target in self.candidates.environment.stream_targets}
-        meets: dict[Stream, list[str]] = defaultdict(list)
-        for tag in sorted(tags):
-            for stream in self.candidates.streams(tag):
-                if stream.unit in units:
-                    meets[stream].append(tag)
-        return meets
+        streams = ((stream, tag) for tag in sorted(tags) for stream in self.candidates.streams(tag))
+        return grouped((stream, tag) for stream, tag in streams if stream.unit in units)
 
     def _note_who_may_stay(self, chosen: Sequence[int]) -> None:
         """Count for each unit that can stay as it is how many of those that feed it have to run before it."""

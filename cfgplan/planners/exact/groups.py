@@ -10,6 +10,7 @@ from itertools import chain
 from networkx import DiGraph, is_directed_acyclic_graph
 
 from cfgplan.domain import ALL, InputPort
+from cfgplan.onward import grouped
 from cfgplan.planners.exact.candidates import Candidate, Candidates, HostName
 from cfgplan.planning import Notion
 
@@ -99,13 +100,8 @@ def _feeds(candidates: Candidates) -> DiGraph[str]:
 
 def groups_of(candidates: Candidates) -> list[Group]:
     """The groups of all candidates, in their order."""
-    new: dict[str, list[int]] = defaultdict(list)
-    running: list[Group] = []
-    for i, candidate in enumerate(candidates.all):
-        if candidate.running is None:
-            new[candidate.transformation.label].append(i)
-        else:
-            running.append(Group((i,), candidate))
+    running = [Group((i,), candidate) for i, candidate in enumerate(candidates.all) if candidate.running is not None]
+    new = grouped((c.transformation.label, i) for i, c in enumerate(candidates.all) if c.running is None)
     return [*running, *(Group(tuple(units), candidates.all[units[0]]) for units in new.values())]
 
 

@@ -7,6 +7,7 @@ from collections import defaultdict
 from ortools.sat.python.cp_model import IntVar, LinearExpr, LinearExprT
 
 from cfgplan.domain import Link, Objective
+from cfgplan.onward import grouped
 from cfgplan.planners.exact.candidates import HostName
 from cfgplan.planners.exact.model import Model
 from cfgplan.planners.exact.units import are_apart
@@ -93,8 +94,4 @@ def beside_a_running_unit_run_those_that_it_runs_with(model: Model) -> None:
 
 def _on_hosts(model: Model, label: str) -> dict[HostName, list[IntVar]]:
     """For each host the booleans that a unit of a transformation is there, running or as a cold spare."""
-    found: dict[HostName, list[IntVar]] = defaultdict(list)
-    for i in model.candidates.units_of(label):
-        for host, there in model.there_on(i):
-            found[host].append(there)
-    return found
+    return grouped(on for i in model.candidates.units_of(label) for on in model.there_on(i))

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-
 from ortools.sat.python.cp_model import IntVar, LinearExpr
 
 from cfgplan.domain import ALL, InputPort, Stream
+from cfgplan.onward import grouped
 from cfgplan.planners.exact.candidates import HostName
 from cfgplan.planners.exact.model import Model
 from cfgplan.planning import Notion
@@ -85,9 +84,7 @@ def an_input_takes_its_number_of_streams_or_none(model: Model, unit: int, port: 
     if port.optional:
         model.cp.add_implication(fed, runs)
         model.more_costs.append(port.worth_us * model.problem.horizon_s * (runs - fed))
-    of_units: dict[int, list[IntVar]] = defaultdict(list)
-    for stream, connected in connects.items():
-        of_units[model.unit_of(stream)].append(connected)
+    of_units = grouped((model.unit_of(stream), connected) for stream, connected in connects.items())
     if port.count == ALL:
         model.needs_any(fed, list(connects.values()))
         for feeder, literals in of_units.items():
@@ -111,13 +108,13 @@ def _grounded_if_it_holds(model: Model, literal: IntVar) -> IntVar:
 
 
 def inputs_of_a_group_are_fed_by_different_transformations(model: Model) -> None:
-    candidates = model.candidates.all
     for i in model.runs:
-        sharing: dict[tuple[str, str], list[IntVar]] = defaultdict(list)
-        for port in candidates[i].transformation.inputs:
-            if port.distinct is not None:
-                for stream, connected in model.connects[i, port.name].items():
-                    sharing[port.distinct, candidates[model.unit_of(stream)].transformation.label].append(connected)
+        sharing = grouped(
+            ((port.distinct, model.candidates.label_of(stream)), connected)
+            for port in model.candidates.all[i].transformation.inputs
+            if port.distinct is not None
+            for stream, connected in model.connects[i, port.name].items()
+        )
         for connections in sharing.values():
             if len(connections) > 1:
                 model.cp.add_at_most_one(connections)

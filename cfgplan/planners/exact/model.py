@@ -14,7 +14,7 @@ from ortools.sat.python.cp_model import CpModel, IntVar, LinearExpr, LinearExprT
 
 from cfgplan.costs import transfer_cost_us
 from cfgplan.domain import ALL, InputPort, Objective, Stream
-from cfgplan.onward import reached
+from cfgplan.onward import grouped, reached
 from cfgplan.planners.exact.best_case import demands_of_quality
 from cfgplan.planners.exact.candidates import ONLY_IN_THE_MODEL, Candidates, HostName
 from cfgplan.planners.solving.engine import at_least
@@ -300,14 +300,9 @@ def _downstream_of(candidates: Candidates, starts: list[int], company: Set[str])
     """Some candidates and all that they may feed, or run with if they are `company`, directly or through others."""
     if not starts:
         return frozenset()
-    needing: dict[str, list[int]] = defaultdict(list)
-    for i, candidate in enumerate(candidates.all):
-        for port in candidate.transformation.inputs if candidate.may_run else ():
-            needing[port.tag].append(i)
-    fed_by: dict[int, list[str]] = defaultdict(list)
-    for tag in needing:
-        for feeder in candidates.feeders(tag):
-            fed_by[feeder].append(tag)
+    inputs = [(i, c.transformation.inputs) for i, c in enumerate(candidates.all) if c.may_run]
+    needing = grouped((port.tag, i) for i, ports in inputs for port in ports)
+    fed_by = grouped((feeder, tag) for tag in needing for feeder in candidates.feeders(tag))
 
     def users(i: int) -> Iterator[int]:
         label = candidates.all[i].transformation.label

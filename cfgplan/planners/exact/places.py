@@ -8,6 +8,7 @@ from functools import partial
 
 from cfgplan.costs import taken
 from cfgplan.domain import ComputationUnit, Publication, Stream, Subscription, Transformation, amount_of
+from cfgplan.onward import grouped
 from cfgplan.planners.exact.candidates import Candidates, HostName
 from cfgplan.planners.exact.grounded import Grounded
 from cfgplan.planning import Problem
@@ -161,9 +162,7 @@ class Places:
             environment.wanted_to_run.values()
         ):
             return None
-        topics: dict[str, list[Publication]] = defaultdict(list)
-        for topic, stream in self.published.items():
-            topics[stream.unit].append(Publication(stream.port, topic))
+        topics = grouped((s.unit, Publication(s.port, topic)) for topic, s in self.published.items())
         units = []
         for i in grounded.order:
             id_, kind = all_of[i].id, all_of[i].transformation

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 
 from ortools.sat.python.cp_model import IntVar, LiteralT
 
 from cfgplan.domain import Stream
+from cfgplan.onward import grouped
 from cfgplan.planners.exact.model import Model
 
 
@@ -60,11 +60,8 @@ def required_transformations_serve_a_target(model: Model) -> None:
     candidates = model.candidates
     if not model.environment.required:
         return
-    units: dict[str, list[IntVar]] = defaultdict(list)
-    for i, serves in who_serves(model).items():
-        if candidates.all[i].transformation.required:
-            units[candidates.all[i].transformation.label].append(serves)
-    for label, serving in units.items():
+    serving_units = [(candidates.all[i].transformation, serves) for i, serves in who_serves(model).items()]
+    for label, serving in grouped((t.label, serves) for t, serves in serving_units if t.required).items():
         model.uses_required[label] = model.boolean()
         model.needs_any(model.uses_required[label], serving)
 

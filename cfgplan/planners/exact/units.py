@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Iterable
 from itertools import product
 
 from ortools.sat.python.cp_model import IntVar, LinearExpr
 
+from cfgplan.onward import grouped
 from cfgplan.planners.exact.model import Model
 
 
@@ -100,28 +100,21 @@ def one_of_new_units_alike_is_enough(model: Model) -> None:
             demands[model.demand(port.tag)] = port.tag
             if port.distinct is not None:
                 apart.update(candidates.feeders(port.tag))
-    given: dict[int, list[int]] = defaultdict(list)
-    for demand in sorted(demands):
-        for feeder in candidates.feeders(demands[demand]):
-            given[feeder].append(demand)
-    groups: dict[tuple[int, ...], list[int]] = defaultdict(list)
-    for unit, candidate in enumerate(candidates.all):
-        if candidate.running is None and unit not in apart:
-            groups[tuple(given[unit])].append(unit)
-    for units in groups.values():
+    given = grouped((feeder, demand) for demand in sorted(demands) for feeder in candidates.feeders(demands[demand]))
+    new = [unit for unit, candidate in enumerate(candidates.all) if candidate.running is None and unit not in apart]
+    for units in grouped((tuple(given[unit]), unit) for unit in new).values():
         if len(units) > 1:
             model.cp.add_at_most_one(model.runs[unit] for unit in units)
             _needs_are_shared(model, units)
 
 
 def _needs_are_shared(model: Model, units: list[int]) -> None:
-    needing: dict[int, list[int]] = defaultdict(list)
-    for unit in units:
+    def hubs(unit: int) -> list[int]:
         ports = model.candidates.all[unit].transformation.inputs
-        hubs = {model.hub(p.tag, None).index for p in ports if not p.feedback and not model.is_told_apart(unit, p)}
-        for hub in sorted(hubs):
-            needing[hub].append(unit)
-    for hub, sharing in needing.items():
+        together = [port for port in ports if not port.feedback and not model.is_told_apart(unit, port)]
+        return sorted({model.hub(port.tag, None).index for port in together})
+
+    for hub, sharing in grouped((hub, unit) for unit in units for hub in hubs(unit)).items():
         if len(sharing) > 1:
             met = model.cp.get_bool_var_from_proto_index(hub)
             model.cp.add_at_most_one([met.negated(), *(model.runs[unit] for unit in sharing)])
