@@ -209,8 +209,8 @@ def _most_badness(candidates: Candidates, attribute: QualityAttribute) -> dict[s
 def demands_of_quality(candidates: Candidates) -> dict[Demand, bool]:
     """The demands whose stream is a part of what some target asks for, and whether it matters who has the demand.
 
-    Mostly all who have a demand want the same stream, the best. Not so where two attributes count; nor in a ring of
-    demands with a stream that is better than its inputs: the best one may be made of what one who wants it makes.
+    Mostly all who have a demand want the same stream, the best. But two attributes may have two best streams. And in a
+    ring of demands, with a stream that is better than its inputs, the best for a unit may be made of the unit's own.
     """
     environment = candidates.environment
     asked = sorted({wish.attribute for target in environment.targets for wish in target.quality})

@@ -16,7 +16,10 @@ from cfgplan.planners.solving.clock import ContradictionError
 
 
 class _Taker(NamedTuple):
-    """An input of a unit, or a target, with the streams that it may take and those that it has."""
+    """An input of a unit, or a target, with the streams that it may take and those that it has.
+
+    It is known by the unit's id and the input's name, or by "" and the target's label.
+    """
 
     who: tuple[str, str]
     number: int
@@ -63,7 +66,7 @@ class CountedWiring:
         return [s for s in self._candidates.streams(tag) if self._candidates.index_of[s.unit] in self._host_of]
 
     def _demands(self) -> Iterator[_Taker]:
-        """Those of units that do not stay as they are, and those of targets that such units meet."""
+        """The inputs of units that do not stay as they are, and the targets that such units meet."""
         for i in sorted(self._host_of.keys() - self._stays.keys()):
             old = {} if (running := self._all[i].running) is None else running.feeds
             for port in self._all[i].transformation.inputs:

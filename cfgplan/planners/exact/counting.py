@@ -76,7 +76,7 @@ class CountingModel:
             rule(self)
 
     def forbid(self, misfit: Misfit) -> None:
-        """Demand fewer of some units that do not fit, or more hosts."""
+        """Demand other numbers than those that do not fit: fewer units of some group, more hosts, or other company."""
         more = self.cp.new_bool_var("")
         self.cp.add(self.used[misfit.kind] > misfit.hosts).only_enforce_if(more)
         ways = [more]
@@ -157,7 +157,7 @@ CountingRule = Callable[[CountingModel], None]
 
 
 def hosts_of_a_kind_bear_their_units(counts: CountingModel) -> None:
-    """Together as much as so many of them have room for, and each at most what it has room for by itself."""
+    """All units take no more than the used hosts have room for; a host has no more of a group than it can bear."""
     for k, kind in enumerate(counts.kinds):
         counts.used[k] = counts.cp.new_int_var(0, len(kind.names), "")
         here = [n for n, group in enumerate(counts.groups) if kind.first in group.first.places]
@@ -235,7 +235,7 @@ def who_runs_has_company(counts: CountingModel) -> None:
 
 
 def inputs_are_fed(counts: CountingModel) -> None:
-    """By streams of so many different units; where those serve only so many, by what is left of them."""
+    """Each by streams of as many different units as it counts; where these serve only so many, streams are counted."""
     for label, groups in counts.of_label.items():
         for port in counts.groups[groups[0]].first.transformation.inputs:
             feeders = sorted({n for n, _ in counts.sources(port.tag)})

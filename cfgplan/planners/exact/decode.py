@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from cfgplan.planners.exact.model import Model  # the solver takes long to import
 
 MAY_RUN_FOR_NOBODY = {Notion.SURVIVAL, Notion.INSTANCES, Notion.BESIDE}
+"""With these, units may be needed that feed nobody and meet no target."""
 
 
 def decode(model: Model, true: Collection[int]) -> list[ComputationUnit] | None:
@@ -126,7 +127,7 @@ class _Decoding:
         return tuple(same[:1] or [self._port_of(stream, port.tag, ()) for stream in there[:1]])
 
     def _port_of(self, stream: Stream, tag: str, old: Iterable[Stream]) -> Stream:
-        """The stream, with its port, by which the unit of one without is taken."""
+        """The stream that one without a port stands for: an `old` one of its unit if that matches the tag."""
         return self.candidates.stream_of(self.model.unit_of(stream), tag, old)
 
     def _wired_at(self, unit: int) -> int:
@@ -241,7 +242,7 @@ def named(candidates: Candidates, units: list[ComputationUnit]) -> list[Computat
 
 
 def in_order(environment: Environment, unit: ComputationUnit) -> ComputationUnit:
-    """The unit with the streams of inputs that are alike where it has them now, the others sorted."""
+    """The unit with the streams of inputs that are alike swapped: they stay where they are now, others are sorted."""
     now = environment.unit[unit.id].feeds if unit.id in environment.unit else {}
     ports = environment.transformation[unit.transformation].inputs
     distinct = [p for p in ports if p.distinct is not None and p.count == 1 and p.name in unit.feeds]

@@ -39,7 +39,7 @@ from cfgplan.planning import Notion
 
 
 def plan_by_counting(candidates: Candidates, standing: Standing) -> None:
-    """Bring a plan forward to a proof."""
+    """Count units until the best plan is proven or the time is over."""
     groups = groups_of(candidates)
     kinds = host_kinds(candidates, groups)
     standing.counts |= {"groups": len(groups), "kinds of hosts": len(kinds), "rounds": 0, "conflicts": 0}
@@ -69,7 +69,7 @@ class _Step(NamedTuple):
 
 
 class _Placed(NamedTuple):
-    """The hosts of each group's units if they fit; a misfit if that is disproven."""
+    """The hosts of each group's units if they fit. It `is_misfit` if it is proven that they do not."""
 
     hosts: Mapping[int, Sequence[HostName]]
     is_fit: bool = False
@@ -200,15 +200,11 @@ class _Deployment:
         self.standing.offer(named(self.candidates, lean(self.candidates, units)))
         return is_fit
 
-    def _placed(
-        self,
-        kind: HostKind,
-        here: Mapping[int, int],
-        used: int,
-        *,
-        has_more_company: bool = False,
-    ) -> _Placed:
-        """Place units of groups on so many hosts of a kind; those that others run with may become more."""
+    def _placed(self, kind: HostKind, here: Mapping[int, int], used: int, *, has_more_company: bool = False) -> _Placed:
+        """Place units of groups on so many hosts of a kind.
+
+        With `has_more_company`, those that others run with may be more.
+        """
         if len(kind.names) == 1 or not here:
             return _Placed({n: [kind.first] * number for n, number in here.items()}, is_fit=True)
         groups, hosts, clock = [self.groups[n] for n in here], kind.apart()[:used], self.standing.clock
@@ -248,7 +244,7 @@ class _Deployment:
         return counts
 
     def _is_too_much(self, counts: CountingModel, values: Sequence[int]) -> bool:
-        """Whether hosts of some kind can't have so many units, by limits that are demanded from now on."""
+        """Whether patterns say that hosts of some kind can't have so many units; the model then gets the limits."""
         is_limited = False
         for k, kind in enumerate(counts.kinds):
             if len(kind.names) > 1:
@@ -261,7 +257,7 @@ class _Deployment:
         return is_limited
 
     def apart(self, kinds: Sequence[HostKind]) -> list[HostKind]:
-        """So many hosts of each kind as a plan may use that is no worse than the incumbent, each by itself."""
+        """Hosts as kinds of their own: of each kind as many as a plan may use that is no worse than the incumbent."""
         found: list[HostKind] = []
         for k, kind in enumerate(kinds):
             most = len(kind.names)

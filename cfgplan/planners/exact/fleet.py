@@ -24,7 +24,7 @@ from cfgplan.planning import Notion
 
 
 def plan_fleet(candidates: Candidates, standing: Standing, last: Collection[str]) -> None:
-    """Bring a plan forward from first plans to a proof. A first plan is made of the transformations in `last`."""
+    """Look for first plans, one of them of the transformations in `last`, then for the best plan and its proof."""
     problem, clock = standing.problem, standing.clock
     standing.counts |= {"candidates": len(candidates.all), "conflicts": 0}
     standing.fewest_unused = sum(not candidates.of(label) for label in problem.environment.required)

@@ -21,7 +21,7 @@ def what_is_made_on_a_host_is_not_carried_there(model: Model) -> None:
 
 
 def links_bear_what_is_carried_and_have_their_prices(model: Model) -> None:
-    """A carried stream has cost the least that it may from anywhere; from elsewhere it costs more."""
+    """`Model.ways` has charged a carried stream its cheapest journey; here a dearer one costs the difference."""
     loads: dict[Link, list[LinearExprT]] = defaultdict(list)
     for (stream, host), carried in model.carried.items() if model.environment.links else ():
         costs_us = model.journeys_us(stream, host)

@@ -171,7 +171,7 @@ class Model:
         return [i for i in self.candidates.units_of(label) if i in self.runs]
 
     def to_run(self, label: str) -> list[int]:
-        """The same by id: the first that runs meets targets that want one."""
+        """The candidates of a transformation that may run, by id: the first that runs meets targets that want one."""
         return sorted(self.running(label), key=lambda i: self.candidates.all[i].id)
 
     def unit_of(self, stream: Stream) -> int:
@@ -220,7 +220,7 @@ class Model:
         return self.known_ways(stream, host)
 
     def known_ways(self, stream: Stream, host: HostName) -> list[IntVar]:
-        """Those of `ways` that the model has: the stream is there by no other way."""
+        """The `ways` that the model has already; in a solution the stream is there by no other."""
         unit = self.unit_of(stream)
         if host is None or stream not in self.placed:
             return [self.runs[unit]]

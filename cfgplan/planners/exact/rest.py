@@ -20,7 +20,7 @@ from cfgplan.planners.solving.clock import Clock
 
 
 class Remainder(NamedTuple):
-    """The labels that bounds leave of a network, a bound on cost, and what has its landmarks if there are any."""
+    """The labels that bounds leave of a network, and the cost that no plan goes below; `bound` has its landmarks."""
 
     labels: Ints
     value: int

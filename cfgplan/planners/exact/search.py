@@ -50,7 +50,7 @@ class InfeasibleError(Exception):
 
 
 class Search:
-    """Rounds of solving and cutting that bring a standing forward."""
+    """Rounds of solving and cutting: each gives the standing a better plan, a bound, or the model a cut."""
 
     def __init__(
         self,
@@ -66,7 +66,7 @@ class Search:
     ) -> None:
         """With `is_all` false some candidates are left out: the search gives plans, but no bounds.
 
-        `is_apart` is the model's. `landmarks` hold of every plan that may be optimal.
+        `is_apart` is the model's. `landmarks` hold of every plan that may be optimal; `missed` finds more of them.
         """
         self.problem = candidates.problem
         self.standing = standing

@@ -9,14 +9,7 @@ from collections import defaultdict
 from collections.abc import Iterable
 from itertools import pairwise
 
-from ortools.sat.python.cp_model import (
-    FEASIBLE,
-    INFEASIBLE,
-    OPTIMAL,
-    CpModel,
-    IntVar,
-    LinearExpr,
-)
+from ortools.sat.python.cp_model import FEASIBLE, INFEASIBLE, OPTIMAL, CpModel, IntVar, LinearExpr
 
 from cfgplan.domain import ALL, InputPort, Stream, Target, Transformation
 from cfgplan.planners.exact.candidates import Candidates, HostName
@@ -25,7 +18,7 @@ from cfgplan.planners.solving.engine import repeatable_solver, solve
 
 
 class Sharing:
-    """The booleans of so many units of each site (a transformation, and a host): who runs, and who feeds whom."""
+    """The model of some units: which of them run, and who feeds whom. A site is a transformation on a host."""
 
     def __init__(
         self, candidates: Candidates, units: Iterable[tuple[tuple[str, HostName], int]], targets: tuple[Target, ...]
@@ -53,7 +46,7 @@ class Sharing:
         self._serves_only_so_many()
 
     def exists(self) -> bool:
-        """Whether there is such a wiring. Raises OutOfTimeError by the candidates' clock."""
+        """Whether the units can be wired to meet all targets. Raises OutOfTimeError by the candidates' clock."""
         solver = repeatable_solver(small=True, time_limit_s=self._clock.left_s())
         status = solve(solver, self._cp, self._clock)
         if status not in (OPTIMAL, FEASIBLE, INFEASIBLE):
@@ -91,7 +84,7 @@ class Sharing:
             self._cp.add_at_most_one(connections)
 
     def _connected(self, unit: int, port: InputPort) -> list[tuple[int, IntVar]]:
-        """The booleans that each stream feeds an input, with the streams' units."""
+        """Add a boolean for each stream that may feed an input. Returns them with the streams' units."""
         found = []
         for giver, stream in self._streams(port.tag):
             if giver == unit and (port.count == ALL or not port.feedback):

@@ -40,7 +40,7 @@ from cfgplan.planners.solving.engine import at_least
 class Missed:
     """A landmark that has too few units: one in all or, with a `host`, none on another host.
 
-    Of a site only the units beyond a number count, which is that of `beyond`.
+    `beyond` has its sites, each with a number: only the units of the site beyond that number count.
     """
 
     beyond: frozenset[tuple[Site, int]]
@@ -91,9 +91,9 @@ class Survival:
         return bool(new)
 
     def needless_spares(self, model: Model, true: Collection[int], units: list[ComputationUnit]) -> list[int]:
-        """The candidates that a solution says to run for failures, though its `units` bear all of them without.
+        """The candidates that a solution says to run for failures, though its `units` bear all failures without them.
 
-        None where it does not matter: all are needed that feed inputs which start nothing, or take streams from those.
+        Empty if that does no harm: no input that starts nothing is fed by them, and they take no stream from one.
         """
         there = {unit.id: unit for unit in units}
         said = {i: there[self.candidates.all[i].id] for i, spare in model.spares.items() if spare.index in true}
@@ -152,7 +152,7 @@ class Survival:
 
 
 def _beyond(model: Model, there: list[IntVar], number: int, most: int) -> list[IntVar]:
-    """Booleans that hold only if one more of some others hold than a number; two more; and so on up to `most`."""
+    """Up to `most` booleans: the first holds only if more than a `number` of some others hold, the next if one more."""
     found = []
     for more in range(1, min(most, len(there) - number) + 1):
         found.append(model.cp.new_bool_var(""))
