@@ -124,9 +124,7 @@ def startable(
 
 
 def _offered_all(environment: Environment, givers: Givers, labels: frozenset[str]) -> frozenset[str]:
-    """The labels without every transformation that has an input that none of the remaining ones offers, until
-    nothing changes.
-    """
+    """The labels less those with an input that none of the others offers, again and again until nothing changes."""
     left = set(labels)
     inputs = ((label, environment.transformation[label].needed_inputs) for label in sorted(labels))
     users = grouped((port.tag, label) for label, ports in inputs for port in ports)

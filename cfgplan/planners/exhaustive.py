@@ -272,7 +272,7 @@ class _Demand:
 
 
 def _demands(problem: Problem, units: Units) -> list[_Demand]:
-    """Targets first."""
+    """The demands of targets, then those of the units' inputs."""
     library = problem.environment.transformation
 
     def streams(tag: str) -> tuple[Stream, ...]:

@@ -34,7 +34,7 @@ NOBODY: Mapping[str, list[str]] = {}
 
 
 def company_of(environment: Environment) -> dict[str, list[str]]:
-    """The units that a running unit can't do without, by its id: each runs alone on its host of what it runs with."""
+    """For each running unit, by its id, the units that it runs with which are alone of their transformation there."""
     running: dict[tuple[str, str | None], list[str]] = defaultdict(list)
     for unit in environment.units:
         if not unit.standby:

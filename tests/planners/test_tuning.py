@@ -37,6 +37,14 @@ def test_every_number_says_what_it_does_and_what_it_was_chosen_on() -> None:
     assert all(said.what and said.origin for _, _, said in USUAL.rows())
 
 
+def test_every_number_is_read_by_the_planner() -> None:
+    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in ROOM.rglob("*.py")]
+    attributes = [node for tree in trees for node in ast.walk(tree) if isinstance(node, ast.Attribute)]
+    read = {(ast.unparse(one.value).rpartition(".")[2].strip("_"), one.attr) for one in attributes}
+    for part, number in (name.rpartition(".")[::2] for name, _, _ in USUAL.rows()):
+        assert not read.isdisjoint((of, number) for of in (part, "tuning", "own")), f"{part}.{number}"
+
+
 @pytest.mark.parametrize("path", sorted(path for part in PARTS for path in (ROOM / part).glob("*.py")), ids=str)
 def test_no_number_stands_at_the_head_of_another_module(path: Path) -> None:
     named = {
