@@ -34,7 +34,7 @@ NOBODY: Mapping[str, list[str]] = {}
 
 
 def company_of(environment: Environment) -> dict[str, list[str]]:
-    """For each running unit, by its id, the units that it runs with which are alone of their transformation there."""
+    """For each running unit, by its id, the units that it runs with and that are the only ones of their kind there."""
     running: dict[tuple[str, str | None], list[str]] = defaultdict(list)
     for unit in environment.units:
         if not unit.standby:

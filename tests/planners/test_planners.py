@@ -342,6 +342,13 @@ def test_it_is_said_which_inputs_take_more_streams_than_outputs_serve() -> None:
     assert more.status is Status.OPTIMAL
 
 
+def test_a_unit_that_runs_is_one_of_those_that_its_transformation_allows() -> None:
+    source = replace(make("source", max_instances=1), outputs=(OutputPort("out0", "A", serves=1),))
+    running = (ComputationUnit("source.1", "source"),)
+    found = cpsat_plan(world("BC", source, make("one", "A", "B"), make("other", "A", "C"), units=running))
+    assert "but 1 x source (serves 1) give 1 at most" in found.reasons["B"]
+
+
 def test_a_unit_that_takes_all_streams_is_rewired_when_one_comes() -> None:
     logger = Transformation("logger", (InputPort("alarms", "A", count=ALL),), (), labor_us=1)
     units = (

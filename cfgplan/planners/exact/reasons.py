@@ -126,9 +126,11 @@ def _missing_places(problem: Problem) -> str | None:
 
 
 def _most_units(problem: Problem, label: str) -> int:
-    """How many units of a transformation may run: those that do, and new ones."""
+    """How many units of a transformation may run: those that do, and new ones, but no more than it allows."""
+    kind = problem.environment.transformation[label]
     running = sum(unit.transformation == label and not unit.standby for unit in problem.environment.units)
-    return running + problem.most_new(problem.environment.transformation[label])
+    most = running + problem.most_new(kind)
+    return most if kind.max_instances is None else min(most, kind.max_instances)
 
 
 def _least_units(problem: Problem, givers: Givers) -> Mapping[str, int]:
