@@ -39,7 +39,7 @@ class Counting:
     def __init__(self, problem: Problem, who: str) -> None:
         environment, self.problem, self.who = problem.environment, problem, who
         self.candidates = Candidates(problem)
-        self.kinds = {label: self.candidates.of(label) for label in sorted(self.candidates.labels)}
+        self.kinds = {label: self.candidates.of(label) for label in sorted(self.candidates.kinds)}
         ports = [port for label in self.kinds for port in self.kind(label).inputs]
         self.tags = {port.tag for port in ports} | {target.tag for target in environment.targets}
         alone = [tag for tag in self.tags if len(self.givers(tag)) > 1 and any(map(self.serves, self.givers(tag)))]

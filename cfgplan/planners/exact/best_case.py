@@ -6,7 +6,7 @@ run. A stream that misses every bound even then is of no use anywhere.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Iterator
+from collections.abc import Hashable, Iterator
 from dataclasses import dataclass
 from itertools import chain
 
@@ -216,14 +216,13 @@ def demands_of_quality(candidates: Candidates) -> dict[Demand, bool]:
     asked = sorted({wish.attribute for target in environment.targets for wish in target.quality})
     counting = {name: _where_it_counts(candidates, environment.quality[name]) for name in asked}
     found = {demand: sum(demand in these for these in counting.values()) > 1 for demand in chain(*counting.values())}
-    transformations = {c.transformation.label: c.transformation for c in candidates.all}
     better = {
-        name: [label for label, t in transformations.items() if _may_be_better_than_its_inputs(attribute, t)]
+        name: [label for label, t in candidates.kinds.items() if _may_be_better_than_its_inputs(attribute, t)]
         for name in asked
         for attribute in [environment.quality[name]]
         if not all(found[demand] for demand in counting[name])
     }
-    ring_of = _rings(candidates, transformations.values()) if any(better.values()) else {}
+    ring_of = _rings(candidates) if any(better.values()) else {}
     for name, labels in better.items():
         rings = {ring_of.get(label, -1) for label in labels}
         found.update({demand: True for demand in counting[name] if ring_of.get(demand) in rings})
@@ -235,7 +234,7 @@ def _where_it_counts(candidates: Candidates, attribute: QualityAttribute) -> set
 
     def made_of(tag: str) -> Iterator[str]:
         for stream in candidates.streams(tag):
-            t = candidates.all[candidates.index_of[stream.unit]].transformation
+            t = candidates.kinds[candidates.label_of(stream)]
             stated = stated_of(t.output[stream.port], attribute)
             if stated is None or stated.rule is not QualityRule.SET:
                 yield from (port.tag for port in t.inputs if not port.feedback)
@@ -259,12 +258,14 @@ def _may_be_better_than_its_inputs(attribute: QualityAttribute, of: Transformati
     )
 
 
-def _rings(candidates: Candidates, transformations: Iterable[Transformation]) -> dict[Hashable, int]:
+def _rings(candidates: Candidates) -> dict[Hashable, int]:
     """The strongly connected component of each demand, and of each transformation by its label."""
     from networkx import DiGraph, strongly_connected_components
 
     graph: DiGraph[Hashable] = DiGraph()
-    inputs = [(candidates.streams(p.tag), t.label) for t in transformations for p in t.inputs if not p.feedback]
+    inputs = [
+        (candidates.streams(p.tag), t.label) for t in candidates.kinds.values() for p in t.inputs if not p.feedback
+    ]
     graph.add_edges_from(inputs)
     for demand in {demand for demand, _ in inputs}:
         graph.add_edges_from((candidates.label_of(stream), demand) for stream in demand)

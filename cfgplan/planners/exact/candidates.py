@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -12,6 +11,7 @@ import numpy as np
 
 from cfgplan.costs import keep_cost_us, standby_cost_us, start_cost_us, taken, transfer_cost_us
 from cfgplan.domain import ComputationUnit, Environment, Host, Stream, Transformation
+from cfgplan.onward import grouped
 from cfgplan.planners.exact.closure import Closure
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.keys import may_stay
@@ -86,11 +86,8 @@ class Candidates:
         self.givers, self.possible = self.closure.givers, self.closure.possible
         labels = self.closure.relevant if among is None else self.closure.relevant.intersection(among)
         self.all = tuple(_candidates(problem, labels, self.clock))
-        self.index_of: dict[str, int] = {}
-        self._units: dict[str, list[int]] = defaultdict(list)
-        for i, candidate in enumerate(self.all):
-            self.index_of[candidate.id] = i
-            self._units[candidate.transformation.label].append(i)
+        self.index_of = {candidate.id: i for i, candidate in enumerate(self.all)}
+        self._units = grouped((candidate.transformation.label, i) for i, candidate in enumerate(self.all))
         self._is_closed = among is None and len(self._units) == len(labels)
         self._streams: dict[str, tuple[Stream, ...]] = {}
         self._feeders: dict[str, tuple[int, ...]] = {}
@@ -114,10 +111,10 @@ class Candidates:
         """The candidates of some transformations."""
         return Candidates(self.problem, self.closure, labels, self.clock)
 
-    @property
-    def labels(self) -> Set[str]:
-        """The transformations that have candidates."""
-        return self._units.keys()
+    @cached_property
+    def kinds(self) -> Mapping[str, Transformation]:
+        """The transformations that have candidates, by their labels."""
+        return {label: self.all[units[0]].transformation for label, units in self._units.items()}
 
     @cached_property
     def network(self) -> Network:
@@ -125,7 +122,7 @@ class Candidates:
 
         Targets that none of them can meet are left out.
         """
-        library = tuple(self.all[self._units[label][0]].transformation for label in sorted(self._units))
+        library = tuple(self.kinds[label] for label in sorted(self.kinds))
         if not self._is_closed:
             left = startable(Environment((), library), self.givers, self.clock.each)
             library = tuple(t for t in library if t.label in left)
@@ -138,8 +135,11 @@ class Candidates:
     def asked_for(self) -> frozenset[str]:
         """The transformations of which a unit is pinned, or is wanted by a target or by number."""
         wanted = {*self.environment.wanted_to_run.values()}
-        kinds = [(i, candidate.transformation) for i, candidate in enumerate(self.all)]
-        return frozenset(t.label for i, t in kinds if self.is_pinned(i) or t.min_instances or t.label in wanted)
+        return frozenset(
+            label
+            for label, kind in self.kinds.items()
+            if kind.min_instances or label in wanted or any(map(self.is_pinned, self._units[label]))
+        )
 
     @cached_property
     def least_us(self) -> Ints:

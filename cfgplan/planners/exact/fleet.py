@@ -35,7 +35,7 @@ def plan_fleet(candidates: Candidates, standing: Standing, last: Collection[str]
     standing.raise_bound(least_us)
     clock.end("closure")
     first = FirstPlans(candidates, standing)
-    known = candidates.labels & set(last)
+    known = candidates.kinds.keys() & set(last)
     is_known = bool(known) and first.offer(first.units_of(known))
     attempts = 0 if problem.survive is not None or is_known else clock.tuning.begin.attempts
     first.look(attempts)  # each attempt needs spares where failures are to be survived
@@ -74,7 +74,7 @@ def _look_among_used(candidates: Candidates, standing: Standing, cuts: Iterable[
 
     used = _best(standing) | {candidates.all[i].transformation.label for i in np.flatnonzero(share > 1e-6)}
     tuning = standing.clock.tuning.fleet
-    if tuning.fewer * len(used) < len(candidates.labels):
+    if tuning.fewer * len(used) < len(candidates.kinds):
         Search(candidates.among(used), standing, is_all=False, cuts=cuts).run(tuning.look)
 
 

@@ -65,7 +65,7 @@ def is_countable(candidates: Candidates) -> bool:
     No stream has a price on its way, and wirings close no cycles, whichever of the streams that match are taken.
     """
     problem, environment = candidates.problem, candidates.environment
-    kinds = {c.transformation.label: c.transformation for c in candidates.all}
+    kinds = candidates.kinds
     is_carried = any(port.bytes_per_s for kind in kinds.values() for port in kind.outputs)
     return (
         problem.notions <= COUNTABLE
@@ -90,12 +90,10 @@ def _are_there_several(candidates: Candidates) -> bool:
 
 
 def _feeds(candidates: Candidates) -> DiGraph[str]:
-    kinds = {c.transformation.label: c.transformation for c in candidates.all}
-    tags = {port.tag for kind in kinds.values() for port in kind.inputs}
+    tags = {port.tag for kind in candidates.kinds.values() for port in kind.inputs}
     givers = {tag: {candidates.all[i].transformation.label for i in candidates.feeders(tag)} for tag in tags}
-    return DiGraph(
-        (giver, label) for label, kind in kinds.items() for port in kind.inputs for giver in givers[port.tag]
-    )
+    inputs = [(label, port.tag) for label, kind in candidates.kinds.items() for port in kind.inputs]
+    return DiGraph((giver, label) for label, tag in inputs for giver in givers[tag])
 
 
 def groups_of(candidates: Candidates) -> list[Group]:

@@ -291,8 +291,7 @@ class Model:
 
 
 def _feeders_of_idle_inputs(candidates: Candidates) -> frozenset[int]:
-    kinds = {c.transformation.label: c.transformation for c in candidates.all}
-    tags = {port.tag for kind in kinds.values() for port in kind.inputs if port.starts_nothing}
+    tags = {port.tag for kind in candidates.kinds.values() for port in kind.inputs if port.starts_nothing}
     return frozenset(feeder for tag in tags for feeder in candidates.feeders(tag))
 
 
