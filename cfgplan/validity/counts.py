@@ -16,7 +16,8 @@ def count_violations(environment: Environment, similarity: Similarity) -> Iterat
         streams = unit.feeds.get(port.name, ())
         where, number = f"input {port.name} of unit {unit.id}", len(streams)
         if port.count == ALL:
-            missed = sorted(_matching(environment, similarity, unit, port) - set(streams))
+            offered = {stream for stream, _ in _offers(environment, similarity, port) if stream.unit != unit.id}
+            missed = sorted(offered.difference(streams))
             if any(stream.unit == unit.id for stream in streams):
                 yield Violation(Rule.FED, f"{where} takes the streams of other units, not its own", unit.id, port.name)
             if missed:
@@ -75,14 +76,10 @@ def _ports(environment: Environment) -> Iterator[tuple[ComputationUnit, InputPor
             yield unit, port
 
 
-def _matching(environment: Environment, similarity: Similarity, unit: ComputationUnit, port: InputPort) -> set[Stream]:
-    """The streams of other running units that match an input."""
-    return {stream for stream, _ in _offers(environment, similarity, port) if stream.unit != unit.id}
-
-
 def _offers(
     environment: Environment, similarity: Similarity, port: InputPort
 ) -> Iterator[tuple[Stream, Transformation]]:
+    """The streams of running units that match an input, with the units' transformations."""
     for other, transformation in known_units(environment):
         for output in transformation.outputs if not other.standby else ():
             if similarity.holds(output.tag, port.tag):

@@ -148,10 +148,10 @@ class Configuration:
 
     def _spare(self, label: str, host: str | None) -> int | None:
         """The cheapest further candidate of a transformation that may be on another host; None if there is none."""
-        candidates = self.candidates
-        numbers = [candidates.index_of[c.id] for c in candidates.of(label) if host is None or c.hosts != (host,)]
-        further = [i for i in numbers if i not in self.hot and i not in self.cold]
-        return min(further, key=lambda i: (_spare_us(candidates.all[i]), i), default=None)
+        all_of, chosen = self.candidates.all, self.hot | self.cold
+        further = [i for i in self.candidates.units_of(label) if i not in chosen]
+        further = [i for i in further if host is None or all_of[i].hosts != (host,)]
+        return min(further, key=lambda i: (_spare_us(all_of[i]), i), default=None)
 
     def _add(self, spares: Collection[int]) -> None:
         """Mark as running the spares that can't wait, or all if those are not fed otherwise. The others wait."""

@@ -21,7 +21,7 @@ from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.exact.survivors import bears_all_failures
 from cfgplan.planners.networks.core import Floats
 from cfgplan.planners.networks.greedy import FREE, plan_at
-from cfgplan.qualities import Better, QualityAttribute, QualityRule, is_met
+from cfgplan.qualities import QualityAttribute, QualityRule, is_met
 
 
 class FirstPlans:
@@ -90,13 +90,12 @@ class FirstPlans:
             have = {resource: sum(host.room(resource) or 0 for host in hosts) or np.inf for resource in resources}
             shares = [sum(amount / have[resource] for resource, amount in t.takes.items()) for t in transformations]
             return np.array(shares, np.float64)
-        sign = 1 if attribute.better is Better.LOWER else -1
         stated = [
             [c for port in t.outputs for c in port.quality if c.attribute == attribute.name]
             for t in self.candidates.clock.each(transformations)
         ]
-        added = [max((sign * c.value for c in these if c.rule is QualityRule.ADD), default=0) for these in stated]
-        return np.maximum(np.array(added, np.float64), 0.0)
+        added = [[attribute.sign * c.value for c in these if c.rule is QualityRule.ADD] for these in stated]
+        return np.array([max([0, *values]) for values in added], np.float64)
 
     def _offer_supports(self, price: Floats) -> bool:
         """Offer the cheapest support at these prices; where two transformations conflict, one without the dearer."""
@@ -140,7 +139,7 @@ class FirstPlans:
         candidates = self.candidates
         chosen: set[int] = set()
         for label in sorted(labels):
-            numbers = [candidates.index_of[c.id] for c in candidates.of(label) if c.may_run]
+            numbers = [i for i in candidates.units_of(label) if candidates.all[i].may_run]
             numbers.sort(key=lambda i: (not candidates.is_pinned(i), candidates.all[i].cost_us, i))
             pinned = sum(map(candidates.is_pinned, numbers))
             chosen.update(numbers[: max(1, pinned, candidates.environment.transformation[label].min_instances)])

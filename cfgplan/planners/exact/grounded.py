@@ -16,8 +16,9 @@ from typing import Final
 
 from cfgplan.domain import InputPort, Stream
 from cfgplan.onward import grouped
+from cfgplan.planners.exact.best_case import stated_of
 from cfgplan.planners.exact.candidates import Candidates
-from cfgplan.qualities import Better, QualityAttribute, propagated
+from cfgplan.qualities import QualityAttribute, propagated
 from cfgplan.reasons import assign_different, distinct_groups
 
 SOON: Final = -(2**62)
@@ -174,9 +175,8 @@ class Grounded:
         for port in candidate.transformation.outputs:
             stream, value, key = Stream(candidate.id, port.name), 0, -1
             if attribute is not None:
-                stated = {c.attribute: c for c in port.quality}.get(attribute.name)
-                value = propagated(attribute, stated, inputs)
-                key = value if attribute.better is Better.LOWER else -value
+                value = propagated(attribute, stated_of(port, attribute), inputs)
+                key = attribute.sign * value
             self._value[stream] = value
             heappush(self._ahead, (key, next(self._number), stream))
         for reader in self._kept_by[unit]:
