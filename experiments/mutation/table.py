@@ -270,8 +270,8 @@ MODEL = _room(
     (
         "a unit takes the same of each host",
         "hosts.py",
-        "candidate.places[host.name].takes)",
-        "candidate.transformation.takes)",
+        "candidates[i].places[host].takes)",
+        "candidates[i].transformation.takes)",
     ),
     ("units that conflict are together", "units.py", "model.cp.add_at_most_one(one, second)", "pass"),
     ("too few units run", "units.py", ">= t.min_instances", ">= 0"),

@@ -46,26 +46,24 @@ def links_bear_what_is_carried_and_have_their_prices(model: Model) -> None:
 def hosts_bear_their_units(model: Model) -> None:
     """Each host has room for its units in each resource; cold spares count as running, as they must be able to run."""
     candidates = model.candidates.all
+    on_hosts = ((i, host, there) for i in model.runs_on for host, there in model.there_on(i))
+    taking = grouped((host, (there, candidates[i].places[host].takes)) for i, host, there in on_hosts)
     for host in model.environment.hosts:
-        here = [
-            (literal, candidate.places[host.name].takes)
-            for i, candidate in enumerate(candidates)
-            for name, literal in model.there_on(i)
-            if name == host.name
-        ]
+        here = taking[host.name]
         for resource in sorted({resource for _, takes in here for resource in takes}):
             room = host.room(resource, model.problem.horizon_s)
             if room is not None:
-                taken = [takes.get(resource, 0) * literal for literal, takes in here]
+                taken = [takes.get(resource, 0) * there for there, takes in here]
                 model.cp.add(LinearExpr.sum(taken) <= room)
 
 
 def a_host_is_paid_and_counted_while_something_is_there(model: Model) -> None:
+    on_hosts = grouped(on for i in model.runs_on for on in model.there_on(i))
     for host in model.environment.hosts:
         if host.rent_us or Objective.HOSTS in model.environment.minimise:
             used = model.uses[host.name] = model.boolean()
             model.more_costs.append(host.rent_us * model.problem.horizon_s * used)
-            for _, there in (on for i in model.runs_on for on in model.there_on(i) if on[0] == host.name):
+            for there in on_hosts[host.name]:
                 model.cp.add_implication(there, used)
 
 

@@ -63,10 +63,9 @@ def are_apart(model: Model, some: Iterable[IntVar], others: Iterable[IntVar]) ->
 
 def there_are_as_many_units_as_asked_for_and_allowed(model: Model) -> None:
     for t in model.environment.library:
-        there = _there(model, t.label)
         if t.min_instances:
             model.cp.add(LinearExpr.sum([model.runs[i] for i in model.running(t.label)]) >= t.min_instances)
-        if t.max_instances is not None and len(there) > t.max_instances:
+        if t.max_instances is not None and len(there := _there(model, t.label)) > t.max_instances:
             model.cp.add(LinearExpr.sum(there) <= t.max_instances)
 
 
