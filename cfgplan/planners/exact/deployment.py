@@ -34,7 +34,6 @@ from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.networks.keys import Key
 from cfgplan.planners.solving.clock import Clock, ContradictionError
 from cfgplan.planners.solving.engine import repeatable_solver, solve
-from cfgplan.planners.tuning import Fleets
 from cfgplan.planning import Notion
 
 
@@ -44,20 +43,15 @@ def plan_by_counting(candidates: Candidates, standing: Standing) -> None:
     kinds = host_kinds(candidates, groups)
     standing.counts |= {"groups": len(groups), "kinds of hosts": len(kinds), "rounds": 0, "conflicts": 0}
     deployment = _Deployment(candidates, standing, groups)
-    for _ in range(_recounts(sum(len(kind.names) for kind in kinds), len(kinds), standing.clock.tuning.fleet)):
+    hosts, tuning = sum(len(kind.names) for kind in kinds), standing.clock.tuning.fleet
+    recounts = tuning.recounts if hosts > tuning.apart else 1
+    for _ in range(recounts if hosts > len(kinds) else 0):
         known = len(deployment.misfits)
         if deployment.count(kinds) or standing.is_over:
             return
         if len(deployment.misfits) == known:
             break
     deployment.count(deployment.apart(kinds))
-
-
-def _recounts(hosts: int, kinds: int, tuning: Fleets) -> int:
-    """How often hosts alike are counted before each is looked at by itself."""
-    if hosts == kinds:
-        return 0
-    return tuning.recounts if hosts > tuning.apart else 1
 
 
 class _Step(NamedTuple):
@@ -103,7 +97,7 @@ class _Deployment:
         values: Sequence[int] = ()
         proven: list[int] = []
         for number, step in enumerate(steps):
-            learn = step.learn if is_placed or not number else _nothing
+            learn = step.learn if is_placed or not number else lambda _: None
             found = self._minimise(counts, step.what, values, learn, is_placed=is_placed)
             if found is None:
                 return standing.is_infeasible
@@ -280,10 +274,6 @@ def _more(used: int, most: int) -> Iterator[int]:
         yield used + step
         step = 2 * step or 1
     yield most
-
-
-def _nothing(_: int) -> None:
-    """Learn nothing."""
 
 
 def _of_order(place: int, key: Key) -> int:

@@ -44,11 +44,6 @@ class Structure:
         network = _network(environment, closure, closure.relevant, frozenset(), clock)
         return cls(environment, problem.similarity, _pinned(environment), closure, network)
 
-    @property
-    def meets_targets(self) -> bool:
-        """Whether each target by itself can be met."""
-        return len(self.network.targets) == len(self.environment.targets)
-
     def candidates(self, problem: Problem, labels: Iterable[str], clock: Clock | None = None) -> Candidates:
         """The units that a plan may have of some labels; the problem must be one that this serves."""
         return Candidates(problem, self.closure, frozenset(labels), clock)

@@ -28,7 +28,7 @@ Stage = Callable[[Work], bool]
 def see_what_can_be_met(work: Work) -> bool:
     """Finish with reasons if some target can't be met, whatever runs."""
     standing, structure = work.standing, work.structure
-    if structure.meets_targets:
+    if len(structure.network.targets) == len(structure.environment.targets):
         standing.counts = structure.counts()
         standing.fewest_unused = structure.hopeless_required
         return False
@@ -71,7 +71,8 @@ def use_all_required(work: Work) -> bool:
 
 def decide_all(work: Work) -> bool:
     """Search without the solver where no landmarks are known yet."""
-    return work.is_new and (decide(work) or (work.clock.is_over() and work.standing.best is not None))
+    is_new = not work.memory.has_landmarks
+    return is_new and (decide(work) or (work.clock.is_over() and work.standing.best is not None))
 
 
 def raise_bound(work: Work) -> bool:

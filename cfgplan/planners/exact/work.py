@@ -54,11 +54,6 @@ class Left:
     def names(self) -> list[str]:
         return [self.network.labels[i] for i in self.labels.tolist()]
 
-    @property
-    def counts(self) -> dict[str, int]:
-        known = {} if self.bound is None else {"landmarks": len(self.bound.landmarks)}
-        return {**known, "left by bounds": len(self.labels)}
-
     def landmarks(self) -> list[tuple[list[str], int]]:
         """Short landmarks for plans that have no other labels, as (labels, number).
 
@@ -81,8 +76,6 @@ class Work:
     def __init__(self, standing: Standing, memory: Memory) -> None:
         self.standing, self.memory, self.structure = standing, memory, memory.structure
         self.problem, self.clock = standing.problem, standing.clock
-        self.is_new = not memory.has_landmarks
-        """Whether no landmarks are known yet."""
         self.closing: Closing | None = None
 
     def offer(self, plan: Collection[int]) -> None:
@@ -99,7 +92,9 @@ class Work:
         Raises OutOfTimeError if there is no plan to be offered.
         """
         standing, weighing = self.standing, left.weighing
-        standing.counts |= left.counts
+        standing.counts["left by bounds"] = len(left.labels)
+        if left.bound is not None:
+            standing.counts["landmarks"] = len(left.bound.landmarks)
         if left.holds_for != standing.holds_for:
             standing.holds_for, standing.bound_us = left.holds_for, 0
         standing.raise_bound(weighing.cost_us(left.value))
