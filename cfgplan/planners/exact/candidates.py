@@ -54,6 +54,10 @@ class Candidate:
     def hosts(self) -> tuple[HostName, ...]:
         return tuple(self.places)
 
+    def spare_on(self, host: HostName) -> ComputationUnit:
+        """The unit as a cold spare on a host."""
+        return ComputationUnit(self.id, self.transformation.label, host=host, standby=True)
+
     @cached_property
     def cost_us(self) -> int:
         """What it costs if it runs where it is cheapest."""

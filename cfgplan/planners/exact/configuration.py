@@ -73,19 +73,15 @@ class Configuration:
         self._grounded = Grounded(candidates, (), attribute)
 
     def units(self) -> list[ComputationUnit] | None:
-        """The lean configuration; None if hosts have no room or a failure can't be survived."""
+        """The lean configuration; None if hosts have no room, or a target can't be met or a failure be survived."""
         if not (self._bears_lost_units() and self._place(None)):
             return None
         if self.candidates.problem.survive is Failures.HOSTS and not self._bears_lost_hosts():
             return None
-        all_of, host_of = self.candidates.all, self._places.host_of
         running = self._places.units(self._grounded)
         if running is None:
             return None
-        cold = [
-            ComputationUnit(all_of[i].id, all_of[i].transformation.label, host=host_of[i], standby=True)
-            for i in sorted(self.cold)
-        ]
+        cold = [self.candidates.all[i].spare_on(self._places.host_of[i]) for i in sorted(self.cold)]
         each = partial(self.candidates.clock.each, at_once=1)
         return named(self.candidates, lean(self.candidates, [*running, *cold], each))
 

@@ -72,9 +72,8 @@ class _Decoding:
         return [*found.values(), *self._spares()]
 
     def _spares(self) -> list[ComputationUnit]:
-        all_of = self.candidates.all
         return [
-            ComputationUnit(all_of[i].id, all_of[i].transformation.label, host=host, standby=True)
+            self.candidates.all[i].spare_on(host)
             for i, places in self.model.waits_on.items()
             for host, waits in places.items()
             if waits.index in self.true
