@@ -40,7 +40,7 @@ def microseconds(seconds: Decimal | int) -> int:
     if not value.is_finite():
         raise InvalidValueError(f"{seconds} is not a finite number of seconds")
     if value < 0:
-        raise InvalidValueError(f"{seconds} is negative: a cost is at least 0")
+        raise InvalidValueError(f"{seconds} is negative: write a number of 0 or more")
     if value * MICROSECONDS > LARGEST_COST_US:
         raise InvalidValueError(f"{seconds} is too large: the limit is {LARGEST_COST_US // MICROSECONDS} seconds")
     if value != round(value, 6):

@@ -78,7 +78,8 @@ def known(name: str, names: Iterable[str], what: str, hint: str | None = None) -
     names = sorted(names)
     if name in names:
         return name
-    some = f"there are {len(names)}, such as {', '.join(names[:3])}" if names else None
+    few = f"write {' or '.join(names)}" if names else None
+    some = few if len(names) <= 3 else f"there are {len(names)}, such as {', '.join(names[:3])}"
     raise InputError.of(f"there is no {what} `{name}`", mend=did_you_mean(name, names, hint or some))
 
 

@@ -94,7 +94,7 @@ class ExpressionReader(ABC, Generic[Meaning]):
     def _operand(self) -> Meaning:
         self._depth += 1
         if self._depth > DEEPEST_EXPRESSION:
-            raise self._error(f"the {self.what} is nested more than {DEEPEST_EXPRESSION} deep")
+            raise self._error(f"the {self.what} is nested more than {DEEPEST_EXPRESSION} deep", "shorten it")
         token = self._tokens[self._at]
         if not token or token in NO_OPERAND:
             what = f"{self._written()!r} stands" if token else f"the {self.what} ends"
@@ -130,7 +130,7 @@ class ExpressionReader(ABC, Generic[Meaning]):
         found = self._tokens[self._at]
         if found != token:
             stands = f", not {self._written()!r}" if found else ""
-            raise self._error(f"{token!r} is wanted {purpose}{stands}")
+            raise self._error(f"{token!r} is wanted {purpose}{stands}", f"write {token} here")
         self._at += 1
 
     def _written(self) -> str:

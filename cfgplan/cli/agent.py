@@ -71,6 +71,9 @@ def reached(options: argparse.Namespace) -> Iterator[ReachedFleet | None]:
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan_runtime.fleet.agent import Agent
 
+    if not options.name or any(character in "/*$#?" for character in options.name):
+        mend = "write it as the file does under `hosts:`, without /, *, $, # and ?"
+        raise InputError.of(f"--name: {options.name!r} can't be the name of a host", mend=mend)
     certificates = None if options.certificates is None else Path(options.certificates)
     listen = options.listen or ["tcp/127.0.0.1:7447" if certificates is None else "tls/0.0.0.0:7447"]
     agent = Agent(

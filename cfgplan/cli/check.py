@@ -108,9 +108,10 @@ def _verdict(options: argparse.Namespace, world: World, broken: Sequence[WiringF
     )
     sure = [fault for fault in broken if fault.violation and not fault.violation.is_open]
     if options.against is not None:
-        what = "nothing new is wrong" if not broken else f"{counted(len(broken), 'rule')} violated that held"
-        since = f"{what} since {options.against}; {counted(gone, 'fault')} of then {'is' if gone == 1 else 'are'} gone"
-        return Text(f"{size}: {since}.", style="bold red" if broken else "bold green")
+        new = counted(len(broken), "rule") if broken else "no rule"
+        mended = f"; {counted(gone, 'fault is', 'faults are')} mended" if gone else ""
+        what = f"the running configuration violates {new} that held in {options.against}{mended}"
+        return Text(f"{size}: {what}.", style="bold red" if broken else "bold green")
     if sure:
         return Text(f"{size}: the running configuration violates {counted(len(sure), 'rule')}.", style="bold red")
     if broken:

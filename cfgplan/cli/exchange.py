@@ -33,7 +33,6 @@ def add_import(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--objective",
         choices=("services", "length"),
-        default="services",
         help="wsc: fewest services, or fewest among the compositions of the shortest length (services)",
     )
     shared.add_several(
@@ -54,18 +53,24 @@ def add_import(parser: argparse.ArgumentParser) -> None:
 def _import(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan import api
 
-    if options.what in ("ros1", "ros2"):
+    is_ros = options.what in ("ros1", "ros2")
+    given = {"--objective": options.objective and options.what != "wsc"}
+    given |= {"--guesses": options.guesses and not is_ros, "--works": options.works and not is_ros}
+    if foreign := [name for name, is_foreign in given.items() if is_foreign]:
+        raise InputError.of(f"{', '.join(foreign)}: not for `import {options.what}`", mend="leave it out")
+    _refuse_ending(options.out, "yaml")
+    if is_ros:
         return _import_ros(options, screen)
     path, *more = options.path
     if more:
         raise InputError.of("this is one path too many", file=more[0], mend="name one file or folder")
     if options.what == "xml":
-        shared.put(api.converted(Path(path), "yaml"), options.out, screen)
+        shared.put(api.converted(path, "yaml"), options.out, screen)
         return Exit.OK
     from cfgplan.formats.wsc_files import unread
 
     ontology = _beside(options.out, "a test set becomes two files, the environment and its ontology", ".ofn")
-    environment_text, ontology_text = api.converted_test_set(Path(path), options.objective, ontology.name)
+    environment_text, ontology_text = api.converted_test_set(path, options.objective or "services", ontology.name)
     shared.put(ontology_text, str(ontology), screen)
     shared.put(environment_text, options.out, screen)
     if dropped := unread(Path(path)):
@@ -78,6 +83,13 @@ def _beside(out: str | None, message: str, ending: str) -> Path:
     if out is None:
         raise InputError.of(message, mend="name the environment file with --out; the ontology is written beside it")
     return Path(out).with_suffix(ending)
+
+
+def _refuse_ending(out: str | None, kind: str) -> None:
+    """Raises InputError for a file whose ending would have it read as something else than an environment in `kind`."""
+    ending = "" if out is None else Path(out).suffix.lower()
+    if out is not None and (ending != ".xml" if kind == "xml" else ending in (".xml", ".json", ".ttl", ".ofn")):
+        raise InputError.of(f"this name does not end as {kind.upper()} does", file=out, mend=f"end it in .{kind}")
 
 
 def _import_ros(options: argparse.Namespace, screen: Screen) -> Exit:
@@ -132,13 +144,16 @@ def _export(options: argparse.Namespace, screen: Screen) -> Exit:
     if options.what != "launch" and (options.plan or options.only or options.host):
         raise InputError.of("--plan, --only and --host say what to launch", mend="write `cfgplan export launch ENV`")
     if options.what == "schema":
+        if options.env is not None:
+            raise InputError.of("the schema is the same for all files", file=options.env, mend="leave the file out")
         shared.put(api.schema_text(), options.out, screen)
         return Exit.OK
     if options.env is None:
         raise InputError.of("no environment file is named", mend=f"write `cfgplan export {options.what} ENV`")
     if options.what == "launch":
         return _export_launch(options, screen)
-    shared.put(api.converted(Path(options.env), options.what), options.out, screen)
+    _refuse_ending(options.out, options.what)
+    shared.put(api.converted(options.env, options.what), options.out, screen)
     return Exit.OK
 
 

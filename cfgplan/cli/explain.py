@@ -138,7 +138,7 @@ def _subject(name: str, before: Environment, after: Environment) -> tuple[Subjec
 def _stream(name: str, after: Environment) -> tuple[Subject, str]:
     unit, _, port = name.rpartition("/")
     running = after.unit.get(unit)
-    return "stream", f"{running.transformation if running else unit}/{port}"
+    return "stream", f"{running.transformation}/{port}" if running else name
 
 
 MOST_LINES = 30

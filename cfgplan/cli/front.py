@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import OF_STATUS, Exit
 from cfgplan.cli.screen import Screen, counted
-from cfgplan.domain import ChangeSet
+from cfgplan.domain import ChangeSet, Environment
 from cfgplan.errors import InputError
 from cfgplan.planning import Problem, Status
 from cfgplan.qualities import Better, units
@@ -38,7 +38,7 @@ def show_front(options: argparse.Namespace, screen: Screen, task: shared.Task) -
     """Compute the front and show it; exit code 0 only if it is complete."""
     from cfgplan import answers
 
-    target, attribute = _asked(options.front, task.problem)
+    target, attribute = _asked(options.front, task.problem.environment, options.env)
     with task.planned(screen):
         found = answers.front(task.problem, target, attribute, **task.planning)
     if screen.json:
@@ -52,28 +52,19 @@ def show_front(options: argparse.Namespace, screen: Screen, task: shared.Task) -
     return Exit.OK if found.complete else Exit.NOT_PROVEN
 
 
-def _asked(text: str, problem: Problem) -> tuple[str, str]:
-    """The target and attribute that are meant. Raises InputError."""
-    environment = problem.environment
-    label, _, name = text.rpartition(":")
-    targets = [label] if label else [target.label for target in environment.targets]
-    names = [name] if name else [attribute.name for attribute in environment.qualities]
-    pairs = [
-        (target, attribute)
-        for target in targets
-        for attribute in names
-        if target in environment.target and attribute in environment.quality
-    ]
-    asked = [(t, a) for t, a in pairs if any(wish.attribute == a for wish in environment.target[t].quality)]
-    if len(pairs) != 1 and len(asked) == 1:
-        return asked[0]
-    if len(pairs) == 1:
-        return pairs[0]
+def _asked(text: str, environment: Environment, env: str) -> tuple[str, str]:
+    """The target and attribute that are meant: the only pair that fits, or that is asked for. Raises InputError."""
     if not environment.qualities:
-        raise InputError.of("no quality attribute is declared", mend="declare one under `qualities:`")
-    known = [f"{t.label}:{a.name}" for t in environment.stream_targets for a in environment.qualities]
-    message = "several targets and attributes could be meant" if pairs else f"there is no {text!r}"
-    raise InputError.of(message, mend=f"write --front with one of {', '.join(known)}")
+        raise InputError.of("no quality attribute is declared", file=env, mend="declare one under `qualities:`")
+    label, _, name = text.rpartition(":")
+    known = [(target, attribute.name) for target in environment.stream_targets for attribute in environment.qualities]
+    fitting = [(t, a) for t, a in known if label in ("", t.label) and name in ("", a)]
+    asked = [(t, a) for t, a in fitting if any(wish.attribute == a for wish in t.quality)]
+    for pairs in (fitting, asked):
+        if len(pairs) == 1:
+            return pairs[0][0].label, pairs[0][1]
+    message = "several targets and attributes could be meant" if fitting else f"there is no {text!r}"
+    raise InputError.of(message, mend=f"write --front with one of {', '.join(f'{t.label}:{a}' for t, a in known)}")
 
 
 def _show(screen: Screen, problem: Problem, found: Front) -> None:

@@ -65,6 +65,6 @@ def _kind_of(out: str | None) -> str:
         return "svg"
     ending = Path(out).suffix.lower()
     if ending not in _ENDINGS:
-        known = ", ".join(_ENDINGS)
-        raise InputError.of(f"no picture format ends in {ending!r}", file=out, mend=f"use one of {known}, or --format")
+        what = f"no picture format ends in {ending!r}" if ending else "no ending says the format of the picture"
+        raise InputError.of(what, file=out, mend=f"end it in one of {', '.join(_ENDINGS)}, or add --format")
     return _ENDINGS[ending]

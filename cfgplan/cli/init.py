@@ -30,12 +30,13 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError.of(f"this folder can't be made: {error.strerror}", file=options.folder) from None
+        mend = "name a folder that is there, or can be made"
+        raise InputError.of(f"this folder can't be made: {error.strerror}", file=options.folder, mend=mend) from None
     for path in start:
         api.write_file(folder / path.name, path.read_bytes())
     env = folder / "env.yaml"
     screen.write(
-        f"Wrote {', '.join(path.name for path in start)} to {folder}. Next:\n"
+        f"Wrote {', '.join(str(folder / path.name) for path in start)}. Next:\n"
         f"  cfgplan solve {env}\n"
         f"  cfgplan solve {env} --without thermometer\n"
         f"  cfgplan run {env}          and in another terminal: cfgplan listen /fire\n"

@@ -119,8 +119,9 @@ def _tell(error: CfgplanError | ModuleNotFoundError, screen: Screen, env: str | 
         case ModuleNotFoundError():
             screen.faults([Fault(f"the package {error.name} is not installed", mend=install(error.name or ""))])
         case _:
-            mend = "CFGPLAN_TRACEBACK=1 shows where" if isinstance(error, OwnPlannerError) else None
-            screen.faults([Fault(str(error), file=env, mend=mend)])
+            is_own = isinstance(error, OwnPlannerError)
+            mend = "CFGPLAN_TRACEBACK=1 shows where" if is_own else None
+            screen.faults([Fault(str(error), file=None if is_own else env, mend=mend)])
 
 
 def _interrupted(ending: Ending) -> Exit:

@@ -125,7 +125,7 @@ def load(options: argparse.Namespace, screen: Screen) -> api.World:
     from cfgplan import api
 
     with screen.phase("load"):
-        world = api.load(Path(options.env), also=getattr(options, "also", ()))
+        world = api.load(options.env, also=getattr(options, "also", ()))
         without, settings = getattr(options, "without", ()), dict(getattr(options, "settings", ()))
         return api.what_if(world, without=without, settings=settings) if without or settings else world
 

@@ -136,9 +136,10 @@ def _read(options: argparse.Namespace, screen: Screen, known: DeclaredFeatures) 
         return query(options.formula, known, timing)
     except InputError as error:
         if not screen.json and "\n" not in options.formula:
-            for fault in error.faults:
-                if fault.file == FILE and fault.column is not None:
-                    screen.note(f"  {options.formula}\n  {' ' * (fault.column - 1)}^", style="")
+            marked = {fault.column for fault in error.faults if fault.file == FILE and fault.column is not None}
+            if marked:
+                marks = "".join("^" if column in marked else " " for column in range(1, max(marked) + 1))
+                screen.note(f"  {options.formula}\n  {marks}", style="")
         raise
 
 

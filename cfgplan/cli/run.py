@@ -155,7 +155,7 @@ def _check_can_start(world: World) -> None:
     library = world.environment.library
     if world.environment.targets and library and not any(transformation.source for transformation in library):
         labels = some((transformation.label for transformation in library), 4)
-        message = f"nothing can be started: {labels} are left out, since none names its unit code"
+        message = f"nothing can be started: no transformation names its unit code ({labels})"
         mend = "add `source: units.py:Class` to them, or plan with `solve`"
         raise InputError.of(message, file=str(world.file.path) if world.file else None, mend=mend)
 

@@ -51,6 +51,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         screen.show_json({**vars(found), "breaks": found.breaks, "here": here})
     else:
         screen.show(sensitivity_text(found))
+        if task.problem.max_cost_us is not None:
+            screen.note("The largest cost is left out: it may forbid a plan, but makes no other one cheaper.")
     if not found.spans:
         return Exit.NO_PLAN if found.exact else Exit.NO_ANSWER
     if options.out:

@@ -10,7 +10,7 @@ from typing import Any
 
 from cfgplan.costs import horizon_s, microseconds
 from cfgplan.domain import Environment, OutputPort, Similarity, Target
-from cfgplan.errors import Fault, InputError, InvalidValueError, did_you_mean, known
+from cfgplan.errors import Fault, InputError, InvalidValueError, known
 from cfgplan.planning import Problem
 
 _TRUTH = {"true": True, "yes": True, "false": False, "no": False}
@@ -32,11 +32,12 @@ def without(environment: Environment, names: Collection[str]) -> Environment:
     A unit that is gone leaves gaps in those that it fed, as one that has died. Raises InputError.
     """
     there = {*environment.transformation, *environment.unit, *environment.target}
-    faults = [
-        Fault(f"there is no transformation, unit or target `{name}`", key="--without", mend=did_you_mean(name, there))
-        for name in names
-        if name not in there
-    ]
+    faults = list[Fault]()
+    for name in names:
+        try:
+            known(name, there, "transformation, unit or target")
+        except InputError as error:
+            faults += (replace(fault, key="--without") for fault in error.faults)
     if faults:
         raise InputError(faults)
     return replace(

@@ -93,6 +93,8 @@ def read_document(path: str | os.PathLike[str], also: Sequence[str | os.PathLike
     Faults are collected in the document, for `build` to report together with those it finds;
     InputError is raised only where there is nothing to go on with: a file that can't be read or parsed.
     """
+    if not os.fspath(path):
+        raise InputError.of("the name of the environment file is empty", mend="name a file")
     with no_garbage_collection():
         document = _read_document(FilePath(path))
         there = {_identity(document.path), *(_identity(FilePath(file.source.file)) for file in document.files)}
@@ -220,7 +222,9 @@ def _included(main: FilePath, source: Source, names: list[str]) -> tuple[list[Fi
             faults.append(source.fault(("include", index), f"the folder {name} has no environment files", mend))
         for member in members:
             if _identity(member) in seen:
-                faults.append(source.fault(("include", index), f"{member} is included twice", "remove one entry"))
+                itself = _identity(member) == _identity(main)
+                what = f"{member} is this file itself" if itself else f"{member} is included twice"
+                faults.append(source.fault(("include", index), what, "remove this entry"))
                 continue
             seen.add(_identity(member))
             try:

@@ -42,7 +42,8 @@ def read_bytes(path: Path) -> bytes:
         with path.open("rb") as stream:
             content = stream.read(LARGEST_FILE_BYTES + 1)
     except FileNotFoundError:
-        raise InputError.of("there is no such file", file=name, mend="check the path") from None
+        mend = "name /dev/stdin for standard input" if name == "-" else "check the path"
+        raise InputError.of("there is no such file", file=name, mend=mend) from None
     except IsADirectoryError:
         raise InputError.of("this is a folder, not a file", file=name, mend="name the file in it") from None
     except PermissionError:

@@ -60,9 +60,11 @@ def _fault(source: Source, path: Path, at_key: bool, error: Any, part: type[Base
         mend = f"add `format: {FORMAT}` here" if path == ("format",) else f"add `{path[-1]}:` here"
         return source.fault(path[:-1], f"the key `{path[-1]}` is missing", mend)
     if kind == "literal_error":
-        return source.fault(
-            path, f"`{path[-1]}` is {_shown(value)}", f"this cfgplan reads `{path[-1]}: {_bare(error)}`"
-        )
+        wanted = str(error["ctx"]["expected"]).replace("'", "")
+        if str(path[-1]).startswith("format"):
+            return source.fault(path, f"`{path[-1]}` is {_shown(value)}", f"this cfgplan reads `{path[-1]}: {wanted}`")
+        wanted += " or a mapping" if error["loc"][-1] == SHORT_FORM else ""
+        return source.fault(path, f"this must be {wanted}, but is {_described(value)}", "write one of these")
     if kind == "model_type" and error["loc"][-1:] == (FULL_FORM,):
         short = "a tag" if path[-2] in ("inputs", "outputs") else "a number"
         message = f"this must be {short} or a mapping, but is {_described(value)}"
@@ -77,7 +79,7 @@ def _fault(source: Source, path: Path, at_key: bool, error: Any, part: type[Base
         return source.fault(path, "the tag is empty", "write a concept, such as `Image`")
     if kind in ("too_short", "too_long"):
         wanted = error["ctx"].get("min_length", error["ctx"].get("max_length"))
-        return source.fault(path, f"there are {error['ctx']['actual_length']} here", f"write {wanted}")
+        return source.fault(path, f"this must be a list of {wanted}, but has {error['ctx']['actual_length']}")
     if kind in ("greater_than_equal", "less_than_equal"):
         limit = error["ctx"].get("ge", error["ctx"].get("le"))
         side = "at least" if kind == "greater_than_equal" else "at most"
@@ -155,10 +157,6 @@ def _described(value: object) -> str:
     if isinstance(value, str):
         return f"the text {_shown(value)}"
     return "a mapping" if isinstance(value, dict) else "a list"
-
-
-def _bare(error: Any) -> str:
-    return str(error["ctx"]["expected"]).replace("'", "")
 
 
 def _shown(value: object) -> str:

@@ -170,11 +170,11 @@ class Ontology:
 
     def _unknown(self, name: str, vocabularies: Sequence[NameTable]) -> UnknownNameError:
         wanted = " or ".join(vocabulary.what for vocabulary in vocabularies)
-        others = (self.class_names, self.individual_names, self.property_names)
-        for other in others:
+        known = sorted(short for vocabulary in vocabularies for short in vocabulary.by_short_name)
+        for other in (self.class_names, self.individual_names, self.property_names):
             if other not in vocabularies and other.find(name) is not None:
-                return UnknownNameError(f"{name!r} is {_article(other.what)}, but {_article(wanted)} is wanted here")
-        known = [short for vocabulary in vocabularies for short in vocabulary.by_short_name]
+                message = f"{name!r} is {_article(other.what)}, but {_article(wanted)} is wanted here"
+                return UnknownNameError(message, f"write one, such as {', '.join(known[:3])}" if known else None)
         mend = did_you_mean(name, known, "declare it in the ontology")
         return UnknownNameError(f"the ontology has no {wanted} {name!r}", mend)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Final
 
 from cfgplan.domain import Similarity
@@ -348,5 +349,6 @@ class Matcher:
         )
 
     def _input_error(self, error: MatchingError) -> InputError:
-        file = str(self._ontology.files[0]) if self._ontology.files else None
+        here, files = Path.cwd(), self._ontology.files
+        file = str(files[0].relative_to(here) if files[0].is_relative_to(here) else files[0]) if files else None
         return InputError([Fault(self._ontology.shortened(error.message), file=file, mend=error.mend)])

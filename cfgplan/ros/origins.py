@@ -29,6 +29,8 @@ def ros1_graph(sources: Sequence[str]) -> RosGraph:
     Raises InputError for what is no source of ROS 1.
     """
     pairs = [source.partition(_ASSIGNS)[::2] for source in sources if _ASSIGNS in source]
+    if len(pairs) == len(sources):
+        raise InputError.of("there are arguments, but no launch file", mend=f"name {ROS1_SOURCES}")
     return merged([_ros1(source, dict(pairs)) for source in sources if _ASSIGNS not in source])
 
 

@@ -175,7 +175,9 @@ def node_units(environment: Environment) -> Iterator[NodeUnit]:
             source = NodeSource.read(transformation.source)
             if source is None or source.kind == "nodelet":
                 mend = "write node:PACKAGE/EXECUTABLE, node:./FILE, component:PACKAGE/PLUGIN or external:/NAME"
-                raise InputError.of(f"{unit.id}: `{transformation.source}` is no node of ROS 2", mend=mend)
+                said = transformation.source
+                what = f"`{said}` is no node of ROS 2" if said else f"{transformation.label} has no `source`"
+                raise InputError.of(f"{unit.id}: {what}", mend=mend)
             name = source.name if source.kind == "external" else f"/{word(unit.id)}"
             if name in taken:
                 mend = "give one of their transformations another label"

@@ -60,5 +60,5 @@ def ros_domain(given: int | None = None) -> int:
 
 
 def first_line(error: Exception) -> str:
-    """What Zenoh says is wrong, without what its own developers want to know."""
-    return str(error).strip().partition("\n")[0]
+    """What Zenoh says is wrong, without where in its own code it was noticed."""
+    return str(error).strip().partition("\n")[0].partition(" at /")[0]

@@ -141,5 +141,5 @@ def test_a_run_of_what_has_no_unit_code_says_so_once(run: Run) -> None:
     result = run("run", MODELS / "building" / "office.yaml", "--for", "1s")
     assert result.code == 30
     assert "nothing can be started" in result.err
-    assert "left out, since none names its unit code" in result.err
+    assert "no transformation names its unit code" in result.err
     assert "no output matches" not in result.err + result.out

@@ -178,10 +178,10 @@ def test_against_the_graph_before_a_change_only_what_is_new_is_shown(
     out = capsys.readouterr().out
     assert "fed: input scan_raw of unit mover.1 has no subscription\n    nearest: lidar.1/scan gives" in out
     assert "nowhere" not in out
-    assert f"1 rule violated that held since {before}; 0 faults of then are gone" in out
+    assert f"violates 1 rule that held in {before}." in out
 
     assert main(["check", str(before), "--against", str(after)]) == 0
-    assert f"nothing new is wrong since {after}; 1 fault of then is gone" in capsys.readouterr().out
+    assert f"violates no rule that held in {after}; 1 fault is mended." in capsys.readouterr().out
 
     assert main(["check", str(after), "--against", str(before), "--json"]) == 1
     document = json.loads(capsys.readouterr().out)

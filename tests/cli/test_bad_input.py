@@ -1,0 +1,80 @@
+"""What a user can write that is wrong: the screen names what, where and how to mend it, and no traceback reaches it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from command import Run
+
+LIBRARY = "transformations: [{label: a, outputs: {o: X}}]\ntargets: [{label: t, topic: /t, tag: X}]\n"
+PREFIXES = "@prefix : <x:> . @prefix owl: <http://www.w3.org/2002/07/owl#> ."
+
+
+@pytest.fixture
+def env(write: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A small environment, in the folder where commands are called."""
+    path = write(LIBRARY)
+    monkeypatch.chdir(path.parent)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("command", "message", "mend"),
+    [
+        ("solve -", "error: -: there is no such file", "name /dev/stdin for standard input"),
+        ("solve ENV --without b", "--without: there is no transformation, unit or target `b`", "write a or t"),
+        ("solve ENV --front", "error: env.yaml: no quality attribute is declared", "declare one under `qualities:`"),
+        ("solve ENV --max-cost -1", "-1 is negative: write a number of 0 or more", "cfgplan solve --help"),
+        ("solve ENV --planner os:getcwd", "error: the planner os:getcwd failed", "CFGPLAN_TRACEBACK=1 shows where"),
+        ("explain ENV --stream o", "there is no output `o`", "write a/o"),
+        ("graph ENV --out picture", "no ending says the format of the picture", "end it in one of .svg"),
+        ("export schema ENV", "the schema is the same for all files", "leave the file out"),
+        ("export yaml ENV --out new.json", "new.json: this name does not end as YAML does", "end it in .yaml"),
+        ("export xml ENV --out new.yaml", "new.yaml: this name does not end as XML does", "end it in .xml"),
+        ("export launch ENV", "a.1: a has no `source`", "write node:PACKAGE/EXECUTABLE"),
+        ("import xml ENV --works", "--works: not for `import xml`", "leave it out"),
+        ("import ros1 live --objective length --out new.yaml", "--objective: not for `import ros1`", "leave it out"),
+        ("import ros1 robot.launch --out new.ttl", "new.ttl: this name does not end as YAML does", "end it in .yaml"),
+        ("import ros1 sim:=true --out new.yaml", "there are arguments, but no launch file", "name `live`"),
+        ("init env.yaml", "env.yaml: this folder can't be made", "name a folder that is there, or can be made"),
+        ("agent --name a/b", "--name: 'a/b' can't be the name of a host", "without /"),
+    ],
+)
+def test_a_command_that_is_wrong_says_what_and_how_to_mend_it(
+    run: Run, env: Path, command: str, message: str, mend: str
+) -> None:
+    code, _, err = run(*(env.name if word == "ENV" else word for word in command.split()))
+    assert code == 30
+    assert message in err
+    assert mend in err
+
+
+@pytest.mark.usefixtures("env")
+def test_the_name_of_no_file_and_of_no_host_is_bad_input(run: Run) -> None:
+    assert run("solve", "") == (30, "", "error: the name of the environment file is empty\n       name a file\n")
+    assert run("agent", "--name", "").code == 30
+
+
+def test_a_name_that_stands_for_something_else_is_told_what_may_stand_there(run: Run, env: Path) -> None:
+    Path("house.ttl").write_text(f"{PREFIXES} :X a owl:Class . :i a :X .")
+    env.write_text("format: cfgplan/1\nontology: house.ttl\n" + LIBRARY.replace("o: X", "o: '{X}'"))
+    assert "'X' is a class, but an individual is wanted here\n       write one, such as i" in run("check", env).err
+
+
+def test_an_ontology_that_contradicts_itself_is_named_as_from_here(run: Run, env: Path) -> None:
+    Path("house.ttl").write_text(f"{PREFIXES} :X a owl:Class ; owl:disjointWith :Y . :i a :X , :Y .")
+    env.write_text("format: cfgplan/1\nontology: house.ttl\n" + LIBRARY)
+    assert run("check", env.name).err.startswith("error: house.ttl: the ontology contradicts itself")
+
+
+def test_sensitivity_says_that_it_leaves_the_largest_cost_out(run: Run, env: Path) -> None:
+    assert "The largest cost is left out" in run("sensitivity", env, "--max-cost", "0.5").err
+    assert "largest cost" not in run("sensitivity", env).err
+
+
+def test_a_new_environment_is_named_with_its_folder(run: Run, env: Path) -> None:
+    env.unlink()
+    assert run("init").out.startswith("Wrote env.yaml, kitchen.ttl, units.py. Next:")
+    assert run("init", "other").out.startswith("Wrote other/env.yaml, ")
