@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from cfgplan import validity
 from cfgplan.domain import ENVIRONMENT_HEADS, Environment, Similarity, environment_rows
@@ -203,14 +203,9 @@ def explain_match(
     return explain(offered, demanded, world.ontology, reasoner=reasoner, time_limit_s=time_limit_s)
 
 
-def nearest_offers(
-    world: World, demanded: str, *, reasoner: str = "auto", time_limit_s: float | None = None
-) -> tuple[Nearest, ...]:
-    """The offered tags of the library that come nearest to a demanded tag, and what each lacks."""
-    from cfgplan.matching import nearest_offers as nearest
-
-    offered, _ = _tags(world.environment)
-    return nearest(demanded, offered, world.ontology, reasoner=reasoner, time_limit_s=time_limit_s)
+def nearest_offers(world: World, demanded: str, **reasoning: Any) -> tuple[Nearest, ...]:
+    """The three offered tags of the library that come nearest to a demanded tag; `reasoning` is as of `near_offers`."""
+    return near_offers(world, [demanded], **reasoning)[demanded][:3]
 
 
 def near_offers(

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from cfgplan.matching.explanation import Nearest as Nearest
     from cfgplan.matching.explanation import explain_match as explain_match
     from cfgplan.matching.explanation import near_offers as near_offers
-    from cfgplan.matching.explanation import nearest_offers as nearest_offers
     from cfgplan.matching.faults import InconsistentOntologyError as InconsistentOntologyError
     from cfgplan.matching.faults import ReasonerError as ReasonerError
     from cfgplan.matching.faults import ReasonerTimeoutError as ReasonerTimeoutError
@@ -35,7 +34,7 @@ if TYPE_CHECKING:
 __all__, __getattr__, __dir__ = exports(
     __name__,
     {
-        "explanation": "MatchExplanation Nearest explain_match near_offers nearest_offers",
+        "explanation": "MatchExplanation Nearest explain_match near_offers",
         "faults": "InconsistentOntologyError ReasonerError ReasonerTimeoutError",
         "ontology_files": "load_ontology read_owlready",
         "matrix": "Matches check_tag instances match",

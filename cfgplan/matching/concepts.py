@@ -154,14 +154,11 @@ def in_description_logic(concept: Concept, name: Callable[[str], str]) -> str:
         case Intersection(parts) | Union(parts):
             sign = " ⊓ " if isinstance(concept, Intersection) else " ⊔ "
             return sign.join(sorted((_operand(part, name) for part in parts), key=_names_first))
-        case Some(role, filler):
-            return f"∃{name(role)}.{_operand(filler, name)}"
-        case Only(role, filler):
-            return f"∀{name(role)}.{_operand(filler, name)}"
-        case AtLeast(number, role, filler):
-            return f"≥{number} {name(role)}.{_operand(filler, name)}"
-        case AtMost(number, role, filler):
-            return f"≤{number} {name(role)}.{_operand(filler, name)}"
+        case Some(role, filler) | Only(role, filler):
+            return f"{'∃' if isinstance(concept, Some) else '∀'}{name(role)}.{_operand(filler, name)}"
+        case AtLeast(number, role, filler) | AtMost(number, role, filler):
+            sign = "≥" if isinstance(concept, AtLeast) else "≤"
+            return f"{sign}{number} {name(role)}.{_operand(filler, name)}"
 
 
 def in_functional_syntax(concept: Concept) -> str:
@@ -173,18 +170,15 @@ def in_functional_syntax(concept: Concept) -> str:
             return f"ObjectOneOf(<{iri}>)"
         case Complement(part):
             return f"ObjectComplementOf({in_functional_syntax(part)})"
-        case Intersection(parts):
-            return f"ObjectIntersectionOf({' '.join(sorted(map(in_functional_syntax, parts)))})"
-        case Union(parts):
-            return f"ObjectUnionOf({' '.join(sorted(map(in_functional_syntax, parts)))})"
-        case Some(role, filler):
-            return f"ObjectSomeValuesFrom(<{role}> {in_functional_syntax(filler)})"
-        case Only(role, filler):
-            return f"ObjectAllValuesFrom(<{role}> {in_functional_syntax(filler)})"
-        case AtLeast(number, role, filler):
-            return f"ObjectMinCardinality({number} <{role}> {in_functional_syntax(filler)})"
-        case AtMost(number, role, filler):
-            return f"ObjectMaxCardinality({number} <{role}> {in_functional_syntax(filler)})"
+        case Intersection(parts) | Union(parts):
+            keyword = f"Object{type(concept).__name__}Of"
+            return f"{keyword}({' '.join(sorted(map(in_functional_syntax, parts)))})"
+        case Some(role, filler) | Only(role, filler):
+            keyword = "ObjectSomeValuesFrom" if isinstance(concept, Some) else "ObjectAllValuesFrom"
+            return f"{keyword}(<{role}> {in_functional_syntax(filler)})"
+        case AtLeast(number, role, filler) | AtMost(number, role, filler):
+            keyword = "ObjectMinCardinality" if isinstance(concept, AtLeast) else "ObjectMaxCardinality"
+            return f"{keyword}({number} <{role}> {in_functional_syntax(filler)})"
 
 
 def _operand(concept: Concept, name: Callable[[str], str]) -> str:

@@ -161,11 +161,14 @@ class _Model:
         """
         for name in sorted(Signature([("SubClassOf", tree)]).individuals):
             self.individual(name)
-        parts = tree[1:] if isinstance(tree, tuple) and tree[0] == "ObjectIntersectionOf" else (tree,)
-        named = [part for part in parts if isinstance(part, tuple) and part[0] == "ObjectOneOf" and len(part) == 2]
-        thing = self.individual(str(named[0][1])) if named else self._thing(0)
+        thing = self._called(tree, 0)
         self.require({thing}, tree)
         return thing
+
+    def _called(self, tree: Tree, level: int) -> int:
+        """The individual that an expression names, if it does, else a new thing of a level."""
+        names = [str(part[1]) for part in _conjuncts(tree) if _names_one(part)]
+        return self.individual(names[0]) if names else self._thing(level)
 
     def saturate(self) -> None:
         """Apply all rules until nothing changes. Raises _OutOfTimeError."""
@@ -259,14 +262,11 @@ class _Model:
         key = (role, filler, number, level)
         known = self._needed.get(key)
         if known is None:
-            parts = filler[1:] if isinstance(filler, tuple) and filler[0] == "ObjectIntersectionOf" else (filler,)
-            named = [part for part in parts if isinstance(part, tuple) and part[0] == "ObjectOneOf" and len(part) == 2]
-            known = self.individual(str(named[0][1])) if named else self._thing(level)
-            self._needed[key] = known
-            for part in parts:
+            known = self._needed[key] = self._called(filler, level)
+            for part in _conjuncts(filler):
                 if isinstance(part, str) or part[0] not in ("ObjectUnionOf", "ObjectOneOf", "ObjectMaxCardinality"):
                     self.require({known}, part)
-                elif part not in named:
+                elif not _names_one(part):
                     self._mark({known}, part)
         return self.find(known)
 
@@ -402,7 +402,9 @@ class Countermodels:
             raise _OutOfTimeError
         self._builds_left -= 1
         model = _Model(self._program, turn, deadline)
-        things = {concept: model.new(_both(tree_of(concept), besides)) for concept in group}
+        things = {
+            concept: model.new(("ObjectIntersectionOf", *_conjuncts(tree_of(concept)), *besides)) for concept in group
+        }
         model.saturate()
         if model.prune():
             structure = model.structure
@@ -429,9 +431,14 @@ def tree_of(concept: Concept) -> Tree:
     return parse(in_functional_syntax(concept))
 
 
-def _both(tree: Tree, besides: Collection[Tree]) -> Tree:
-    parts = tree[1:] if isinstance(tree, tuple) and tree[0] == "ObjectIntersectionOf" else (tree,)
-    return ("ObjectIntersectionOf", *parts, *besides) if besides else tree
+def _conjuncts(tree: Tree) -> tuple[Tree, ...]:
+    """The parts of a conjunction; of any other expression itself."""
+    return tree[1:] if isinstance(tree, tuple) and tree[0] == "ObjectIntersectionOf" else (tree,)
+
+
+def _names_one(tree: Tree) -> bool:
+    """Whether an expression is a single individual."""
+    return isinstance(tree, tuple) and tree[0] == "ObjectOneOf" and len(tree) == 2
 
 
 def _says_not(concept: Concept) -> bool:

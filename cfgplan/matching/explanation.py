@@ -89,23 +89,6 @@ def explain_match(
     )
 
 
-def nearest_offers(
-    demanded_tag: str,
-    offered_tags: Collection[str],
-    ontology: Ontology,
-    k: int = 3,
-    *,
-    reasoner: str = "auto",
-    time_limit_s: float | None = None,
-) -> tuple[Nearest, ...]:
-    """The `k` offered tags that lack the fewest conjuncts of a demanded one, fewest first. Raises as `match`.
-
-    Among those that lack as many, fewer undecided conjuncts go first. What lacks all of them is not near.
-    """
-    near = near_offers([demanded_tag], offered_tags, ontology, reasoner=reasoner, time_limit_s=time_limit_s)
-    return near[demanded_tag][:k]
-
-
 def near_offers(
     demanded_tags: Collection[str],
     offered_tags: Collection[str],
@@ -114,7 +97,11 @@ def near_offers(
     reasoner: str = "auto",
     time_limit_s: float | None = None,
 ) -> dict[str, tuple[Nearest, ...]]:
-    """For each of some demanded tags all offered ones that come near, in the order of `nearest_offers`."""
+    """For each of some demanded tags the offered ones that come near: those that lack the fewest conjuncts first.
+
+    Among those that lack as many, fewer undecided conjuncts go first. What lacks all of them is not near. Raises as
+    `match`.
+    """
     parts = {tag: conjuncts(parse_tag(tag, ontology), ontology) for tag in demanded_tags}
     every = {part for of_tag in parts.values() for part in of_tag}
     similarity = match(offered_tags, every, ontology, reasoner=reasoner, time_limit_s=time_limit_s).similarity

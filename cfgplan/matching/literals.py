@@ -16,6 +16,7 @@ from typing import Final
 from cfgplan.matching.axioms import LITERAL, Subvalue, statements_of
 from cfgplan.matching.functional import Tree, leaves, parse
 from cfgplan.matching.names import short_name
+from cfgplan.onward import reached
 
 XSD: Final = "http://www.w3.org/2001/XMLSchema#"
 _DECIMAL: Final = r"(?a:[+-]?(\d+(\.\d*)?|\.\d+))"
@@ -213,9 +214,4 @@ def above_of(trees: Iterable[Tree]) -> Mapping[Tree, set[Tree]]:
 
 def reached_from(name: Tree, above: Mapping[Tree, set[Tree]]) -> set[Tree]:
     """A data property and all above it."""
-    reached, waiting = {name}, [name]
-    while waiting:
-        news = above.get(waiting.pop(), set()) - reached
-        reached |= news
-        waiting += news
-    return reached
+    return {*reached((name,), lambda below: above.get(below, ()))}

@@ -16,6 +16,7 @@ from cfgplan.errors import UnknownNameError, did_you_mean
 from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI, Concept, in_functional_syntax
 from cfgplan.matching.functional import Signature
 from cfgplan.matching.ontology import Ontology
+from cfgplan.onward import reached
 
 
 class Reference(Protocol):
@@ -83,24 +84,13 @@ def classify(
     above: defaultdict[str, set[str]] = defaultdict(set)
     for lower, upper in reference.classify(document, time_limit_s=time_limit_s):
         above[lower].add(upper)
-    everything = _reached(THING_IRI, above)
-    reached = {concept: everything | _reached(_tag_iri(number[concept]), above) for concept in offered}
-    impossible = frozenset(concept for concept in offered if NOTHING_IRI in reached[concept])
+    classes = {concept: {*reached((THING_IRI, _tag_iri(number[concept])), above.__getitem__)} for concept in offered}
+    impossible = frozenset(concept for concept in offered if NOTHING_IRI in classes[concept])
     possible = [concept for concept in offered if concept not in impossible]
     return impossible, {
-        wanted: frozenset(concept for concept in possible if _tag_iri(number[wanted]) in reached[concept])
+        wanted: frozenset(concept for concept in possible if _tag_iri(number[wanted]) in classes[concept])
         for wanted in demanded
     }
-
-
-def _reached(start: str, above: Mapping[str, Collection[str]]) -> set[str]:
-    """A class and all that is above it."""
-    reached, waiting = {start}, [start]
-    while waiting:
-        news = {*above.get(waiting.pop(), ())} - reached
-        reached |= news
-        waiting += news
-    return reached
 
 
 def satisfiable(

@@ -12,6 +12,7 @@ from typing import Final
 
 from cfgplan.matching.concepts import BOTTOM, TOP, Concept, Intersection, Nominal, Some, Union
 from cfgplan.matching.translation import Inclusion, Translation
+from cfgplan.onward import reached
 
 TOP_ATOM: Final = 0
 BOTTOM_ATOM: Final = 1
@@ -161,19 +162,14 @@ class Rules:
 
     def _close_roles(self) -> None:
         for role in range(len(self.role_names)):
-            reached, waiting = {role}, [role]
-            while waiting:
-                below = waiting.pop()
-                news = self._direct_supers[below] - reached
-                reached |= news
-                waiting += news
-                for upper in news:
+            supers = reached((role,), self._direct_supers.__getitem__)
+            for below in supers:
+                for upper in self._direct_supers[below]:
                     self.origin.setdefault(("role", role, upper), self.origin["role", below, upper])
-            self.supers[role] = frozenset(reached)
-            self.ranges[role] = frozenset(atom for upper in reached for atom in self._direct_ranges[upper])
-            for upper in reached:
-                for atom in self._direct_ranges[upper]:
-                    self.origin.setdefault(("range", role, atom), self.origin["range", upper, atom])
+                for atom in self._direct_ranges[below]:
+                    self.origin.setdefault(("range", role, atom), self.origin["range", below, atom])
+            self.supers[role] = frozenset(supers)
+            self.ranges[role] = frozenset(atom for upper in supers for atom in self._direct_ranges[upper])
 
     def _chain_that_breaks_a_range(self) -> str | None:
         """The axiom of a chain whose last role lacks the chain's range, which OWL EL forbids; None if there is none."""

@@ -27,6 +27,7 @@ from cfgplan.matching.concepts import (
     negation,
     some,
 )
+from cfgplan.matching.names import NameTable
 from cfgplan.matching.ontology import Ontology
 from cfgplan.selectors import NO_OPERAND, RESTRICTIONS, ExpressionReader
 
@@ -118,46 +119,36 @@ class _TagReader(ExpressionReader[Concept]):
         return disjunction(individuals)
 
     def _name_as_concept(self, token: str) -> Concept:
-        ontology = self._ontology
         name = self._name(token, self._at - 1)
-        try:
-            found = ontology.find(name, (ontology.class_names, ontology.individual_names))
-            if found is None:
-                return Named(ontology.free_iri(name))
-        except UnknownNameError as error:
-            raise self._error(error.message, error.mend, self._at - 1) from error
-        vocabulary, iri = found
-        return Nominal(iri) if vocabulary is ontology.individual_names else Named(iri)
+        return self._meant(name, self._at - 1, self._ontology.class_names, self._ontology.individual_names)
 
     def _individual(self) -> Concept:
         """A name in an individual's place; without an ontology it means the same in every place."""
-        name = self._name(self._tokens[self._at], self._at)
-        self._at += 1
-        ontology = self._ontology
-        try:
-            found = ontology.find(name, (ontology.individual_names,))
-            return Nominal(found[1]) if found else Named(ontology.free_iri(name))
-        except UnknownNameError as error:
-            raise self._error(error.message, error.mend, self._at - 1) from error
+        return self._meant(self._next_name(), self._at - 1, self._ontology.individual_names)
+
+    def _meant(self, name: str, at: int, *vocabularies: NameTable) -> Concept:
+        found, iri = self._found(name, at, *vocabularies)
+        return Nominal(iri) if found is self._ontology.individual_names else Named(iri)
 
     def _role(self) -> str:
-        name = self._name(self._tokens[self._at], self._at)
-        self._at += 1
-        ontology = self._ontology
-        try:
-            found = ontology.find(name, (ontology.property_names,))
-            return found[1] if found else ontology.free_iri(name)
-        except UnknownNameError as error:
-            raise self._error(error.message, error.mend, self._at - 1) from error
+        return self._found(self._next_name(), self._at - 1, self._ontology.property_names)[1]
 
     def _source_role(self) -> str:
-        ontology = self._ontology
+        mend = f"declare the property, or write the tag with ⊓ and ∃; P(a) means P ⊓ ∃{SOURCE_ROLE}.{{a}}"
+        return self._found(SOURCE_ROLE, self._at - 2, self._ontology.property_names, mend=mend)[1]
+
+    def _next_name(self) -> str:
+        self._at += 1
+        return self._name(self._tokens[self._at - 1], self._at - 1)
+
+    def _found(
+        self, name: str, at: int, *vocabularies: NameTable, mend: str | None = None
+    ) -> tuple[NameTable | None, str]:
+        """The vocabulary that has a name, and its IRI; of an open ontology none, and a free one."""
         try:
-            found = ontology.find(SOURCE_ROLE, (ontology.property_names,))
+            return self._ontology.find(name, vocabularies) or (None, self._ontology.free_iri(name))
         except UnknownNameError as error:
-            mend = f"declare the property, or write the tag with ⊓ and ∃; P(a) means P ⊓ ∃{SOURCE_ROLE}.{{a}}"
-            raise self._error(error.message, mend, self._at - 2) from error
-        return found[1] if found else ontology.free_iri(SOURCE_ROLE)
+            raise self._error(error.message, mend or error.mend, at) from error
 
     def _number(self) -> int:
         token = self._tokens[self._at]

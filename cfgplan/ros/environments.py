@@ -30,6 +30,7 @@ from cfgplan.ros.guesses import GuessTable
 from cfgplan.ros.sources import NodeKind, NodeSource
 from cfgplan.ros.types import MessageType
 from cfgplan.ros.vocabulary import RosVocabulary
+from cfgplan.summary import counted, some
 
 _COSTS = ("labor", "upkeep")
 
@@ -72,12 +73,8 @@ class Imported:
     @property
     def size(self) -> str:
         """How much was imported, in words."""
-        numbers = {
-            "node": len(self.environment.library),
-            "topic": len(self.graph.topics),
-            "service": len(self.graph.services),
-        }
-        return ", ".join(f"{number} {one if number == 1 else one + 's'}" for one, number in numbers.items())
+        found = {"node": self.environment.library, "topic": self.graph.topics, "service": self.graph.services}
+        return ", ".join(counted(len(each), noun) for noun, each in found.items())
 
 
 def imported(graph: RosGraph, table: GuessTable, *, works: bool = False) -> Imported:
@@ -146,8 +143,9 @@ class _Making:
             nodes.append(node)
         if not silent:
             return replace(graph, nodes=tuple(nodes))
-        some = f"{', '.join(silent[:6])}{' and others' if len(silent) > 6 else ''}"
-        note = f"which ports {some} have: name a live graph too, or say it under `nodes` in a file for --guesses"
+        note = (
+            f"which ports {some(silent)} have: name a live graph too, or say it under `nodes` in a file for --guesses"
+        )
         return replace(graph, nodes=tuple(nodes), notes=(*graph.notes, note))
 
     def _without_noise(self, graph: RosGraph) -> RosGraph:
@@ -158,8 +156,7 @@ class _Making:
         if onlookers:
             self._guess("nodes", f"left out {', '.join(onlookers)}", "they only look on")
         if noisy:
-            some = f"{', '.join(sorted(noisy)[:3])}{' and others' if len(noisy) > 3 else ''}"
-            self._guess("topics and services", f"left out {len(noisy)}: {some}", "every graph has them")
+            self._guess("topics and services", f"left out {some(sorted(noisy), 3)}", "every graph has them")
         nodes = (replace(node, ports=tuple(p for p in node.ports if not table.is_noisy(p))) for node in kept)
         return replace(graph, nodes=tuple(nodes))
 

@@ -17,6 +17,7 @@ from cfgplan.errors import Fault, InputError
 from cfgplan.formats.xml_elements import XmlElement, parse_xml
 from cfgplan.ros.graph import RosGraph, RosNode, resolved
 from cfgplan.ros.substitutions import PackageMissingError, SubstitutionError, Substitutions, valued
+from cfgplan.summary import some
 
 _MOST_INCLUDES = 50
 _TRUE, _FALSE = ("true", "1"), ("false", "0")
@@ -75,8 +76,7 @@ class _Walk:
         nodes = [replace(node, parameters={**self._own(node), **node.parameters}) for node in self._nodes]
         left = sorted(self._parameters)
         if left:
-            some = f"{', '.join(left[:3])}{' and others' if len(left) > 3 else ''}"
-            self._notes.append(f"who reads the {len(left)} parameters that {path} sets outside nodes: {some}")
+            self._notes.append(f"who reads the parameters that {path} sets outside nodes: {some(left, 3)}")
         return RosGraph(tuple(nodes), (f"the launch file {path}",), tuple(dict.fromkeys(self._notes)))
 
     def _own(self, node: RosNode) -> dict[str, object]:

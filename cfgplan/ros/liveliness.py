@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, Literal, TypeAlias, TypeVar
+from typing import Final, Literal, TypeAlias, TypeVar, get_args
 
 from cfgplan.errors import InputError
 from cfgplan.ros.types import MessageType
@@ -23,30 +23,11 @@ HistoryPolicy: TypeAlias = Literal["system_default", "keep_last", "keep_all", "u
 LivelinessPolicy: TypeAlias = Literal[
     "system_default", "automatic", "manual_by_node", "manual_by_topic", "unknown", "best_available"
 ]
-_RELIABILITIES: tuple[ReliabilityPolicy, ...] = (
-    "system_default",
-    "reliable",
-    "best_effort",
-    "unknown",
-    "best_available",
-)
-_DURABILITIES: tuple[DurabilityPolicy, ...] = (
-    "system_default",
-    "transient_local",
-    "volatile",
-    "unknown",
-    "best_available",
-)
-_HISTORIES: tuple[HistoryPolicy, ...] = ("system_default", "keep_last", "keep_all", "unknown")
-_LIVELINESSES: tuple[LivelinessPolicy, ...] = (
-    "system_default",
-    "automatic",
-    "manual_by_node",
-    "manual_by_topic",
-    "unknown",
-    "best_available",
-)
-"""A policy's number on the wire is its place in its list."""
+_RELIABILITIES: tuple[ReliabilityPolicy, ...] = get_args(ReliabilityPolicy)
+_DURABILITIES: tuple[DurabilityPolicy, ...] = get_args(DurabilityPolicy)
+_HISTORIES: tuple[HistoryPolicy, ...] = get_args(HistoryPolicy)
+_LIVELINESSES: tuple[LivelinessPolicy, ...] = get_args(LivelinessPolicy)
+"""A policy's number on the wire is its place among the values of its type."""
 _NODE = "NN"
 _ENDPOINTS: Mapping[str, EndpointKind] = {"MP": "publisher", "MS": "subscription", "SS": "service", "SC": "client"}
 _MARKS = {kind: mark for mark, kind in _ENDPOINTS.items()}

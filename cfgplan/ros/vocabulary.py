@@ -12,19 +12,8 @@ from cfgplan.ros.types import MessageType
 from cfgplan.selectors import NO_OPERAND
 
 _IRI = "urn:cfgplan:ros#"
-_NO_CONCEPTS = NO_OPERAND | {
-    "and",
-    "or",
-    "not",
-    "that",
-    "exists",
-    "forall",
-    "thing",
-    "nothing",
-    "message",
-    "topic",
-    "service",
-}
+_OF_TAGS = {"and", "or", "not", "that", "exists", "forall", "thing", "nothing"}
+_NO_CONCEPTS = NO_OPERAND | _OF_TAGS | {"message", "topic", "service"}
 
 
 class RosVocabulary:

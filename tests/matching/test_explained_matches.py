@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 from realistic import realistic_world
 
-from cfgplan.matching import Ontology, explain_match, explanation, match, nearest_offers
+from cfgplan.matching import Ontology, explain_match, explanation, match, near_offers
 
 
 def test_a_match_is_derived_step_by_step_from_axioms(streams: Ontology) -> None:
@@ -62,15 +62,15 @@ def test_what_could_not_be_decided_is_told_apart(streams: Ontology) -> None:
     assert told.lines()[0] == "Image  does not feed  Camera ⊓ ¬Device"
     told = explain_match("Image", "Image ⊓ ¬Device", streams, reasoner="el")
     assert told.lines()[:2] == ("Image  may feed  Image ⊓ ¬Device", "  nobody has decided yet whether it is ¬Device")
-    (near,) = nearest_offers("Image ⊓ ¬Device", ["Image"], streams, reasoner="el")
+    ((near,),) = near_offers(["Image ⊓ ¬Device"], ["Image"], streams, reasoner="el").values()
     assert (near.missing, near.undecided) == ((), ("¬Device",))
     assert near.verdict == "nobody has decided yet whether it is ¬Device"
 
 
 def test_the_nearest_offers_lack_least(streams: Ontology) -> None:
     offers = ["RawRGB", "Camera", "RawRGB ⊓ ∃hasSource.{cam1}", "Undistorted"]
-    near = nearest_offers("Undistorted ⊓ Image ⊓ ∃hasSource.Camera", offers, streams, k=2)
-    assert [(one.offered, one.missing) for one in near] == [
+    (near,) = near_offers(["Undistorted ⊓ Image ⊓ ∃hasSource.Camera"], offers, streams).values()
+    assert [(one.offered, one.missing) for one in near[:2]] == [
         ("RawRGB ⊓ ∃hasSource.{cam1}", ("Undistorted",)),
         ("Undistorted", ("∃hasSource.Camera",)),
     ]
