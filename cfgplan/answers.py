@@ -107,7 +107,7 @@ def why(
     subjects: dict[str, Iterable[str]] = {
         "unit": {*environment.unit, *after.unit},
         "transformation": environment.transformation,
-        "stream": [f"{t.label}/{port.name}" for t in environment.library for port in t.outputs],
+        "stream": environment.outputs,
     }
     known(name, subjects[known(kind, subjects, "kind of subject")], "output" if kind == "stream" else kind)
     ask = _Judged(planner, time_limit_s, decider)

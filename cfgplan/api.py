@@ -189,9 +189,7 @@ def matches(
 
 def _tags(environment: Environment) -> tuple[frozenset[str], frozenset[str]]:
     """The tags that are offered, and those that are demanded."""
-    offered = {port.tag for transformation in environment.library for port in transformation.outputs}
-    demanded = {port.tag for transformation in environment.library for port in transformation.inputs}
-    return frozenset(offered), frozenset(demanded | {target.tag for target in environment.stream_targets})
+    return frozenset(environment.outputs.values()), frozenset(environment.demands.values())
 
 
 def explain_match(
@@ -376,9 +374,9 @@ def load_plan(world: World, problem: Problem, path: str | os.PathLike[str]) -> P
 
 def schema_text() -> str:
     """The JSON Schema of the environment file."""
-    from cfgplan.formats.fields import environment_schema
+    from cfgplan.formats.fields import EnvironmentPart, json_schema
 
-    return json.dumps(environment_schema(), indent=2, ensure_ascii=False) + "\n"
+    return json.dumps(json_schema(EnvironmentPart), indent=2, ensure_ascii=False) + "\n"
 
 
 def converted(path: str | os.PathLike[str], to: Literal["yaml", "xml"]) -> str:

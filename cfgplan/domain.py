@@ -351,6 +351,16 @@ def environment_rows(environment: Environment) -> Iterator[tuple[str, ...]]:
         yield "transformation", kind.label, takes, gives, cpu(kind.labor_us), cpu(kind.upkeep_us)
 
 
+_NAMED = (
+    ("units", "id", "unit"),
+    ("library", "label", "transformation"),
+    ("targets", "label", "target"),
+    ("hosts", "name", "host"),
+    ("qualities", "name", "quality attribute"),
+)
+"""The parts of an environment, what each is named by, and what one of them is called."""
+
+
 @summarised(_environment_summary)
 @dataclass(frozen=True)
 class Environment:
@@ -375,18 +385,11 @@ class Environment:
         if Objective.COST not in self.minimise:
             object.__setattr__(self, "minimise", (*self.minimise, Objective.COST))
         refuse_duplicates("objective", [*self.minimise])
-        store_sorted(self, "units", self.units, attrgetter("id"))
-        store_sorted(self, "library", self.library, attrgetter("label"))
-        store_sorted(self, "targets", self.targets, attrgetter("label"))
-        refuse_duplicates("unit", [unit.id for unit in self.units])
-        refuse_duplicates("transformation", [transformation.label for transformation in self.library])
-        refuse_duplicates("target", [target.label for target in self.targets])
+        for name, key, what in _NAMED:
+            store_sorted(self, name, getattr(self, name), attrgetter(key))
+            refuse_duplicates(what, [getattr(each, key) for each in getattr(self, name)])
         refuse_duplicates("topic of a target", [target.topic for target in self.stream_targets])
-        store_sorted(self, "hosts", self.hosts, attrgetter("name"))
-        store_sorted(self, "qualities", self.qualities, attrgetter("name"))
         store_whole(self, "transfer_us")
-        refuse_duplicates("host", [host.name for host in self.hosts])
-        refuse_duplicates("quality attribute", [attribute.name for attribute in self.qualities])
         for attribute in [link.adds for link in self.links if link.adds is not None]:
             if attribute not in self.quality or self.quality[attribute].better is Better.HIGHER:
                 raise InvalidValueError(f"a link adds to {attribute}, which is no attribute of which less is better")
@@ -408,6 +411,17 @@ class Environment:
         parts = [(self.library, "transformation"), (self.units, "unit"), (self.targets, "target")]
         parts += [(self.hosts, "host")] if self.hosts else []
         return ", ".join(counted(len(things), noun) for things, noun in parts)
+
+    @cached_property
+    def outputs(self) -> Mapping[str, str]:
+        """The tag of each output of the library, by its name `transformation/port`."""
+        return MappingProxyType({f"{t.label}/{port.name}": port.tag for t in self.library for port in t.outputs})
+
+    @cached_property
+    def demands(self) -> Mapping[str, str]:
+        """The tag of each input of the library, by its name `transformation/port`, and of each `target LABEL`."""
+        inputs = {f"{t.label}/{port.name}": port.tag for t in self.library for port in t.inputs}
+        return MappingProxyType({**inputs, **{f"target {each.label}": each.tag for each in self.stream_targets}})
 
     @cached_property
     def unit(self) -> Mapping[str, ComputationUnit]:
@@ -518,18 +532,16 @@ class Environment:
         for unit_id in (*(unit.id for unit in change_set.rewired), *change_set.stopped):
             if unit_id not in self.unit:
                 raise InvalidValueError(f"unit {unit_id!r} can't be rewired or stopped: it does not run")
-        kinds = {t.label: t for t in change_set.added_transformations}
+        changes = change_set
         return replace(
             self,
-            units=_updated(
-                self.unit, {u.id: u for u in (*change_set.started, *change_set.rewired)}, change_set.stopped
+            units=_updated(self.unit, "id", (*changes.started, *changes.rewired), changes.stopped),
+            library=_updated(
+                self.transformation, "label", changes.added_transformations, changes.removed_transformations
             ),
-            library=_updated(self.transformation, kinds, change_set.removed_transformations),
-            targets=_updated(self.target, {t.label: t for t in change_set.added_targets}, change_set.removed_targets),
-            hosts=_updated(self.host, {h.name: h for h in change_set.added_hosts}, change_set.removed_hosts),
-            qualities=_updated(
-                self.quality, {q.name: q for q in change_set.added_qualities}, change_set.removed_qualities
-            ),
+            targets=_updated(self.target, "label", changes.added_targets, changes.removed_targets),
+            hosts=_updated(self.host, "name", changes.added_hosts, changes.removed_hosts),
+            qualities=_updated(self.quality, "name", changes.added_qualities, changes.removed_qualities),
         )
 
     def without_unit(self, unit_id: str) -> Environment:
@@ -551,8 +563,6 @@ class Environment:
         )
 
 
-def _updated(before: Mapping[str, T], added: Mapping[str, T], removed: Iterable[str]) -> tuple[T, ...]:
-    after = {**before, **added}
-    for name in removed:
-        after.pop(name, None)
-    return tuple(after.values())
+def _updated(before: Mapping[str, T], key: str, added: Iterable[T], removed: Collection[str]) -> tuple[T, ...]:
+    after = {**before, **{getattr(each, key): each for each in added}}
+    return tuple(each for name, each in after.items() if name not in removed)

@@ -17,7 +17,7 @@ from typing import Any
 from cfgplan.costs import seconds
 from cfgplan.domain import ALL, ChangeSet, ComputationUnit, Environment, Host, Stream, Target, amount_of
 from cfgplan.figures import qualities_of_targets
-from cfgplan.qualities import MICRO, QualityAttribute
+from cfgplan.qualities import MICRO
 from cfgplan.qualities import units as units_of
 
 _SPECIAL_IN_MERMAID = '"#<>&%$`\\'
@@ -205,7 +205,7 @@ def picture(environment: Environment, change_set: ChangeSet | None = None) -> Pi
         lines: tuple[str, ...] = (target.label, target.topic or target.tag)
         lines += () if reached is Mark.KEPT else ("(not met)",)
         values = reached_qualities.get(target.label, {}) if reached is Mark.KEPT else {}
-        lines += tuple(_quality_line(after.quality[name], value) for name, value in values.items())
+        lines += tuple(f"{name} {after.quality[name].shown(value)}" for name, value in values.items())
         nodes.append(Node(_target_key(target), lines, reached, is_target=True, host=target.host))
     known = {node.key for node in nodes}
     gone = {arrow.tail for arrow in arrows if arrow.tail not in known}
@@ -232,10 +232,6 @@ def _host_lines(host: Host) -> tuple[str, ...]:
     words += [amount_of(resource, amount) for resource, amount in host.offers.items() if amount]
     words += [f"energy {host.energy} W s"] if host.energy is not None else []
     return f"{host.name}{labels}", *([", ".join(words)] if words else [])
-
-
-def _quality_line(attribute: QualityAttribute, value: int) -> str:
-    return f"{attribute.name} {units_of(value):f}{' ' + attribute.unit if attribute.unit else ''}"
 
 
 def _arrows(drawn: Environment, *, before: Environment, after: Environment) -> Iterator[Arrow]:

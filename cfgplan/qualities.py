@@ -92,6 +92,10 @@ class QualityAttribute:
         if not (low <= self.best <= high and low <= self.worst <= high and not self.is_better(self.worst, self.best)):
             raise InvalidValueError(f"the scale of {self.name} is wrong: its worst value is better than its best")
 
+    def shown(self, value: int) -> str:
+        """A value for people: `0.3 m`."""
+        return f"{units(value):f}{' ' + self.unit if self.unit else ''}"
+
     def is_better(self, one: int, other: int) -> bool:
         """Whether a value is better than another."""
         return one < other if self.better is Better.LOWER else one > other

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from rich.text import Text
@@ -284,13 +284,5 @@ def _demand(environment: Environment, unfed: Unfed, opening: str) -> Iterator[st
     for offer in unfed.nearest:
         if len(offer.missing) > fewest:
             continue
-        givers = some(_outputs(environment).get(offer.offered, ()))
+        givers = some(name for name, tag in environment.outputs.items() if tag == offer.offered)
         yield f"    nearest: {givers} gives {offer.offered}: {offer.verdict}"
-
-
-def _outputs(environment: Environment) -> Mapping[str, tuple[str, ...]]:
-    found: dict[str, tuple[str, ...]] = {}
-    for transformation in environment.library:
-        for port in transformation.outputs:
-            found[port.tag] = (*found.get(port.tag, ()), f"{transformation.label}/{port.name}")
-    return found

@@ -71,7 +71,7 @@ def _show(screen: Screen, problem: Problem, found: Front) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from cfgplan.cli.plan_text import cpu, quality
+    from cfgplan.cli.plan_text import cpu
 
     table = Table("cost", found.attribute.name, "start", "rewire", "stop", "started units", box=None)
     for point in found.points:
@@ -79,7 +79,7 @@ def _show(screen: Screen, problem: Problem, found: Front) -> None:
         assert changes is not None
         table.add_row(
             cpu(point.cost_us),
-            quality(found.attribute, point.value),
+            found.attribute.shown(point.value),
             str(len(changes.started)),
             str(len(changes.rewired)),
             str(len(changes.stopped)),

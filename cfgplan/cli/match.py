@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
@@ -51,8 +52,9 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         return Exit.OK
     if options.input is None:
         raise InputError.of("name an output and an input", mend="write both as transformation/port")
-    offered = _output_tag(world.environment, options.output)
-    demanded = _input_tag(world.environment, options.input)
+    environment, label = world.environment, f"target {options.input}"
+    offered = _tag(environment.outputs, options.output, "output")
+    demanded = _tag(environment.demands, label if label in environment.demands else options.input, "input or target")
     from cfgplan import api
 
     with screen.phase("explain"):
@@ -64,17 +66,15 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         screen.show_json({**document, "nearest": [asdict(offer) for offer in nearest]})
         return Exit.OK
     lines = list(explanation.lines())
-    outputs = _outputs(world.environment)
     for offer in nearest:
-        names = ", ".join(name for name, tag in outputs.items() if tag == offer.offered)
+        names = ", ".join(name for name, tag in world.environment.outputs.items() if tag == offer.offered)
         lines.append(f"  nearest: {names} gives {offer.offered}: {offer.verdict}")
     screen.show("\n".join(lines))
     return Exit.OK
 
 
 def _show_matrix(environment: Environment, similarity: Similarity, screen: Screen) -> None:
-    rows = _inputs(environment)
-    columns = _outputs(environment)
+    rows, columns = environment.demands, environment.outputs
     fed_by: dict[str, list[str]] = {}
     by_tag: dict[str, list[str]] = {}
     for output, tag in columns.items():
@@ -110,25 +110,5 @@ def _show_matrix(environment: Environment, similarity: Similarity, screen: Scree
     screen.show(Text("\n").join([*lines, Text(f"Validity matrix: {size}.", style="bold")]))
 
 
-def _inputs(environment: Environment) -> dict[str, str]:
-    """The tag of every input, as `transformation/port`, and of every target, as `target LABEL`."""
-    ports = {f"{t.label}/{port.name}": port.tag for t in environment.library for port in t.inputs}
-    return ports | {f"target {target.label}": target.tag for target in environment.stream_targets}
-
-
-def _outputs(environment: Environment) -> dict[str, str]:
-    return {f"{t.label}/{port.name}": port.tag for t in environment.library for port in t.outputs}
-
-
-def _output_tag(environment: Environment, name: str) -> str:
-    return _named(_outputs(environment), name, "output")
-
-
-def _input_tag(environment: Environment, name: str) -> str:
-    if name in environment.target and environment.target[name].run is None:
-        return environment.target[name].tag
-    return _named(_inputs(environment), name, "input or target")
-
-
-def _named(tags: dict[str, str], name: str, what: str) -> str:
+def _tag(tags: Mapping[str, str], name: str, what: str) -> str:
     return tags[known(name, tags, what, "`cfgplan match ENV` lists them all")]

@@ -13,7 +13,7 @@ from cfgplan.domain import CPU, MEMORY, POWER, ChangeSet, ComputationUnit, Envir
 from cfgplan.figures import amount, cost_parts, link_loads, loads, qualities_of_targets, transfers
 from cfgplan.planners import IGNORING_REQUIRED
 from cfgplan.planning import Failures, Plan, Problem, Status
-from cfgplan.qualities import Better, QualityAttribute, Wish, units
+from cfgplan.qualities import Better, Wish
 from cfgplan.summary import cpu as cpu
 
 _STYLE = {"+": "green", "~": "yellow", "-": "red", "=": "dim"}
@@ -164,14 +164,11 @@ def _summary(problem: Problem, plan: Plan, given_up: Collection[str]) -> Iterato
 
 def undecided_lines(problem: Problem, plan: Plan) -> Iterator[Text]:
     """The pairs of tags that an answer hangs on, with the ports that have them, and how many were asked about."""
-    environment = problem.environment
-    outputs = [(port.tag, f"{t.label}/{port.name}") for t in environment.library for port in t.outputs]
-    inputs = [(port.tag, f"{t.label}/{port.name}") for t in environment.library for port in t.inputs]
-    inputs += [(target.tag, f"target {target.label}") for target in environment.targets]
+    outputs, demands = problem.environment.outputs, problem.environment.demands
     for offered, demanded in plan.undecided[:MOST_OPEN_PAIRS]:
         ways = (
-            ", ".join([name for tag, name in ports if tag == one][:MOST_NAMES])
-            for ports, one in ((outputs, offered), (inputs, demanded))
+            ", ".join([name for name, tag in ports.items() if tag == one][:MOST_NAMES])
+            for ports, one in ((outputs, offered), (demands, demanded))
         )
         yield Text(f"Not decided: whether `{offered}` is `{demanded}` ({' -> '.join(ways)}).", style="yellow")
     if len(plan.undecided) > MOST_OPEN_PAIRS:
@@ -245,11 +242,6 @@ def fleet_lines(problem: Problem, after: Environment) -> Iterator[Text]:
         yield Text(f"No failure of a single {kinds} leaves a target without a stream.")
 
 
-def quality(attribute: QualityAttribute, micro: int) -> str:
-    """A value for people: `0.3 m`."""
-    return f"{units(micro):f}{' ' + attribute.unit if attribute.unit else ''}"
-
-
 def _qualities(after: Environment) -> Iterator[Text]:
     reached = qualities_of_targets(after, after.units)
     for target in after.targets:
@@ -262,8 +254,8 @@ def _reached(environment: Environment, target: Target, name: str, value: int) ->
     attribute = environment.quality[name]
     wish = next((wish for wish in target.quality if wish.attribute == name), Wish(name))
     side = "at most" if attribute.better is Better.LOWER else "at least"
-    asked = "" if wish.bound is None else f" ({side} {quality(attribute, wish.bound)} is asked)"
-    return f"{name} {quality(attribute, value)}{asked}"
+    asked = "" if wish.bound is None else f" ({side} {attribute.shown(wish.bound)} is asked)"
+    return f"{name} {attribute.shown(value)}{asked}"
 
 
 def _amount(host: Host, resource: str, taken: int, horizon_s: int) -> str:

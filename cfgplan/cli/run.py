@@ -12,7 +12,7 @@ from dataclasses import replace
 from functools import partial
 from importlib.machinery import PathFinder
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from cfgplan.cli import options as shared
 from cfgplan.cli.agent import add_links
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from cfgplan.api import World
     from cfgplan.domain import ComputationUnit, Environment
     from cfgplan.explaining.best_effort import BestEffort
-    from cfgplan.planning import Plan, Planner, Problem
+    from cfgplan.planning import Problem
 
 _LIVE_LOOK_S = 0.1
 ROS1 = "ros1"
@@ -333,17 +333,10 @@ def _hold(operation: Operation, output: RunOutput, interrupts: Interrupts, span_
     output.update(0.0)
 
 
-def _adjusted(options: argparse.Namespace) -> Callable[[World], World]:
-    """A function that applies the options to the world each time the file is read."""
-
-    def adjust(world: World) -> World:
-        return replace(
-            world,
-            horizon_s=world.horizon_s if options.horizon is None else options.horizon,
-            max_cost_us=world.max_cost_us if options.max_cost is None else options.max_cost,
-        )
-
-    return adjust
+def _adjusted(options: argparse.Namespace, world: World) -> World:
+    """The world, each time that the file is read, as the options would have it."""
+    asked = {"horizon_s": options.horizon, "max_cost_us": options.max_cost}
+    return replace(world, **{name: value for name, value in asked.items() if value is not None})
 
 
 def _estimates_file(options: argparse.Namespace) -> Path:
@@ -364,9 +357,11 @@ def _settings(options: argparse.Namespace, screen: Screen) -> Settings:
     from cfgplan_runtime.lifecycle.policy import Policy
     from cfgplan_runtime.operating.operation import Settings
 
+    from cfgplan import api
+
     kept = _estimates_file(options)
     return Settings(
-        planner=None if options.planner is None else _planner(options.planner),
+        planner=None if options.planner is None else partial(api.plan, planner=options.planner),
         estimator=options.estimator,
         guess=options.guess,
         estimates=None if options.no_estimates else kept,
@@ -383,7 +378,7 @@ def _settings(options: argparse.Namespace, screen: Screen) -> Settings:
         record=None if options.record is None else Path(options.record),
         metrics_port=options.metrics_port,
         runtime=_runtime(options, screen),
-        adjust=_adjusted(options),
+        adjust=partial(_adjusted, options),
     )
 
 
@@ -415,15 +410,6 @@ def _runtime(
     from cfgplan_runtime.fleet.fleet_runtime import fleet_runtime
 
     return lambda environment, folder: fleet_runtime(fleet, environment, folder, options.preload, screen.note)
-
-
-def _planner(name: str) -> Planner:
-    from cfgplan import api
-
-    def plan(problem: Problem, **more: Any) -> Plan:
-        return api.plan(problem, planner=name, **more)
-
-    return plan
 
 
 def first_update(problem: Problem, settings: Settings, decider: Decider) -> BestEffort:

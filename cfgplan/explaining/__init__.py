@@ -3,50 +3,31 @@
 Everything is asked of a planner (`planning.Planner`), of which nothing is known but that it is right.
 """
 
-from cfgplan.explaining.alternatives import Alternatives, alternatives
-from cfgplan.explaining.best_effort import BestEffort, best_effort
-from cfgplan.explaining.front import Front, FrontPoint, front
-from cfgplan.explaining.limits import Limit
-from cfgplan.explaining.sensitivity import CostLine, Sensitivity, Span, horizon_sensitivity, upkeep_sensitivity
-from cfgplan.explaining.unfed import Blocked, Unfed, Unreachable, unreachable
-from cfgplan.explaining.what_if import running
-from cfgplan.explaining.why_not import Clash, DemandSet, Unused, WhyNot, demanding, why_not
-from cfgplan.explaining.why_this import Choice, Why, why_stream, why_transformation, why_unit
-from cfgplan.explaining.wiring import NearStream, Suspicion, WiringFault, wiring_demands, wiring_faults
-
-__all__ = [
-    "Alternatives",
-    "BestEffort",
-    "Blocked",
-    "Choice",
-    "Clash",
-    "CostLine",
-    "DemandSet",
-    "Front",
-    "FrontPoint",
-    "Limit",
-    "NearStream",
-    "Sensitivity",
-    "Span",
-    "Suspicion",
-    "Unfed",
-    "Unreachable",
-    "Unused",
-    "Why",
-    "WhyNot",
-    "WiringFault",
-    "alternatives",
-    "best_effort",
-    "demanding",
-    "front",
-    "horizon_sensitivity",
-    "running",
-    "unreachable",
-    "upkeep_sensitivity",
-    "why_not",
-    "why_stream",
-    "why_transformation",
-    "why_unit",
-    "wiring_demands",
-    "wiring_faults",
-]
+from cfgplan.explaining.alternatives import Alternatives as Alternatives
+from cfgplan.explaining.alternatives import alternatives as alternatives
+from cfgplan.explaining.best_effort import BestEffort as BestEffort
+from cfgplan.explaining.best_effort import best_effort as best_effort
+from cfgplan.explaining.front import Front as Front
+from cfgplan.explaining.front import front as front
+from cfgplan.explaining.sensitivity import Sensitivity as Sensitivity
+from cfgplan.explaining.sensitivity import Span as Span
+from cfgplan.explaining.sensitivity import horizon_sensitivity as horizon_sensitivity
+from cfgplan.explaining.sensitivity import upkeep_sensitivity as upkeep_sensitivity
+from cfgplan.explaining.unfed import Blocked as Blocked
+from cfgplan.explaining.unfed import Unfed as Unfed
+from cfgplan.explaining.unfed import Unreachable as Unreachable
+from cfgplan.explaining.unfed import unreachable as unreachable
+from cfgplan.explaining.what_if import running as running
+from cfgplan.explaining.why_not import Clash as Clash
+from cfgplan.explaining.why_not import Unused as Unused
+from cfgplan.explaining.why_not import WhyNot as WhyNot
+from cfgplan.explaining.why_not import why_not as why_not
+from cfgplan.explaining.why_this import Choice as Choice
+from cfgplan.explaining.why_this import Why as Why
+from cfgplan.explaining.why_this import why_stream as why_stream
+from cfgplan.explaining.why_this import why_transformation as why_transformation
+from cfgplan.explaining.why_this import why_unit as why_unit
+from cfgplan.explaining.wiring import Suspicion as Suspicion
+from cfgplan.explaining.wiring import WiringFault as WiringFault
+from cfgplan.explaining.wiring import wiring_demands as wiring_demands
+from cfgplan.explaining.wiring import wiring_faults as wiring_faults

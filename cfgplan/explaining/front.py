@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from cfgplan.domain import Target
 from cfgplan.figures import qualities_of_targets
 from cfgplan.planning import REFUSED, Plan, Planner, Problem, Status, refuse_order
-from cfgplan.qualities import MICRO, Better, QualityAttribute, Wish
+from cfgplan.qualities import Better, QualityAttribute, Wish
 from cfgplan.summary import Summary, counted, cpu, summarised, summary
 
 
@@ -22,9 +22,9 @@ class FrontPoint:
 
 
 def _front_summary(front: Front) -> Summary:
-    name, unit = front.attribute.name, front.attribute.unit
+    name = front.attribute.name
     line = f"{counted(len(front.points), 'plan')} for {front.target} that no other beats in cost and {name}"
-    rows = ((cpu(point.cost_us), f"{point.value / MICRO:g} {unit or ''}".strip()) for point in front.points)
+    rows = ((cpu(point.cost_us), front.attribute.shown(point.value)) for point in front.points)
     return summary(line if front.complete else f"{line}; there may be more", ("cost", name), rows)
 
 

@@ -5,6 +5,9 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import reduce
+from itertools import count
+from operator import getitem
 from pathlib import Path as FilePath
 from typing import Any, TypeVar
 
@@ -72,18 +75,13 @@ class Document:
         """Move a fault of a whole ontology file to the entry that names the file; any other stays as it is."""
         source = self.files[0].source
         written: Any = source.data
-        iri = next((iri for iri, path in self.imports if path is not None and str(path) == fault.file), None)
-        if iri is not None:
-            return _at_entry(fault, written["imports"][iri], source, ("imports", iri))
-        names = [str(path) for path in self.ontology_paths]
-        if fault.file not in names:
+        named: list[tuple[FilePath | None, Path]] = [(path, ("imports", iri)) for iri, path in self.imports]
+        is_one = isinstance(self.header.ontology, str)
+        named += [(path, ("ontology",) if is_one else ("ontology", n)) for n, path in enumerate(self.ontology_paths)]
+        entry = next((entry for path, entry in named if path is not None and str(path) == fault.file), None)
+        if entry is None:
             return fault
-        index = names.index(fault.file)
-        match written["ontology"]:
-            case str(name):
-                return _at_entry(fault, name, source, ("ontology",))
-            case several:
-                return _at_entry(fault, several[index], source, ("ontology", index))
+        return _at_entry(fault, reduce(getitem, entry, written), source, entry)
 
 
 def read_document(path: str | os.PathLike[str], also: Sequence[str | os.PathLike[str]] = ()) -> Document:
@@ -175,11 +173,8 @@ def _good_entries(data: Mapping[str, Any], bad: Mapping[Any, set[int]]) -> dict[
 
 def _file(source: Source, model: Any, data: Mapping[str, Any], bad: Mapping[Any, set[int]]) -> File:
     def indexed(key: str) -> Iterator[Any]:
-        parts = getattr(model, key, None) or ()
-        positions = range(len(parts))
-        if bad.get(key):
-            return zip((i for i in range(len(data[key])) if i not in bad[key]), parts, strict=True)
-        return zip(positions, parts, strict=True)
+        positions = (index for index in count() if index not in bad.get(key, ()))
+        return zip(positions, getattr(model, key, None) or (), strict=False)
 
     names = {"transformations": "label", "units": "id", "targets": "label"}
     broken = {

@@ -487,13 +487,8 @@ def _running(part: type[Part], value: object) -> Iterator[object]:
     return (getattr(value, row.to) for row in part.rows().values() if Use.RUNNING in row.use)
 
 
-def environment_schema() -> dict[str, Any]:
-    """The JSON Schema (draft 2020-12) of the environment file, for editors and other tools."""
-    return json_schema(EnvironmentPart)
-
-
 def json_schema(part: type[BaseModel]) -> dict[str, Any]:
-    """The JSON Schema of a definition, strict about the names of ports too."""
+    """The JSON Schema (draft 2020-12) of a definition, strict about the names of ports too."""
     schema = part.model_json_schema()
     _bar_other_names(schema)
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}

@@ -33,7 +33,7 @@ def read_json(text: str, file: str) -> Source:
         raise InputError.of("the file is empty", file=file, mend="write the JSON it should hold")
     try:
         data = json.loads(
-            text, object_pairs_hook=mapping, parse_float=Decimal, parse_int=resolve, parse_constant=_not_finite
+            text, object_pairs_hook=mapping, parse_float=Decimal, parse_int=resolve, parse_constant=Decimal
         )
     except json.JSONDecodeError as error:
         fault = Fault(f"this is not JSON: {error.msg}", file, error.lineno, error.colno, mend="mend the syntax here")
@@ -47,10 +47,6 @@ def read_json(text: str, file: str) -> Source:
         for key, spot in (locator.repeated_keys() if repeats else ())
     ]
     return Source(file, data, locator, tuple(faults))
-
-
-def _not_finite(text: str) -> Decimal:
-    return Decimal(text)
 
 
 def _too_deep(file: str) -> InputError:

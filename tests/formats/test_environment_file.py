@@ -23,7 +23,7 @@ from cfgplan.domain import (
     Transformation,
 )
 from cfgplan.errors import InputError
-from cfgplan.formats.fields import environment_schema
+from cfgplan.formats.fields import EnvironmentPart, json_schema
 
 WHOLE = """\
 format: cfgplan/1
@@ -220,7 +220,7 @@ def test_the_digest_depends_on_the_ontology(tmp_path: Path) -> None:
 
 
 def test_the_schema_names_every_key_and_bars_others() -> None:
-    schema = environment_schema()
+    schema = json_schema(EnvironmentPart)
     assert set(schema["properties"]) >= {"format", "ontology", "horizon", "max_cost", "transformations", "units"}
     assert schema["additionalProperties"] is False
     assert schema["properties"]["format"]["const"] == "cfgplan/1"

@@ -121,7 +121,7 @@ from experiments.study.instances import given
 from cfgplan.domain import Similarity
 from cfgplan.formats import fields
 from cfgplan.formats.dump import dump_yaml, plain_environment
-from cfgplan.formats.fields import environment_schema
+from cfgplan.formats.fields import EnvironmentPart, json_schema
 from cfgplan.formats.xml_dump import dump_xml
 from cfgplan.planning import Problem
 
@@ -132,7 +132,7 @@ def world(suffix, content):
     return load(path)
 
 said, without = world(".yaml", text.replace("GPU", ", gpu: 2")), world(".yaml", text.replace("GPU", ""))
-assert environment_schema()["$defs"]["TransformationPart"]["properties"]["gpu"]["description"] == "how many"
+assert json_schema(EnvironmentPart)["$defs"]["TransformationPart"]["properties"]["gpu"]["description"] == "how many"
 (t,), (u,) = said.environment.library, without.environment.library
 assert (t.gpu, u.gpu) == (2, 0)
 assert said.digest != without.digest

@@ -17,7 +17,7 @@ import cfgplan
 from cfgplan.errors import InputError, InvalidValueError
 from cfgplan.formats.document import read_document
 from cfgplan.formats.dump import as_yaml, dump_yaml, plain_document, plain_environment
-from cfgplan.formats.fields import environment_schema
+from cfgplan.formats.fields import EnvironmentPart, json_schema
 from cfgplan.formats.xml_dump import dump_xml
 
 HERE = Path(__file__).parent
@@ -64,7 +64,7 @@ def bytes_of(path: Path) -> dict[str, str]:
 
 
 def schema() -> str:
-    return hashed(json.dumps(environment_schema()))
+    return hashed(json.dumps(json_schema(EnvironmentPart)))
 
 
 @pytest.mark.parametrize("name", worlds())

@@ -108,7 +108,11 @@ def test_changes_of_the_library_are_no_plan() -> None:
     ("old", "new", "message"),
     [
         ('"format_version": 1', '"format_version": 2', "2:21: format_version: `format_version` is the number 2"),
-        ('"status": "optimal"', '"status": "fine"', "5:13: status: `status` is 'fine'"),
+        (
+            '"status": "optimal"',
+            '"status": "fine"',
+            "5:13: status: this must be optimal, feasible, infeasible, too expensive or unknown, but is the text 'fine'",
+        ),
         ('"stopped": [', '"stoped": [', "did you mean `stopped`?"),
         ('"upkeep_us": 3', '"upkep_us": 3', "did you mean `upkeep_us`?"),
         ('"bound_us": 1500187', '"bound_us": 1.5', "a whole number"),

@@ -13,7 +13,7 @@ from jsonschema import Draft202012Validator
 from loading import faults_of, load_text
 
 from cfgplan.errors import InputError
-from cfgplan.formats.fields import environment_schema
+from cfgplan.formats.fields import EnvironmentPart, json_schema
 from cfgplan.formats.yaml_text import read_yaml
 
 Way: TypeAlias = tuple[str | int, ...]
@@ -75,7 +75,7 @@ def is_taken(folder: Path, data: Any) -> bool:
 
 @pytest.mark.parametrize("value", VALUES, ids=json.dumps)
 def test_the_schema_and_the_loader_take_a_value_in_the_same_places(tmp_path: Path, value: object) -> None:
-    schema = Draft202012Validator(environment_schema())
+    schema = Draft202012Validator(json_schema(EnvironmentPart))
     differ = [
         way
         for alone, way in places()
@@ -88,7 +88,7 @@ def test_the_schema_and_the_loader_take_a_value_in_the_same_places(tmp_path: Pat
 def test_what_is_finer_than_a_millionth_is_refused_by_the_loader_alone(tmp_path: Path, key: str, value: float) -> None:
     """Seen by a schema, 0.3 is no multiple of 0.000001: floating-point numbers can't tell."""
     data = {"format": "cfgplan/1", key: value}
-    assert Draft202012Validator(environment_schema()).is_valid(data)
+    assert Draft202012Validator(json_schema(EnvironmentPart)).is_valid(data)
     assert "finer than a microsecond" in faults_of(tmp_path, json.dumps(data), "env.json")[0].message
 
 

@@ -155,7 +155,7 @@ def test_other_encodings_are_read_as_they_declare_themselves(tmp_path: Path) -> 
             "a number of CPU seconds, but is the text 'dear'",
             "such as 0.3",
         ),
-        ('upkeep="0.000001"', 'upkeep="-1"', (5, 3), "-1 is negative", "at least 0"),
+        ('upkeep="0.000001"', 'upkeep="-1"', (5, 3), "-1 is negative", "0 or more"),
         ('pinned="true"', 'pinned="yes"', (5, 3), "true or false, but is the text 'yes'", "write true or false"),
         ('<tag port="left">Position</tag>', "", (16, 7), "the port `left` has no tag", 'add <tag port="left">'),
         ('<tag port="left">', '<tag port="lft">', (21, 7), "the tag is for the port `lft`", "did you mean `left`?"),
