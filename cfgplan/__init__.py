@@ -28,10 +28,8 @@ if TYPE_CHECKING:
     from cfgplan.api import match_ports as match_ports
     from cfgplan.api import matches as matches
     from cfgplan.api import plan as plan
-    from cfgplan.api import plan_violations as plan_violations
     from cfgplan.api import problem as problem
     from cfgplan.api import solve as solve
-    from cfgplan.api import violations as violations
     from cfgplan.api import what_if as what_if
     from cfgplan.api import world as world
     from cfgplan.domain import ChangeSet as ChangeSet
@@ -64,6 +62,8 @@ if TYPE_CHECKING:
     from cfgplan.qualities import Wish as Wish
     from cfgplan.validity import Rule as Rule
     from cfgplan.validity import Violation as Violation
+    from cfgplan.validity import plan_violations as plan_violations
+    from cfgplan.validity import violations as violations
 
 __version__ = "0.1.0"
 
@@ -71,13 +71,12 @@ __all__, __getattr__, __dir__ = exports(
     __name__,
     {
         "answers": "alternatives best_effort front sensitivity why why_not",
-        "api": "UntruthfulPlanError World load load_plan match match_ports matches plan plan_violations problem "
-        "solve violations what_if world",
+        "api": "UntruthfulPlanError World load load_plan match match_ports matches plan problem solve what_if world",
         "domain": "ChangeSet ComputationUnit Environment Host InputPort OutputPort Publication Similarity Stream "
         "Subscription Target Transformation",
         "errors": "CfgplanError Fault InputError InvalidValueError",
         "planning": "Failures Notion Plan Planner Problem Progress Status",
         "qualities": "Better Contribution Over QualityAttribute Wish",
-        "validity": "Rule Violation",
+        "validity": "Rule Violation plan_violations violations",
     },
 )

@@ -8,11 +8,12 @@ from dataclasses import replace
 from threading import Event
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
-from cfgplan.api import World, accepted, interruptible, near_offers, nearest_offers, violations
+from cfgplan.api import World, accepted, interruptible, near_offers, nearest_offers
 from cfgplan.errors import InputError, known
 from cfgplan.planners.undecided import Deciding
 from cfgplan.planning import Decider, Plan, Planner, Problem, Progress
 from cfgplan.reasons import pinned_reasons
+from cfgplan.validity import violations
 
 if TYPE_CHECKING:
     from cfgplan.explaining import Alternatives, BestEffort, Front, Sensitivity, Unreachable, Why, WhyNot, WiringFault

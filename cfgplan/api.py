@@ -16,7 +16,6 @@ from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from cfgplan import validity
 from cfgplan.domain import ENVIRONMENT_HEADS, Environment, Similarity, environment_rows
 from cfgplan.errors import Fault, InputError
 from cfgplan.extras import is_there
@@ -35,7 +34,7 @@ from cfgplan.planners.undecided import Deciding
 from cfgplan.planning import Decider, Failures, Plan, Planner, PlannerFaultError, Problem, Progress
 from cfgplan.reasons import with_pinned_reasons
 from cfgplan.summary import Summary, summarised, summary
-from cfgplan.validity import Violation
+from cfgplan.validity import Violation, plan_violations, silent_stops
 
 if TYPE_CHECKING:
     from cfgplan.formats.document import Document
@@ -327,24 +326,12 @@ def accepted(problem: Problem, answer: Plan) -> Plan:
     if answer.change_set is not None:
         answer = replace(answer, reasons=with_pinned_reasons({}, problem))
     try:
-        found = plan_violations(problem, answer) or validity.silent_stops(problem, answer)
+        found = plan_violations(problem, answer) or silent_stops(problem, answer)
     except Exception as error:
         raise PlannerFaultError(f"the judge failed: {type(error).__name__}: {error}", answer) from error
     if found:
         raise UntruthfulPlanError(answer, found)
     return answer
-
-
-def violations(
-    environment: Environment, similarity: Similarity, survive: Failures | None = None, horizon_s: int = 0
-) -> list[Violation]:
-    """Every rule that a running configuration violates (Definition 9); see `cfgplan.validity`."""
-    return validity.violations(environment, similarity, survive, horizon_s)
-
-
-def plan_violations(problem: Problem, plan: Plan) -> list[Violation]:
-    """Every way in which a plan is not what it says; see `cfgplan.validity`."""
-    return validity.plan_violations(problem, plan)
 
 
 def plan_text(world: World, problem: Problem, plan: Plan) -> str:
@@ -365,7 +352,7 @@ def load_plan(world: World, problem: Problem, path: str | os.PathLike[str]) -> P
     from cfgplan.formats.plan_file import load_plan as read_plan
 
     answer = read_plan(path, world.digest)
-    found = plan_violations(problem, answer) or validity.silent_stops(problem, answer)
+    found = plan_violations(problem, answer) or silent_stops(problem, answer)
     if found:
         mend = "write the plan anew with `solve --out`"
         raise InputError([Fault(f"the plan is not what it says: {each}", str(path), mend=mend) for each in found])
@@ -391,15 +378,6 @@ def converted(path: str | os.PathLike[str], to: Literal["yaml", "xml"]) -> str:
     return as_xml(document) if to == "xml" else as_yaml(document)
 
 
-def converted_test_set(
-    folder: str | os.PathLike[str], objective: Literal["services", "length"], ontology: str
-) -> tuple[str, str]:
-    """A web service composition test set as an environment file, and the ontology file that it names `ontology`."""
-    from cfgplan.formats.wsc import wsc_texts
-
-    return wsc_texts(folder, objective, ontology=ontology)
-
-
 class _OntologyVocabulary:
     """An ontology as the formats ask for it."""
 
@@ -422,11 +400,8 @@ def _as_ontology(ontology: object) -> Ontology:
         return load_ontology([])
     if isinstance(ontology, Ontology):
         return ontology
-    if isinstance(ontology, (str, os.PathLike)):
-        return load_ontology([Path(ontology)])
-    if isinstance(ontology, (list, tuple)):
-        return load_ontology([Path(path) for path in ontology])
-    return read_owlready(ontology)
+    paths = [ontology] if isinstance(ontology, (str, os.PathLike)) else ontology
+    return load_ontology([*map(Path, paths)]) if isinstance(paths, (list, tuple)) else read_owlready(ontology)
 
 
 def _cache_folder() -> Path:

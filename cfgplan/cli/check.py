@@ -47,20 +47,20 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         gone = len(before - {fault.key for fault in every})
     broken = [fault for fault in found if fault.violation is not None]
     is_open = bool(broken) and all(fault.violation.is_open for fault in broken if fault.violation)
+    untaken = [f"{fault.unit}/{fault.port}" for fault in found if fault.suspicion is Suspicion.UNTAKEN]
     if screen.json:
         is_valid = not any(fault.violation for fault in every)
         told = {
             "valid": None if is_open else is_valid,
             "violations": [_as_json(world, fault) for fault in broken],
             "unfed": [_as_json(world, fault) for fault in found if fault.suspicion is Suspicion.PERHAPS],
-            "untaken": [f"{fault.unit}/{fault.port}" for fault in found if fault.suspicion is Suspicion.UNTAKEN],
+            "untaken": untaken,
         }
         screen.show_json(told if options.against is None else {**told, "against": options.against, "gone": gone})
     else:
         for fault in found:
             if fault.suspicion is not Suspicion.UNTAKEN:
                 screen.show(_text(world, fault))
-        untaken = [f"{fault.unit}/{fault.port}" for fault in found if fault.suspicion is Suspicion.UNTAKEN]
         if untaken:
             screen.show(f"nobody takes {counted(len(untaken), 'stream')}: {some(untaken)}")
         screen.show(_verdict(options, world, broken, gone))

@@ -67,10 +67,11 @@ def _import(options: argparse.Namespace, screen: Screen) -> Exit:
     if options.what == "xml":
         shared.put(api.converted(path, "yaml"), options.out, screen)
         return Exit.OK
+    from cfgplan.formats.wsc import wsc_texts
     from cfgplan.formats.wsc_files import unread
 
     ontology = _beside(options.out, "a test set becomes two files, the environment and its ontology", ".ofn")
-    environment_text, ontology_text = api.converted_test_set(path, options.objective or "services", ontology.name)
+    environment_text, ontology_text = wsc_texts(path, options.objective or "services", ontology=ontology.name)
     shared.put(ontology_text, str(ontology), screen)
     shared.put(environment_text, options.out, screen)
     if dropped := unread(Path(path)):

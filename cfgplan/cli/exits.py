@@ -31,3 +31,11 @@ OF_STATUS: Mapping[str, Exit] = {
     "unknown": Exit.NO_ANSWER,
 }
 """By a plan's `Status`, which is a text: to import it takes longer than to show the help."""
+
+
+def exit_of(status: str, *, is_exact: bool, is_unmet: bool) -> Exit:
+    """The exit code of a plan that may give targets up: how it was proven comes first."""
+    code = OF_STATUS[status]
+    if code is Exit.OK and not is_exact:
+        return Exit.NOT_PROVEN
+    return Exit.UNMET if code is Exit.OK and is_unmet else code

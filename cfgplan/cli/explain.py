@@ -72,14 +72,15 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         whys = [answers.why(problem, plan, kind, name, **planning) for kind, name in _subjects(options, problem, plan)]
         unused = answers.why_not(world, problem, **reasoning, **planning).unused if plan.unused_required else ()
     pinned = answers.unfed_pinned(world, problem, **reasoning)
+    names_one = any((options.subject, options.unit, options.transformation, options.stream))
     named = (options.unit, options.subject)
-    asked = {unit: reason for unit, reason in pinned.items() if unit in named or not _names_one(options)}
+    asked = {unit: reason for unit, reason in pinned.items() if unit in named or not names_one}
     if screen.json:
         screen.show_json({"plan": plan, "why": whys, "unused": unused, "unfed": asked})
         return OF_STATUS[plan.status]
     from cfgplan.cli.plan_text import verdict
 
-    if _names_one(options):
+    if names_one:
         screen.show(why_text(whys[0]))
     else:
         screen.show("\n".join([*table_lines(whys), verdict(problem, plan).plain]))
@@ -104,35 +105,23 @@ def _show_why_not(problem: Problem, why: WhyNot, screen: Screen) -> None:
         screen.show(text)
 
 
-def _names_one(options: argparse.Namespace) -> bool:
-    return any((options.subject, options.unit, options.transformation, options.stream))
-
-
 def _subjects(options: argparse.Namespace, problem: Problem, plan: Plan) -> list[tuple[Subject, str]]:
     """What is asked for, or all that the plan uses."""
-    after = problem.after(plan)
+    before, after = problem.environment, problem.after(plan)
+    name = options.subject or options.unit or options.transformation or options.stream
+    if name is None:
+        from cfgplan.cli.plan_text import with_the_stream
+
+        used = dict.fromkeys(unit.transformation for unit in with_the_stream(after))
+        return [("transformation", label) for label in used]
+    units = {*before.unit, *after.unit}
+    if options.unit or (options.subject and name in units):
+        return [("unit", name)]
+    if options.stream or (options.subject and "/" in name and name not in after.transformation):
+        return [_stream(name, after)]
     if options.subject:
-        return [_subject(options.subject, problem.environment, after)]
-    if options.unit:
-        return [("unit", options.unit)]
-    if options.transformation:
-        return [("transformation", options.transformation)]
-    if options.stream:
-        return [_stream(options.stream, after)]
-    from cfgplan.cli.plan_text import with_the_stream
-
-    used = dict.fromkeys(unit.transformation for unit in with_the_stream(after))
-    return [("transformation", label) for label in used]
-
-
-def _subject(name: str, before: Environment, after: Environment) -> tuple[Subject, str]:
-    """What has this name: a unit before or after the update, a transformation, or a stream."""
-    if name in before.unit or name in after.unit:
-        return "unit", name
-    if "/" in name and name not in after.transformation:
-        return _stream(name, after)
-    units = {unit.id for unit in (*before.units, *after.units)}
-    return "transformation", known(name, {*after.transformation, *units}, "unit, transformation or stream")
+        known(name, {*after.transformation, *units}, "unit, transformation or stream")
+    return [("transformation", name)]
 
 
 def _stream(name: str, after: Environment) -> tuple[Subject, str]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import signal
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -17,6 +16,7 @@ from cfgplan.canonical import normal
 from cfgplan.cli import options as shared
 from cfgplan.cli.agent import add_links, reached
 from cfgplan.cli.exits import Exit
+from cfgplan.cli.interrupts import Interrupts
 from cfgplan.cli.screen import OUTPUT_VERSION, Screen, counted
 from cfgplan.errors import Fault, InputError, InvalidValueError
 
@@ -76,7 +76,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         from cfgplan_runtime.operating.control_client import connect
         from cfgplan_runtime.reasoning.managed import RemoteSubscriptions
 
-        with _interruptible(), reached(options) as fleet, connect(options.run_id, fleet) as control:
+        with Interrupts(), reached(options) as fleet, connect(options.run_id, fleet) as control:
             remote = RemoteSubscriptions(control) if fleet is None else RemoteSubscriptions(control, fleet.subscribe)
             return _answered(options, screen, _read(options, screen, remote.declared()), remote)
     world = shared.load(options, screen)
@@ -101,7 +101,7 @@ def _own(options: argparse.Namespace, screen: Screen, asked: Query, world: World
     empty = replace(world, environment=Environment((), found.library, targets), file=None)
     folder = Path(options.env).resolve()
     with (
-        _interruptible(),
+        Interrupts(),
         Runtime(folder=folder if folder.is_dir() else folder.parent) as runtime,
         Manager(empty, runtime) as manager,
     ):
@@ -172,18 +172,6 @@ def _answered(options: argparse.Namespace, screen: Screen, asked: Query, subscri
         )
         return Exit.NO_PLAN
     return _EXITS[answer.verdict]
-
-
-@contextmanager
-def _interruptible() -> Iterator[None]:
-    """Let SIGINT and SIGTERM end a query cleanly; a solver may leave either with a handler of its own."""
-    signals = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.signal(one, signal.default_int_handler) for one in signals]
-    try:
-        yield
-    finally:
-        for one, handler in zip(signals, before, strict=True):
-            signal.signal(one, handler)
 
 
 def as_json(screen: Screen) -> Callable[[QueryReport], None]:

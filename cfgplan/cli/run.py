@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from cfgplan.cli import options as shared
 from cfgplan.cli.agent import add_links
-from cfgplan.cli.exits import OF_STATUS, Exit
+from cfgplan.cli.exits import Exit, exit_of
 from cfgplan.cli.interrupts import Interrupts
 from cfgplan.cli.run_output import JsonLines, Lines, RunOutput
 from cfgplan.cli.screen import Screen, counted
@@ -142,7 +142,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         task = shared.task(options, screen, world)
         with screen.phase("plan"):
             found = first_update(task.problem, settings, task.matches)
-        code = _exit_of(found)
+        code = exit_of(found.plan.status, is_exact=found.exact, is_unmet=bool(found.unmet))
         if options.dry_run or code is not Exit.OK:
             _show_first(found, world.digest, screen)
             if said is not None and found.plan.change_set is not None:
@@ -431,14 +431,6 @@ def first_update(problem: Problem, settings: Settings, decider: Decider) -> Best
     deciding = Deciding(settings.planner or PLANNERS["cpsat"], decider)
     found = best_effort(estimated, deciding, time_limit_s=settings.policy.time_limit_s)
     return replace(found, problem=deciding.known(found.problem))
-
-
-def _exit_of(found: BestEffort) -> Exit:
-    """The exit code: as of `solve --best-effort`."""
-    code = OF_STATUS[found.plan.status]
-    if code is Exit.OK and not found.exact:
-        return Exit.NOT_PROVEN
-    return Exit.UNMET if found.unmet and code is Exit.OK else code
 
 
 def _show_first(found: BestEffort, digest: str, screen: Screen) -> None:

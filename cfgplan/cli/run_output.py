@@ -55,7 +55,7 @@ class Lines(RunOutput):
         self._told: set[str] = set()
 
     def __enter__(self) -> Self:
-        self._say(running_text(self._operation))
+        self._screen.tell(running_text(self._operation))
         return self
 
     def update(self, wait_s: float) -> None:
@@ -67,12 +67,12 @@ class Lines(RunOutput):
                 continue
             said, where = sentence(news), details(news)
             if said is not None:
-                self._say(printable(said))
+                self._screen.tell(printable(said))
             if where is not None and where not in self._told:
                 # What fails at each step says where only once.
                 self._told.add(where)
                 for line in where.splitlines():
-                    self._say(printable(line))
+                    self._screen.tell(printable(line))
 
     def sum_up(self) -> None:
         for news in fetched(self._operation, 0.0):
@@ -80,9 +80,6 @@ class Lines(RunOutput):
                 self._screen.warn(news)
         show_ledger(self._operation, self._screen)
         show_files(self._operation, self._screen)
-
-    def _say(self, text: str) -> None:
-        self._screen.tell(text)
 
 
 class JsonLines(RunOutput):

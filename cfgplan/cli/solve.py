@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any
 from rich.text import Text
 
 from cfgplan.cli import options as shared
-from cfgplan.cli.exits import OF_STATUS, Exit
+from cfgplan.cli.exits import OF_STATUS, Exit, exit_of
 from cfgplan.cli.front import add_front, show_front
 from cfgplan.cli.plan_text import cpu, verdict
 from cfgplan.cli.screen import Screen, blamed, counted
 from cfgplan.errors import InputError
-from cfgplan.planning import REFUSED, Plan, PlannerFaultError, Problem, Status
+from cfgplan.planning import REFUSED, Plan, PlannerFaultError, Problem
 
 if TYPE_CHECKING:
     from cfgplan.explaining import Alternatives
@@ -123,13 +123,8 @@ def _solve(options: argparse.Namespace, screen: Screen, task: shared.Task) -> Ex
             screen.note(f"Wrote {options.out}.")
         if plan.status in REFUSED:
             screen.note(f"`cfgplan explain {options.env}` tells more about why.")
-    if plan.status is Status.OPTIMAL and not is_proven:
-        return Exit.NOT_PROVEN
-    if plan.status is Status.OPTIMAL and given_up:
-        return Exit.UNMET
-    if options.detailed_exitcode and plan.status is Status.OPTIMAL and plan.change_set:
-        return Exit.CHANGES
-    return OF_STATUS[plan.status]
+    code = exit_of(plan.status, is_exact=is_proven, is_unmet=bool(given_up))
+    return Exit.CHANGES if code is Exit.OK and options.detailed_exitcode and plan.change_set else code
 
 
 def _show_unjudged(screen: Screen, task: shared.Task, error: PlannerFaultError) -> Exit:

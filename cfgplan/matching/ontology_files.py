@@ -200,10 +200,7 @@ def _parse_rdf(text: str, syntax: str, base: str, shown: str) -> _Document:
             message = f"the ontology can't be read as {name}: its `@context` is another document"
             mend = "write the `@context` into the file: web addresses are not fetched"
         raise InputError([Fault(message, file=shown, line=line, column=column, mend=mend)]) from None
-    try:
-        parsed = _parsed(graph.lossless(), "ttl")
-    except ValueError as error:
-        raise InputError([_fault_of(str(error), text, syntax, shown)]) from None
+    parsed = _parsed(graph.lossless(), "ttl", text, syntax, shown)
     components = [str(component.component) for component in parsed.get_components()]
     document = _document(parsed, components, syntax, shown)
     unread = {f"{said} in {Path(shown).name}": "that is no axiom of OWL 2" for said in graph.unread(components)}
@@ -232,25 +229,22 @@ def _prefixes_of_context(data: object) -> Iterator[tuple[str, str]]:
 
 
 def _parse(text: str, syntax: str, shown: str) -> _Document:
-    try:
-        parsed = _parsed(text, syntax)
-    except ValueError as error:
-        raise InputError([_fault_of(str(error), text, syntax, shown)]) from None
+    parsed = _parsed(text, syntax, text, syntax, shown)
     prefixes = {prefix: namespace for prefix, namespace in parsed.prefix_mapping if prefix not in ("_", "xml")}
     components = [str(component.component) for component in parsed.get_components()]
     return replace(_document(parsed, components, syntax, shown), prefixes=prefixes)
 
 
-def _parsed(text: str, syntax: str) -> Any:
-    """py-horned-owl's reading of a text. Raises ValueError."""
+def _parsed(rewritten: str, form: str, text: str, syntax: str, shown: str) -> Any:
+    """py-horned-owl's reading of a document as it was rewritten. Raises InputError with a place in the text itself."""
     import pyhornedowl
 
     try:
-        return pyhornedowl.open_ontology_from_string(text, syntax)  # type: ignore[arg-type]
+        return pyhornedowl.open_ontology_from_string(rewritten, form)  # type: ignore[arg-type]
     except (KeyboardInterrupt, SystemExit, MemoryError):
         raise
     except BaseException as error:  # a panic of the parser's native code is no Exception
-        raise ValueError(str(error)) from None
+        raise InputError([_fault_of(str(error), text, syntax, shown)]) from None
 
 
 def _document(parsed: Any, components: Iterable[str], syntax: str, shown: str) -> _Document:

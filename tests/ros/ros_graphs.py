@@ -12,7 +12,7 @@ from cfgplan.ros.environments import Imported, imported
 from cfgplan.ros.graph import Role, RosGraph, RosNode, RosPort
 from cfgplan.ros.guesses import guess_table
 from cfgplan.ros.types import MessageType
-from cfgplan.validity import Violation
+from cfgplan.validity import Violation, violations
 
 Ports = Mapping[str, str | None]
 
@@ -52,7 +52,7 @@ def read_back(whole: RosGraph, folder: Path, guesses: str | None = None) -> Worl
 def judged(whole: RosGraph, folder: Path, guesses: str | None = None) -> list[Violation]:
     """What is wrong with that environment."""
     problem = api.match(read_back(whole, folder, guesses))
-    return api.violations(problem.environment, problem.similarity)
+    return violations(problem.environment, problem.similarity)
 
 
 def faults(whole: RosGraph, folder: Path) -> tuple[WiringFault, ...]:

@@ -17,6 +17,7 @@ from cfgplan.ros.environments import imported, port_names
 from cfgplan.ros.graph import Role, RosGraph, RosNode, RosPort, merged
 from cfgplan.ros.guesses import guess_table
 from cfgplan.ros.types import MessageType
+from cfgplan.validity import violations
 
 SCAN, ODOM, TWIST, TF = "sensor_msgs/LaserScan", "nav_msgs/Odometry", "geometry_msgs/Twist", "tf2_msgs/TFMessage"
 
@@ -146,7 +147,7 @@ def test_a_graph_that_works_breaks_no_rule_but_where_types_differ(whole: RosGrap
     with TemporaryDirectory() as folder:
         found = imported(whole, guess_table(), works=True)
         problem = api.match(api.load(written(found, Path(folder))))
-        assert {violation.rule.name for violation in api.violations(problem.environment, problem.similarity)} <= {
+        assert {violation.rule.name for violation in violations(problem.environment, problem.similarity)} <= {
             "MATCHING"
         }
 

@@ -19,6 +19,7 @@ from cfgplan.explaining import Suspicion, WiringFault
 from cfgplan.ros.environments import imported
 from cfgplan.ros.graph import RosGraph, RosNode, merged
 from cfgplan.ros.guesses import guess_table
+from cfgplan.validity import violations
 
 SCAN, ODOM, TWIST, IMU = "sensor_msgs/LaserScan", "nav_msgs/Odometry", "geometry_msgs/Twist", "sensor_msgs/Imu"
 
@@ -214,5 +215,5 @@ def test_faults_of_a_large_graph_are_found_in_seconds_and_are_the_judges(tmp_pat
     found = faults(graph(*nodes), tmp_path)
     world = read_back(graph(*nodes), tmp_path)
     problem = api.match(world)
-    judged = api.violations(problem.environment, problem.similarity)
+    judged = violations(problem.environment, problem.similarity)
     assert sorted(fault.text for fault in found if fault.violation) == sorted(violation.text for violation in judged)
