@@ -206,11 +206,7 @@ class _Judged:
         self.known = self._deciding.known
 
     def __call__(
-        self,
-        problem: Problem,
-        *,
-        time_limit_s: float | None = None,
-        report: Callable[[Progress], None] | None = None,
+        self, problem: Problem, *, time_limit_s: float | None = None, report: Callable[[Progress], None] | None = None
     ) -> Plan:
         limit_s = min((limit for limit in (self._limit_s, time_limit_s) if limit is not None), default=None)
         found = self._deciding(problem, time_limit_s=limit_s, report=report)

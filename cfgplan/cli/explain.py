@@ -44,10 +44,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     subject.add_argument("--unit", type=normal, metavar="U", help="why this unit is started, kept, rewired or stopped")
     subject.add_argument("--transformation", type=normal, metavar="T", help="why this transformation is used, or not")
     subject.add_argument(
-        "--stream",
-        type=normal,
-        metavar="S",
-        help="why this output is used: unit/port or transformation/port",
+        "--stream", type=normal, metavar="S", help="why this output is used: unit/port or transformation/port"
     )
     shared.add_planning(parser)
     shared.add_survive(parser)

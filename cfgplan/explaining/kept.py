@@ -6,14 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from cfgplan.domain import (
-    ComputationUnit,
-    OutputPort,
-    Publication,
-    Similarity,
-    Target,
-    Transformation,
-)
+from cfgplan.domain import ComputationUnit, OutputPort, Publication, Similarity, Target, Transformation
 from cfgplan.planning import Plan, Problem
 from cfgplan.reasons import Givers, startable
 

@@ -155,11 +155,7 @@ class _Envelope:
     """
 
     def __init__(
-        self,
-        problem: Problem,
-        planner: Planner,
-        at: Callable[[int], Problem],
-        each_us: Callable[[Environment], int],
+        self, problem: Problem, planner: Planner, at: Callable[[int], Problem], each_us: Callable[[Environment], int]
     ) -> None:
         refuse_order(problem, "sensitivities")
         self.exact = True

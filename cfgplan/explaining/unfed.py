@@ -101,9 +101,7 @@ class DeadEnds:
         if any(len(ports) > 1 for ports in kept.values()):
             kept = self._blocked(tag, self._minimal(tag, kept))
         return Unreachable(
-            target,
-            self._unfed(tag, None),
-            tuple(self._told(label, ports, kept) for label, ports in kept.items()),
+            target, self._unfed(tag, None), tuple(self._told(label, ports, kept) for label, ports in kept.items())
         )
 
     def _find_dead_ends(self) -> None:

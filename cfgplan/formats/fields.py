@@ -105,12 +105,7 @@ _IN_SCHEMA = {"ge": "minimum", "le": "maximum"}
 
 
 def row(
-    meaning: str,
-    default: Any = None,
-    to: str = "",
-    use: Use | None = None,
-    xml: str | None = None,
-    **limits: Any,
+    meaning: str, default: Any = None, to: str = "", use: Use | None = None, xml: str | None = None, **limits: Any
 ) -> Any:
     """A field of a part. With `...` as default the key can't be absent."""
     in_schema: Any = {_IN_SCHEMA[name]: limit for name, limit in limits.items() if name in _IN_SCHEMA}

@@ -256,14 +256,7 @@ Horizon = Annotated[
     int,
     Field(ge=0, le=LARGEST_AMOUNT),
     BeforeValidator(_whole_span),
-    WithJsonSchema(
-        {
-            "anyOf": [
-                {"type": "integer", **_AMOUNT},
-                {"type": "string", "pattern": SPAN},
-            ]
-        }
-    ),
+    WithJsonSchema({"anyOf": [{"type": "integer", **_AMOUNT}, {"type": "string", "pattern": SPAN}]}),
 ]
 Rate = Annotated[
     float,

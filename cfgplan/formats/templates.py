@@ -110,9 +110,7 @@ def pattern(text: str) -> re.Pattern[str]:
     return re.compile(".*".join(map(re.escape, pieces)), re.DOTALL)
 
 
-def assignments(
-    instances: Mapping[Variable, Iterable[str]],
-) -> Iterator[dict[Variable, str]]:
+def assignments(instances: Mapping[Variable, Iterable[str]]) -> Iterator[dict[Variable, str]]:
     """Every way to give the variables a value: the product over all of them."""
     for values in product(*instances.values()):
         yield dict(zip(instances, values, strict=True))

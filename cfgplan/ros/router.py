@@ -17,12 +17,7 @@ CONNECT_LIMIT_S = 3.0
 """How long it may take to reach a router."""
 TOKENS_LIMIT_S = 3.0
 """How long the tokens may take to come; the router says when these are all."""
-_ROLES = {
-    "publisher": Role.PUBLISHES,
-    "subscription": Role.SUBSCRIBES,
-    "service": Role.SERVES,
-    "client": Role.CALLS,
-}
+_ROLES = {"publisher": Role.PUBLISHES, "subscription": Role.SUBSCRIBES, "service": Role.SERVES, "client": Role.CALLS}
 _ACTION, _GOAL = "/_action/", "_SendGoal"
 
 
