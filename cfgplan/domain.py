@@ -329,10 +329,6 @@ class Objective(StrEnum):
     """New units, spares too."""
 
 
-def _environment_summary(environment: Environment) -> Summary:
-    return summary(environment.counted, ENVIRONMENT_HEADS, environment_rows(environment))
-
-
 ENVIRONMENT_HEADS = ("", "name", "takes", "gives", "labor", "upkeep each second")
 
 
@@ -361,7 +357,7 @@ _NAMED = (
 """The parts of an environment, what each is named by, and what one of them is called."""
 
 
-@summarised(_environment_summary)
+@summarised(lambda each: summary(each.counted, ENVIRONMENT_HEADS, environment_rows(each)))
 @dataclass(frozen=True)
 class Environment:
     """Computation units, library and targets (Definition 5); ~ is a `Similarity` beside it.

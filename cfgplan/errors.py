@@ -53,10 +53,13 @@ class Fault:
     key: str | None = None
     mend: str | None = None
 
+    @property
+    def place(self) -> str:
+        """File, line and column, as far as they are known."""
+        return ":".join(str(part) for part in (self.file, self.line, self.column) if part is not None)
+
     def __str__(self) -> str:
-        place = ":".join(str(part) for part in (self.file, self.line, self.column) if part is not None)
-        parts = [place, self.key, self.message]
-        text = ": ".join(part for part in parts if part)
+        text = ": ".join(part for part in (self.place, self.key, self.message) if part)
         return f"{text} ({self.mend})" if self.mend else text
 
 

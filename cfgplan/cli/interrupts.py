@@ -13,7 +13,8 @@ from types import FrameType
 
 from cfgplan.cli.exits import Exit
 
-_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
+_SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+"""Windows has no SIGHUP."""
 _MOST_PATIENT = 2
 
 
@@ -45,8 +46,7 @@ def ended_cleanly(*, for_good: bool = False) -> Iterator[Ending]:
     `for_good`: the process ends with the command, and the handlers stay. Otherwise the former handlers are restored.
     """
     ending = Ending()
-    names = _SIGNALS if current_thread() is main_thread() else ()
-    signals = [getattr(signal, name) for name in names if hasattr(signal, name)]
+    signals = _SIGNALS if current_thread() is main_thread() else ()
     usual = (signal.SIG_DFL, signal.default_int_handler)
     before = {one: signal.signal(one, ending.hear) for one in signals if signal.getsignal(one) in usual}
     try:
@@ -73,9 +73,8 @@ class Interrupts:
         self._raises = False
 
     def __enter__(self) -> Interrupts:
-        # Windows has no SIGHUP, and under nohup it is ignored.
-        signals = [getattr(signal, name) for name in _SIGNALS if hasattr(signal, name)]
-        wanted = [one for one in signals if one == signal.SIGINT or signal.getsignal(one) != signal.SIG_IGN]
+        # Under nohup SIGHUP is ignored.
+        wanted = [one for one in _SIGNALS if one == signal.SIGINT or signal.getsignal(one) != signal.SIG_IGN]
         self._before = {one: signal.signal(one, self._hear) for one in wanted}
         return self
 

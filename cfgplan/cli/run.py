@@ -219,7 +219,9 @@ def _operate(options: argparse.Namespace, world: World, screen: Screen, said: En
             operation = Operation(world, Path(options.env), _settings(options, screen))
         with operation, _published(options, operation):
             interrupts.only_count()
-            _await_first_review(operation, interrupts, screen)
+            with screen.phase("plan"):
+                while not interrupts.count and not operation.begun.wait(_LIVE_LOOK_S):
+                    pass
             operation.observe()
             if said is not None:
                 screen.note(difference_text(said, operation.runtime.environment), style="")
@@ -298,12 +300,6 @@ def named_alike(said: Environment, running: Environment) -> tuple[ComputationUni
 
 def _kind(unit: ComputationUnit) -> tuple[str, str | None, bool]:
     return unit.transformation, unit.host, unit.standby
-
-
-def _await_first_review(operation: Operation, interrupts: Interrupts, screen: Screen) -> None:
-    with screen.phase("plan"):
-        while not interrupts.count and not operation.begun.wait(_LIVE_LOOK_S):
-            pass
 
 
 def _output_for(screen: Screen, operation: Operation, *, plain: bool) -> RunOutput:

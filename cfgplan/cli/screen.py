@@ -170,9 +170,8 @@ class Screen:
             self.show_json({"errors": faults})
             return
         for fault in faults:
-            place = ":".join(str(part) for part in (fault.file, fault.line, fault.column) if part is not None)
             line = Text("error: ", style="bold red")
-            line.append(f"{place}: " if place else "", style="bold")
+            line.append(f"{fault.place}: " if fault.place else "", style="bold")
             line.append(f"{fault.key}: " if fault.key else "", style="cyan")
             line.append(fault.message)
             if fault.mend:

@@ -72,10 +72,6 @@ def value_text(value: Fraction, found: Sensitivity) -> str:
     return f"{_decimal(value / 1_000_000)} s/s"
 
 
-def what_varies(found: Sensitivity) -> str:
-    return "the horizon" if found.transformation is None else f"the upkeep of {found.transformation}"
-
-
 def headline(found: Sensitivity) -> str:
     """Where the plan for the present value stays optimal."""
     if found.here is None:
@@ -88,7 +84,7 @@ def headline(found: Sensitivity) -> str:
 def _lines(found: Sensitivity) -> Iterator[Text]:
     if not found.spans:
         proven = "" if found.exact else ", as far as is known"
-        yield Text(f"There is no plan for any value of {what_varies(found)}{proven}.", style="bold red")
+        yield Text(f"There is no plan for any value of {found.parameter}{proven}.", style="bold red")
         return
     here = found.here
     yield Text(headline(found), style="bold")
@@ -111,7 +107,7 @@ def _given(found: Sensitivity) -> str:
 def _reach(found: Sensitivity, span: Span) -> str:
     begin = value_text(span.begin, found)
     if span.end is None:
-        return f"from {begin} on" if span.begin else f"whatever {what_varies(found)} is"
+        return f"from {begin} on" if span.begin else f"whatever {found.parameter} is"
     return f"from {begin} to {value_text(span.end, found)}"
 
 

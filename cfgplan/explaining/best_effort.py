@@ -161,15 +161,16 @@ class _Search:
         if not ahead:
             return
         first, rest = ahead[0], ahead[1:]
-        if self._may_be_met(chosen | {first}):
-            self._descend(chosen | {first}, rest)
+        more = chosen | {first}
+        if not self._is_refused(more) and self._free_plan(more).status not in REFUSED:
+            self._descend(more, rest)
         self._descend(chosen, rest)
 
     def _may_be_better(self, chosen: frozenset[Target], everything: frozenset[Target]) -> bool:
         most, best = self._counts(everything), self._counts(self.best)
         if most != best or not self._is_free or Notion.ORDER in self._problem.notions:
             return most >= best
-        return self._bound_us(chosen) <= (self._plan(self.best).cost_us or 0)
+        return self._free_plan(chosen).bound_us <= (self._plan(self.best).cost_us or 0)
 
     def _is_better(self, targets: frozenset[Target]) -> bool:
         most, best = self._counts(targets), self._counts(self.best)
@@ -185,14 +186,8 @@ class _Search:
     def _is_met(self, targets: frozenset[Target]) -> bool:
         return not self._is_refused(targets) and self._plan(targets).change_set is not None
 
-    def _may_be_met(self, targets: frozenset[Target]) -> bool:
-        return not self._is_refused(targets) and self._free_plan(targets).status not in REFUSED
-
     def _is_refused(self, targets: frozenset[Target]) -> bool:
         return any(refused <= targets for refused in self._refused)
-
-    def _bound_us(self, targets: frozenset[Target]) -> int:
-        return self._free_plan(targets).bound_us
 
     def _plan(self, targets: frozenset[Target]) -> Plan:
         if targets not in self._plans:

@@ -48,9 +48,8 @@ class Span:
 
 
 def _sensitivity_summary(found: Sensitivity) -> Summary:
-    what = "the horizon" if found.transformation is None else f"the upkeep of {found.transformation}"
     proven = "" if found.exact else "; not all of it is proven"
-    line = f"{counted(len(found.spans), 'plan')} over {what}{proven}"
+    line = f"{counted(len(found.spans), 'plan')} over {found.parameter}{proven}"
     rows = (
         (f"{float(span.begin):g}", "for ever" if span.end is None else f"{float(span.end):g}", ", ".join(span.runs))
         for span in found.spans
@@ -73,6 +72,11 @@ class Sensitivity:
     spans: tuple[Span, ...]
     transformation: str | None = None
     exact: bool = True
+
+    @property
+    def parameter(self) -> str:
+        """What varies, in words."""
+        return "the horizon" if self.transformation is None else f"the upkeep of {self.transformation}"
 
     @property
     def breaks(self) -> tuple[Fraction, ...]:

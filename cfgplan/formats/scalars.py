@@ -9,21 +9,11 @@ from __future__ import annotations
 import re
 from decimal import Decimal
 
-_SPECIAL = {
-    "": None,
-    "~": None,
-    "null": None,
-    "Null": None,
-    "NULL": None,
-    "true": True,
-    "True": True,
-    "TRUE": True,
-    "false": False,
-    "False": False,
-    "FALSE": False,
-    ".nan": Decimal("NaN"),
-    ".NaN": Decimal("NaN"),
-    ".NAN": Decimal("NaN"),
+_SPECIAL: dict[str, bool | Decimal | None] = {
+    **dict.fromkeys(("", "~", "null", "Null", "NULL"), None),
+    **dict.fromkeys(("true", "True", "TRUE"), True),
+    **dict.fromkeys(("false", "False", "FALSE"), False),
+    **dict.fromkeys((".nan", ".NaN", ".NAN"), Decimal("NaN")),
 }
 _INFINITE = re.compile(r"[-+]?\.(inf|Inf|INF)")
 _WHOLE = re.compile(r"[-+]?[0-9]{1,400}")

@@ -133,11 +133,6 @@ class Ontology:
         """IRIs of the individuals by short name (`prefix:name` where the short name is ambiguous)."""
         return self.individual_names.by_short_name
 
-    @property
-    def properties(self) -> Mapping[str, str]:
-        """IRIs of the object properties by short name (`prefix:name` where the short name is ambiguous)."""
-        return self.property_names.by_short_name
-
     def find(self, name: str, vocabularies: Sequence[NameTable]) -> tuple[NameTable, str] | None:
         """The first vocabulary that has a name, and its IRI; None in an open ontology. Raises UnknownNameError."""
         for vocabulary in vocabularies:

@@ -92,7 +92,7 @@ def load_ontology(paths: Sequence[Path], imports: Mapping[str, Path | None] | No
             documents[path] = _Document()
             continue
         for iri in document.imports:
-            written = _relative(iri, path)
+            written = iri.removeprefix(path.parent.as_uri() + "/")
             named = given.get(written.rstrip("#/"))
             if named is not None:
                 shown.setdefault(named.resolve(), str(named))
@@ -110,7 +110,8 @@ def load_ontology(paths: Sequence[Path], imports: Mapping[str, Path | None] | No
             elif found is None:
                 ignored.add(written)
             elif found not in documents:
-                shown.setdefault(found, str(Path(shown[path]).parent / _relative_path(found, path.parent)))
+                beside = found.relative_to(path.parent) if found.is_relative_to(path.parent) else found
+                shown.setdefault(found, str(Path(shown[path]).parent / beside))
                 waiting.append(found)
     if faults:
         raise InputError(faults)
@@ -343,14 +344,6 @@ def _declares(path: Path, iri: str) -> bool:
         return iri in path.read_text("utf-8-sig") and _read(path, str(path)).iri == iri
     except (OSError, UnicodeDecodeError, InputError):
         return False
-
-
-def _relative(iri: str, importer: Path) -> str:
-    return iri.removeprefix(importer.parent.as_uri() + "/")
-
-
-def _relative_path(path: Path, folder: Path) -> Path:
-    return path.relative_to(folder) if path.is_relative_to(folder) else path
 
 
 def _line_with(path: Path, wanted: str) -> int | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cached_property
@@ -33,6 +33,12 @@ from cfgplan.ros.vocabulary import RosVocabulary
 from cfgplan.summary import counted, some
 
 _COSTS = ("labor", "upkeep")
+_ENDINGS: tuple[Callable[[RosPort], str], ...] = (
+    lambda port: ".out" if port.role.gives else "",
+    lambda port: ".service" if port.role.is_service else "",
+    lambda port: f".{port.type.name if port.type else 'any'}",
+)
+"""What is put behind names that several ports of a node have, one after the other as long as it takes."""
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -403,9 +409,9 @@ def port_names(node: RosNode) -> dict[RosPort, str]:
     for gives in (False, True):
         ports = [port for port in node.ports if port.role.gives == gives]
         names |= {port: _short(port, ports) for port in ports}
-    for longer in (_with_role, _with_kind, _with_type):
+    for ending in _ENDINGS:
         taken = Counter(names.values())
-        names = {port: name if taken[name] == 1 else longer(port, name) for port, name in names.items()}
+        names = {port: name if taken[name] == 1 else name + ending(port) for port, name in names.items()}
     return names
 
 
@@ -416,15 +422,3 @@ def _short(port: RosPort, ports: Iterable[RosPort]) -> str:
     lengths = range(1, len(parts) + 1)
     length = next((n for n in lengths if all(other[-n:] != parts[-n:] for other in others)), len(parts))
     return ".".join(parts[-length:]) or "of_no_name"
-
-
-def _with_role(port: RosPort, name: str) -> str:
-    return f"{name}.out" if port.role.gives else name
-
-
-def _with_kind(port: RosPort, name: str) -> str:
-    return f"{name}.service" if port.role.is_service else name
-
-
-def _with_type(port: RosPort, name: str) -> str:
-    return f"{name}.{port.type.name if port.type else 'any'}"

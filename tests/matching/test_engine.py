@@ -207,7 +207,10 @@ def test_individuals_that_come_and_go_leave_the_matcher_as_a_fresh_one(seed: int
     rng = random.Random(seed)
     world = small_world(seed, 30)
     names = {"ns": NAMESPACE, "kind": rng.choice(sorted(world.ontology.classes))}
-    names |= {"role": rng.choice(sorted(world.ontology.properties)), "other": rng.choice(["new", "a0", "other"])}
+    names |= {
+        "role": rng.choice(sorted(world.ontology.property_names.by_short_name)),
+        "other": rng.choice(["new", "a0", "other"]),
+    }
     robot = [axiom.format(**names) for axiom in ROBOT]
     with_robot = Ontology([*world.ontology.axioms, *robot[: rng.randint(2, 3)]])
     matcher = Matcher(world.ontology, reasoner="el")
