@@ -216,7 +216,7 @@ def _value(
 
 
 def amount(objective: Objective, value: int) -> str:
-    """So much of an objective: `2 hosts`, `1.25 s of rent`, `1.25 s`."""
+    """A value of an objective in words: `2 hosts`, `1.25 s of rent`, `1.25 s`."""
     if objective in _COUNTED:
         return counted(value, _COUNTED[objective])
     return cpu(value) if objective is Objective.COST else f"{cpu(value)} of rent"

@@ -16,10 +16,10 @@ from cfgplan.planning import Failures, Plan, Problem, Status
 from cfgplan.qualities import Better, Wish
 from cfgplan.summary import cpu as cpu
 
-_STYLE = {"+": "green", "~": "yellow", "-": "red", "=": "dim"}
+_SIGNS = {"+": ("start", "green"), "~": ("rewire", "yellow"), "-": ("stop", "red"), "=": ("keep", "dim")}
+"""What is done with a unit, and how that is shown."""
 MOST_OPEN_PAIRS, MOST_NAMES = 10, 3
 """More open pairs, and more ports of one tag, are left to `--json`."""
-_VERB = {"+": "start", "~": "rewire", "-": "stop", "=": "keep"}
 
 
 def update_text(problem: Problem, plan: Plan, given_up: Collection[str] = ()) -> Text:
@@ -80,8 +80,9 @@ def with_the_stream(environment: Environment) -> list[ComputationUnit]:
 
 def _headline(sign: str, unit: ComputationUnit, width: int, environment: Environment) -> Text:
     transformation = environment.transformation.get(unit.transformation)
-    verb = "ready" if sign == "+" and unit.standby else _VERB[sign]
-    line = Text(f"  {sign} {verb:6}  {unit.id:{width}}", style=_STYLE[sign])
+    done, style = _SIGNS[sign]
+    verb = "ready" if sign == "+" and unit.standby else done
+    line = Text(f"  {sign} {verb:6}  {unit.id:{width}}", style=style)
     if transformation is not None:
         where = "" if unit.host is None else f"on {unit.host}, "
         host = environment.place_of(unit)
@@ -224,7 +225,7 @@ MOST_TRANSFERS = 10
 
 
 def fleet_lines(problem: Problem, after: Environment) -> Iterator[Text]:
-    """The lines of a configuration after an update; none for a problem that asks nothing beyond the paper."""
+    """What a configuration costs, reaches and takes of hosts and links; nothing for a problem as in the paper."""
     if problem.is_plain:
         return
     parts = cost_parts(problem, after.units)

@@ -78,7 +78,7 @@ class ShownWork:
 
 
 def decided_by(counts: Mapping[str, int]) -> str:
-    """How many pairs of tags were decided by whom, of a plan's counts; empty where no reasoner was asked."""
+    """Which reasoner decided how many pairs of tags, by a plan's counts; empty if none was asked."""
     if not counts.get("pairs asked"):
         return ""
     return ", ".join(f"{count} by {who}" for figure, count in counts.items() if (who := figure.partition(_DECIDED)[2]))

@@ -53,7 +53,7 @@ class Kept:
         )
 
     def really(self, plan: Plan, planned: Problem) -> Plan:
-        """A plan of a problem with own targets, or of a part of it, without the publications for these."""
+        """Take the artificial targets out of a plan that was made with them. Returns a plan of the problem itself."""
         if plan.change_set is None:
             return plan
         units = [_without(unit) for unit in planned.after(plan).units]

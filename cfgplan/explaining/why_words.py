@@ -29,16 +29,16 @@ def why_lines(why: Why) -> Iterator[str]:
 
 def choice_line(why: Why) -> str:
     """Forced, cheaper or a tie, as a sentence."""
-    how = "without it" if why.units else "with it"
+    how = "without it" if why.units else "that uses it"
     more = why.difference or 0
     match why.choice:
         case Choice.FORCED:
             return "Forced: there is no plan without it."
         case Choice.CHEAPER:
             used = "Used" if why.units else "Not used"
-            return f"{used} because the next best plan, {how}, costs {amount(why.decides, more)} more."
+            return f"{used}: the best plan {how} costs {amount(why.decides, more)} more."
         case Choice.LESS_CHANGE:
-            return f"A tie in cost: the next best plan, {how}, costs the same, but rewires or starts more units."
+            return f"A tie in cost: the best plan {how} costs the same, but rewires or starts more units."
         case Choice.TIE:
             return f"A tie: there is a plan {how} that is as good."
         case Choice.DEMANDED if more < 0:

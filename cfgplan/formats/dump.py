@@ -159,7 +159,7 @@ def plain_unit(unit: domain.ComputationUnit) -> dict[str, Any]:
 
 
 def unit_of(said: Mapping[str, Any]) -> domain.ComputationUnit:
-    """The unit of which a mapping says what `plain_unit` says."""
+    """The unit that a mapping describes, the reverse of `plain_unit`."""
     fed = ((port, [of] if isinstance(of, str) else of) for port, of in said.get("inputs", {}).items())
     return domain.ComputationUnit(
         said["id"],
@@ -172,7 +172,7 @@ def unit_of(said: Mapping[str, Any]) -> domain.ComputationUnit:
 
 
 def changes_of(said: Mapping[str, Any]) -> domain.ChangeSet:
-    """The changes of units of which a mapping tells, as a plan file does."""
+    """The change set that a mapping describes, as a plan file has it under `change_set`."""
     started, rewired = (tuple(map(unit_of, said[key])) for key in ("started", "rewired"))
     return domain.ChangeSet(started, rewired, tuple(said["stopped"]))
 

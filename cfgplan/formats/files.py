@@ -10,6 +10,12 @@ from cfgplan.formats.places import Source
 from cfgplan.formats.yaml_text import read_yaml
 
 LARGEST_FILE_BYTES = 128 * 2**20
+_UNREADABLE: dict[type[Exception], tuple[str, str]] = {
+    FileNotFoundError: ("there is no such file", "check the path"),
+    IsADirectoryError: ("this is a folder, not a file", "name the file in it"),
+    PermissionError: ("the file may not be read", "make it readable for you, such as by `chmod u+r`"),
+}
+"""What is told of an error, and how to mend it."""
 
 
 def read_source(path: Path) -> Source:
@@ -41,18 +47,11 @@ def read_bytes(path: Path) -> bytes:
     try:
         with path.open("rb") as stream:
             content = stream.read(LARGEST_FILE_BYTES + 1)
-    except FileNotFoundError:
-        mend = "name /dev/stdin for standard input" if name == "-" else "check the path"
-        raise InputError.of("there is no such file", file=name, mend=mend) from None
-    except IsADirectoryError:
-        raise InputError.of("this is a folder, not a file", file=name, mend="name the file in it") from None
-    except PermissionError:
-        raise InputError.of(
-            "the file may not be read", file=name, mend="make it readable for you, such as by `chmod u+r`"
-        ) from None
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or error
-        raise InputError.of(f"the file can't be read: {why}", file=name, mend="check the path") from None
+        message, mend = _UNREADABLE.get(type(error), (f"the file can't be read: {why}", "check the path"))
+        mend = "name /dev/stdin for standard input" if name == "-" else mend
+        raise InputError.of(message, file=name, mend=mend) from None
     if len(content) > LARGEST_FILE_BYTES:
         raise InputError.of(
             f"the file is larger than {LARGEST_FILE_BYTES // 2**20} MiB", file=name, mend="split it by `include:`"

@@ -23,7 +23,7 @@ class FleetReader:
         self._left_out = left_out
         self.hosts: dict[str, Host] = {}
         self.copies: dict[str, tuple[str, ...]] = {}
-        """The hosts that a name stands for which was given to several."""
+        """The hosts that have a name together, by that name, such as `node` for `node.1` and `node.2`."""
         self.attributes: dict[str, QualityAttribute] = {}
         self.links: tuple[Link, ...] = ()
         header = document.header

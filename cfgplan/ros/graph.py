@@ -58,8 +58,8 @@ class RosNode:
 
     `package` and `executable` say how it is started, and `plugin` what a container or nodelet manager of the name
     `container` loads; each is None where no source tells it. `remappings` are full names, from the node's own to
-    those used; `parameters` are as a launch file writes them. A `player` gives what was recorded, of which nobody knows
-    who published it. `runs` is None where no source looked whether it does.
+    those used; `parameters` are as a launch file writes them. A `player` stands for the unknown
+    publishers of what was recorded. `runs` is None where no source looked whether the node runs.
     """
 
     name: str
@@ -113,8 +113,8 @@ class RosGraph:
 def merged(graphs: Iterable[RosGraph]) -> RosGraph:
     """One graph of several: nodes of one name are one node; the first source that tells how it starts is believed.
 
-    A player gives what no other node publishes. Where one does, the recording tells how often, and the type if nobody
-    else does. If a source looked what runs, what it has not seen does not, and players are gone.
+    A player keeps the topics that no other node publishes. Of the others the recording tells how often, and the type
+    if no other source does. If a source looked at what runs, nodes that it has not seen do not run, and players go.
     """
     graphs = list(graphs)
     nodes: dict[str, RosNode] = {}

@@ -122,7 +122,7 @@ class EndpointToken:
     """`RIHS01_` and 64 hexadecimal digits."""
     qos: Qos = Qos()
     more: tuple[str, ...] = ()
-    """What versions that are newer than this module have told beyond that, not interpreted."""
+    """Further parts, which newer versions of rmw_zenoh tell; they are kept as they are."""
 
     @property
     def key(self) -> str:

@@ -29,7 +29,7 @@ def is_recording(path: Path) -> bool:
 def recorded_graph(path: Path) -> RosGraph:
     """Who published what in a recording. Raises InputError for what can't be read.
 
-    Bags of ROS 1 mostly tell who published. What nobody is known to have published a player gives.
+    Bags of ROS 1 mostly tell who published. A player publishes what has no known publisher.
     """
     connections, seconds = _read(path)
     notes = [f"who subscribes to topics of {path}: a recording has only what was published"]

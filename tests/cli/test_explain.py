@@ -47,7 +47,7 @@ def test_without_a_subject_it_says_for_each_unit_what_it_serves_and_what_doing_w
 
 def test_what_is_not_used_says_what_it_would_cost(run: Run) -> None:
     result = run("explain", NAO / "4-fusion-available.yaml", "--transformation", "fuse_ball_pos")
-    assert "Not used because the next best plan, with it, costs 21.3 s more." in result.out
+    assert "Not used: the best plan that uses it costs 21.3 s more." in result.out
     document = run("explain", NAO / "4-fusion-available.yaml", "--transformation", "fuse_ball_pos", "--json").document
     assert document["why"][0]["difference_us"] == 21_300_000
 
