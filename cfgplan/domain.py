@@ -559,6 +559,6 @@ class Environment:
         )
 
 
-def _updated(before: Mapping[str, T], key: str, added: Iterable[T], removed: Collection[str]) -> tuple[T, ...]:
-    after = {**before, **{getattr(each, key): each for each in added}}
-    return tuple(each for name, each in after.items() if name not in removed)
+def _updated(before: Mapping[str, T], key: str, added: Iterable[T], removed: Iterable[str]) -> tuple[T, ...]:
+    after, gone = {**before, **{getattr(each, key): each for each in added}}, {*removed}
+    return tuple(each for name, each in after.items() if name not in gone)

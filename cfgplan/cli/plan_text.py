@@ -230,8 +230,7 @@ def fleet_lines(problem: Problem, after: Environment) -> Iterator[Text]:
         return
     parts = cost_parts(problem, after.units)
     named = {"transfers": parts.transfer_us, "cold spares": parts.standby_us, "quality missed": parts.quality_us}
-    named["rent"] = parts.rent_us
-    named["optional inputs unfed"] = parts.unfed_us
+    named |= {"rent": parts.rent_us, "optional inputs unfed": parts.unfed_us}
     more = [f"{name} {cpu(cost_us)}" for name, cost_us in named.items() if cost_us]
     if more:
         both = [f"labor {cpu(parts.labor_us)}", f"upkeep {cpu(parts.upkeep_us)}"]

@@ -206,23 +206,17 @@ class _Wiring:
 
     def _nearest(self, unit: ComputationUnit, port: InputPort) -> tuple[NearStream, ...]:
         """The streams of others that come nearest to what an input needs, or else are called nearly so."""
+        alike = (Nearest(offered, (port.tag,)) for offered in self._offering if likeness(offered, port.tag) >= ALIKE)
         found: list[NearStream] = []
-        for offer in self._near.get(port.tag, ()):
-            found += self._near_streams(unit, port, offer)
-        if not found:
-            for offered in self._offering:
-                if likeness(offered, port.tag) >= ALIKE:
-                    found += self._near_streams(unit, port, Nearest(offered, (port.tag,)), by_name=True)
+        for offers, by_name in ((self._near.get(port.tag, ()), False), (alike, True)):
+            found = found or [
+                NearStream(stream, offer, stream in self._taken, likeness(offer.offered, port.tag), by_name)
+                for offer in offers
+                for stream in self._offering.get(offer.offered, ())
+                if stream.unit != unit.id and Subscription(port.name, stream) not in unit.subscriptions
+            ]
         found.sort(key=lambda near: (len(near.offer.missing), near.is_taken, -near.likeness, near.stream))
         return tuple(found[:MOST_NEAR])
-
-    def _near_streams(
-        self, unit: ComputationUnit, port: InputPort, offer: Nearest, *, by_name: bool = False
-    ) -> Iterator[NearStream]:
-        for stream in self._offering.get(offer.offered, ()):
-            if stream.unit != unit.id and Subscription(port.name, stream) not in unit.subscriptions:
-                like = likeness(offer.offered, port.tag)
-                yield NearStream(stream, offer, stream in self._taken, like, by_name)
 
 
 def _of_unfed(near: Sequence[NearStream]) -> Suspicion:

@@ -64,20 +64,19 @@ class FleetReader:
 
     def _may_add(self, entry: Passage, link: LinkPart) -> bool:
         """Whether the latency of a link may be added to an attribute, if it has one."""
-        if link.latency and link.adds is None:
-            names = ", ".join(self.attributes) or "one of `qualities:`"
-            entry.at("latency").note(
-                "it is not said what the latency is added to", f"write `adds:`, {names}", at_key=True
-            )
-        elif link.adds is not None and not link.latency:
+        if link.adds is None:
+            if link.latency:
+                mend = f"write `adds:`, {', '.join(self.attributes) or 'one of `qualities:`'}"
+                entry.at("latency").note("it is not said what the latency is added to", mend, at_key=True)
+            return not link.latency
+        if not link.latency:
             entry.at("adds").note("nothing is added: the link has no latency", "add `latency:`", at_key=True)
-        elif link.adds is not None:
-            attribute = self._attribute(entry.at("adds"), link.adds, at_key=False)
-            if attribute is not None and attribute.better is Better.HIGHER:
-                message = f"a latency can't be added to {link.adds}, of which more is better"
-                entry.at("adds").note(message, "name an attribute with `better: lower`")
-            return attribute is not None and attribute.better is Better.LOWER
-        return not link.latency and link.adds is None
+            return False
+        attribute = self._attribute(entry.at("adds"), link.adds, at_key=False)
+        if attribute is not None and attribute.better is Better.HIGHER:
+            message = f"a latency can't be added to {link.adds}, of which more is better"
+            entry.at("adds").note(message, "name an attribute with `better: lower`")
+        return attribute is not None and attribute.better is Better.LOWER
 
     def _survived(self, entry: Passage, written: int | str, *, has_hosts: bool) -> Failures | None:
         if written == "hosts" and not has_hosts and not self._left_out.any_of("hosts"):

@@ -121,9 +121,7 @@ def check_tag(text: str, ontology: Ontology) -> None:
     parse_tag(text, ontology)
 
 
-def instances(
-    ontology: Ontology, class_or_tag: str, *, reasoner: str = "auto", time_limit_s: float | None = None
-) -> tuple[str, ...]:
+def instances(ontology: Ontology, class_or_tag: str, *, time_limit_s: float | None = None) -> tuple[str, ...]:
     """The names of the individuals that belong to a class or tag, asserted or inferred, sorted.
 
     Raises UnknownNameError for a name that is no class, TagError for a tag that can't be read, InputError for
@@ -134,7 +132,7 @@ def instances(
         raise UnknownNameError(f"{name!r} is an individual, but a class is wanted here")
     parse_tag(name, ontology)
     tags = {f"{{{individual}}}": individual for individual in ontology.individuals}
-    found = match(tags, [name], ontology, reasoner=reasoner, time_limit_s=time_limit_s)
+    found = match(tags, [name], ontology, time_limit_s=time_limit_s)
     if found.similarity.open:
         message = f"it could not be decided in {time_limit_s} s which individuals belong to {name!r}"
         raise ReasonerTimeoutError(message, "simplify the ontology, or name the individuals")

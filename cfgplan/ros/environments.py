@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import networkx
 
@@ -205,7 +205,10 @@ class _Making:
     def _input(self, end: _End, node: RosNode, port: RosPort, feeds: Mapping[_End, list[_End]]) -> InputPort:
         about = f"input {end.port} of {end.node}"
         tag, is_service = self._words.tag(port), port.role.is_service
-        optional = self._says(about, node, port, "optional", "it may stay unfed")
+        row = self._table.says(node.name, port, "optional")
+        optional = row is not None and row.optional is True
+        if row is not None and optional:
+            self._guess(about, "it may stay unfed", row.why)
         if is_service:
             if not feeds[end] and not optional:
                 self._guess(about, "it may stay unfed", "nobody serves it now, and it is called now and then")
@@ -241,13 +244,6 @@ class _Making:
             type=_type(port),
             remap=_own(node, port),
         )
-
-    def _says(self, about: str, node: RosNode, port: RosPort, word: Literal["optional"], guess: str) -> bool:
-        row = self._table.says(node.name, port, word)
-        if row is None or not row.optional:
-            return False
-        self._guess(about, guess, row.why)
-        return True
 
     def _taken(self, end: _End, streams: list[_End], port: InputPort) -> list[_End]:
         """The streams that an input is wired to; of several servers of one name the first."""

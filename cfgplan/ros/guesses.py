@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
@@ -98,21 +97,13 @@ class NodeGuess(_Rows):
         ]
 
 
-class _GuessesFile(_Rows):
+class GuessTable(_Rows):
+    """Rows in the order in which they are believed. `wanted` are patterns of nodes to be kept; None: to be guessed."""
+
     inputs: list[InputGuess] = []
     noise: NoiseGuess = NoiseGuess()
     nodes: dict[str, NodeGuess] = {}
     wanted: list[str] | None = None
-
-
-@dataclass(frozen=True)
-class GuessTable:
-    """Rows in the order in which they are believed. `wanted` are patterns of nodes to be kept; None: to be guessed."""
-
-    inputs: tuple[InputGuess, ...]
-    noise: NoiseGuess
-    nodes: dict[str, NodeGuess]
-    wanted: tuple[str, ...] | None = None
 
     def says(self, node: str, port: RosPort, word: Literal["optional", "several", "feedback"]) -> InputGuess | None:
         """The row that decides a word for an input; None if none does."""
@@ -152,27 +143,25 @@ def guess_table(files: Iterable[Path] = ()) -> GuessTable:
     """The table of this room, behind what files say. Raises InputError."""
     read = [*map(_read, files), _own()]
     return GuessTable(
-        tuple(row for file in read for row in file.inputs),
-        NoiseGuess(
-            topics=[pattern for file in read for pattern in file.noise.topics],
-            services=[pattern for file in read for pattern in file.noise.services],
-            nodes=[pattern for file in read for pattern in file.noise.nodes],
+        inputs=[row for file in read for row in file.inputs],
+        noise=NoiseGuess(
+            **{name: [each for file in read for each in getattr(file.noise, name)] for name in NoiseGuess.model_fields}
         ),
-        {name: ports for file in reversed(read) for name, ports in file.nodes.items()},
-        next((tuple(file.wanted) for file in read if file.wanted is not None), None),
+        nodes={name: ports for file in reversed(read) for name, ports in file.nodes.items()},
+        wanted=next((file.wanted for file in read if file.wanted is not None), None),
     )
 
 
 @cache
-def _own() -> _GuessesFile:
+def _own() -> GuessTable:
     return _read(TABLE)
 
 
-def _read(path: Path) -> _GuessesFile:
+def _read(path: Path) -> GuessTable:
     source = read_source(path)
     if source.faults:
         raise InputError(source.faults)
     try:
-        return _GuessesFile.model_validate({} if source.data is None else source.data)
+        return GuessTable.model_validate({} if source.data is None else source.data)
     except ValidationError as error:
-        raise InputError(schema_faults(source, (), error.errors(include_url=False), _GuessesFile)) from None
+        raise InputError(schema_faults(source, (), error.errors(include_url=False), GuessTable)) from None
