@@ -15,6 +15,8 @@ MICROSECONDS = 1_000_000
 LARGEST_COST_US = 2**53 - 1
 """Above this a sum of costs is no longer exact in every engine: about 285 years of CPU time."""
 
+LONGEST_HORIZON_S = 1_000_000_000
+
 SPAN = r"^(\d+(?:\.\d+)?)(ms|s|m|h)$"
 """A span of time as people write it."""
 _SECONDS_OF = {"ms": Decimal("0.001"), "s": Decimal(1), "m": Decimal(60), "h": Decimal(3600)}
@@ -31,6 +33,8 @@ def horizon_s(text: str) -> int:
     seconds = Decimal(text) if text.isdecimal() else span_s(text)
     if seconds is None or seconds != int(seconds):
         raise InvalidValueError(f"{text!r} is no horizon: write whole seconds, or 30s, 10m or 1h")
+    if seconds > LONGEST_HORIZON_S:
+        raise InvalidValueError(f"{text!r} is too long: write at most {LONGEST_HORIZON_S} seconds")
     return int(seconds)
 
 
@@ -41,7 +45,7 @@ def microseconds(seconds: Decimal | int) -> int:
         raise InvalidValueError(f"{seconds} is not a finite number of seconds")
     if value < 0:
         raise InvalidValueError(f"{seconds} is negative: write a number of 0 or more")
-    if value * MICROSECONDS > LARGEST_COST_US:
+    if value > Decimal(LARGEST_COST_US) / MICROSECONDS:
         raise InvalidValueError(f"{seconds} is too large: the limit is {LARGEST_COST_US // MICROSECONDS} seconds")
     if value != round(value, 6):
         raise InvalidValueError(f"{seconds} is finer than a microsecond: write at most six decimals")

@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from cfgplan.comparing import Run
 
 
+_LONGEST_WAIT_S = 1_000_000.0
+"""The system waits for no process much longer than that."""
+
+
 def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "example:\n"
@@ -49,7 +53,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         shared.planner(name)
 
     entrants = [comparing.entrant(name) for name in options.planner or comparing.REGISTERED]
-    limits = comparing.Limits(time_limit_s=options.timeout, memory_mb=options.memory)
+    limits = comparing.Limits(time_limit_s=min(options.timeout, _LONGEST_WAIT_S), memory_mb=options.memory)
     runs, contradictions = [], []
     for env in options.envs:
         with screen.phase("load"):

@@ -28,6 +28,10 @@ if TYPE_CHECKING:
     from cfgplan.planning import Failures, Problem, Progress
 
 
+_LARGEST_NUMBER = 9_007_199_254
+"""As seconds the largest cost, and less than what clocks count to."""
+
+
 def add_environment(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("env", metavar="ENV", help="environment file (YAML or JSON), or the paper's XML")
 
@@ -266,6 +270,8 @@ def _decimal(text: str) -> Decimal:
         raise argparse.ArgumentTypeError(f"{text!r} is not a number") from None
     if not value.is_finite():
         raise argparse.ArgumentTypeError(f"{text!r} is not a finite number")
+    if value > _LARGEST_NUMBER:
+        raise argparse.ArgumentTypeError(f"{text!r} is too large: the limit is {_LARGEST_NUMBER}")
     return value
 
 

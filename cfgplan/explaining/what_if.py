@@ -15,6 +15,8 @@ from cfgplan.planning import Problem
 
 _TRUTH = {"true": True, "yes": True, "false": False, "no": False}
 _USED = "\0used"
+LARGEST_PRIORITY = 1_000_000_000
+"""As in files."""
 
 
 @dataclass(frozen=True)
@@ -93,8 +95,9 @@ def _cost_us(value: str) -> int:
 
 def _whole(value: str) -> int:
     number = _number(value)
-    if number != number.to_integral_value():
-        raise InputError.of(f"{value!r} is not a whole number", mend="write one")
+    if not -LARGEST_PRIORITY <= number <= LARGEST_PRIORITY or number != number.to_integral_value():
+        mend = f"write one from -{LARGEST_PRIORITY} to {LARGEST_PRIORITY}"
+        raise InputError.of(f"{value!r} is not a whole number of a file", mend=mend)
     return int(number)
 
 

@@ -12,7 +12,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, PlainVal
 from pydantic_core import PydanticCustomError
 
 from cfgplan.canonical import normal
-from cfgplan.costs import LARGEST_COST_US, MICROSECONDS, SPAN, microseconds, seconds, span_s
+from cfgplan.costs import LARGEST_COST_US, LONGEST_HORIZON_S, MICROSECONDS, SPAN, microseconds, seconds, span_s
 from cfgplan.domain import Objective
 from cfgplan.errors import InvalidValueError
 from cfgplan.qualities import LARGEST_QUALITY, MICRO, Better, QualityRule, micro_units, units
@@ -252,11 +252,12 @@ TimeSpan = Annotated[
     WithJsonSchema({"anyOf": [{**_SECONDS, "exclusiveMinimum": 0}, {"type": "string", "pattern": SPAN}]}),
     Written(plain_cost),
 ]
+_HORIZON = {"type": "integer", "minimum": 0, "maximum": LONGEST_HORIZON_S}
 Horizon = Annotated[
     int,
-    Field(ge=0, le=LARGEST_AMOUNT),
+    Field(ge=0, le=LONGEST_HORIZON_S),
     BeforeValidator(_whole_span),
-    WithJsonSchema({"anyOf": [{"type": "integer", **_AMOUNT}, {"type": "string", "pattern": SPAN}]}),
+    WithJsonSchema({"anyOf": [_HORIZON, {"type": "string", "pattern": SPAN}]}),
 ]
 Rate = Annotated[
     float,

@@ -27,6 +27,10 @@ def env(write: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch) -> Path:
         ("solve ENV --without b", "--without: there is no transformation, unit or target `b`", "write a or t"),
         ("solve ENV --front", "error: env.yaml: no quality attribute is declared", "declare one under `qualities:`"),
         ("solve ENV --max-cost -1", "-1 is negative: write a number of 0 or more", "cfgplan solve --help"),
+        ("solve ENV --max-cost 1e9999999", "'1e9999999' is too large: the limit is 9007199254", "cfgplan solve --help"),
+        ("solve ENV --alternatives 1e9999999", "'1e9999999' is too large", "cfgplan solve --help"),
+        ("solve ENV --horizon 999999999h", "is too long: write at most 1000000000 seconds", "cfgplan solve --help"),
+        ("solve ENV --set t.priority=1e9999999", "'1e9999999' is not a whole number", "write one from -1000000000 to"),
         ("solve ENV --planner os:getcwd", "error: the planner os:getcwd failed", "CFGPLAN_TRACEBACK=1 shows where"),
         ("explain ENV --stream o", "there is no output `o`", "write a/o"),
         ("graph ENV --out picture", "no ending says the format of the picture", "end it in one of .svg"),
@@ -72,6 +76,10 @@ def test_an_ontology_that_contradicts_itself_is_named_as_from_here(run: Run, env
 def test_sensitivity_says_that_it_leaves_the_largest_cost_out(run: Run, env: Path) -> None:
     assert "The largest cost is left out" in run("sensitivity", env, "--max-cost", "0.5").err
     assert "largest cost" not in run("sensitivity", env).err
+
+
+def test_a_comparison_may_wait_as_long_as_anybody_likes(run: Run, env: Path) -> None:
+    assert run("compare", env, "--planner", "exhaustive", "--timeout", 9_007_199_254).code == 0
 
 
 def test_a_new_environment_is_named_with_its_folder(run: Run, env: Path) -> None:
