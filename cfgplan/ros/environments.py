@@ -33,7 +33,7 @@ from cfgplan.ros.vocabulary import RosVocabulary
 from cfgplan.summary import counted, some
 
 _COSTS = ("labor", "upkeep")
-_ENDINGS: tuple[Callable[[RosPort], str], ...] = (
+_APART: tuple[Callable[[RosPort], str], ...] = (
     lambda port: ".out" if port.role.gives else "",
     lambda port: ".service" if port.role.is_service else "",
     lambda port: f".{port.type.name if port.type else 'any'}",
@@ -405,7 +405,7 @@ def port_names(node: RosNode) -> dict[RosPort, str]:
     for gives in (False, True):
         ports = [port for port in node.ports if port.role.gives == gives]
         names |= {port: _short(port, ports) for port in ports}
-    for ending in _ENDINGS:
+    for ending in _APART:
         taken = Counter(names.values())
         names = {port: name if taken[name] == 1 else name + ending(port) for port, name in names.items()}
     return names
