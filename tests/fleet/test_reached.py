@@ -6,8 +6,9 @@ import json
 import socket
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from pathlib import Path
 
@@ -83,8 +84,28 @@ def test_who_listens_sees_ages_by_the_clock_of_the_run(
         where = [f"--connect={fleet.endpoints[0]}", f"--wait={PATIENCE_S}"]
         command = [*CFGPLAN, "listen", "/result", "--json", "--count=1", *where]
         heard = subprocess.run(command, capture_output=True, text=True, timeout=2 * PATIENCE_S)
-        assert heard.returncode == 0, heard.stderr
+        assert heard.returncode == 0, heard.stdout + heard.stderr
         assert 0 < json.loads(heard.stdout)["latency_ms"] < PATIENCE_S * 1e3
+
+
+def test_a_topic_is_waited_for_whose_host_is_seen_late(fleet: SmallFleet, monkeypatch: pytest.MonkeyPatch) -> None:
+    watch, may_see = ZenohLink.watch, threading.Event()
+
+    def watch_late(link: ZenohLink, keys: str, tell: Callable[[str, bool], None]) -> None:
+        def work() -> None:
+            may_see.wait(PATIENCE_S)
+            watch(link, keys, tell)
+
+        threading.Thread(target=work, daemon=True).start()
+
+    with fleet.runtime(source(), worker()) as runtime:
+        runtime.apply(ChangeSet(started=(COUNT, WORK)))
+        monkeypatch.setattr(ZenohLink, "watch", watch_late)
+        with ReachedFleet(fleet.endpoints) as reached:
+            with pytest.raises(NoSuchTopicError, match="is on r1, which can't be connected to"):
+                reached.subscribe("/result")
+            threading.Timer(0.2, may_see.set).start()
+            assert next(iter(reached.subscribe("/result", wait_s=PATIENCE_S))).topic == "/result"
 
 
 def test_a_topic_on_another_computer_is_in_the_folder_of_the_run(

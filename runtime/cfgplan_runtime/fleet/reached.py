@@ -6,9 +6,9 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from urllib.parse import unquote
 
 import msgspec
 
@@ -19,15 +19,17 @@ from cfgplan_runtime.fleet.clocks import CALLS, CALLS_AGAIN, CLOCK_S, HostClock,
 from cfgplan_runtime.fleet.links import config
 from cfgplan_runtime.fleet.orders import TopicsTold
 from cfgplan_runtime.fleet.tunnels import CONTROL, TunnelClient
-from cfgplan_runtime.fleet.ways import alive_key
+from cfgplan_runtime.fleet.ways import alive_key, host_of
 from cfgplan_runtime.streams.closable import Closable
 from cfgplan_runtime.streams.subscription import SubscriptionToTopic
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 
 _REACH_S = 5.0
-"""Seconds until the run that is asked for must have been found."""
-_TOPICS_S = 1.0
+"""Seconds within which the run that is asked for must be found, and a host tells which run it obeys."""
+_ANSWER_S = 1.0
+"""Seconds within which all hosts tell their topics, and one answers a question for its clock."""
 _TOPIC_LOOK_S, _FIRST_TOPICS_S = 0.02, 0.5
+"""Seconds between two looks for a topic, and how long it is looked for where no longer wait is asked for."""
 
 
 class ReachedFleet(Closable):
@@ -37,27 +39,26 @@ class ReachedFleet(Closable):
     """
 
     def __init__(self, connect: Sequence[str], certificates: Path | None = None) -> None:
-        self._lives: dict[str, set[str]] = {}
-        """What tells agents, or managers, from others of their name, by name."""
+        self._alive: set[str] = set()
+        """The keys of the agents and managers that are alive."""
         self._offsets_ns: dict[str, int] = {}
         """By host whose topics are heard: how far the clock of its run is ahead of the monotonic one here."""
         self._is_closed = threading.Event()
-        self._lock = threading.Lock()
         self._link = ZenohLink(config(connect=connect, certificates=certificates, mode="client"))
         self._client = TunnelClient(self._link)
         self._link.watch(f"{alive_key(None)}/*", self._note_life)
+        known = self._link.alive(f"{alive_key(None)}/*")
+        _until(lambda: known <= self._alive, _ANSWER_S)
 
     @property
     def hosts(self) -> list[str]:
         """The hosts whose agents are alive."""
-        with self._lock:
-            return sorted(name for name in self._lives if name != MANAGER)
+        return sorted({host_of(key) for key in self._alive.copy()} - {MANAGER})
 
     @property
     def runs(self) -> list[str]:
         """The ids of the runs that are alive."""
-        with self._lock:
-            return sorted(self._lives.get(MANAGER, ()))
+        return self._lives(MANAGER)
 
     def control(self, run: str | None = None) -> tuple[str, socket.socket]:
         """A run, and a socket that is connected to its control socket; the id is needed only if there are several.
@@ -79,16 +80,17 @@ class ReachedFleet(Closable):
         self, topic: str, *, run: str | None = None, timeout_s: float | None = None, wait_s: float = 0.0
     ) -> SubscriptionToTopic:
         """Subscribe to a topic of any host; see `cfgplan_runtime.subscribe`. Raises NoSuchTopicError."""
-        place = _FleetPlace(self, run)
-        _until(lambda: bool(self.places(topic, run)), max(wait_s, _FIRST_TOPICS_S))
-        found = self.places(topic, run)
-        if len({told for told, _ in found}) > 1:
-            runs = ", ".join(sorted(told for told, _ in found))
-            raise NoSuchTopicError(f"several runs have topic {topic!r}: name one of {runs} (--run)")
-        if not found:
-            there = ", ".join(sorted({name for told in self._told().values() for name in told.topics}))
-            raise NoSuchTopicError(f"nothing publishes topic {topic!r}; there is {there or 'no topic at all'}")
-        return SubscriptionToTopic(topic, place, timeout_s=timeout_s)
+        end_s = time.monotonic() + max(wait_s, _FIRST_TOPICS_S)
+        while True:
+            found = self.places(topic, run)
+            if len(runs := sorted({told for told, _ in found})) > 1:
+                raise NoSuchTopicError(f"several runs have topic {topic!r}: name one of {', '.join(runs)} (--run)")
+            with suppress(NoSuchTopicError):  # its host has just come, or gone
+                if found:
+                    return SubscriptionToTopic(topic, _FleetPlace(self, run), timeout_s=timeout_s)
+            if time.monotonic() > end_s:
+                raise NoSuchTopicError(self._why_not(topic, [host for _, host in found]))
+            time.sleep(_TOPIC_LOOK_S)
 
     def places(self, topic: str, run: str | None) -> list[tuple[str, str]]:
         """The runs, with the hosts, that have a topic."""
@@ -100,8 +102,7 @@ class ReachedFleet(Closable):
 
     def connect(self, host: str, topic: str) -> socket.socket | None:
         """A socket that gives a topic of a host; None if the host is gone."""
-        with self._lock:
-            lives = sorted(self._lives.get(host, ()))
+        lives = self._lives(host)
         return self._client.connect(host, lives[0], topic) if lives else None
 
     def now_ns(self, host: str) -> int:
@@ -128,7 +129,7 @@ class ReachedFleet(Closable):
         """Note how far the clock of a host's run is ahead; by the time of day if the host does not answer."""
         known_ns = self._offsets_ns.get(host)
         clock = HostClock(time.monotonic_ns)
-        reading = clock.read(lambda: (answer for _, answer in self._link.ask(clock_key(host), _TOPICS_S)), calls)
+        reading = clock.read(lambda: (answer for _, answer in self._link.ask(clock_key(host), _ANSWER_S)), calls)
         told = self._told(host).get(host)
         if reading is not None and told is not None:
             measured_ns = reading.ahead_ns - told.ahead_ns
@@ -138,21 +139,26 @@ class ReachedFleet(Closable):
     def _told(self, host: str | None = None) -> dict[str, TopicsTold]:
         """What each host, or one of them, tells of its topics."""
         return {
-            unquote(key.split("/")[1]): msgspec.json.decode(answer, type=TopicsTold)
-            for key, answer in self._link.ask(topics_key(host), _TOPICS_S)
+            host_of(key): msgspec.json.decode(answer, type=TopicsTold)
+            for key, answer in self._link.ask(topics_key(host), _ANSWER_S if host is None else _REACH_S)
         }
+
+    def _why_not(self, topic: str, hosts: Sequence[str]) -> str:
+        """Why a topic can't be had that these hosts tell of."""
+        if hosts:
+            return f"topic {topic!r} is on {', '.join(hosts)}, which can't be connected to"
+        there = ", ".join(sorted({name for told in self._told().values() for name in told.topics}))
+        return f"nothing publishes topic {topic!r}; there is {there or 'no topic at all'}"
+
+    def _lives(self, name: str) -> list[str]:
+        """What tells the agents of a host that are alive from one another; of MANAGER, the runs."""
+        return sorted(key.rpartition("/")[2] for key in self._alive.copy() if host_of(key) == name)
 
     def _note_life(self, key: str, is_alive: bool) -> None:
         """Called by threads of the link."""
-        _, name, _, life = key.split("/")
-        host = unquote(name)
-        with self._lock:
-            lives = self._lives.setdefault(host, set())
-            (lives.add if is_alive else lives.discard)(life)
-            if not lives:
-                del self._lives[host]
+        (self._alive.add if is_alive else self._alive.discard)(key)
         if not is_alive:
-            self._client.lose(life)
+            self._client.lose(key.rpartition("/")[2])
 
 
 @dataclass(slots=True)

@@ -104,7 +104,7 @@ class Way:
         failed: Callable[[InputError], None],
         say: Callable[[str], None],
     ) -> None:
-        self._link, self._key, self._host = link, key, _host_of(key)
+        self._link, self._key, self._host = link, key, host_of(key)
         self._connect, self._certificates = connect, certificates
         self._failed, self._say = failed, say
         self._reach = reach(listen, connect)
@@ -137,7 +137,7 @@ class Way:
 
     def _asked(self, key: str) -> ReachedAt | None:
         """How another is reached; None if it does not answer."""
-        return next(self._answers(reach_key(_host_of(key))), None)
+        return next(self._answers(reach_key(host_of(key))), None)
 
     def _answers(self, keys: str) -> Iterator[ReachedAt]:
         """What agents tell of how they are reached, but for those of another version."""
@@ -147,20 +147,20 @@ class Way:
 
     def _run(self) -> None:
         while not self._is_closed.wait(_WAY_LOOK_S):
-            others = {key for key in self._heard.copy() if _host_of(key) != self._host}
+            others = {key for key in self._heard.copy() if host_of(key) != self._host}
             if self._through is not None:
                 self._look_back(others)
-            elif hosts := sorted(key for key in others if _host_of(key) != MANAGER):
+            elif hosts := sorted(key for key in others if host_of(key) != MANAGER):
                 self._look(hosts[self._turn % len(hosts)], others)
 
     def _look(self, asked: str, others: set[str]) -> None:
         """Ask one whom it hears. Of two that connect to each other, the one of the greater name ends."""
-        told, name = self._asked(asked), _host_of(asked)
+        told, name = self._asked(asked), host_of(asked)
         if told is not None and self._reach.is_mutual(told) and name < self._host:
             mend = f"leave out --connect to {name} here, or the one to {self._host} there"
             self._failed(InputError.of(f"{self._host} and {name} connect to each other", mend=mend))
         now_s = time.monotonic()
-        missed = set() if told is None else {key for key in told.hears - others if _host_of(key) != self._host}
+        missed = set() if told is None else {key for key in told.hears - others if host_of(key) != self._host}
         self._missed_s = {key: self._missed_s.get(key, now_s) for key in missed}
         late = sorted(key for key, since_s in self._missed_s.items() if now_s - since_s >= self._patience_s(key))
         if late or not missed:
@@ -168,14 +168,14 @@ class Way:
             self._missed_s.clear()
         hears_enough = told is not None and not told.is_through and others <= told.hears | {asked}
         if told is not None and hears_enough and any(self._asked(key) is None for key in late):
-            self._go_through(asked, told, ", ".join(map(_host_of, late)))
+            self._go_through(asked, told, ", ".join(map(host_of, late)))
 
     def _patience_s(self, missed: str) -> float:
-        is_first = _host_of(missed) == MANAGER or _host_of(missed) < self._host
+        is_first = host_of(missed) == MANAGER or host_of(missed) < self._host
         return LEASE_S if is_first else 2 * LEASE_S
 
     def _go_through(self, key: str, told: ReachedAt, missed: str) -> None:
-        name, protocol = _host_of(key), "tcp"
+        name, protocol = host_of(key), "tcp"
         if self._certificates is not None:
             protocol = "tls"
             if name not in passing_on(self._certificates):
@@ -203,6 +203,6 @@ class Way:
             self._say("others are reached directly again")
 
 
-def _host_of(key: str) -> str:
-    """The host whose agent, or the manager who, is alive under a key."""
+def host_of(key: str) -> str:
+    """Whose key it is: the host's whose agent is alive under it, or MANAGER."""
     return unquote(key.split("/")[1])
