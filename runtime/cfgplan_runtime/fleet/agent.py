@@ -18,7 +18,7 @@ from cfgplan.domain import MANAGER
 from cfgplan.errors import InputError
 from cfgplan_runtime.children.messages import Export, Import, Marked, Release, TellMark
 from cfgplan_runtime.fleet import orders
-from cfgplan_runtime.fleet.clocks import HostClock
+from cfgplan_runtime.fleet.clocks import HostClock, clock_key
 from cfgplan_runtime.fleet.links import LEASE_S, Lives, config, sign_period_s
 from cfgplan_runtime.fleet.relay import Relay
 from cfgplan_runtime.fleet.tunnels import TunnelServer
@@ -36,11 +36,6 @@ USAGE_PERIOD_S = 0.5
 def topics_key(host: str | None) -> str:
     """The key at which an agent, or any (None), tells the topics that are on its host."""
     return f"{host_key(host)}/topics"
-
-
-def clock_key(host: str) -> str:
-    """The key at which an agent tells its clock."""
-    return f"{host_key(host)}/clock"
 
 
 def digest_of(path: Path) -> str | None:

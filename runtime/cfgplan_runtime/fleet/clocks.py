@@ -11,12 +11,21 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
+from cfgplan_runtime.streams.crossing import host_key
+from cfgplan_runtime.streams.zenoh_link import ZenohLink
+
 CALLS, CALLS_AGAIN = 30, 5
 """The shortest of so many calls tells how far a clock is ahead: at first, and again and again from then on."""
 CLOCK_S = 10.0
 """Seconds after which a clock is read again. At 50 ppm it has moved by 0.5 ms then."""
+_CALL_S = 1.0
 SHOWN_NS = 10_000_000
 """That a host's time of day has changed by so much is told."""
+
+
+def clock_key(host: str) -> str:
+    """The key at which an agent tells its clock."""
+    return f"{host_key(host)}/clock"
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +50,10 @@ class HostClock:
     def told(self) -> bytes:
         """What a host answers who asks for its clock."""
         return f"{self.now_ns()} {self.day_ns()}".encode()
+
+    def read_host(self, link: ZenohLink, host: str, calls: int) -> Reading | None:
+        """The best of some readings of a host's clock; None if it does not answer."""
+        return self.read(lambda: (answer for _, answer in link.ask(clock_key(host), _CALL_S)), calls)
 
     def read(self, ask: Callable[[], Iterable[bytes]], calls: int) -> Reading | None:
         """The best of some readings of a clock that `ask` asks; None if it does not answer."""

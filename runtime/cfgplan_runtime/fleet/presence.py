@@ -18,7 +18,6 @@ import msgspec
 from cfgplan.domain import MANAGER
 from cfgplan.errors import InputError
 from cfgplan_runtime.fleet import orders
-from cfgplan_runtime.fleet.agent import clock_key
 from cfgplan_runtime.fleet.clocks import CALLS, CALLS_AGAIN, CLOCK_S, HostClock, Reading, corrected, has_moved
 from cfgplan_runtime.fleet.links import LEASE_S, MISSED_SIGNS, Pulse, sign_period_s
 from cfgplan_runtime.fleet.ways import alive_key, reach_key
@@ -27,7 +26,8 @@ from cfgplan_runtime.streams.run_folder import is_alive
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 
 _LEAVE_S = 2.0
-_CALL_S = 1.0
+_MARGIN_S = 1.0
+"""Seconds by which the answers of hosts that were seen in time may be late."""
 
 
 @dataclass(slots=True, eq=False)
@@ -46,7 +46,6 @@ class HostState:
     """How far its clock is ahead of the run's, as it was told."""
     shown_ns: int = 0
     """How far its time of day is ahead of that here, as was last told."""
-    gone: threading.Event = field(default_factory=threading.Event)
     run: Path | None = None
     """The folder of its topics' sockets, if that is on this computer."""
     held: orders.Held = field(default_factory=orders.Held)
@@ -119,6 +118,7 @@ class Presence:
         self._seen: dict[str, str] = {}
         """The hosts that were alive before any was greeted, and what tells their agents from earlier ones."""
         self._is_greeting = False
+        self._has_left = threading.Event()
         self._round_s = inf
         """When it was last looked what had arrived."""
         self._left_alone: set[str] = set()
@@ -132,6 +132,7 @@ class Presence:
         link.answer(reach_key(MANAGER), lambda: b"{}")
         link.live(f"{alive_key(MANAGER)}/{run}")
         link.give_signs(f"{alive_key(MANAGER)}/{run}", sign_period_s())
+        threading.Thread(target=self._measure_again, name="cfgplan-clocks", daemon=True).start()
 
     @property
     def there(self) -> Mapping[str, HostState]:
@@ -184,8 +185,8 @@ class Presence:
         for name, life in self._seen.items():
             self._greet(name, life, "")
         refused_s = time.monotonic() + LEASE_S + sign_period_s()
-        while not self.there.keys() >= self._seen.keys() and time.monotonic() < max(end_s, refused_s) + _CALL_S:
-            self._hear_once(end_s + _CALL_S)
+        while not self.there.keys() >= self._seen.keys() and time.monotonic() < max(end_s, refused_s) + _MARGIN_S:
+            self._hear_once(end_s + _MARGIN_S)
             if self._refusing and time.monotonic() > refused_s:
                 mend = "stop the other run first, or add --take-over"
                 raise InputError.of(f"another run has host {self._refusing[0].name!r}", mend=mend)
@@ -201,8 +202,8 @@ class Presence:
 
     def leave(self) -> None:
         """Tell all hosts that the run is over; wait a while until they have heard."""
+        self._has_left.set()
         for host in self._hosts.values():
-            host.gone.set()
             self.say(host.name, orders.LeaveOrder())
         end_s = time.monotonic() + _LEAVE_S
         while any(not host.talk.is_done for host in self._hosts.values()) and time.monotonic() < end_s:
@@ -297,7 +298,6 @@ class Presence:
 
     def _lose(self, host: HostState, cause: str) -> None:
         del self._hosts[host.name]
-        host.gone.set()
         self._happened.append(AgentGone(host, cause))
 
     def _hear_agent(self, key: str, head: bytes, payload: bytes) -> None:
@@ -341,16 +341,17 @@ class Presence:
         host.held, host.ahead_ns = welcome.held, welcome.held.ahead_ns
         path = Path(welcome.run)
         host.run = path if is_alive(path) else None
-        threading.Thread(target=self._measure, args=(host,), daemon=True).start()
+        threading.Thread(target=self._measure, args=(host, CALLS), daemon=True).start()
 
-    def _measure(self, host: HostState) -> None:
-        """Read a host's clock again and again; runs in a thread of its own."""
-        calls, key = CALLS, clock_key(host.name)
-        while not host.gone.is_set():
-            reading = self._clock.read(lambda: (answer for _, answer in self._link.ask(key, _CALL_S)), calls)
-            self._inbox.put(_Measured(host, reading))
-            calls = CALLS_AGAIN
-            host.gone.wait(CLOCK_S)
+    def _measure(self, host: HostState, calls: int) -> None:
+        """Read a host's clock. The first time that has a thread of its own: no other host waits for a silent one."""
+        self._inbox.put(_Measured(host, self._clock.read_host(self._link, host.name, calls)))
+
+    def _measure_again(self) -> None:
+        """Read the clocks of all hosts that are there again and again; runs in a thread of its own."""
+        while not self._has_left.wait(CLOCK_S):
+            for host in [host for host in list(self._hosts.values()) if host.is_there]:
+                self._measure(host, CALLS_AGAIN)
 
     def _note_clock(self, host: HostState, reading: Reading) -> None:
         """A host whose clock is known is there."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +14,7 @@ import msgspec
 
 from cfgplan.domain import MANAGER
 from cfgplan_runtime.errors import NoSuchRunError, NoSuchTopicError
-from cfgplan_runtime.fleet.agent import clock_key, topics_key
+from cfgplan_runtime.fleet.agent import topics_key
 from cfgplan_runtime.fleet.clocks import CALLS, CALLS_AGAIN, CLOCK_S, HostClock, corrected
 from cfgplan_runtime.fleet.links import config
 from cfgplan_runtime.fleet.orders import TopicsTold
@@ -25,11 +25,10 @@ from cfgplan_runtime.streams.subscription import SubscriptionToTopic
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 
 _REACH_S = 5.0
-"""Seconds within which the run that is asked for must be found, and a host tells which run it obeys."""
+"""Seconds within which the run that is asked for must be found, and each host must tell of its topics."""
 _ANSWER_S = 1.0
-"""Seconds within which all hosts tell their topics, and one answers a question for its clock."""
-_TOPIC_LOOK_S, _FIRST_TOPICS_S = 0.02, 0.5
-"""Seconds between two looks for a topic, and how long it is looked for where no longer wait is asked for."""
+"""Seconds that one question for the topics of all hosts may take."""
+_LOOK_S = 0.02
 
 
 class ReachedFleet(Closable):
@@ -79,26 +78,27 @@ class ReachedFleet(Closable):
     def subscribe(
         self, topic: str, *, run: str | None = None, timeout_s: float | None = None, wait_s: float = 0.0
     ) -> SubscriptionToTopic:
-        """Subscribe to a topic of any host; see `cfgplan_runtime.subscribe`. Raises NoSuchTopicError."""
-        end_s = time.monotonic() + max(wait_s, _FIRST_TOPICS_S)
+        """Subscribe to a topic of any host; see `cfgplan_runtime.subscribe`. Raises NoSuchTopicError.
+
+        A host that is alive, and does not tell of its topics yet, is waited for in any case.
+        """
+        end_s, patience_s = time.monotonic() + wait_s, max(0.0, _REACH_S - wait_s)
         while True:
-            found = self.places(topic, run)
-            if len(runs := sorted({told for told, _ in found})) > 1:
+            told = self._told()
+            found = _places(told, topic, run)
+            if len(runs := sorted({one for one, _ in found})) > 1:
                 raise NoSuchTopicError(f"several runs have topic {topic!r}: name one of {', '.join(runs)} (--run)")
             with suppress(NoSuchTopicError):  # its host has just come, or gone
                 if found:
                     return SubscriptionToTopic(topic, _FleetPlace(self, run), timeout_s=timeout_s)
-            if time.monotonic() > end_s:
-                raise NoSuchTopicError(self._why_not(topic, [host for _, host in found]))
-            time.sleep(_TOPIC_LOOK_S)
+            is_whole = not found and told.keys() >= set(self.hosts)
+            if time.monotonic() > (end_s if is_whole else end_s + patience_s):
+                raise NoSuchTopicError(_why_not(topic, found, told))
+            time.sleep(_LOOK_S)
 
     def places(self, topic: str, run: str | None) -> list[tuple[str, str]]:
         """The runs, with the hosts, that have a topic."""
-        return [
-            (told.run, host)
-            for host, told in sorted(self._told().items())
-            if topic in told.topics and run in (None, told.run)
-        ]
+        return _places(self._told(), topic, run)
 
     def connect(self, host: str, topic: str) -> socket.socket | None:
         """A socket that gives a topic of a host; None if the host is gone."""
@@ -128,8 +128,7 @@ class ReachedFleet(Closable):
     def _measure(self, host: str, calls: int) -> None:
         """Note how far the clock of a host's run is ahead; by the time of day if the host does not answer."""
         known_ns = self._offsets_ns.get(host)
-        clock = HostClock(time.monotonic_ns)
-        reading = clock.read(lambda: (answer for _, answer in self._link.ask(clock_key(host), _ANSWER_S)), calls)
+        reading = HostClock(time.monotonic_ns).read_host(self._link, host, calls)
         told = self._told(host).get(host)
         if reading is not None and told is not None:
             measured_ns = reading.ahead_ns - told.ahead_ns
@@ -143,13 +142,6 @@ class ReachedFleet(Closable):
             for key, answer in self._link.ask(topics_key(host), _ANSWER_S if host is None else _REACH_S)
         }
 
-    def _why_not(self, topic: str, hosts: Sequence[str]) -> str:
-        """Why a topic can't be had that these hosts tell of."""
-        if hosts:
-            return f"topic {topic!r} is on {', '.join(hosts)}, which can't be connected to"
-        there = ", ".join(sorted({name for told in self._told().values() for name in told.topics}))
-        return f"nothing publishes topic {topic!r}; there is {there or 'no topic at all'}"
-
     def _lives(self, name: str) -> list[str]:
         """What tells the agents of a host that are alive from one another; of MANAGER, the runs."""
         return sorted(key.rpartition("/")[2] for key in self._alive.copy() if host_of(key) == name)
@@ -159,6 +151,18 @@ class ReachedFleet(Closable):
         (self._alive.add if is_alive else self._alive.discard)(key)
         if not is_alive:
             self._client.lose(key.rpartition("/")[2])
+
+
+def _places(told: Mapping[str, TopicsTold], topic: str, run: str | None) -> list[tuple[str, str]]:
+    return [(of.run, host) for host, of in sorted(told.items()) if topic in of.topics and run in (None, of.run)]
+
+
+def _why_not(topic: str, found: Sequence[tuple[str, str]], told: Mapping[str, TopicsTold]) -> str:
+    """Why a topic can't be had, which was `found` on hosts that can't be connected to, or on none."""
+    if found:
+        return f"topic {topic!r} is on {', '.join(host for _, host in found)}, which can't be connected to"
+    there = ", ".join(sorted({name for of in told.values() for name in of.topics}))
+    return f"nothing publishes topic {topic!r}; there is {there or 'no topic at all'}"
 
 
 @dataclass(slots=True)
@@ -194,5 +198,5 @@ def _until(is_so: Callable[[], bool], patience_s: float) -> bool:
     while not is_so():
         if time.monotonic() > end_s:
             return False
-        time.sleep(_TOPIC_LOOK_S)
+        time.sleep(_LOOK_S)
     return True
