@@ -79,15 +79,7 @@ class Agent:
         self._tell_user = say
         self._arrived: deque[tuple[str, bytes, bytes]] = deque()
         self._talk: orders.Talk[orders.Order] | None = None
-        self._units: dict[str, orders.HeldUnit] = {}
-        self._spares: dict[str, orders.HeldUnit] = {}
-        self._wires: dict[Inlet, orders.HeldWire] = {}
-        self._topics: dict[str, str | None] = {}
-        self._exports: dict[str, orders.HeldExport] = {}
-        self._imports: dict[str, orders.HeldImport] = {}
-        self._held_term = 0
-        """The term of the manager before this one."""
-        self._ahead_ns: int | None = None
+        self._held = orders.Held()
         self._stopping: dict[str, tuple[str, ...]] = {}
         """Units that are to stop once marks for them have come by these crossings, unless those are gone."""
         self._marked: set[tuple[str, str]] = set()
@@ -168,9 +160,9 @@ class Agent:
 
     def _topics_told(self) -> bytes:
         """Called by threads of the link."""
-        talk = self._talk
+        talk, held = self._talk, self._held
         run = "" if talk is None else talk.session.manager
-        return msgspec.json.encode(orders.TopicsTold(run, list(self._topics), self._ahead_ns or 0))
+        return msgspec.json.encode(orders.TopicsTold(run, list(held.topics), held.ahead_ns or 0))
 
     def _note_manager(self, key: str, is_alive: bool) -> None:
         """Called by threads of the link, as `_take` is."""
@@ -201,7 +193,7 @@ class Agent:
         while not self._ending and (self._owes_welcome or self._orders):
             if self._owes_welcome:
                 self._owes_welcome = False
-                self._say(orders.Welcome(str(self._backend.run_folder.path), self._held()))
+                self._say(orders.Welcome(str(self._backend.run_folder.path), self._held))
                 if self._lost:
                     self._say(orders.told(events.ElementsLost(self.name, self._lost)))
                     self._lost = 0
@@ -214,7 +206,7 @@ class Agent:
             self._superseded = None
         if now_s >= self._usage_due_s:
             self._usage_due_s = now_s + USAGE_PERIOD_S
-            self._tell_usage([*self._units, *self._spares])
+            self._tell_usage([*self._held.units, *self._held.spares])
         if self._talk is not None:
             self._talk.pump(now_s)
 
@@ -243,7 +235,7 @@ class Agent:
                 return
             if talk is not None and session.manager != talk.session.manager:
                 self._superseded = time.monotonic() + LEASE_S, talk.session
-                self._held_term = talk.session.term
+                self._held.term = talk.session.term
             talk = self._talk = orders.Talk(self._link, self.name, MANAGER, session, orders.Order)
             self._orders.clear()
             self._is_left = False
@@ -260,7 +252,7 @@ class Agent:
         put(b"", f"{later.term} {int(is_obeyed)}".encode())
 
     def _obey(self, order: orders.Order) -> None:
-        backend = self._backend
+        backend, held = self._backend, self._held
         match order:
             case orders.GreetOrder(adopts):
                 self._owes_welcome = True
@@ -270,19 +262,19 @@ class Agent:
             case orders.LeaveOrder():
                 self._end_everything()
             case orders.ClockOrder(ahead_ns):
-                self._ahead_ns = ahead_ns
+                held.ahead_ns = ahead_ns
                 backend.correct_clock(ahead_ns)
             case orders.StartOrder():
                 self._start(order)
             case orders.PrepareOrder():
                 self._prepare(order)
             case orders.DiscardOrder(spare):
-                self._spares.pop(spare, None)
+                held.spares.pop(spare, None)
                 backend.discard(spare)
             case orders.StopOrder(unit, after):
                 self._stopping[unit] = after
-                if unit in self._units:
-                    self._units[unit].is_stopping = True
+                if unit in held.units:
+                    held.units[unit].is_stopping = True
             case orders.KillOrder(unit, dump):
                 if self._stopping.pop(unit, None) is not None:
                     backend.stop(unit)
@@ -291,95 +283,81 @@ class Agent:
                 self._hold_wire(order)
                 backend.connect(wire, stream, inlet, queue=queue, blocks=blocks)
             case orders.CutOrder(wire, inlet):
-                self._forget_wire(wire)
+                held.forget_wires(lambda one: one.wire == wire)
                 backend.disconnect(wire, inlet)
             case orders.EndWireOrder(wire, stream, inlet):
-                self._forget_wire(wire)
+                held.forget_wires(lambda one: one.wire == wire)
                 backend.end_wire(wire, stream, inlet)
             case orders.SwitchOrder(inlet):
                 backend.switch_now(inlet)
             case orders.OpenTopicOrder(topic, host):
-                if topic not in self._topics:
+                if topic not in held.topics:
                     backend.open_outlet(topic, None)
-                self._topics[topic] = host
-            case orders.CloseTopicOrder(topic) if topic in self._topics:
-                del self._topics[topic]
-                self._wires.pop(Inlet("", topic), None)
+                held.topics[topic] = host
+            case orders.CloseTopicOrder(topic) if topic in held.topics:
+                del held.topics[topic]
+                held.forget_wires(lambda one: one.inlet == Inlet("", topic))
                 backend.close_outlet(topic)
             case orders.RenewOrder(helper):
                 backend.renew(helper)
             case Export(crossing):
-                self._exports[crossing] = orders.HeldExport(order)
+                held.exports[crossing] = orders.HeldExport(order)
                 backend.tell_relay(order)
             case Import(crossing):
-                self._imports[crossing] = orders.HeldImport(order)
+                held.imports[crossing] = orders.HeldImport(order)
                 backend.tell_relay(order)
             case Release(crossing):
                 self._tell_usage(())  # the last that is heard of it
-                self._exports.pop(crossing, None)
-                self._imports.pop(crossing, None)
+                held.exports.pop(crossing, None)
+                held.imports.pop(crossing, None)
                 self._marked = {mark for mark in self._marked if mark[0] != crossing}
                 backend.tell_relay(order)
             case TellMark():
                 backend.tell_relay(order)
 
-    def _held(self) -> orders.Held:
-        wires = list(self._wires.values())
-        return orders.Held(
-            self._held_term,
-            self._units,
-            self._spares,
-            wires,
-            self._topics,
-            self._exports,
-            self._imports,
-            self._ahead_ns,
-        )
-
     def _hold_wire(self, order: orders.ConnectOrder) -> None:
-        if order.inlet.unit == RELAY and order.inlet.port in self._exports:
-            export = self._exports[order.inlet.port]
+        held = self._held
+        if order.inlet.unit == RELAY and order.inlet.port in held.exports:
+            export = held.exports[order.inlet.port]
             export.wire, export.stream = order.wire, order.stream
             return
-        self._wires[order.inlet] = orders.HeldWire(order.wire, order.stream, order.inlet)
-        if order.stream.unit == RELAY and order.stream.port in self._imports:
-            self._imports[order.stream.port].connected += 1
-
-    def _forget_wire(self, wire: int) -> None:
-        self._wires = {inlet: held for inlet, held in self._wires.items() if held.wire != wire}
+        held.forget_wires(lambda one: one.inlet == order.inlet)
+        held.wires.append(orders.HeldWire(order.wire, order.stream, order.inlet))
+        if order.stream.unit == RELAY and order.stream.port in held.imports:
+            held.imports[order.stream.port].connected += 1
 
     def _end_everything(self) -> None:
-        self._ending = set(self._units)
-        for unit in self._units:
+        held = self._held
+        self._ending = set(held.units)
+        for unit in held.units:
             self._backend.kill(unit)
-        for spare in self._spares:
+        for spare in held.spares:
             self._backend.discard(spare)
-        for topic in self._topics:
+        for topic in held.topics:
             self._backend.close_outlet(topic)
-        for crossing in (*self._exports, *self._imports):
+        for crossing in (*held.exports, *held.imports):
             self._backend.tell_relay(Release(crossing))
-        self._ahead_ns = None
-        held = self._spares, self._wires, self._topics, self._exports, self._imports, self._stopping, self._marked
-        for one in held:
-            one.clear()
+        self._held = orders.Held(held.term, held.units)
+        self._stopping.clear()
+        self._marked.clear()
 
     def _stop_due(self) -> None:
         """Stop the units that have taken in what was given before they were to stop."""
         for unit, after in list(self._stopping.items()):
-            if all((crossing, unit) in self._marked or crossing not in self._imports for crossing in after):
+            if all((crossing, unit) in self._marked or crossing not in self._held.imports for crossing in after):
                 del self._stopping[unit]
                 self._backend.stop(unit)
 
     def _start(self, start: orders.StartOrder) -> None:
         unit = start.order.unit
         if start.spare is not None:
-            self._spares.pop(start.spare, None)
+            self._held.spares.pop(start.spare, None)
         other = self._other_version(start)
         if other:
             self._backend.discard(start.spare or "")
             self._say(orders.told(events.UnitDied(unit, other)))
             return
-        self._units[unit] = orders.HeldUnit(start.label, msgspec.structs.replace(start.order, state=None))
+        self._held.units[unit] = orders.HeldUnit(start.label, msgspec.structs.replace(start.order, state=None))
         self._backend.start_unit(start.order, start.spare)
 
     def _prepare(self, prepare: orders.PrepareOrder) -> None:
@@ -387,7 +365,7 @@ class Agent:
         if other:
             self._say(orders.told(events.SpareLost(spare, other)))
             return
-        self._spares[spare] = orders.HeldUnit(prepare.label, prepare.order)
+        self._held.spares[spare] = orders.HeldUnit(prepare.label, prepare.order)
         self._backend.prepare_unit(prepare.order)
 
     def _other_version(self, order: orders.StartOrder | orders.PrepareOrder) -> str:
@@ -399,35 +377,30 @@ class Agent:
         return f"can't be started on {self.name}: {file} is {is_there}"
 
     def _tell(self, event: events.Event) -> None:
+        held = self._held
         match event:
             case events.WireSwitched(wire) | events.InputLost(_, _, wire) if wire < 0:
-                pass  # a wire of the relay's
-            case events.WireSwitched(wire):
-                for held in self._wires.values():
-                    held.has_switched = held.has_switched or held.wire == wire
-                self._say(orders.told(event))
-            case events.InputLost(_, _, wire):
-                self._forget_wire(wire)
-                self._say(orders.told(event))
+                return  # a wire of the relay's
             case events.UnitDied(unit) | events.UnitStopped(unit) if unit in self._ending:
                 self._ending.discard(unit)
-                del self._units[unit]
+                del held.units[unit]
+                return
+            case events.WireSwitched(wire):
+                for one in held.wires:
+                    one.has_switched = one.has_switched or one.wire == wire
+            case events.InputLost(_, _, wire):
+                held.forget_wires(lambda one: one.wire == wire)
             case events.UnitDied(unit) | events.UnitStopped(unit):
-                self._units.pop(unit, None)
-                self._wires = {inlet: held for inlet, held in self._wires.items() if inlet.unit != unit}
-                self._say(orders.told(event))
+                held.units.pop(unit, None)
+                held.forget_wires(lambda one: one.inlet.unit == unit)
             case events.UnitReady(unit, labor_us):
-                self._units[unit].labor_us = labor_us
+                held.units[unit].labor_us = labor_us
                 self._tell_usage([unit])
-                self._say(orders.told(event))
             case events.SparePrepared(spare, labor_us):
-                self._spares[spare].labor_us = labor_us
-                self._say(orders.told(event))
+                held.spares[spare].labor_us = labor_us
             case events.SpareLost(spare):
-                self._spares.pop(spare, None)
-                self._say(orders.told(event))
-            case _:
-                self._say(orders.told(event))
+                held.spares.pop(spare, None)
+        self._say(orders.told(event))
 
     def _tell_usage(self, units: Iterable[str]) -> None:
         usage = {unit: used for unit in units if (used := self._backend.usage(unit)) is not None}

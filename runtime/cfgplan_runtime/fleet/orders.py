@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Generic, NamedTuple, TypeAlias, TypeVar
 
 import msgspec
@@ -189,8 +190,9 @@ class HeldImport(msgspec.Struct):
 
 
 class Held(msgspec.Struct):
-    """What an agent keeps on its host by the orders of a manager of this `term`. `topics` have the host of their
-    target.
+    """What an agent keeps on its host by the orders of its managers; `term` is that of the one before this.
+
+    `topics` have the host of their target.
     """
 
     term: int = 0
@@ -201,6 +203,10 @@ class Held(msgspec.Struct):
     exports: dict[str, HeldExport] = {}
     imports: dict[str, HeldImport] = {}
     ahead_ns: int | None = None
+
+    def forget_wires(self, is_gone: Callable[[HeldWire], bool]) -> None:
+        """Leave the wires out of which this is so."""
+        self.wires = [one for one in self.wires if not is_gone(one)]
 
 
 class Welcome(msgspec.Struct, tag=True):
