@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -105,6 +106,14 @@ def test_an_address_that_is_taken_is_refused_from_the_beginning(server: ControlS
     port = int(page.url.rpartition(":")[2].partition("/")[0])
     with page, pytest.raises(InputError, match="name another port"):
         PageServer(connect, port=port)
+
+
+def test_a_page_that_is_closed_leaves_no_thread_behind(server: ControlServer) -> None:
+    assert server is not None
+    before = set(threading.enumerate())
+    with PageServer(connect) as page:
+        assert next(messages(page))[0] == "run"
+    eventually(lambda: set(threading.enumerate()) <= before)
 
 
 def test_a_picture_marks_what_an_update_has_changed_and_keeps_markup_text() -> None:

@@ -90,6 +90,11 @@ class Control(Closable):
                 told = self._heard.popleft() if self._heard else self._next()
                 yield {**told["event"], **({"dropped": told["dropped"]} if "dropped" in told else {})}
 
+    def hang_up(self) -> None:
+        """Have whatever waits for the run end; for any thread."""
+        with suppress(OSError):
+            self._end.shutdown(socket.SHUT_RDWR)
+
     def close(self) -> None:
         """Disconnect."""
         with suppress(AttributeError):

@@ -62,8 +62,6 @@ class PageServer:
     """
 
     def __init__(self, reach: Callable[[], Control], address: str = THIS_COMPUTER, port: int = 0) -> None:
-        self.watched = Watched(reach)
-        self.watched.start()
         self._token = secrets.token_urlsafe(16)
         self._is_open = address in (THIS_COMPUTER, "localhost", "::1")
         family = socket.AF_INET6 if ":" in address else socket.AF_INET
@@ -75,6 +73,12 @@ class PageServer:
         except (OSError, OverflowError) as error:
             self._socket.close()
             raise InputError.of(f"{address}:{port} can't be served: {error}", mend="name another port") from None
+        self.watched = Watched(reach)
+        try:
+            self.watched.start()
+        except BaseException:
+            self._socket.close()
+            raise
         name = f"[{address}]" if ":" in address else address
         self._origin = f"http://{name}:{self._socket.getsockname()[1]}"
         hosts = [name, "localhost"] if self._is_open else ["*"]
@@ -105,6 +109,7 @@ class PageServer:
         self._server.should_exit = True
         self._thread.join(timeout=5)
         self._socket.close()
+        self.watched.close()
 
     def _file(self, name: str, media_type: str) -> Callable[[Request], Response]:
         def get(_: Request) -> Response:

@@ -54,14 +54,28 @@ class Watched:
         self._wanted: tuple[Environment, Environment] | None = None
         self._is_wanted = threading.Condition(self._lock)
         self.has_ended = threading.Event()
+        self._controls: tuple[Control, ...] = ()
 
     def start(self) -> None:
         """Begin to listen. Raises ControlError if there is no run to be reached."""
-        events, states = self._reach(), self._reach()
-        events.subscribe()
+        events = self._reach()
+        try:
+            events.subscribe()
+            states = self._reach()
+        except BaseException:
+            events.close()
+            raise
         self.system = events.system
+        self._controls = events, states
         for work in (lambda: self._hear(events), lambda: self._look(states), self._draw):
             threading.Thread(target=self._until_the_end, args=(work,), daemon=True).start()
+
+    def close(self) -> None:
+        """End all threads, soon."""
+        self.has_ended.set()
+        self._somebody_looks.set()
+        for control in self._controls:
+            control.hang_up()
 
     @contextmanager
     def viewer(self, loop: AbstractEventLoop) -> Iterator[Queue[ToViewer]]:
