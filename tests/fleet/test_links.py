@@ -15,6 +15,7 @@ from cfgplan_runtime.fleet.links import LEASE_S, Lives, Pulse, config, sign_peri
 from cfgplan_runtime.fleet.ways import ReachedAt, reach
 from cfgplan_runtime.streams.zenoh_link import Taken, ZenohLink, taken
 from small_fleet import PATIENCE_S, eventually
+from test_local_run import CFGPLAN
 
 from cfgplan.cli import main
 from cfgplan.errors import InputError
@@ -81,9 +82,6 @@ def test_what_is_not_taken_is_counted_by_looks_as_a_stalled_process_has_looked_o
                 taking.recv(1)
             looks.append(taken(taking, looks[-1]))
         assert looks == [Taken(0, 0), Taken(0, 1), Taken(0, 2), Taken(1, 0)]
-
-
-CFGPLAN = (sys.executable, "-c", "import sys; from cfgplan.cli import main; sys.exit(main())")
 
 
 def free_ports(number: int) -> list[int]:

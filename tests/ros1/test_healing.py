@@ -12,7 +12,7 @@ from subprocess import Popen
 import psutil
 import pytest
 from operated_world import await_event, running
-from words import ENVIRONMENT, eventually, listening, pid_of, write_words
+from words import ENVIRONMENT, await_pid, eventually, listening, pid_of, write_words
 
 HANG = ENVIRONMENT.replace("params: {rate: 100", "run: {hang: 2}\n    params: {rate: 100")
 
@@ -32,19 +32,19 @@ def run(tmp_path: Path) -> Iterator[Popen[str]]:
 def test_nodes_that_die_or_hang_are_replaced_and_the_others_stay(run: Popen[str]) -> None:
     with listening("/shout") as shouts:
         numbers = (int(shout.removesuffix("!")) for shout in shouts)
-        shouter, talker = pid_of("/shouter_1"), pid_of("/talker_1")
+        shouter, talker = await_pid("/shouter_1"), await_pid("/talker_1")
         for number, told in ((signal.SIGKILL, "UnitDied"), (signal.SIGSTOP, "UnitHung")):
             reached = max(islice(numbers, 500))
             os.kill(talker, number)
             await_event(run, told, unit="talker.1")
             eventually(lambda before=talker: pid_of("/talker_1") not in (0, before))
-            talker = pid_of("/talker_1")
+            talker = await_pid("/talker_1")
             assert next(number for number in numbers if number < reached), "it counts anew"
-        assert pid_of("/shouter_1") == shouter
+        assert await_pid("/shouter_1") == shouter
         os.kill(shouter, signal.SIGKILL)
         eventually(lambda: pid_of("/shouter_1") not in (0, shouter))
         assert next(shouts), "the topic is the relay's, and its listeners stay"
-        assert pid_of("/talker_1") == talker
+        assert await_pid("/talker_1") == talker
 
 
 def test_a_relay_and_a_master_that_die_are_made_anew(run: Popen[str]) -> None:

@@ -18,7 +18,7 @@ from cfgplan_runtime import Runtime
 from cfgplan_runtime.ros1.ros1_backend import Ros1Backend
 from cfgplan_runtime.ros1.tcpros import answered
 from cfgplan_runtime.testing import Bench, check_middleware
-from words import NODES, eventually, messages, pid_of, published_topics
+from words import NODES, await_pid, eventually, messages, pid_of, published_topics
 
 from cfgplan.domain import (
     ChangeSet,
@@ -135,7 +135,7 @@ def test_a_nodelet_is_loaded_rewired_lost_with_its_manager_loaded_again_and_unlo
         assert seen.labor_us > 0
         runtime.apply(ChangeSet(stopped=("halver.1",), removed_targets=("half",)))
         assert loaded(runtime) == set()
-        assert pid_of(f"/cfgplan_nodelets_{runtime.id}"), "the manager stays for the next one"
+        assert await_pid(f"/cfgplan_nodelets_{runtime.id}"), "the manager stays for the next one"
         processes = psutil.Process().children(recursive=True)
     eventually(lambda: not any("nodelet" in one.name() for one in processes if one.is_running()))
 

@@ -14,7 +14,7 @@ from cfgplan_runtime import ApplyError, Runtime
 from cfgplan_runtime.ros1.ros1_backend import Ros1Backend
 from cfgplan_runtime.ros1.topic_relay import begins_with_header
 from cfgplan_runtime.supervision.events import UnitPrinted
-from words import NODES, eventually, listening, messages, pid_of
+from words import NODES, await_pid, eventually, listening, messages, pid_of
 
 from cfgplan.domain import (
     ALL,
@@ -177,7 +177,7 @@ def test_a_node_that_somebody_else_runs_is_connected_and_never_stopped(runtime: 
         with pytest.raises(ApplyError, match="can't be started"):
             runtime.apply(ChangeSet((ComputationUnit("absent.1", "absent"),)))
         runtime.stop()
-        assert pid_of(name) == somebodys.pid
+        assert await_pid(name) == somebodys.pid
         runtime.apply(ChangeSet((ComputationUnit("outside.1", "outside"),)))
     finally:
         somebodys.kill()

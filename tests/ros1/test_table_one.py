@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from football import scenario
 from operated_world import await_event, running
-from words import eventually, messages, node_names, pid_of
+from words import await_pid, eventually, messages, node_names, pid_of
 
 NAO = Path(__file__).parents[2] / "models" / "nao"
 ROSPY = "import sys; sys.path.append('/usr/lib/python3/dist-packages'); import rospy, cv2"
@@ -41,11 +41,11 @@ def test_table_one_runs_as_nodes_is_mended_and_goes_over_to_the_fusion(nao: Path
         with messages("/result") as received:
             errors = errors_of(received)
             eventually(lambda: next(errors) < 0.5)
-            before = {label: pid_of(f"/{label}_piff_1") for label in PIFF}
+            before = {label: await_pid(f"/{label}_piff_1") for label in PIFF}
             os.kill(before["segmenter"], signal.SIGKILL)
             await_event(process, "UnitDied", unit="segmenter(piff).1")
             eventually(lambda: pid_of("/segmenter_piff_1") not in (0, before["segmenter"]))
-            after = {label: pid_of(f"/{label}_piff_1") for label in PIFF}
+            after = {label: await_pid(f"/{label}_piff_1") for label in PIFF}
             assert {label for label in PIFF if before[label] != after[label]} == {"segmenter"}
             eventually(lambda: next(errors) < 0.5)
 

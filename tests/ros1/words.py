@@ -67,6 +67,13 @@ def pid_of(node: str) -> int:
     return 0
 
 
+def await_pid(node: str) -> int:
+    """The process of a node, once it answers: a busy computer may make it miss a call."""
+    found: list[int] = []
+    eventually(lambda: found.append(pid_of(node)) or found[-1])
+    return found[-1]
+
+
 @contextmanager
 def messages(topic: str) -> Iterator[Iterator[bytes]]:
     """The messages that come on a topic, without their lengths, once it is published."""

@@ -33,7 +33,7 @@ class WatchOwner(Protocol):
         """It does not publish these, though it runs for a while."""
 
     def note_silence(self, node: str) -> None:
-        """It did not answer."""
+        """It did not answer twice in a row: a busy computer may make it miss one question."""
 
 
 class NodeWatch:
@@ -69,7 +69,7 @@ class NodeWatch:
         while not self._has_ports(node) and time.monotonic() < until and not self._is_over.wait(_NODE_LOOK_S):
             pass
         self._tell(partial(self._owner.note_ready, self._node, address))
-        late_s = time.monotonic() + _LATE_S
+        late_s, is_silent = time.monotonic() + _LATE_S, False
         while not self._is_over.wait(ALIVE_S):
             try:
                 asked(node, _WATCHER, "getPid")
@@ -79,8 +79,11 @@ class NodeWatch:
                     if missing:
                         self._tell(partial(self._owner.note_late, self._node, missing))
             except SilentError:
-                self._tell(partial(self._owner.note_silence, self._node))
+                if is_silent:
+                    self._tell(partial(self._owner.note_silence, self._node))
+                is_silent = True
             else:
+                is_silent = False
                 self._tell(partial(self._owner.note_alive, self._node))
 
     def _address(self) -> str | None:

@@ -95,9 +95,9 @@ class Ros1Backend:
     relative to. Raises InputError.
     """
 
-    def __init__(self, *, folder: Path | None = None, base: Path | None = None) -> None:
+    def __init__(self, *, folder: Path | None = None) -> None:
         self.master = RosMaster()
-        self.run_folder = RunFolder(base)
+        self.run_folder = RunFolder()
         self._folder = (folder or Path.cwd()).resolve()
         self._ends = Ends()
         self._posted = Posted(self._ends)
@@ -169,23 +169,12 @@ class Ros1Backend:
         node = self._nodes.get(unit)
         if node is not None:
             node.is_stopping = True
-            if node.group is not None:
-                self._unload(node, node.group)
-            elif node.process is None:
-                self._bury(node, "")
-            else:
-                node.process.interrupt()
+            self._end(node, NodeProcess.interrupt)
 
     def kill(self, unit: str, *, dump: bool = False) -> None:
         node = self._nodes.get(unit)
-        if node is None or dump:
-            return
-        if node.group is not None:
-            self._unload(node, node.group)
-        elif node.process is None:
-            self._bury(node, "is given up")
-        else:
-            node.process.kill()
+        if node is not None and not dump:
+            self._end(node, NodeProcess.kill)
 
     def connect(self, wire: int, stream: Stream, inlet: Inlet, *, queue: int, blocks: bool) -> None:  # noqa: ARG002
         producer, consumer = self._nodes.get(stream.unit), self._nodes.get(inlet.unit)
@@ -219,7 +208,7 @@ class Ros1Backend:
         self._topics.remove(topic)
         self._tell(messages.CloseOutlet(topic))
         with suppress(SilentError):  # who asks for topics from now on does not find it
-            self.master.ask_as(self._relay_node, "unregisterPublisher", topic, self._relay_address)
+            self.master.unpublish(self._relay_node, topic, self._relay_address)
 
     def renew(self, helper: str) -> None:  # noqa: ARG002
         self._lose_relay()
@@ -311,12 +300,12 @@ class Ros1Backend:
     # Nodes.
 
     def _free_name(self, unit: str) -> str:
-        """A name for a unit's node. Raises SilentError if another node of that name is there."""
+        """A name for a unit's node. Raises InputError if another node has that name."""
         first = f"/{word(unit)}"
         names = (first, *(f"{first}_{number}" for number in range(2, len(self._units) + 3)))
         name = next(name for name in names if name not in self._units)
         with suppress(SilentError):
-            self.master.ask_node(name, "getPid")
+            self.master.ask_node(name)
             raise InputError.of(f"a node {name} is there already, which is not this run's", mend="end it")
         return name
 
@@ -329,7 +318,7 @@ class Ros1Backend:
             node.group.load(node.unit, ros, lambda cause, labor_us: self._note_load(node, cause, labor_us))
             return
         if ros.is_foreign:
-            self.master.ask_node(ros.name, "getPid")
+            self.master.ask_node(ros.name)
         else:
             self.master.set_parameters(ros.name, ros.parameters)
             process = node.process = NodeProcess(ros.command(self._folder), self.master.environment, self._folder)
@@ -382,6 +371,15 @@ class Ros1Backend:
         self._tell(CloseInlets(node.unit))
         self._events.append(events.UnitStopped(node.unit) if node.is_stopping else events.UnitDied(node.unit, cause))
 
+    def _end(self, node: _UnitNode, end: Callable[[NodeProcess], None]) -> None:
+        """Unload a nodelet, give up a node that somebody else runs, and have any other end."""
+        if node.group is not None:
+            self._unload(node, node.group)
+        elif node.process is None:
+            self._bury(node, "is given up")
+        else:
+            end(node.process)
+
     # Nodelets.
 
     def _group(self, name: str) -> NodeletGroup:
@@ -391,7 +389,7 @@ class Ros1Backend:
             return self._groups[full]
         process = None
         try:
-            self.master.ask_node(full, "getPid")
+            self.master.ask_node(full)
         except SilentError:
             command = [str(executable("nodelet", "nodelet")), "manager", f"__name:={full.lstrip('/')}"]
             process = NodeProcess(command, self.master.environment, self._folder)

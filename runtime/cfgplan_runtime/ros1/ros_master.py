@@ -74,13 +74,13 @@ class RosMaster:
         """What it answers. Raises SilentError."""
         return asked(self._peer, _CALLED_BY, method, *arguments)
 
-    def ask_as(self, node: str, method: str, *arguments: object) -> None:
-        """Tell it something in a node's name. Raises SilentError."""
-        asked(self._peer, node, method, *arguments)
+    def unpublish(self, node: str, topic: str, address: str) -> None:
+        """Tell it that a node at an address does not publish a topic any more. Raises SilentError."""
+        asked(self._peer, node, "unregisterPublisher", topic, address)
 
-    def ask_node(self, node: str, method: str) -> Any:
-        """What a node that the master knows answers. Raises SilentError."""
-        return asked(peer(str(self.ask("lookupNode", node))), _CALLED_BY, method)
+    def ask_node(self, node: str) -> None:
+        """Raises SilentError if the master knows no node of that name, or it does not answer."""
+        asked(peer(str(self.ask("lookupNode", node))), _CALLED_BY, "getPid")
 
     def set_parameters(self, node: str, parameters: Mapping[str, object]) -> None:
         """Have a node find these parameters, by full names, and no others of its own. Raises SilentError."""
