@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shlex
+import shutil
 import stat
 import subprocess
 import sys
@@ -19,6 +20,11 @@ from words import PATIENCE_S, eventually, node_names
 
 from cfgplan.errors import InputError
 
+TOOLS = ("roscore", "rosnode", "rostopic")
+LACKING = [tool for tool in TOOLS if shutil.which(tool) is None]
+pytestmark = pytest.mark.skipif(
+    bool(LACKING), reason=f"no {', '.join(LACKING)} here (Debian: apt install python3-rosnode python3-rostopic)"
+)
 PAGE = Path(__file__).parents[2] / "cfgplan" / "manual" / "ros_tutorial.md"
 BEGUN = {
     "roscore": "/rosout",
