@@ -16,8 +16,8 @@ from cfgplan_runtime.supervision.backend import Found, FoundWire
 
 @dataclass(frozen=True, slots=True)
 class Adoption:
-    """What is kept: the host of each unit, of those that are stopping too, and of each spare; by topic the host that
-    was asked for and the one where it is; the routes.
+    """What a manager keeps. `units` (with those that are stopping) and `spares` are hosts by id; `topics` has for each
+    topic the host that was asked for and the host where it is.
     """
 
     found: Found | None
@@ -26,14 +26,14 @@ class Adoption:
     topics: Mapping[str, tuple[str | None, str]]
     routes: Routes
     orders: Sequence[OrderTo]
-    """What ends the rest."""
+    """They end what is not kept."""
 
 
 def adopt(run: str, held: Mapping[str, Held], library: Mapping[str, Transformation]) -> Adoption:
     """Keep the units that `library` would start as they were started, and what goes between them.
 
-    `held` has what each host holds. Of units, spares or topics of one name, which hosts have that were cut off from
-    each other, those of the latest manager are kept. New crossings will bear the name of `run`.
+    `held` has what each host holds. Hosts that were cut off from each other may have units, spares or topics of the
+    same name: those of the latest manager are kept. Crossings that are made later bear the name of `run`.
     """
     held = dict(sorted(held.items(), key=lambda item: (-item[1].term, item[0])))
     stopping = _stopping(held)
@@ -64,9 +64,9 @@ def adopt(run: str, held: Mapping[str, Held], library: Mapping[str, Transformati
 
 
 def _stopping(held: Mapping[str, Held]) -> dict[str, str]:
-    """The host of each unit that was told to stop, and is to give first what it has got. One that is not ready has not.
+    """The host of each unit that was told to stop and has yet to work off its input; one that is not ready has none.
 
-    Of several of one id the first is meant.
+    Of several units with one id the first counts.
     """
     return {
         unit: host
@@ -79,10 +79,10 @@ def _stopping(held: Mapping[str, Held]) -> dict[str, str]:
 def _kept(
     held: Mapping[str, Mapping[str, HeldUnit]], library: Mapping[str, Transformation], stopping: Mapping[str, str]
 ) -> tuple[dict[str, str], list[tuple[str, str]]]:
-    """The host of each unit that was started as it would be now, and was not told to stop; the hosts and ids of those
-    to be ended.
+    """The host of each unit that was started as `library` would start it now and was not told to stop; the hosts and
+    ids of units to end.
 
-    Of several of one id the first is kept, unless that id is `stopping`.
+    Of several units with one id the first is kept, unless one of them is `stopping`.
     """
     kept, ended = dict[str, str](), list[tuple[str, str]]()
     for host, units in held.items():
@@ -97,7 +97,7 @@ def _kept(
 
 
 def _topics(held: Mapping[str, Held]) -> tuple[dict[str, tuple[str | None, str]], list[OrderTo]]:
-    """By topic the host that was asked for and the first one where it is; what closes it on others."""
+    """For each topic the host that was asked for and the first host that has it; orders that close it elsewhere."""
     topics, orders = dict[str, tuple[str | None, str]](), list[OrderTo]()
     for host, one in held.items():
         for topic, asked in one.topics.items():
@@ -109,7 +109,7 @@ def _topics(held: Mapping[str, Held]) -> tuple[dict[str, tuple[str | None, str]]
 
 
 def _crossings(held: Mapping[str, Held]) -> tuple[dict[str, Crossing], list[OrderTo]]:
-    """The crossings that have both ends, and the ends of all others."""
+    """The crossings of which both hosts hold their end, and orders that release all others."""
     crossings, orders = dict[str, Crossing](), list[OrderTo]()
     for source, one in held.items():
         for name, export in one.exports.items():
@@ -129,7 +129,7 @@ def _crossing(name: str, export: HeldExport, stream: Stream, source: str, connec
 def _routes(
     held: Mapping[str, Held], units: Mapping[str, str], topics: Mapping[str, str], crossings: Mapping[str, Crossing]
 ) -> tuple[list[Route], set[int], list[OrderTo]]:
-    """The routes between units that are kept, which of their wires have switched, and the ends of all others."""
+    """The routes between kept units, those of their wires that have switched, and orders that cut all others."""
     routes, has_switched, orders = list[Route](), set[int](), list[OrderTo]()
     for target, one in held.items():
         for known in one.wires:

@@ -39,7 +39,7 @@ def topics_key(host: str | None) -> str:
 
 
 def digest_of(path: Path) -> str | None:
-    """What tells one version of a source file from others; None if there is no such file."""
+    """The SHA-256 of a source file; None if it can't be read."""
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError:
@@ -53,11 +53,11 @@ def source_file(source: str, folder: Path) -> Path | None:
 
 
 class Agent:
-    """One host's part of a fleet, for the thread that made it.
+    """One host's part of a fleet. All methods are for the thread that made it.
 
-    `folder` is what `units.py:Class` is relative to here, `base` where the folder of its topics is made. Raises
-    InputError if it can't listen, or if the fleet has an agent of that name. `cpu` is the group that limits its units'
-    CPU time.
+    `folder` is what `units.py:Class` is relative to on this host. The folder of its topics is made in `base`. `cpu` is
+    the group that limits the CPU time of its units. Raises InputError if the agent can't listen, or if the fleet has
+    one of that name.
     """
 
     def __init__(
@@ -81,25 +81,28 @@ class Agent:
         self._talk: orders.Talk[orders.Order] | None = None
         self._held = orders.Held()
         self._stopping: dict[str, tuple[str, ...]] = {}
-        """Units that are to stop once marks for them have come by these crossings, unless those are gone."""
+        """Units that stop once a mark for them has come by each of these crossings that is still there."""
         self._marked: set[tuple[str, str]] = set()
-        """The marks that have come: by which crossing, for which unit."""
+        """The marks that have come, as crossing and unit."""
         self._ending: set[str] = set()
-        """Units of before the last greeting that have not ended yet: orders wait for that, and nothing is told."""
+        """Units from before the last greeting that have not ended yet. Until they have, no order is carried out, and
+        nothing is said.
+        """
         self._owes_welcome = False
         self._lost = 0
-        """Elements that had not come to other hosts when their crossings were ended, and were not told of."""
+        """Elements that had not reached other hosts when their crossings were ended. The manager does not know yet."""
         self._orders: deque[orders.Order] = deque()
         self._managers = Lives()
         self._is_left = False
-        """Whether the manager of this talk has said that its run is over. Its key may be alive for a moment still."""
+        """Whether this talk's manager has said that its run is over. Its key may stay alive for a moment."""
         self._superseded: tuple[float, orders.Session] | None = None
-        """Who was obeyed before, and when to tell that manager of it: it would give orders to hosts that are still its.
+        """The session before this one, and when its manager is told that it is over. Told at once, that manager would
+        plan anew with the hosts that have not heard of the new one yet.
         """
         self._usage_due_s = 0.0
         self._failure: BaseException | None = None
-        """What has ended the relay, or forbids that this agent goes on."""
-        # What is wrong with it is refused before a process is made.
+        """The error that ends this agent."""
+        # Bad endpoints and certificates are refused before a process is started.
         given = config(listen, connect, certificates)
         self._backend = ProcessBackend(folder=folder, preload=preload, base=base, cpu=cpu)
         try:
@@ -142,7 +145,7 @@ class Agent:
             self._backend.close()
 
     def _refuse_twin(self) -> None:
-        """Raise InputError if the fleet has this host already. One that was killed just now may seem to be there."""
+        """Raise InputError if the fleet has an agent of this name. One that was just killed seems alive for a while."""
         end_s = time.monotonic() + 2 * LEASE_S
         while self._link.alive(f"{alive_key(self.name)}/*"):
             if time.monotonic() > end_s:
@@ -247,7 +250,7 @@ class Agent:
             self._tell_user(f"an order of another version of cfgplan is not carried out: {error}")
 
     def _refuse(self, session: orders.Session, later: orders.Session, *, is_obeyed: bool) -> None:
-        """Tell a manager that its term is over, and whether the later one is there."""
+        """Tell a manager that a later one is obeyed, and whether that one is alive (`is_obeyed`)."""
         put = self._link.publisher(crossing_key(self.name, orders.REFUSE, MANAGER, str(session)), "orders")
         put(b"", f"{later.term} {int(is_obeyed)}".encode())
 
@@ -307,7 +310,7 @@ class Agent:
                 held.imports[crossing] = orders.HeldImport(order)
                 backend.tell_relay(order)
             case Release(crossing):
-                self._tell_usage(())  # the last that is heard of it
+                self._tell_usage(())  # its last counts
                 held.exports.pop(crossing, None)
                 held.imports.pop(crossing, None)
                 self._marked = {mark for mark in self._marked if mark[0] != crossing}
@@ -342,7 +345,7 @@ class Agent:
         self._marked.clear()
 
     def _stop_due(self) -> None:
-        """Stop the units that have taken in what was given before they were to stop."""
+        """Stop the units that have taken in everything that was given before their order to stop."""
         for unit, after in list(self._stopping.items()):
             if all((crossing, unit) in self._marked or crossing not in self._held.imports for crossing in after):
                 del self._stopping[unit]
@@ -369,7 +372,7 @@ class Agent:
         self._backend.prepare_unit(prepare.order)
 
     def _other_version(self, order: orders.StartOrder | orders.PrepareOrder) -> str:
-        """In words why an order can't be carried out with the code that is here; empty if it can."""
+        """Why the code on this host does not do for an order; empty if it does."""
         file = source_file(order.order.source, self._backend.code_folder)
         if order.digest is None or file is None or digest_of(file) == order.digest:
             return ""
@@ -410,7 +413,7 @@ class Agent:
 
 
 def _supersedes(session: orders.Session, other: orders.Session) -> bool:
-    """Whether an agent in the `other` session goes over to this one."""
+    """Whether an agent leaves the `other` session for this one."""
     if session.manager == other.manager and session.term == other.term:
         return session.greeting > other.greeting
     return session.term > other.term

@@ -1,8 +1,8 @@
 """A fleet's own authority, a certificate for each of its hosts, and what a link makes of them.
 
-Made once, on one computer: a folder with the authority, and in it a folder for each host, which is copied there. The
-authority's key stays where it was made. Links are by TLS with certificates on both sides; a host is who its
-certificate says, and may write nothing but keys of its own.
+All are made on one computer: a folder with the authority, and in it a folder for each host, which is copied there. The
+authority's key stays where it was made. Both sides of a link show their certificates (TLS). A host is who its
+certificate says, and may write only below keys of its own.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _AUTHORITY_CERTIFICATE, _AUTHORITY_KEY = "authority.pem", "authority.key"
 _CERTIFICATE, _KEY, _ACCESS = "host.pem", "host.key", "access.json"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,62}")
 _CLOCKS_DIFFER = timedelta(hours=1)
-"""A certificate is valid from so long before it was made, since clocks of hosts differ."""
+"""A certificate is valid from this long before it was made, since the clocks of hosts differ."""
 _AUTHORITY_DAYS = 3650
 
 
@@ -49,12 +49,12 @@ class _Authority:
 
 
 def make(folder: Path, hosts: Mapping[str, Sequence[str]], *, passing_on: Iterable[str] = (), days: int) -> list[Path]:
-    """Make a folder for each host (name -> its DNS names and addresses) and for the manager; returns them.
+    """Make a folder for each host (name -> its DNS names and addresses) and for the manager. Returns the new folders.
 
-    Who gives orders has a certificate too, and may run on any host that has a copy of its folder.
+    The manager, which gives orders, has a certificate too, and may run on any host that has a copy of its folder.
 
-    The authority is made if the folder has none yet; otherwise the hosts are added to its own, and every host's list of
-    who belongs to the fleet is written anew. Nothing else is written over. All files are for their owner alone.
+    The authority is made if the folder has none. Otherwise the hosts are added to its fleet: the list of hosts in every
+    host's folder is written anew, and nothing else is written over. Only their owner can read the files.
     Raises InputError.
     """
     _refuse_names([*hosts, *passing_on, *(one for each in hosts.values() for one in each if not _is_address(one))])
@@ -82,7 +82,7 @@ def make(folder: Path, hosts: Mapping[str, Sequence[str]], *, passing_on: Iterab
 
 
 def keys_of(host: str) -> str:
-    """All keys that a host may put, answer at, or be alive under. Everybody in the fleet may listen there."""
+    """The keys below which only this host may put, answer or be alive. Every host of the fleet may listen there."""
     return f"{host_key(host)}/**"
 
 
@@ -104,7 +104,7 @@ def tls(folder: Path) -> dict[str, Any]:
 
 
 def access_control(folder: Path) -> dict[str, Any]:
-    """Zenoh's `access_control`: who is listed may listen to the fleet and write its own keys; nobody else may anything.
+    """Zenoh's `access_control`: listed hosts may listen to the fleet and write their own keys; others may do nothing.
 
     Raises InputError.
     """
@@ -113,7 +113,7 @@ def access_control(folder: Path) -> dict[str, Any]:
     heard = ["declare_subscriber", "declare_liveliness_subscriber", "liveliness_query", "query"]
     rules = [
         _rule("hear", "ingress", heard, everything),
-        # Without the egress of declarations nothing arrives, and nobody complains.
+        # If declarations may not go out nothing arrives, and no error tells of it.
         _rule("tell", "egress", [*written, *heard], everything),
         _rule("pass on", "ingress", written, everything),
         *(_rule(f"write {host}", "ingress", written, [keys_of(host)]) for host in access.hosts),
@@ -171,7 +171,7 @@ def _refuse_overwriting(folders: Iterable[Path]) -> None:
 
 
 def _authority(folder: Path) -> _Authority:
-    """The folder's authority, which is made if there is none."""
+    """Read the folder's authority, or make one if there is none."""
     from cryptography import x509
     from cryptography.hazmat.primitives import serialization
     from cryptography.hazmat.primitives.asymmetric import ec
@@ -284,7 +284,7 @@ def _pem(key: ec.EllipticCurvePrivateKey) -> bytes:
 
 
 def _write(path: Path, content: bytes) -> None:
-    """Write a file that is not there yet, for its owner alone."""
+    """Write a file that must not exist yet, and that only its owner can read."""
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     with os.fdopen(descriptor, "wb") as file:
         file.write(content)

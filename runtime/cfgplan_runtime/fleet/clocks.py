@@ -1,8 +1,8 @@
 """How far the clock of a host is ahead of the run's: measured again and again, and corrected by what is certain.
 
-The times of a run's elements go by one clock, that of its first manager when it began, on every host. No clock that
-counts here is ever set: each is monotonic, and what a host adds to it stays. So the correction of a computer's time of
-day is shown, and moves no element.
+On every host the times of a run's elements go by one clock: that of the run's first manager when it began. All clocks
+that count here are monotonic, and what a host adds to its own stays the same until it is corrected. So if somebody sets
+a computer's time of day, that is shown, and moves no element.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from cfgplan_runtime.streams.crossing import host_key
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 
 CALLS, CALLS_AGAIN = 30, 5
-"""The shortest of so many calls tells how far a clock is ahead: at first, and again and again from then on."""
+"""How many calls a reading takes, the first one and all others. The shortest call counts."""
 CLOCK_S = 10.0
-"""Seconds after which a clock is read again. At 50 ppm it has moved by 0.5 ms then."""
+"""Seconds from one reading to the next. At 50 ppm a clock moves by 0.5 ms in that time."""
 _CALL_S = 1.0
 SHOWN_NS = 10_000_000
-"""That a host's time of day has changed by so much is told."""
+"""A change of a host's time of day is told from this size on."""
 
 
 def clock_key(host: str) -> str:
@@ -30,9 +30,9 @@ def clock_key(host: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """A host's clock is ahead of ours by `ahead_ns`, give or take `doubt_ns`: half the time that the call took.
+    """A host's clock is ahead of ours by `ahead_ns`, give or take `doubt_ns`, half the time that the call took.
 
-    `day_ahead_ns` is how far its time of day is ahead.
+    Its time of day is ahead by `day_ahead_ns`.
     """
 
     ahead_ns: int
@@ -42,21 +42,21 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class HostClock:
-    """A clock that only rises, and the time of day, both in nanoseconds; those of this process by default."""
+    """A monotonic clock (`now_ns`) and the time of day, both in nanoseconds."""
 
     now_ns: Callable[[], int]
     day_ns: Callable[[], int] = time.time_ns
 
     def told(self) -> bytes:
-        """What a host answers who asks for its clock."""
+        """A host's answer to the question for its clock."""
         return f"{self.now_ns()} {self.day_ns()}".encode()
 
     def read_host(self, link: ZenohLink, host: str, calls: int) -> Reading | None:
-        """The best of some readings of a host's clock; None if it does not answer."""
+        """Read a host's clock, by so many calls. None if no call is answered."""
         return self.read(lambda: (answer for _, answer in link.ask(clock_key(host), _CALL_S)), calls)
 
     def read(self, ask: Callable[[], Iterable[bytes]], calls: int) -> Reading | None:
-        """The best of some readings of a clock that `ask` asks; None if it does not answer."""
+        """Read a clock, by so many calls of `ask`, which gives answers. None if no call is answered."""
         found = []
         for _ in range(calls):
             before_ns = self.now_ns()
@@ -70,10 +70,10 @@ class HostClock:
 
 
 def has_moved(shown_ns: int, reading: Reading) -> bool:
-    """Whether the time of day of a host is another than was shown, for certain and by much."""
+    """Whether a host's time of day differs from the one shown by SHOWN_NS or more, whatever the doubt."""
     return abs(reading.day_ahead_ns - shown_ns) >= SHOWN_NS + reading.doubt_ns
 
 
 def corrected(believed_ns: int, measured_ns: int, doubt_ns: int) -> int:
-    """What is next to `believed_ns` of all that a measurement allows: what it does not tell for certain stays."""
+    """The value nearest to `believed_ns` that the measurement and its doubt allow: a belief is moved no further."""
     return min(max(believed_ns, measured_ns - doubt_ns), measured_ns + doubt_ns)

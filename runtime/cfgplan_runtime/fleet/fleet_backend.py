@@ -1,4 +1,4 @@
-"""A fleet's backend: agents run units on their hosts; what feeds a unit on another host goes by the hosts' relays."""
+"""A fleet's backend: agents run units on their hosts, and streams between hosts go through the hosts' relays."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from cfgplan_runtime.supervision import events
 from cfgplan_runtime.supervision.backend import Found, Inlet, Usage
 
 WAIT_S = 3.0
-"""Seconds that hosts are waited for at the beginning."""
+"""Seconds that a run waits for its hosts when it begins."""
 
 
 @dataclass(slots=True)
 class _Told:
-    """What an agent has told last of what runs there."""
+    """What an agent told last of its host."""
 
     usage: dict[str, Usage] = field(default_factory=dict)
     flows: dict[str, Flow] = field(default_factory=dict)
@@ -41,13 +41,12 @@ class _Told:
 
 
 class FleetBackend:
-    """The backend of a manager. Of `hosts`, those that are not there after `wait_s` are told as lost.
+    """The backend of a manager. It reports those of `hosts` as lost that are not there after `wait_s`.
 
-    `connect` names agents' endpoints; `folder` is what `units.py:Class` is
-    relative to here: files there are compared with each host's. A unit or topic whose host is None goes to the first
-    host that is there. What runs on the hosts by the transformations of `library` is `found`, all else there is ended.
-    Raises InputError, also if another manager has a host, unless this one `takes_over`. Nobody takes over who sees
-    fewer than half of the hosts.
+    `connect` has endpoints of agents. `folder` is what `units.py:Class` is relative to on this computer; each host's
+    files must be the same. A unit or topic whose host is None goes to the first host that is there. `found` gives what
+    already runs on the hosts and is in `library`; everything else there is ended. Raises InputError, also if another
+    manager has a host and this one does not take over (`takes_over`), or sees fewer than half of the hosts.
     """
 
     def __init__(
@@ -68,9 +67,9 @@ class FleetBackend:
         self._units: dict[str, str] = {}
         self._spares: dict[str, str] = {}
         self._topics: dict[str, tuple[str | None, str]] = {}
-        """By topic: the host that was asked for, and the one where it is."""
+        """For each topic the host that was asked for, and the host where it is."""
         self._unplaced: set[str] = set()
-        """Topics for which no host was asked, while none is there."""
+        """Topics that any host may have, while no host is there."""
         self._routes = Routes(run_folder.id)
         self._counts = Counts()
         self._library = library
@@ -82,7 +81,7 @@ class FleetBackend:
         self._presence = presence.Presence(self._link, self.id, run_folder.tell_clock)
         try:
             happened = self._presence.await_all(hosts, wait_s, takes_over=takes_over)
-        except InputError:
+        except BaseException:
             self.close()
             raise
         for one in happened:
@@ -261,7 +260,7 @@ class FleetBackend:
         told = self._told.setdefault(host, _Told())
         match event:
             case events.UnitDied(unit) | events.UnitStopped(unit) if self._units.get(unit, host) != host:
-                return  # another of that id is kept elsewhere
+                return  # a unit of that id on another host was kept
             case events.UnitDied(unit) | events.UnitStopped(unit):
                 self._units.pop(unit, None)
                 told.usage.pop(unit, None)
@@ -294,12 +293,12 @@ class FleetBackend:
         return None if file is None else digest_of(file)
 
     def _place(self, host: str | None) -> str | None:
-        """The host for something; None if it is not there."""
+        """This host, or the first of all if None is given. None if it is not there."""
         found = self._presence.find(host)
         return None if found is None else found.name
 
     def _show(self, topic: str, host: str) -> None:
-        """Have a topic be found in this run's folder."""
+        """Have this run's folder show a topic of a host."""
         there = self._presence.there[host]
         if there.run is None:
             self._topics_elsewhere.show(topic, host, there.life)
@@ -313,7 +312,7 @@ class FleetBackend:
 
 
 def _linked(connect: Sequence[str], certificates: Path | None, wait_s: float) -> ZenohLink:
-    """A link with the agents at these endpoints; through the only one to all others, if it is there in time."""
+    """A link with the agents at these endpoints. A single agent that answers in time leads to all others."""
     if len(connect) == 1:
         with suppress(InputError):
             return ZenohLink(config(connect=connect, certificates=certificates, mode="client", reach_s=wait_s))

@@ -1,4 +1,4 @@
-"""A runtime over the hosts of a fleet: agents that are there, or one for each host on this computer."""
+"""A runtime over the hosts of a fleet, whose agents are there already or are started on this computer."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from cfgplan_runtime.runtime import Runtime
 from cfgplan_runtime.streams.run_folder import RunFolder
 
 LOCAL_WAIT_S = 30.0
-"""Seconds that agents on this computer may take to start: it may be busy."""
+"""Seconds that agents on this computer may take to start, even if it is busy."""
 
 
 @dataclass(frozen=True)
 class Fleet:
-    """How hosts are reached: by the endpoints of agents; or an agent for each is started here (`is_local`)."""
+    """How hosts are reached: by the endpoints of agents, or by agents that are started here for all (`is_local`)."""
 
     connect: Sequence[str] = ()
     certificates: Path | None = None
@@ -37,10 +37,10 @@ def fleet_runtime(
     preload: Sequence[str] = (),
     say: Callable[[str], None] = lambda _: None,
 ) -> Iterator[Runtime]:
-    """A runtime whose units are on the environment's hosts; what runs there by its library goes on.
+    """A runtime whose units are on the environment's hosts. What runs there already and is in the library goes on.
 
-    `folder` is what `units.py:Class` is relative to. Where all hosts are on this computer the CPU time of each is
-    limited, if the system can do that; else it is told to `say`. Raises InputError.
+    `folder` is what `units.py:Class` is relative to. If all hosts are on this computer, the CPU time of each is limited
+    as it says; `say` is told if the system can't do that. Raises InputError.
     """
     hosts = tuple(environment.host)
     with ExitStack() as stack:
@@ -70,7 +70,7 @@ def fleet_runtime(
 
 
 def _cpu_groups(environment: Environment, say: Callable[[str], None]) -> Mapping[str, CpuGroup]:
-    """By host that says how much CPU time it has, the group of what runs there; none where the system has no such."""
+    """The group that limits the CPU time of each host that has a limit; none if the system has no such groups."""
     limits_us = {host.name: host.cpu_us for host in environment.hosts if host.cpu_us is not None}
     try:
         return cpu_groups(limits_us) if limits_us else {}

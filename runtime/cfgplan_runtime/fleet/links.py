@@ -12,24 +12,24 @@ from cfgplan.errors import InputError
 from cfgplan_runtime.fleet.certificates import access_control, tls
 
 LEASE_S = 2.0
-"""Seconds of silence after which a host is taken for lost. With 1 s, a stalled machine was once taken for lost."""
+"""Seconds of silence after which a host counts as lost. With 1 s a machine that was merely stalled did once."""
 _SIGNS_PER_LEASE = 8
 _LINK_LEASES = 2
-"""A link that is silent for half a lease is made anew: the kernel waits longer and longer until it tries it again."""
+"""A link that is silent for half a lease is made anew, as the kernel waits longer and longer between its attempts."""
 _LATE_SIGNS, MISSED_SIGNS = 2, 4
-"""A sign of life that comes after so many periods is late. Who did not look for so many may have missed some."""
+"""A sign of life is late after two periods. A process that was stalled for four may have missed some itself."""
 _OPEN_MS, _OPEN_PRIVATE_MS = 400, 10_000
-"""Who is cut off gives up an attempt after so long: one that began too early can't succeed once the link is mended.
-Within one computer nothing is cut.
+"""How long an attempt to open a link may take. One that began during a cut does not succeed after it, so it has to end
+soon. Within one computer there are no cuts.
 """
 REACH_S = 5.0
 _LANES = {"interactive_high": 16, "data_high": 16, "data_low": 16}
-"""Batches of 64 kB that wait in each of Zenoh's lanes for a full link, the most that it allows. In 2, its default, no
-image fits, and only 2 small elements: what has no room is dropped, and sent again a quarter of a second later.
+"""How many batches of 64 kB may wait in each of Zenoh's lanes for a full link: the most that it allows. Its default, 2,
+has no room for an image, nor for 3 small elements. What has no room is dropped, and sent again 0.25 s later.
 """
 _SEND_BUFFER = 1 << 18
-"""Half of the bytes that wait in a link's socket, where nothing overtakes them: Linux takes twice as many, 52 ms at 80
-Mbit/s. With half of it, 3 of 8 streams of images at 147 Mbit/s fell behind on a busy computer.
+"""Half of the bytes that may wait in a link's socket, since Linux allows twice as many. At 80 Mbit/s they take 52 ms,
+and nothing overtakes them. With half as many, 3 of 8 streams of images at 147 Mbit/s fell behind on a busy computer.
 """
 PRIVATE = "unixsock-stream"
 """The protocol of links within one computer: a socket in a folder that only its user can enter."""
@@ -48,11 +48,11 @@ def config(
     """Zenoh's configuration of one session; endpoints are written `tcp/192.168.1.5:7447` or `unixsock-stream/PATH`.
 
     In mode "peer" all have to be linked with all. A "client" goes through the first of the others that it reaches, and
-    fails after `reach_s` without any. (A "router" passes on between others, but when these come and go at once, Zenoh's
-    routers overlook some for good: in 2 of 60 trials; and they panic at times when a link between two is closed. A
-    peer passes on for clients alone, and did in 60 of 60.) With `certificates`, a host's folder, all links to other
-    computers are written `tls/192.168.1.5:7447`. Raises InputError for an endpoint that strangers could reach without
-    certificates.
+    fails if it reaches none within `reach_s`. (There are no routers here: when others come and go at the same moment,
+    Zenoh's routers overlook some for good, in 2 of 60 trials, and at times they panic when a link between two of them
+    is closed. A peer passes on for clients only, and did so in 60 of 60 trials.) With `certificates`, a host's folder,
+    all links to other computers are written `tls/192.168.1.5:7447`. Raises InputError for an endpoint that strangers
+    could reach without certificates.
     """
     for endpoint in listen if certificates is None else ():
         _refuse_strangers(endpoint)
@@ -82,7 +82,7 @@ def config(
         "transport": {
             "link": link,
             "unicast": {"open_timeout": _OPEN_PRIVATE_MS if is_private else _OPEN_MS},
-            # Containers of one computer share it, but not always what is needed to read it.
+            # Containers of one computer share memory, but not always the files that are needed to read it.
             "shared_memory": {"enabled": False},
         },
         **secured,
@@ -100,7 +100,7 @@ class Pulse:
 
     last_s: float
     steady_s: float
-    """Since when none was late."""
+    """Since when no sign was late."""
 
     def note(self, now_s: float) -> None:
         """Note a sign of life."""
@@ -109,7 +109,7 @@ class Pulse:
         self.last_s = max(self.last_s, now_s)
 
     def is_steady(self, now_s: float) -> bool:
-        """Whether no sign is late, or was within half a lease: if its links are gone nevertheless, its agent is too."""
+        """Whether no sign is late now, or was within half a lease. If its links end while this is so, its agent did."""
         return now_s - self.last_s <= _LATE_SIGNS * sign_period_s() and now_s - self.steady_s >= LEASE_S / _LINK_LEASES
 
     def is_lost(self, now_s: float) -> bool:
@@ -117,13 +117,13 @@ class Pulse:
 
 
 class Lives:
-    """Who is alive, by keys. A link that a busy computer has made anew takes nobody away."""
+    """Which keys are alive. One whose link was merely made anew, by a busy computer, stays alive."""
 
     def __init__(self) -> None:
         self._pulses: dict[str, Pulse] = {}
 
     def note(self, key: str, now_s: float, *, is_alive: bool = True) -> None:
-        """Note a sign of life, or that Zenoh knows the key as alive or not any more."""
+        """Note a sign of life, or what Zenoh tells of a key."""
         pulse = self._pulses.setdefault(key, Pulse(now_s, now_s))
         if is_alive:
             pulse.note(now_s)

@@ -1,4 +1,4 @@
-"""A fleet on one computer: an agent for each host, connected by sockets in a folder that only its user can enter."""
+"""A fleet on one computer: an agent for each host, linked by sockets in a folder that only its user can enter."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ _AGENT_CLOSE_S = 5.0
 class LocalAgents(Closable):
     """Agents of hosts on this computer; they end with the thread that made them. A context manager.
 
-    `run` is the folder of the run, where their sockets are; `folder` is what `units.py:Class` is relative to. What runs
-    on a host in `cpu` is put in its group.
+    Their sockets are in `run`, the folder of the run. `folder` is what `units.py:Class` is relative to. The units of a
+    host in `cpu` are put in its group.
     """
 
     def __init__(
@@ -41,7 +41,7 @@ class LocalAgents(Closable):
             arguments = [str(os.getpid()), host, str(folder), str(runs), self.endpoints[number]]
             group = str(cpu[host].path) if host in cpu else ""
             more = [",".join(self.endpoints[:number]), ",".join(preload), group]
-            # A group of its own: Ctrl-C is for the command, which has to be able to stop units in order.
+            # In a session of its own it does not get Ctrl-C: the command does, and stops units in order.
             self.processes[host] = subprocess.Popen(
                 [sys.executable, "-c", _AGENT_CODE, *arguments, *more],
                 stdin=subprocess.DEVNULL,
@@ -49,7 +49,7 @@ class LocalAgents(Closable):
             )
 
     def close(self) -> None:
-        """End all agents and what runs there."""
+        """End all agents and their units."""
         for process in self.processes.values():
             process.terminate()
         for process in self.processes.values():

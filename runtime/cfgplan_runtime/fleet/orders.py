@@ -1,4 +1,4 @@
-"""What a manager and the agents of its hosts say to each other, and how: typed messages, in order and once."""
+"""Messages between a manager and the agents of its hosts, and how each comes once and in order."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from cfgplan_runtime.supervision import events
 from cfgplan_runtime.supervision.backend import Inlet, Usage
 
 SAY, HEARD, REFUSE = "say", "heard", "refuse"
-"""Kinds of keys: messages, what was heard of them, and that a manager is not obeyed any more."""
+"""Kinds of keys: for messages, for what was received of them, and for telling a manager that it is not obeyed."""
 
 Spoken = TypeVar("Spoken")
 
 
 class Session(NamedTuple):
-    """One conversation of a manager with an agent. Agents obey the highest term, and its first manager only."""
+    """A conversation of a manager with an agent. An agent obeys the highest term, and of that the first manager."""
 
     term: int
     manager: str
@@ -32,7 +32,7 @@ class Session(NamedTuple):
 
 
 def read_session(text: str) -> Session | None:
-    """A session as its key has it; None if it is none."""
+    """The session of a key's last part; None if it is no session."""
     parts = text.split("-")
     if len(parts) != 3 or not (parts[0].isdecimal() and parts[2].isdecimal()):
         return None
@@ -43,20 +43,20 @@ def read_session(text: str) -> Session | None:
 
 
 class GreetOrder(msgspec.Struct, tag=True):
-    """The first order: end everything that runs, unless it is to be adopted, then say Welcome."""
+    """The first order: end everything that runs, unless the manager adopts it (`adopts`), then say Welcome."""
 
     adopts: bool
 
 
 class ClockOrder(msgspec.Struct, tag=True):
-    """This host's clock is so far ahead of the run's, by which elements have their times. It is in Held."""
+    """Correct the times of elements: this host's clock is ahead of the run's by `ahead_ns`. Held has it."""
 
     ahead_ns: int
 
 
 class StartOrder(msgspec.Struct, tag=True):
-    """Start a unit of the transformation `label`, as the `spare` that was prepared. `digest` is that of its source file
-    at the manager, None if it has none there.
+    """Start a unit of the transformation `label`, in the process of `spare` if one was prepared. `digest` is that of
+    its source file on the manager's computer; None if there is no such file.
     """
 
     label: str
@@ -66,7 +66,7 @@ class StartOrder(msgspec.Struct, tag=True):
 
 
 class PrepareOrder(msgspec.Struct, tag=True):
-    """Prepare a cold spare, which `order` names; the rest is as in StartOrder."""
+    """Prepare the cold spare that `order` names; all else as in StartOrder."""
 
     label: str
     order: UnitOrder
@@ -74,13 +74,13 @@ class PrepareOrder(msgspec.Struct, tag=True):
 
 
 class DiscardOrder(msgspec.Struct, tag=True):
-    """End what was prepared for a cold spare."""
+    """End the process of a cold spare."""
 
     spare: str
 
 
 class StopOrder(msgspec.Struct, tag=True):
-    """Stop a unit once it has what was given before to the crossings that it comes `after`."""
+    """Stop a unit once a mark for it has come by each of the crossings in `after`."""
 
     unit: str
     after: tuple[str, ...] = ()
@@ -115,7 +115,7 @@ class SwitchOrder(msgspec.Struct, tag=True):
 
 
 class OpenTopicOrder(msgspec.Struct, tag=True):
-    """Give a topic its address; `host` is that of its target."""
+    """Open a topic at its address; `host` is what its target asked for."""
 
     topic: str
     host: str | None
@@ -157,7 +157,7 @@ Order: TypeAlias = (
 
 
 class HeldUnit(msgspec.Struct):
-    """A unit that runs, or a spare: its transformation's label, how it was started, and its labor once it is ready."""
+    """A unit or spare: its transformation's label, how it was started, and its labor once it is ready."""
 
     label: str
     order: UnitOrder
@@ -166,7 +166,7 @@ class HeldUnit(msgspec.Struct):
 
 
 class HeldWire(msgspec.Struct):
-    """The newest wire to an inlet. The stream may be that of an import."""
+    """The newest wire to an inlet. Its stream may be an import."""
 
     wire: int
     stream: Stream
@@ -183,16 +183,16 @@ class HeldExport(msgspec.Struct):
 
 
 class HeldImport(msgspec.Struct):
-    """What comes from another host: the order, and how many inputs it has been led to."""
+    """A stream that comes from another host: the order, and how many inputs it has fed."""
 
     order: Import
     connected: int = 0
 
 
 class Held(msgspec.Struct):
-    """What an agent keeps on its host by the orders of its managers; `term` is that of the one before this.
+    """What an agent keeps on its host; `term` is that of the manager before the present one.
 
-    `topics` have the host of their target.
+    `topics` has the host that each topic's target asked for.
     """
 
     term: int = 0
@@ -205,34 +205,34 @@ class Held(msgspec.Struct):
     ahead_ns: int | None = None
 
     def forget_wires(self, is_gone: Callable[[HeldWire], bool]) -> None:
-        """Leave the wires out of which this is so."""
+        """Remove the wires of which this is so."""
         self.wires = [one for one in self.wires if not is_gone(one)]
 
 
 class Welcome(msgspec.Struct, tag=True):
-    """Orders are carried out. `held` is all that runs here. The topics' sockets are in the folder `run`."""
+    """Orders are carried out from now on. `held` is all that runs here; sockets of topics are in the folder `run`."""
 
     run: str
     held: Held
 
 
 class EventTold(msgspec.Struct, tag=True):
-    """An event of `supervision.events`, by the name of its class."""
+    """An event of `supervision.events`; `kind` is the name of its class."""
 
     kind: str
     event: msgspec.Raw
 
 
 class UsageTold(msgspec.Struct, tag=True):
-    """What units have used by now, and what has gone over each crossing from this host."""
+    """What units have used so far, and the counts of each crossing from this host."""
 
     usage: dict[str, Usage]
     crossings: dict[str, CrossingCounts] = {}
 
 
 class TopicsTold(msgspec.Struct):
-    """What an agent answers who asks: the run that it obeys, the topics that are there, and how far its clock is ahead
-    of the run's.
+    """An agent's answer to the question for topics: the run that it obeys, the topics on its host, and how far its
+    clock is ahead of the run's.
     """
 
     run: str
@@ -251,7 +251,7 @@ def told(event: events.Event) -> EventTold:
 
 
 def event_of(message: EventTold) -> events.Event:
-    """The event that a message tells of. Raises msgspec.MsgspecError for one of another version."""
+    """The event in a message. Raises msgspec.MsgspecError if it is of another version."""
     if message.kind not in _EVENTS:
         raise msgspec.ValidationError(f"there is no event {message.kind}")
     event: events.Event = msgspec.msgpack.decode(message.event, type=_EVENTS[message.kind])
@@ -259,14 +259,14 @@ def event_of(message: EventTold) -> events.Event:
 
 
 class Talk(Generic[Spoken]):
-    """One end of a session. Nothing waits: `pump` sends what was said since its last call together, again and again
-    until it has come.
+    """One end of a session. No method waits. `pump` sends all that was said since its last call as one piece, and sends
+    it again until it has arrived.
     """
 
     def __init__(self, link: ZenohLink, me: str, other: str, session: Session, incoming: object) -> None:
         self.session = session
         self.is_broken = False
-        """Whether messages were lost for good: a new session is needed."""
+        """Whether messages were lost for good, so that a new session is needed."""
         self._decoder: msgspec.msgpack.Decoder[list[Spoken]] = msgspec.msgpack.Decoder(list[incoming])  # type: ignore[valid-type]
         self._unsent: list[msgspec.Struct] = []
         self._both = crossing.Conversation(crossing.Sending(granted=crossing.PIECES_UNDER_WAY))
@@ -278,7 +278,7 @@ class Talk(Generic[Spoken]):
         self._unsent.append(message)
 
     def hear(self, kind: str, head: bytes, payload: bytes, now_s: float) -> list[Spoken]:
-        """Take what came at one of the session's keys. Returns the messages to handle now, in order.
+        """Take what came at one of the session's keys. Returns the messages that can be handled now, in order.
 
         Raises msgspec.MsgspecError for a message of another version.
         """

@@ -1,4 +1,4 @@
-"""The hosts of a fleet as a manager sees them: whose agent is alive and obeys, what is said with it, and its clock."""
+"""The hosts of a fleet as a manager sees them: which agents are alive and obey, what they say, and their clocks."""
 
 from __future__ import annotations
 
@@ -32,28 +32,28 @@ _MARGIN_S = 1.0
 
 @dataclass(slots=True, eq=False)
 class HostState:
-    """A host whose agent is alive. It counts as there once its clock is known."""
+    """A host whose agent is alive. It counts as there (`is_there`) once its clock is known."""
 
     name: str
     life: str
-    """What tells this agent from one of the same name before it."""
+    """The id of this agent's process; a later agent of the same name has another."""
     talk: orders.Talk[orders.FromAgent]
     pulse: Pulse
     is_there: bool = False
     reading: Reading | None = None
-    """What its clock said last."""
+    """The last reading of its clock."""
     ahead_ns: int | None = None
-    """How far its clock is ahead of the run's, as it was told."""
+    """How far its clock is ahead of the run's, as the agent was told last."""
     shown_ns: int = 0
-    """How far its time of day is ahead of that here, as was last told."""
+    """How far its time of day is ahead of that here, as was reported last."""
     run: Path | None = None
-    """The folder of its topics' sockets, if that is on this computer."""
+    """The folder with the sockets of its topics, if it is on this computer."""
     held: orders.Held = field(default_factory=orders.Held)
-    """What ran there when it was greeted."""
+    """What ran there when it said Welcome."""
 
 
 class AgentNews(msgspec.Struct, frozen=True):
-    """What happens to a host's agent; each kind is a class of its own."""
+    """Something that has happened to a host's agent; each kind has a class."""
 
     host: HostState
 
@@ -65,26 +65,26 @@ class AgentJoined(AgentNews, frozen=True):
 
 
 class AgentClockSet(AgentNews, frozen=True):
-    """The time of day of a host is another than was told."""
+    """A host's time of day has changed since it was reported."""
 
     day_ahead_ns: int
 
 
 class AgentGone(AgentNews, frozen=True):
-    """A host is not alive any more, or does not obey. It may not have been there yet."""
+    """A host's agent is dead, or does not obey. The host may not have been there yet."""
 
     cause: str
 
 
 class AgentSaid(AgentNews, frozen=True):
-    """What an agent says."""
+    """An agent has said something."""
 
     message: orders.FromAgent
 
 
 @dataclass(frozen=True, slots=True)
 class _Measured:
-    """What a host's clock says; None if it does not answer."""
+    """A reading of a host's clock; None if it does not answer."""
 
     host: HostState
     reading: Reading | None
@@ -96,8 +96,8 @@ _Arrival: TypeAlias = "tuple[str, bytes, bytes] | tuple[str, bool] | tuple[str, 
 class Presence:
     """The hosts that are linked with the manager `run`. All methods but `wake` are for the thread that made it.
 
-    `tell_clock` is told by how many nanoseconds the run's clock, which may be an earlier manager's, is ahead of the
-    monotonic one.
+    `tell_clock` is called with how many nanoseconds the run's clock is ahead of the monotonic one of this computer. The
+    run's clock may be an earlier manager's.
     """
 
     def __init__(self, link: ZenohLink, run: str, tell_clock: Callable[[int], None]) -> None:
@@ -112,19 +112,19 @@ class Presence:
         self._serial = 0
         self._term = 1
         self._is_beginning = True
-        """Until all hosts were waited for: what they run is adopted then, and ended later."""
+        """True until all hosts were waited for. What a host runs is adopted while this is true, later it is ended."""
         self._takes_over = False
-        """Whether hosts are taken from a living manager; only at the beginning, so that nobody takes them back."""
+        """Whether hosts are taken from a living manager: at the beginning only, or two managers would take turns."""
         self._seen: dict[str, str] = {}
-        """The hosts that were alive before any was greeted, and what tells their agents from earlier ones."""
+        """Hosts that were alive before any was greeted, and the ids of their agents."""
         self._is_greeting = False
         self._has_left = threading.Event()
         self._round_s = inf
-        """When it was last looked what had arrived."""
+        """When this process last handled what had arrived."""
         self._left_alone: set[str] = set()
-        """Agents that are alive and can't be given orders; what tells them from others, as in `_seen`."""
+        """The ids of agents that are alive but can't be given orders."""
         self._refusing: list[HostState] = []
-        """Hosts that obey another manager, at the beginning."""
+        """Hosts that were found to obey another manager, at the beginning."""
         for kind in (orders.SAY, orders.HEARD, orders.REFUSE):
             link.hear(crossing_key(None, kind, MANAGER, "*"), lambda *came: self._inbox.put(came))
         link.watch(f"{alive_key(None)}/*", lambda *came: self._inbox.put(came))
@@ -140,24 +140,24 @@ class Presence:
         return {name: host for name, host in self._hosts.items() if host.is_there}
 
     def find(self, host: str | None) -> HostState | None:
-        """A host, or any (None): the first by its name. None if it is not there."""
+        """A host that is there, by its name; with None the first of all. None if there is no such host."""
         if host is None:
             host = min((name for name, one in self._hosts.items() if one.is_there), default="")
         found = self._hosts.get(host)
         return found if found is not None and found.is_there else None
 
     def say(self, host: str | None, order: orders.Order) -> None:
-        """Give an order to a host with the next `wait`; does nothing if it is not there, or None."""
+        """Give an order to a host with the next `wait`. Does nothing if the host is None or not there."""
         found = None if host is None else self.find(host)
         if found is not None:
             found.talk.say(order)
 
     def wake(self) -> None:
-        """Let `wait` return; for any thread."""
+        """Make `wait` return; for any thread."""
         self._inbox.put(None)
 
     def wait(self, end_s: float) -> tuple[list[AgentNews], bool]:
-        """What has happened, and whether to return to the caller; waits until a moment for the first of it."""
+        """Wait for something to happen, until `end_s`. Returns what has happened, and whether `wake` was called."""
         is_awake = self._hear_all()
         while not (is_awake or self._happened or time.monotonic() >= end_s):
             with suppress(queue.Empty):
@@ -168,10 +168,10 @@ class Presence:
         return happened, is_awake
 
     def await_all(self, hosts: Sequence[str], wait_s: float, *, takes_over: bool) -> list[AgentNews]:
-        """Wait until all hosts are there, at most `wait_s`. Returns what has happened.
+        """Wait until all hosts are there, at most `wait_s` seconds. Returns what has happened.
 
-        Raises InputError if another manager has one, unless this one `takes_over`, and if that sees fewer than half.
-        A manager that was killed just now may seem to be alive for a lease.
+        Raises InputError if another manager has a host and this one does not take over (`takes_over`), or sees fewer
+        than half of the hosts. A manager that was just killed seems alive for a lease.
         """
         self._takes_over = takes_over
         end_s = time.monotonic() + wait_s
@@ -201,7 +201,7 @@ class Presence:
         return happened
 
     def leave(self) -> None:
-        """Tell all hosts that the run is over; wait a while until they have heard."""
+        """Tell all hosts that the run is over, and wait until they have heard, at most _LEAVE_S seconds."""
         self._has_left.set()
         for host in self._hosts.values():
             self.say(host.name, orders.LeaveOrder())
@@ -210,18 +210,18 @@ class Presence:
             self.wait(min(end_s, time.monotonic() + 0.05))
 
     def _hear_once(self, end_s: float) -> None:
-        """Wait for something to arrive, or for something to be sent, and handle it."""
+        """Wait until something arrives or is due to be sent, and handle it."""
         with suppress(queue.Empty):
             self._hear(self._inbox.get(timeout=self._patience_s(end_s)))
         self._hear_all()
 
     def _patience_s(self, end_s: float) -> float:
-        """Seconds until something is to be sent, but never longer than signs of life take."""
+        """Seconds until something is due to be sent, at most until `end_s` and at most a sign's period."""
         due_s = min((host.talk.due_s() for host in self._hosts.values()), default=inf)
         return max(0.0, min(min(end_s, due_s) - time.monotonic(), sign_period_s()))
 
     def _hear_all(self) -> bool:
-        """Handle what has arrived, then send what is due. Returns whether to return to the caller."""
+        """Handle what has arrived, then send what is due. Returns whether `wake` was called."""
         is_awake = False
         with suppress(queue.Empty):
             while True:
@@ -234,7 +234,7 @@ class Presence:
         return is_awake
 
     def _lose_silent(self) -> None:
-        """Lose hosts of which nothing was heard for a lease, unless it was this process that heard nothing."""
+        """Lose hosts of which nothing was heard for a lease, unless this process was stalled meanwhile."""
         now_s = time.monotonic()
         before_s, self._round_s = self._round_s, now_s
         for host in list(self._hosts.values()):
@@ -277,7 +277,7 @@ class Presence:
             self._lose(host, "its agent is gone")
 
     def _note_sign(self, key: str, at_s: float) -> None:
-        """Note a sign of life. It is told of who is alive by Zenoh too, but not of everyone after a link was cut."""
+        """Note a sign of life. Zenoh tells who is alive too, but after a cut not of everyone."""
         _, name, _, life = key.split("/")
         if life not in self._left_alone:
             self._note_life(key, is_alive=True)
@@ -286,7 +286,7 @@ class Presence:
             host.pulse.note(at_s)
 
     def _greet(self, name: str, life: str, cause: str) -> None:
-        """Begin anew with a host."""
+        """Begin a new session with a host, and lose the one before."""
         if name in self._hosts:
             self._lose(self._hosts[name], cause)
         self._serial += 1
@@ -318,17 +318,17 @@ class Presence:
             self.leave_alone(host, f"its agent is of another version of cfgplan: {error}")
 
     def leave_alone(self, host: HostState, cause: str) -> None:
-        """Lose a host whose agent is alive and can't be given orders."""
+        """Lose a host whose agent is alive but can't be given orders, and don't greet that agent again."""
         self._left_alone.add(host.life)
         if self._hosts.get(host.name) is host:
             self._lose(host, cause)
 
     def _heed(self, host: HostState, refusal: bytes) -> None:
-        """A host obeys a later manager: yield to it if that is alive, unless this one is to take over."""
+        """Handle a refusal: leave the host to a later manager if that is alive, unless this one takes over."""
         try:
             term, is_obeyed = map(int, refusal.split())
         except ValueError:
-            return  # of another version, or of nobody
+            return  # it is of another version, or no refusal
         if is_obeyed and self._is_beginning and not self._takes_over:
             self._refusing.append(host)
         elif is_obeyed and not self._takes_over:
@@ -344,17 +344,17 @@ class Presence:
         threading.Thread(target=self._measure, args=(host, CALLS), daemon=True).start()
 
     def _measure(self, host: HostState, calls: int) -> None:
-        """Read a host's clock. The first time that has a thread of its own: no other host waits for a silent one."""
+        """Read a host's clock. The first reading has a thread of its own, so that a silent host delays no other."""
         self._inbox.put(_Measured(host, self._clock.read_host(self._link, host.name, calls)))
 
     def _measure_again(self) -> None:
-        """Read the clocks of all hosts that are there again and again; runs in a thread of its own."""
+        """Read the clocks of all hosts that are there again and again, in a thread of its own."""
         while not self._has_left.wait(CLOCK_S):
             for host in [host for host in list(self._hosts.values()) if host.is_there]:
                 self._measure(host, CALLS_AGAIN)
 
     def _note_clock(self, host: HostState, reading: Reading) -> None:
-        """A host whose clock is known is there."""
+        """Take in a reading of a host's clock, after which the host is there."""
         host.reading, was_there, host.is_there = reading, host.is_there, True
         if not self._is_beginning:
             self._correct(host, reading)
@@ -363,7 +363,7 @@ class Presence:
             self._happened.append((AgentClockSet if was_there else AgentJoined)(host, reading.day_ahead_ns))
 
     def _begin_clocks(self) -> None:
-        """Go on with the clock of an earlier manager, so that no element is taken for older than it is."""
+        """Go on with an earlier manager's clock, if a host knows it: the times of elements then rise without a step."""
         known = {host: host.reading for host in self._hosts.values() if host.reading is not None}
         for host, reading in known.items():
             if host.ahead_ns is not None:
@@ -374,7 +374,7 @@ class Presence:
             self._correct(host, reading)
 
     def _correct(self, host: HostState, reading: Reading) -> None:
-        """Have a host correct its clock by what is certain."""
+        """Correct a host's clock, as far as its reading is certain."""
         before_ns, measured_ns = host.ahead_ns, reading.ahead_ns + self._run_ahead_ns
         host.ahead_ns = measured_ns if before_ns is None else corrected(before_ns, measured_ns, reading.doubt_ns)
         if host.ahead_ns != before_ns:

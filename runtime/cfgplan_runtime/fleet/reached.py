@@ -1,4 +1,4 @@
-"""A fleet as commands reach it from any computer, through one of its agents: its runs and its topics."""
+"""A fleet as commands reach it, from any computer through one of its agents: its runs and its topics."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ _LOOK_S = 0.02
 
 
 class ReachedFleet(Closable):
-    """A fleet, by the endpoints of some of its agents; a context manager. Raises InputError if none can be reached.
+    """A fleet that is reached through the first agent that answers at `connect`; a context manager.
 
-    Where agents have certificates, `certificates` is the folder of the manager's.
+    If agents have certificates, `certificates` is the manager's folder. Raises InputError if no agent answers.
     """
 
     def __init__(self, connect: Sequence[str], certificates: Path | None = None) -> None:
         self._alive: set[str] = set()
         """The keys of the agents and managers that are alive."""
         self._offsets_ns: dict[str, int] = {}
-        """By host whose topics are heard: how far the clock of its run is ahead of the monotonic one here."""
+        """For each host whose topics are heard: how far its run's clock is ahead of the monotonic one here."""
         self._is_closed = threading.Event()
         self._link = ZenohLink(config(connect=connect, certificates=certificates, mode="client"))
         self._client = TunnelClient(self._link)
@@ -60,9 +60,9 @@ class ReachedFleet(Closable):
         return self._lives(MANAGER)
 
     def control(self, run: str | None = None) -> tuple[str, socket.socket]:
-        """A run, and a socket that is connected to its control socket; the id is needed only if there are several.
+        """Reach a run's control socket. `run` is its id, needed only if several are alive.
 
-        Raises NoSuchRunError, which names the live runs.
+        Returns the id and a connected socket. Raises NoSuchRunError, which names the live runs.
         """
         _until(lambda: bool(self.runs) if run is None else run in self.runs, _REACH_S)
         runs = self.runs
@@ -80,7 +80,7 @@ class ReachedFleet(Closable):
     ) -> SubscriptionToTopic:
         """Subscribe to a topic of any host; see `cfgplan_runtime.subscribe`. Raises NoSuchTopicError.
 
-        A host that is alive, and does not tell of its topics yet, is waited for in any case.
+        If a host that is alive has not told its topics yet, it is waited for, whatever `wait_s` is.
         """
         end_s, patience_s = time.monotonic() + wait_s, max(0.0, _REACH_S - wait_s)
         while True:
@@ -88,7 +88,7 @@ class ReachedFleet(Closable):
             found = _places(told, topic, run)
             if len(runs := sorted({one for one, _ in found})) > 1:
                 raise NoSuchTopicError(f"several runs have topic {topic!r}: name one of {', '.join(runs)} (--run)")
-            with suppress(NoSuchTopicError):  # its host has just come, or gone
+            with suppress(NoSuchTopicError):  # the host has just come or gone
                 if found:
                     return SubscriptionToTopic(topic, _FleetPlace(self, run), timeout_s=timeout_s)
             is_whole = not found and told.keys() >= set(self.hosts)
@@ -97,7 +97,7 @@ class ReachedFleet(Closable):
             time.sleep(_LOOK_S)
 
     def places(self, topic: str, run: str | None) -> list[tuple[str, str]]:
-        """The runs, with the hosts, that have a topic."""
+        """Where a topic is, as runs and hosts."""
         return _places(self._told(), topic, run)
 
     def connect(self, host: str, topic: str) -> socket.socket | None:
@@ -106,7 +106,7 @@ class ReachedFleet(Closable):
         return self._client.connect(host, lives[0], topic) if lives else None
 
     def now_ns(self, host: str) -> int:
-        """The time by the clock of the run that a host has, which is measured, again and again from the first call."""
+        """The time by the clock of the run that a host obeys, which is read again and again from the first call on."""
         if host not in self._offsets_ns:
             is_first = not self._offsets_ns
             self._measure(host, CALLS)
@@ -126,7 +126,7 @@ class ReachedFleet(Closable):
                 self._measure(host, CALLS_AGAIN)
 
     def _measure(self, host: str, calls: int) -> None:
-        """Note how far the clock of a host's run is ahead; by the time of day if the host does not answer."""
+        """Note how far the clock of a host's run is ahead. If the host never answered, the time of day is taken."""
         known_ns = self._offsets_ns.get(host)
         reading = HostClock(time.monotonic_ns).read_host(self._link, host, calls)
         told = self._told(host).get(host)
@@ -136,14 +136,14 @@ class ReachedFleet(Closable):
         self._offsets_ns[host] = time.time_ns() - time.monotonic_ns() if known_ns is None else known_ns
 
     def _told(self, host: str | None = None) -> dict[str, TopicsTold]:
-        """What each host, or one of them, tells of its topics."""
+        """What a host, or each if None is given, tells of its topics."""
         return {
             host_of(key): msgspec.json.decode(answer, type=TopicsTold)
             for key, answer in self._link.ask(topics_key(host), _ANSWER_S if host is None else _REACH_S)
         }
 
     def _lives(self, name: str) -> list[str]:
-        """What tells the agents of a host that are alive from one another; of MANAGER, the runs."""
+        """The ids of a host's agents that are alive, normally one; for MANAGER those of the runs."""
         return sorted(key.rpartition("/")[2] for key in self._alive.copy() if host_of(key) == name)
 
     def _note_life(self, key: str, is_alive: bool) -> None:
@@ -158,7 +158,7 @@ def _places(told: Mapping[str, TopicsTold], topic: str, run: str | None) -> list
 
 
 def _why_not(topic: str, found: Sequence[tuple[str, str]], told: Mapping[str, TopicsTold]) -> str:
-    """Why a topic can't be had, which was `found` on hosts that can't be connected to, or on none."""
+    """Why a topic can't be had that was `found` there, or nowhere."""
     if found:
         return f"topic {topic!r} is on {', '.join(host for _, host in found)}, which can't be connected to"
     there = ", ".join(sorted({name for of in told.values() for name in of.topics}))
@@ -167,12 +167,12 @@ def _why_not(topic: str, found: Sequence[tuple[str, str]], told: Mapping[str, To
 
 @dataclass(slots=True)
 class _FleetPlace:
-    """The hosts of a fleet that obey a run, or any."""
+    """The hosts that obey a run, or all if that is None."""
 
     fleet: ReachedFleet
     run: str | None
     host: str = ""
-    """Where the topic was found last."""
+    """The host where the topic was found last."""
 
     @property
     def name(self) -> str:
@@ -193,7 +193,7 @@ class _FleetPlace:
 
 
 def _until(is_so: Callable[[], bool], patience_s: float) -> bool:
-    """Wait until something is so. Returns whether it is."""
+    """Wait until something is so, at most `patience_s` seconds. Returns whether it is."""
     end_s = time.monotonic() + patience_s
     while not is_so():
         if time.monotonic() > end_s:

@@ -1,7 +1,7 @@
-"""The thread of an agent through which a host's streams go to other hosts and come from them, each once for each.
+"""The relay of a host: a thread of its agent through which streams go to other hosts, each once to each, and come in.
 
-An export is an input: what feeds it crosses. An import is an output with what another host's relay exports. This thread
-only queues; what puts into the network has a thread for each export.
+An export is an input of the relay: what feeds it goes to another host. An import is an output of the relay: it gives
+what another host exports. The relay's thread only queues; each export has a thread that puts into the network.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from cfgplan_runtime.streams.inlet import InputQueue
 from cfgplan_runtime.streams.zenoh_link import Lane, PutThread, ZenohLink
 
 LARGE_BYTES = 16_384
-"""Crossings whose first element has more bytes let all others overtake."""
+"""A crossing whose first element has more bytes lets all others overtake."""
 _LOOK_S = 0.1
-"""Imports that nobody uses any more are looked for so often."""
+"""Seconds from one search for imports that nobody uses any more to the next."""
 
 
 @dataclass(slots=True)
@@ -48,13 +48,13 @@ class _Import:
     has_ended: bool = False
     told_unused: int = 0
     marks: list[str] = field(default_factory=list)
-    """The units for which a mark has come, but not all that was given before it is handed on."""
+    """The units of marks that have come while elements before them were not yet handed on."""
 
 
 class Relay:
-    """The relay of one host: a thread that runs until `close`. `control` is the relay's end of the agent's connection.
+    """The relay of one host: a thread that runs until `close`. `control` is its end of a connection with the agent.
 
-    If it fails, `failed` is called with the error.
+    If the thread fails, it calls `failed` with the error.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class Relay:
 
     @property
     def lost(self) -> int:
-        """How many elements are lost if all exports are released now; for the agent's thread."""
+        """How many elements would be lost if all exports were released now; for the agent's thread."""
         return sum(export.sending.lost for export in list(self._exports.values()))
 
     def close(self) -> None:
@@ -213,7 +213,7 @@ class Relay:
                 self._ports.say(messages.Marked(name, unit))
             one.marks.clear()
         if not self._ports.outputs[name].served:
-            return  # what comes before anybody takes it would be lost
+            return  # the sender waits for a first credit: what came before anybody takes it would be lost
         credit = one.receiving.credit(now_s, has_room=not self._ports.is_full(name))
         if credit is not None:
             one.put_credit.give(b"", credit.packed())

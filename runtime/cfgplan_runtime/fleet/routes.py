@@ -1,4 +1,4 @@
-"""The ways of a fleet's wires, and the streams that go to another host for them, each once however many it feeds."""
+"""The ways of a fleet's wires, and crossings: a stream goes once to each other host, however many inputs it feeds."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from cfgplan_runtime.processes.process_backend import RELAY
 from cfgplan_runtime.supervision.backend import Inlet
 
 OrderTo = tuple[str, Order]
-"""A host, and an order for it."""
+"""An order and the host that it is for."""
 
 
 @dataclass(slots=True, eq=False)
 class Crossing:
-    """A stream on its way to another host. It is released once all of the `connected` wires are gone."""
+    """A stream on its way to another host. It is released once all wires that were `connected` to it are gone."""
 
     name: str
     wire: int
@@ -38,7 +38,7 @@ class Crossing:
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """A wire's way: within one host, or over a crossing."""
+    """The way of a wire: within one host, or over a crossing."""
 
     wire: int
     stream: Stream
@@ -59,15 +59,15 @@ class Route:
 
 
 class Counts:
-    """What has gone over the crossings of a run, those that were released too."""
+    """The counts of all crossings of a run, released ones too."""
 
     def __init__(self) -> None:
         self._last: dict[str, tuple[tuple[str, str, str], CrossingCounts]] = {}
-        """By crossing: its stream and hosts, and what was last told of it."""
+        """For each crossing its stream, source and target, and its last counts."""
         self._released: dict[tuple[str, str], CrossingCounts] = {}
 
     def after(self, told: Mapping[str, CrossingCounts], routes: Routes) -> dict[tuple[str, str, str], CrossingCounts]:
-        """The counts by stream, source and target, once some were told; released ones together, without a stream."""
+        """Take in new counts. Returns all by stream, source and target; released crossings are summed as stream ""."""
         for name, counts in told.items():
             one = routes.crossing(name)
             if one is not None:
@@ -86,16 +86,16 @@ class Counts:
 
 
 def _sum(one: CrossingCounts | None, other: CrossingCounts) -> CrossingCounts:
-    """Both together."""
+    """The sum of both."""
     if one is None:
         return other
     return CrossingCounts(one.elements + other.elements, one.dropped + other.dropped, one.waiting + other.waiting)
 
 
 class Routes:
-    """All routes of a run, by wire. Methods return the orders that are to be given, in their order.
+    """All routes of a run. Methods return the orders to give, in this order.
 
-    New crossings bear the name of `run`. Of `crossings`, those of `fed` may feed more inputs.
+    The names of new crossings begin with `run`. Of the `crossings` that are there, those in `fed` may feed more inputs.
     """
 
     def __init__(
@@ -109,7 +109,7 @@ class Routes:
         self._routes = {route.wire: route for route in routes}
         self._crossings = {crossing.name: crossing for crossing in crossings}
         self._shared = {(one.stream, one.target, one.blocks): one for one in fed}
-        """The crossings that more inputs may be fed by: stream, host, and whether it may wait."""
+        """The crossings that may feed more inputs, by stream, target, and whether they block."""
         self._last = max((-crossing.wire for crossing in self._crossings.values()), default=0)
 
     def connect(
@@ -124,7 +124,7 @@ class Routes:
         return [*orders, (target, ConnectOrder(wire, route.local_stream, inlet, queue, blocks))]
 
     def crossing(self, name: str) -> Crossing | None:
-        """The crossing of a name, unless it was released."""
+        """The crossing of this name; None if it was released."""
         return self._crossings.get(name)
 
     def disconnect(self, wire: int, inlet: Inlet, target: str | None) -> list[OrderTo]:
@@ -133,55 +133,55 @@ class Routes:
         return [] if target is None else [(target, CutOrder(wire, inlet))]
 
     def end(self, wire: int, *, has_both_ends: bool) -> list[OrderTo]:
-        """End a wire. With `has_both_ends`, its source's host and its consumer are there."""
+        """End a wire. `has_both_ends` says that its source's host and its consumer are there."""
         route = self._routes.pop(wire, None)
         if route is None:
             return []
         crossing = route.crossing
         if crossing is None or not has_both_ends:
             return [route.ended]
-        # What the source has given is under way, and its end comes behind it.
+        # What the source has given is under way: the end has to come behind it.
         return [(route.source, EndWireOrder(crossing.wire, route.stream, Inlet(RELAY, crossing.name)))]
 
     def stop(self, unit: str, host: str) -> list[OrderTo]:
-        """Stop a unit on a host after it has taken what its sources on other hosts have given until now."""
+        """Stop a unit once it has taken everything that its sources on other hosts have given until now."""
         feeding = {route.crossing for route in self._routes.values() if route.inlet.unit == unit and route.crossing}
         crossings = sorted((one for one in feeding if one.name in self._crossings), key=lambda one: one.name)
         marks = [(one.source, TellMark(one.name, unit)) for one in crossings]
         return [(host, StopOrder(unit, tuple(one.name for one in crossings))), *marks]
 
     def source_of(self, wire: int) -> str | None:
-        """The host that a wire comes from; None if there is no such wire."""
+        """The host of a wire's source; None if there is no such wire."""
         return self._routes[wire].source if wire in self._routes else None
 
     def forget(self, wire: int) -> None:
-        """A wire is gone."""
+        """Forget a wire that is gone."""
         self._routes.pop(wire, None)
 
     def note_switch(self, wire: int) -> None:
-        """An inlet has gone over to this wire: those before it are gone."""
+        """Note that an inlet has switched to this wire, and forget the inlet's earlier ones, which are gone."""
         if wire in self._routes:
             inlet = self._routes[wire].inlet
             self._routes = {n: one for n, one in self._routes.items() if one.inlet != inlet or n >= wire}
 
     def forget_unit(self, unit: str) -> None:
-        """A unit is gone: nothing more is fed by the crossings of its streams."""
+        """Forget a unit that is gone: the crossings of its streams feed no more inputs."""
         self._shared = {key: one for key, one in self._shared.items() if key[0].unit != unit}
 
     def forget_host(self, host: str) -> list[OrderTo]:
-        """A host is gone: release what went there and what comes from there."""
+        """Forget a host that is gone: release the crossings to it and from it."""
         gone = [one for one in self._crossings.values() if host in (one.source, one.target)]
         return [order for one in gone for order in self._release(one)]
 
     def note_unused(self, name: str, served: int) -> list[OrderTo]:
-        """None of the first `served` inputs takes what comes by a crossing any more."""
+        """Release a crossing if the inputs that don't use it any more, `served` in number, are all that it fed."""
         known = self._crossings.get(name)
         return self._release(known) if known is not None and known.connected == served else []
 
     def _cross(
         self, stream: Stream, source: str, target: str, *, queue: int, blocks: bool
     ) -> tuple[Crossing, list[OrderTo]]:
-        """The crossing of a stream to a host: the one that there is, or a new one."""
+        """The crossing of a stream to a host, and the orders that make it if there is none yet."""
         key = (stream, target, blocks)
         if key in self._shared:
             return self._shared[key], []

@@ -1,9 +1,9 @@
 """Tunnels: connections to the sockets of a run on another computer of the fleet.
 
-Who reaches out (a run's manager, or a command that steers it) has a connected socket at its end. At the other end an
-agent or a manager connects to a socket in its run's folder: a topic's, or the run's control socket. What is written at
-one end is read at the other, in order and once; a link that is cut or full makes the writer wait. Only who has the
-manager's certificate may reach out.
+The client (a run's manager, or a command) has a connected socket at its end. The server (an agent or a manager)
+connects to a socket in its run's folder: a topic's, or the run's control socket. What is written at one end is read at
+the other once and in order. If the link is cut or full, the writer waits. Only the manager's certificate allows to be a
+client.
 """
 
 from __future__ import annotations
@@ -28,19 +28,23 @@ from cfgplan_runtime.streams.run_folder import RunFolder, address, control_addre
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 
 CONTROL = ""
-"""What is asked for in place of a topic to reach the run's control socket."""
+"""Asked for in place of a topic it means the run's control socket."""
 _TUNNEL_IN, _TUNNEL_OUT = ("in", "in-credit"), ("out", "out-credit")
-"""Kinds of keys: of what goes from the one who reaches out, and comes back; of what it says, and has heard."""
+"""Kinds of keys, from the client and to it: for what is written, and for credits."""
 _TUNNEL_CHUNK = 1 << 18
 _MOST_TUNNEL_CHUNKS = 8
 _MOST_UNREAD = 1 << 20
-"""Bytes that wait to be taken from a tunnel's end; the other end waits meanwhile."""
+"""If more bytes wait to be read at one end, the other end waits."""
 _LINGER_S = 2.0
-"""Seconds that the last of what was written may take after one end was closed."""
+"""Seconds within which the rest of what was written must arrive after one end was closed."""
 
 
 class _Tunnel:
-    """One end of a tunnel: a thread that lives until either end is closed. `find` connects when asked for something."""
+    """One end of a tunnel: a thread that lives until either end is closed.
+
+    `declare` gives what puts at its keys, `ended` is called at the end. On the server `find` connects to what the
+    client asks for, and gives None if that is not there.
+    """
 
     def __init__(
         self,
@@ -62,7 +66,7 @@ class _Tunnel:
         self._selector.register(self._bell.socket, selectors.EVENT_READ)
 
     def start(self, end: socket.socket | None = None, wanted: str | None = None) -> None:
-        """Begin to carry, from and to `end`; the other end is asked for what is `wanted`."""
+        """Begin to carry between `end` and the other end. With `wanted`, ask the other end to connect to that."""
         if end is not None:
             self._join(end)
         if wanted is not None:
@@ -70,12 +74,12 @@ class _Tunnel:
         threading.Thread(target=self._run, name="cfgplan-tunnel", daemon=True).start()
 
     def take(self, is_credit: bool, head: bytes, payload: bytes) -> None:
-        """What has come from the other end; for any thread."""
+        """Take in what has come from the other end; for any thread."""
         self._arrived.append((is_credit, head, payload))
         self._bell.ring()
 
     def close(self) -> None:
-        """The other end is gone; for any thread."""
+        """End at once, since the other end is gone; for any thread."""
         self._is_closing = True
         self._bell.ring()
 
@@ -101,7 +105,7 @@ class _Tunnel:
             put_credit(b"", last.packed())
 
     def _step(self, put: crossing.Put, put_credit: crossing.Put) -> None:
-        """Send what is due, then wait for more, and take it."""
+        """Send what is due, wait until there is more to do, and take in what has come."""
         self._both.pump(put, put_credit, time.monotonic(), has_room=len(self._unread) < _MOST_UNREAD)
         self._watch()
         due_s = min(self._both.due_s, self._close_s)
@@ -114,7 +118,7 @@ class _Tunnel:
         self._write()
 
     def _watch(self) -> None:
-        """Read from the end unless the other one is behind; write as soon as there is room."""
+        """Watch for reading, unless the other end is behind, and for writing, if something waits for room."""
         if self._end is None:
             return
         is_read = self._close_s == inf and not self._both.sending.is_full
@@ -169,7 +173,7 @@ class _Tunnel:
             self._finish()
 
     def _finish(self) -> None:
-        """Our end is closed: have the other one told, after all that was written."""
+        """Begin to close since our end is closed. The other end is told after all that was written."""
         if self._close_s == inf:
             self._both.sending.offer(crossing.LAST_PIECE)
             self._begin_close()
@@ -179,14 +183,14 @@ class _Tunnel:
 
 
 class _Tunnels:
-    """The tunnels that have one end here, by name; for any thread."""
+    """Tunnels by name; for any thread."""
 
     def __init__(self) -> None:
         self._tunnels: dict[str, _Tunnel] = {}
         self._lock = threading.Lock()
 
     def find(self, name: str, make: Callable[[], _Tunnel | None] = lambda: None) -> _Tunnel | None:
-        """The tunnel of a name; if there is none, the one that is made, if it is."""
+        """The tunnel of a name; if there is none, that which `make` gives, or None."""
         with self._lock:
             found = self._tunnels.get(name) or make()
             if found is not None:
@@ -194,12 +198,12 @@ class _Tunnels:
             return found
 
     def forget(self, name: str) -> None:
-        """A tunnel has ended."""
+        """Forget a tunnel that has ended."""
         with self._lock:
             self._tunnels.pop(name, None)
 
     def close(self, beginning: str = "") -> None:
-        """Close those whose names begin so."""
+        """Close the tunnels whose names begin so."""
         with self._lock:
             tunnels = [tunnel for name, tunnel in self._tunnels.items() if name.startswith(beginning)]
         for tunnel in tunnels:
@@ -207,16 +211,16 @@ class _Tunnels:
 
 
 class TunnelServer:
-    """Lets others reach the sockets in the folder `run` of this computer.
+    """Lets clients reach the sockets in the folder `run` of this computer.
 
-    `life` is what tells this host's agent, or this manager, from others of its name.
+    `life` is the id of this host's agent, or of this manager.
     """
 
     def __init__(self, link: ZenohLink, host: str, life: str, run: Path) -> None:
         self._link, self._host, self._life, self._run = link, host, life, run
         self._tunnels = _Tunnels()
         self._ended: set[str] = set()
-        """The tunnels that were there, so that what is sent again makes no new one; until their client is gone."""
+        """Names of ended tunnels, until their client is gone: a piece that is sent again must not make a new one."""
         for kind in _TUNNEL_IN:
             link.hear(crossing.crossing_key(MANAGER, kind, host, f"{life}/*/*"), self._take)
         link.watch(_client_key("*"), self._note_client)
@@ -271,20 +275,20 @@ class TunnelClient:
         self._link = link
         self._id = secrets.token_hex(4)
         self._tunnels = _Tunnels()
-        """Their names begin with the life of the agent, or manager, at the other end."""
+        """Their names begin with the id of the agent or manager at the other end."""
         self._numbers = count(1)
         for kind in _TUNNEL_OUT:
             link.hear(crossing.crossing_key(None, kind, MANAGER, f"*/{self._id}/*"), self._take)
         link.live(_client_key(self._id))
 
     def connect(self, host: str, life: str, wanted: str) -> socket.socket:
-        """A socket that is connected to a topic of a host, or to CONTROL; it ends at once if that is not there."""
+        """A socket that is connected to a topic of a host, or to CONTROL. It ends at once if there is no such thing."""
         ours, theirs = socket.socketpair()
         self.join(theirs, host, life, wanted)
         return ours
 
     def join(self, end: socket.socket, host: str, life: str, wanted: str) -> None:
-        """Have `end` connected, and closed with the tunnel."""
+        """Connect `end`, as `connect` does. The tunnel closes it."""
         number = next(self._numbers)
         name = f"{life}/{number}"
         keys = [crossing.crossing_key(MANAGER, kind, host, f"{life}/{self._id}/{number}") for kind in _TUNNEL_IN]
@@ -293,7 +297,7 @@ class TunnelClient:
         tunnel.start(end, wanted)
 
     def lose(self, life: str) -> None:
-        """A host's agent, or a manager, is gone: its tunnels are too."""
+        """Close the tunnels of an agent or manager that is gone."""
         self._tunnels.close(f"{life}/")
 
     def close(self) -> None:
@@ -308,14 +312,14 @@ class TunnelClient:
 
 
 class RemoteTopics:
-    """Topics of other computers, at sockets in a run's folder, as if they were on this one; a thread for each."""
+    """Shows topics of other computers in a run's folder, as if they were on this one. Each has a thread."""
 
     def __init__(self, client: TunnelClient, run: RunFolder) -> None:
         self._client, self._run = client, run
         self._listeners: dict[str, socket.socket] = {}
 
     def show(self, topic: str, host: str, life: str) -> None:
-        """Have a topic of a host be found. Does nothing if there is no room for a socket."""
+        """Show a topic of a host. Does nothing if no socket can be made for it."""
         self.hide(topic)
         with suppress(OSError):
             listener = self._listeners[topic] = self._run.listen(topic)
@@ -323,7 +327,7 @@ class RemoteTopics:
             threading.Thread(target=self._accept, args=arguments, name="cfgplan-topic", daemon=True).start()
 
     def hide(self, topic: str) -> None:
-        """Have a topic not be found any more."""
+        """Show a topic no more."""
         self._run.forget(topic)
         if topic in self._listeners:
             listener = self._listeners.pop(topic)
@@ -343,10 +347,10 @@ class RemoteTopics:
 
 
 def _declared(link: ZenohLink, data_key: str, credit_key: str) -> tuple[crossing.Put, crossing.Put]:
-    """What puts at the keys of a tunnel. What runs is not delayed by what is looked at."""
+    """What puts at the keys of a tunnel. The streams of the run overtake what is written into tunnels."""
     return link.publisher(data_key, "large"), link.publisher(credit_key, "orders")
 
 
 def _client_key(client: str) -> str:
-    """The key under which who reaches out is alive."""
+    """The key under which a client is alive."""
     return f"{crossing.host_key(MANAGER)}/reaches/{client}"

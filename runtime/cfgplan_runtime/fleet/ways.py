@@ -1,4 +1,4 @@
-"""How an agent reaches the others: linked with them, or through one of them that hears more than it does."""
+"""How an agent reaches the others: directly, or through one of them that hears more of them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from cfgplan_runtime.streams.zenoh_link import ZenohLink
 
 _WAY_LOOK_S = LEASE_S / 2
 _REACH_ANSWER_S = 1.0
-"""Seconds that another agent may take to tell how it is reached."""
+"""Seconds within which another agent must tell how it is reached."""
 
 
 def alive_key(host: str | None) -> str:
@@ -31,7 +31,7 @@ def alive_key(host: str | None) -> str:
 
 
 def reach_key(host: str | None) -> str:
-    """The key at which an agent, or any (None), tells how it is reached; a manager only answers."""
+    """The key at which an agent, or any (None), tells how it is reached. A manager's answer says nothing."""
     return f"{host_key(host)}/reach"
 
 
@@ -43,17 +43,17 @@ class ReachedAt(msgspec.Struct, frozen=True):
     hears: frozenset[str] = frozenset()
     """The keys of agents and managers that are alive."""
     id: str = ""
-    """What Zenoh calls its session, with which others are linked."""
+    """Zenoh's id of its session, with which others are linked."""
     is_through: bool = False
-    """Whether it reaches others through another."""
+    """Whether it reaches the others through one of them."""
 
     def is_mutual(self, other: ReachedAt) -> bool:
-        """Whether each of two agents connects to the other. Zenoh may then mix up the names of their streams."""
+        """Whether two agents connect to each other: Zenoh may then mix up the names of their streams."""
         return bool(self.connects & other.listens and other.connects & self.listens)
 
 
 def reach(listen: Sequence[str], connect: Sequence[str]) -> ReachedAt:
-    """What these endpoints are. One that stands for all addresses of this computer is each but those of loopback."""
+    """The places of these endpoints. One that means all addresses of this computer is every one but loopback."""
     listens, connects = (frozenset(place for one in ends for place in _places(one)) for ends in (listen, connect))
     return ReachedAt(listens, connects)
 
@@ -69,12 +69,12 @@ def _places(endpoint: str) -> Iterator[str]:
         for card in psutil.net_if_addrs().values():
             yield from (f"{one.address} {port}" for one in card if not one.address.startswith(("127.", "::1")))
     else:
-        with suppress(OSError):  # a name that nobody knows yet
+        with suppress(OSError):  # the name is not known yet
             yield from {f"{found[4][0]} {port}" for found in socket.getaddrinfo(host, None)}
 
 
 def _endpoint(place: str, protocol: str) -> str | None:
-    """The endpoint of a place where an agent listens; None if it is none that others can name."""
+    """The endpoint of a place where an agent listens; None if others can't connect to it."""
     host, _, port = place.rpartition(" ")
     if not host:
         return f"{PRIVATE}/{place}"
@@ -86,12 +86,12 @@ def _endpoint(place: str, protocol: str) -> str | None:
 
 
 class Way:
-    """The way of a host's agent to the others, which a thread looks after until `close`.
+    """The way of a host's agent to the others. A thread looks after it until `close`.
 
-    Each look asks one of the agents that are heard whom it hears. If that is somebody more for a lease, and all that
-    are heard here, the link goes through it, until it is linked with all again. Of two hosts that miss each other, the
-    one of the greater name does so first, and so the other has no need to. `failed` gets the error if this agent and
-    another connect to each other, and `say` what is to be told to the user.
+    Each look asks one of the agents that are heard whom it hears. If it hears all that are heard here, and for a lease
+    also one that is not, the link goes through it, until it is linked with all again. Of two hosts that miss each
+    other the one whose name comes earlier waits longer, so that normally the other does it for both. `failed` is called
+    with the error if this agent and another connect to each other, `say` with what the user is told.
     """
 
     def __init__(
@@ -112,9 +112,9 @@ class Way:
         """The keys that are alive."""
         self._through: str | None = None
         self._turn = 0
-        """Whose turn it is to be asked."""
+        """Says which agent is asked next."""
         self._missed_s: dict[str, float] = {}
-        """Since when the one whose turn it is hears somebody who is not heard here."""
+        """Since when the agent that is asked hears each key that is not heard here."""
         self._linked_looks = 0
         self._refused: set[str] = set()
         self._is_closed = threading.Event()
@@ -136,11 +136,11 @@ class Way:
         (self._heard.add if is_alive else self._heard.discard)(key)
 
     def _asked(self, key: str) -> ReachedAt | None:
-        """How another is reached; None if it does not answer."""
+        """How another agent is reached; None if it does not answer."""
         return next(self._answers(reach_key(host_of(key))), None)
 
     def _answers(self, keys: str) -> Iterator[ReachedAt]:
-        """What agents tell of how they are reached, but for those of another version."""
+        """How agents say that they are reached. Those of another version are left out."""
         for _, answer in list(self._link.ask(keys, _REACH_ANSWER_S)):
             with suppress(msgspec.MsgspecError):
                 yield msgspec.json.decode(answer, type=ReachedAt)
@@ -154,7 +154,7 @@ class Way:
                 self._look(hosts[self._turn % len(hosts)], others)
 
     def _look(self, asked: str, others: set[str]) -> None:
-        """Ask one whom it hears. Of two that connect to each other, the one of the greater name ends."""
+        """Ask an agent whom it hears. Of two that connect to each other the one whose name comes later ends."""
         told, name = self._asked(asked), host_of(asked)
         if told is not None and self._reach.is_mutual(told) and name < self._host:
             mend = f"leave out --connect to {name} here, or the one to {self._host} there"
@@ -164,7 +164,7 @@ class Way:
         self._missed_s = {key: self._missed_s.get(key, now_s) for key in missed}
         late = sorted(key for key, since_s in self._missed_s.items() if now_s - since_s >= self._patience_s(key))
         if late or not missed:
-            self._turn += 1  # the next one's
+            self._turn += 1
             self._missed_s.clear()
         hears_enough = told is not None and not told.is_through and others <= told.hears | {asked}
         if told is not None and hears_enough and any(self._asked(key) is None for key in late):
@@ -186,13 +186,13 @@ class Way:
         named = [one for one in self._connect if not told.listens.isdisjoint(_places(one))]
         found = (_endpoint(place, protocol) for place in sorted(told.listens - self._reach.listens))
         endpoints = list(dict.fromkeys([*named, *(one for one in found if one is not None)]))
-        with suppress(InputError):  # it can't be reached from here
+        with suppress(InputError):  # it can't be reached
             self._link.go_through(config(connect=endpoints, certificates=self._certificates, mode="client"))
             self._through, self._linked_looks = key, 0
             self._say(f"{missed}: can't be reached but through {name}, so all others are")
 
     def _look_back(self, others: set[str]) -> None:
-        """Go directly if a lease long all are linked that are heard, or the one between is not heard."""
+        """Go directly if for a lease all that are heard were linked, or the agent in between was not heard."""
         told = list(self._answers(reach_key(None)))
         is_heard = others <= self._link.alive(f"{alive_key(None)}/*", directly=True)
         is_linked = is_heard and self._link.linked >= {one.id for one in told} - {self._link.id, ""}
@@ -204,5 +204,5 @@ class Way:
 
 
 def host_of(key: str) -> str:
-    """Whose key it is: the host's whose agent is alive under it, or MANAGER."""
+    """The host whose agent is alive under a key; MANAGER for a manager's."""
     return unquote(key.split("/")[1])
