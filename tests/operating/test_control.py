@@ -6,6 +6,8 @@ import json
 import os
 import socket
 import stat
+import subprocess
+import sys
 import time
 from typing import Any
 
@@ -311,6 +313,14 @@ def test_closing_ends_the_clients_and_removes_the_socket(run_folder: RunFolder, 
         with pytest.raises(ControlError, match="has ended"):
             control.call("state")
     assert not control_address(run_folder.path).exists()
+
+
+def test_who_steers_a_run_imports_nothing_that_plans_or_runs() -> None:
+    client = "cfgplan.cli.run_picture, cfgplan_runtime.operating.control_client, cfgplan_runtime.fleet.reached"
+    heavy = {"cfgplan.api", "cfgplan.formats.fields", "cfgplan_runtime.processes.process_backend", "pydantic", "numpy"}
+    code = f"import sys, {client}; print(*{heavy} & sys.modules.keys())"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == ""
 
 
 def test_without_a_run_there_is_nothing_to_control() -> None:

@@ -25,17 +25,12 @@ from cfgplan_runtime.fleet.tunnels import TunnelServer
 from cfgplan_runtime.fleet.ways import Way, alive_key
 from cfgplan_runtime.processes.cpu_group import CpuGroup
 from cfgplan_runtime.processes.process_backend import RELAY, ProcessBackend
-from cfgplan_runtime.streams.crossing import crossing_key, host_key
+from cfgplan_runtime.streams.crossing import crossing_key
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 from cfgplan_runtime.supervision import events
 from cfgplan_runtime.supervision.backend import Inlet
 
 USAGE_PERIOD_S = 0.5
-
-
-def topics_key(host: str | None) -> str:
-    """The key at which an agent, or any (None), tells the topics that are on its host."""
-    return f"{host_key(host)}/topics"
 
 
 def digest_of(path: Path) -> str | None:
@@ -155,7 +150,7 @@ class Agent:
     def _answer(self) -> None:
         offset_ns = self._backend.clock_offset_ns
         self._link.answer(clock_key(self.name), HostClock(lambda: time.monotonic_ns() + offset_ns).told)
-        self._link.answer(topics_key(self.name), self._topics_told)
+        self._link.answer(orders.topics_key(self.name), self._topics_told)
         self._link.watch(f"{alive_key(MANAGER)}/*", self._note_manager)
         self._link.hear(f"{alive_key(MANAGER)}/*", lambda key, *_: self._note_manager(key, is_alive=True))
         for kind in (orders.SAY, orders.HEARD):

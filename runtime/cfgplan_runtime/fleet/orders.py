@@ -230,6 +230,11 @@ class UsageTold(msgspec.Struct, tag=True):
     crossings: dict[str, CrossingCounts] = {}
 
 
+def topics_key(host: str | None) -> str:
+    """The key at which an agent, or any (None), answers with TopicsTold."""
+    return f"{crossing.host_key(host)}/topics"
+
+
 class TopicsTold(msgspec.Struct):
     """An agent's answer to the question for topics: the run that it obeys, the topics on its host, and how far its
     clock is ahead of the run's.

@@ -14,10 +14,9 @@ import msgspec
 
 from cfgplan.domain import MANAGER
 from cfgplan_runtime.errors import NoSuchRunError, NoSuchTopicError
-from cfgplan_runtime.fleet.agent import topics_key
 from cfgplan_runtime.fleet.clocks import CALLS, CALLS_AGAIN, CLOCK_S, HostClock, corrected
 from cfgplan_runtime.fleet.links import config
-from cfgplan_runtime.fleet.orders import TopicsTold
+from cfgplan_runtime.fleet.orders import TopicsTold, topics_key
 from cfgplan_runtime.fleet.tunnels import CONTROL, TunnelClient
 from cfgplan_runtime.fleet.ways import alive_key, host_of
 from cfgplan_runtime.streams.closable import Closable

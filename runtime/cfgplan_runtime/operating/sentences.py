@@ -5,13 +5,12 @@ from __future__ import annotations
 import re
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from cfgplan.domain import ChangeSet
 from cfgplan.summary import some
 from cfgplan_runtime.errors import RuntimeFaultError
-from cfgplan_runtime.lifecycle import changes
 from cfgplan_runtime.lifecycle import perturbations as kinds
-from cfgplan_runtime.lifecycle.deliberation import Thought
 from cfgplan_runtime.lifecycle.reports import (
     BackedOff,
     Decision,
@@ -24,6 +23,9 @@ from cfgplan_runtime.lifecycle.reports import (
     WorldRefused,
 )
 from cfgplan_runtime.supervision import events
+
+if TYPE_CHECKING:
+    from cfgplan_runtime.lifecycle.deliberation import Thought
 
 INFORMATION, WARNING, ERROR = 2, 3, 4
 named = partial(some, most=4)
@@ -157,7 +159,7 @@ def _cause(perturbation: kinds.Perturbation) -> str:
         case kinds.TargetSilent(target):
             return f"{target} is silent"
         case kinds.WorldChanged(by):
-            return f"{'a request' if hasattr(changes, by) else 'the file'} changed the world"
+            return f"{'a request' if _is_request(by) else 'the file'} changed the world"
         case kinds.HostGone(host):
             return f"host {host} is gone"
         case kinds.HostBack(host):
@@ -201,7 +203,7 @@ def _perturbation(perturbation: kinds.Perturbation) -> str | None:
             reasons = f"; {named(units)} {'gives' if len(units) == 1 else 'give'} nothing" if units else ""
             return f"{target} counts as unmet: nothing has come on {topic} for {silent_s:.0f} s{reasons}"
         case kinds.WorldChanged(by, difference):
-            return f"{'a request' if hasattr(changes, by) else by} changed the world: {_difference(difference)}"
+            return f"{'a request' if _is_request(by) else by} changed the world: {_difference(difference)}"
         case kinds.HostGone(host, cause):
             return f"host {host} is gone{f': {cause}' if cause else ''}"
         case kinds.HostBack(host):
@@ -214,6 +216,13 @@ def _perturbation(perturbation: kinds.Perturbation) -> str | None:
             return f"a review was asked for by {by}"
     # The others are told by the unit's event, or by the review.
     return None
+
+
+def _is_request(by: str) -> bool:
+    """Whether a world was changed by a request, of which that is the kind, and not by a file."""
+    from cfgplan_runtime.lifecycle import changes  # it takes long, and who steers a run from outside needs none of it
+
+    return hasattr(changes, by)
 
 
 def _difference(difference: kinds.Difference) -> str:
