@@ -7,6 +7,7 @@ import time
 
 from cfgplan_runtime import Runtime
 from cfgplan_runtime.fleet.fleet_backend import FleetBackend
+from cfgplan_runtime.fleet.fleet_runtime import linked
 from cfgplan_runtime.streams.run_folder import RunFolder
 from cfgplan_runtime.supervision.events import SparePrepared
 from small_fleet import FOLDER, PATIENCE_S, RESULT, cold, eventually, seen, source, unit, worker
@@ -17,7 +18,8 @@ behind_ns, time_ns = int(sys.argv[1]), time.time_ns
 time.time_ns = lambda: time_ns() - behind_ns
 hosts = sys.argv[2].split(",")
 run = RunFolder()
-backend = lambda: FleetBackend(hosts, run, connect=sys.argv[3:], folder=FOLDER, wait_s=PATIENCE_S)  # noqa: E731
+link = linked(sys.argv[3:], None, PATIENCE_S)
+backend = lambda: FleetBackend(hosts, run, link, folder=FOLDER, wait_s=PATIENCE_S)  # noqa: E731
 with Runtime(backend=backend) as runtime:
     work = unit("work.1", hosts[-1], topic="/result", x="count.1/n")
     units = (unit("count.1", "r1"), work, cold("work.9", "r1"))

@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -18,6 +18,7 @@ from typing import Any
 import psutil
 from cfgplan_runtime import Received, Runtime, subscribe
 from cfgplan_runtime.fleet.fleet_backend import FleetBackend
+from cfgplan_runtime.fleet.fleet_runtime import linked
 from cfgplan_runtime.fleet.local import LocalAgents
 from cfgplan_runtime.streams.run_folder import RunFolder, base_folder, remove_dead_runs
 from cfgplan_runtime.streams.subscription import RunPlace, SubscriptionToTopic
@@ -95,48 +96,24 @@ class SmallFleet:
         takes_over: bool = False,
     ) -> Iterator[Runtime]:
         named = tuple(hosts or self.agents.processes)
-        run, everywhere = RunFolder(), tuple(Host(name) for name in named)
-        try:
-            backend = partial(self._backend, named, run, library, wait_s=wait_s, takes_over=takes_over)
-            with Runtime(backend=backend) as runtime:
+        everywhere = tuple(Host(name) for name in named)
+        with closing(RunFolder()) as run, closing(linked(self.endpoints, None, wait_s)) as link:
+            known = {one.label: one for one in library}
+            more = {"folder": FOLDER, "library": known, "wait_s": wait_s, "takes_over": takes_over}
+            with Runtime(backend=partial(FleetBackend, named, run, link, **more)) as runtime:
                 runtime.apply(ChangeSet(added_transformations=library, added_targets=(RESULT,), added_hosts=everywhere))
                 yield runtime
-        finally:
-            run.close()
 
     @contextmanager
     def backend(
         self, *hosts: str, folder: Path = FOLDER, takes_over: bool = False, wait_s: float = PATIENCE_S
     ) -> Iterator[FleetBackend]:
-        run = RunFolder()
-        try:
-            backend = self._backend(hosts, run, folder=folder, takes_over=takes_over, wait_s=wait_s)
+        with closing(RunFolder()) as run, closing(linked(self.endpoints, None, wait_s)) as link:
+            backend = FleetBackend(hosts, run, link, folder=folder, takes_over=takes_over, wait_s=wait_s)
             backend.found()
             backend.wait(0.0)  # which sends the orders that end the rest
             yield backend
             backend.close()
-        finally:
-            run.close()
-
-    def _backend(
-        self,
-        hosts: Sequence[str],
-        run: RunFolder,
-        library: Sequence[Transformation] = (),
-        *,
-        wait_s: float = PATIENCE_S,
-        folder: Path = FOLDER,
-        takes_over: bool = False,
-    ) -> FleetBackend:
-        return FleetBackend(
-            hosts,
-            run,
-            connect=self.endpoints,
-            folder=folder,
-            library={one.label: one for one in library},
-            wait_s=wait_s,
-            takes_over=takes_over,
-        )
 
     @contextmanager
     def other_manager(self, behind_ns: int = 0) -> Iterator[subprocess.Popen[bytes]]:

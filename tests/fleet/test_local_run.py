@@ -18,9 +18,10 @@ import pytest
 from cfgplan_runtime import subscribe
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.fleet.fleet_runtime import Fleet, fleet_runtime
+from cfgplan_runtime.fleet.reached import ReachedFleet
 from cfgplan_runtime.operating.control_client import connect
 from cfgplan_runtime.processes.cpu_group import CpuGroup
-from small_fleet import FOLDER, PATIENCE_S, eventually, source, unit
+from small_fleet import FOLDER, PATIENCE_S, eventually, small_fleet, source, unit
 
 from cfgplan.domain import ChangeSet, Environment, Host
 
@@ -135,6 +136,19 @@ def test_three_backends_answer_visitors_also_after_the_machine_of_one_is_lost() 
             agent_of(process, machine).send_signal(signal.SIGKILL)
             eventually(lambda: len(now := who_answers()) == 3 and now != before)
             assert machine not in {unit["host"] for unit in control.call("state")["units"]}
+
+
+def test_a_run_that_is_interrupted_while_it_waits_for_hosts_ends_as_that(tmp_path: Path) -> None:
+    env = tmp_path / "env.yaml"
+    env.write_text("format: cfgplan/1\nhosts: [{name: r1}]\n")
+    patient = f"from cfgplan_runtime.fleet import fleet_runtime; fleet_runtime.WAIT_S = {PATIENCE_S}; {CFGPLAN[2]}"
+    with small_fleet("r9") as fleet, ReachedFleet(fleet.endpoints) as reached:
+        command = [*CFGPLAN[:2], patient, "run", str(env), f"--connect={fleet.endpoints[0]}", "--no-estimates"]
+        with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+            eventually(lambda: bool(reached.runs))
+            process.send_signal(signal.SIGINT)
+            _, said = process.communicate(timeout=PATIENCE_S)
+    assert (process.returncode, said.strip()) == (130, "interrupted")
 
 
 def test_hosts_of_a_run_that_no_option_reaches_are_refused_with_the_mend() -> None:

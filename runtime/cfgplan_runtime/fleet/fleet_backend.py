@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from math import inf
 from pathlib import Path
@@ -19,7 +18,6 @@ from cfgplan_runtime.children.unit_order import unit_order
 from cfgplan_runtime.fleet import orders, presence
 from cfgplan_runtime.fleet.adoption import adopt
 from cfgplan_runtime.fleet.agent import digest_of, source_file
-from cfgplan_runtime.fleet.links import config
 from cfgplan_runtime.fleet.routes import Counts, OrderTo, Routes
 from cfgplan_runtime.fleet.tunnels import RemoteTopics, TunnelClient, TunnelServer
 from cfgplan_runtime.streams.run_folder import RunFolder
@@ -43,19 +41,19 @@ class _Told:
 class FleetBackend:
     """The backend of a manager. It reports those of `hosts` as lost that are not there after `wait_s`.
 
-    `connect` has endpoints of agents. `folder` is what `units.py:Class` is relative to on this computer; each host's
-    files must be the same. A unit or topic whose host is None goes to the first host that is there. `found` gives what
-    already runs on the hosts and is in `library`; everything else there is ended. Raises InputError, also if another
-    manager has a host and this one does not take over (`takes_over`), or sees fewer than half of the hosts.
+    `link` leads to the agents; who has opened it closes it. `folder` is what `units.py:Class` is relative to on this
+    computer; each host's files must be the same. A unit or topic whose host is None goes to the first host that is
+    there. `found` gives what already runs on the hosts and is in `library`; everything else there is ended. Raises
+    InputError, also if another manager has a host and this one does not take over (`takes_over`), or sees fewer than
+    half of the hosts.
     """
 
     def __init__(
         self,
         hosts: Sequence[str],
         run_folder: RunFolder,
+        link: ZenohLink,
         *,
-        connect: Sequence[str],
-        certificates: Path | None = None,
         folder: Path | None = None,
         library: Mapping[str, Transformation] = MappingProxyType({}),
         wait_s: float = WAIT_S,
@@ -74,14 +72,13 @@ class FleetBackend:
         self._counts = Counts()
         self._library = library
         self.run_folder = run_folder
-        self._link = _linked(connect, certificates, wait_s)
-        self._tunnels = TunnelServer(self._link, MANAGER, self.id, run_folder.path)
-        self._reaching = TunnelClient(self._link)
+        self._tunnels = TunnelServer(link, MANAGER, self.id, run_folder.path)
+        self._reaching = TunnelClient(link)
         self._topics_elsewhere = RemoteTopics(self._reaching, run_folder)
-        self._presence = presence.Presence(self._link, self.id, run_folder.tell_clock)
+        self._presence = presence.Presence(link, self.id, run_folder.tell_clock)
         try:
             happened = self._presence.await_all(hosts, wait_s, takes_over=takes_over)
-        except BaseException:
+        except InputError:
             self.close()
             raise
         for one in happened:
@@ -203,7 +200,7 @@ class FleetBackend:
 
     def close(self) -> None:
         self._presence.leave()
-        for end in (self._topics_elsewhere, self._reaching, self._tunnels, self._link):
+        for end in (self._topics_elsewhere, self._reaching, self._tunnels):
             end.close()
 
     def _take(self, news: presence.AgentNews) -> None:
@@ -309,11 +306,3 @@ class FleetBackend:
         if inlet.is_outlet:
             return self._topics[inlet.port][1] if inlet.port in self._topics else None
         return self._units.get(inlet.unit)
-
-
-def _linked(connect: Sequence[str], certificates: Path | None, wait_s: float) -> ZenohLink:
-    """A link with the agents at these endpoints. A single agent that answers in time leads to all others."""
-    if len(connect) == 1:
-        with suppress(InputError):
-            return ZenohLink(config(connect=connect, certificates=certificates, mode="client", reach_s=wait_s))
-    return ZenohLink(config(connect=connect, certificates=certificates))

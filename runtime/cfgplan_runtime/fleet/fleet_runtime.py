@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from cfgplan.domain import Environment
+from cfgplan.errors import InputError
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.fleet.fleet_backend import WAIT_S, FleetBackend
+from cfgplan_runtime.fleet.links import config
 from cfgplan_runtime.fleet.local import LocalAgents
 from cfgplan_runtime.processes.cpu_group import CpuGroup, cpu_groups
 from cfgplan_runtime.runtime import Runtime
 from cfgplan_runtime.streams.run_folder import RunFolder
+from cfgplan_runtime.streams.zenoh_link import ZenohLink
 
 LOCAL_WAIT_S = 30.0
 """Seconds that agents on this computer may take to start, even if it is busy."""
@@ -54,12 +57,15 @@ def fleet_runtime(
             agents = stack.enter_context(LocalAgents(hosts, run.path, folder=folder, preload=preload, cpu=cpu))
             connect, wait_s = agents.endpoints, LOCAL_WAIT_S
 
+        link = linked(connect, fleet.certificates, wait_s)
+        # Also if the run is interrupted while it waits for hosts: Zenoh's threads must have ended when Python does.
+        stack.callback(link.close)
+
         def backend() -> FleetBackend:
             return FleetBackend(
                 hosts,
                 run,
-                connect=connect,
-                certificates=fleet.certificates,
+                link,
                 folder=folder,
                 library=environment.transformation,
                 wait_s=wait_s,
@@ -67,6 +73,14 @@ def fleet_runtime(
             )
 
         yield stack.enter_context(Runtime(backend=backend))
+
+
+def linked(connect: Sequence[str], certificates: Path | None, wait_s: float) -> ZenohLink:
+    """A link with the agents at these endpoints. A single agent that answers within `wait_s` leads to all others."""
+    if len(connect) == 1:
+        with suppress(InputError):
+            return ZenohLink(config(connect=connect, certificates=certificates, mode="client", reach_s=wait_s))
+    return ZenohLink(config(connect=connect, certificates=certificates))
 
 
 def _cpu_groups(environment: Environment, say: Callable[[str], None]) -> Mapping[str, CpuGroup]:

@@ -43,10 +43,14 @@ class ReachedFleet(Closable):
         """For each host whose topics are heard: how far its run's clock is ahead of the monotonic one here."""
         self._is_closed = threading.Event()
         self._link = ZenohLink(config(connect=connect, certificates=certificates, mode="client"))
-        self._client = TunnelClient(self._link)
-        self._link.watch(f"{alive_key(None)}/*", self._note_life)
-        known = self._link.alive(f"{alive_key(None)}/*")
-        _until(lambda: known <= self._alive, _ANSWER_S)
+        try:
+            self._client = TunnelClient(self._link)
+            self._link.watch(f"{alive_key(None)}/*", self._note_life)
+            known = self._link.alive(f"{alive_key(None)}/*")
+            _until(lambda: known <= self._alive, _ANSWER_S)
+        except BaseException:
+            self._link.close()
+            raise
 
     @property
     def hosts(self) -> list[str]:
