@@ -8,7 +8,6 @@ import os
 import queue
 import shutil
 import socket
-import time
 from collections.abc import Callable, Iterator
 from datetime import datetime, timedelta, tzinfo
 from itertools import product
@@ -22,13 +21,12 @@ from cfgplan_runtime.fleet.certificates import make
 from cfgplan_runtime.fleet.links import config
 from cfgplan_runtime.streams.zenoh_link import Lane, ZenohLink
 from cryptography import x509
-from small_fleet import Listener, eventually, small_fleet, source, unit, worker
+from small_fleet import PATIENCE_S, Listener, eventually, small_fleet, source, unit, worker
 
 from cfgplan.cli import main
 from cfgplan.domain import ChangeSet
 from cfgplan.errors import InputError
 
-PATIENCE_S = 10.0
 ADDRESS = ["127.0.0.1"]
 PUBLISHER = ZenohLink.publisher
 
@@ -69,8 +67,9 @@ def session(
     if not is_known:
         tls = given["transport"]["link"]["tls"]
         given["transport"]["link"]["tls"] = {"root_ca_certificate": tls["root_ca_certificate"]}
-    # One attempt: who is refused raises.
+    # One attempt, which may take long on a busy computer: who is refused raises.
     given["connect"] |= {"timeout_ms": 0, "exit_on_failure": True}
+    given["transport"]["unicast"]["open_timeout"] = round(PATIENCE_S * 1000)
     with zenoh.open(zenoh.Config.from_json5(json.dumps(given))) as opened:
         yield opened
 
@@ -85,10 +84,7 @@ def is_refused(folder: Path | None, port: int, *, is_known: bool = True) -> bool
 
 
 def connected(one: zenoh.Session) -> None:
-    end = time.monotonic() + PATIENCE_S
-    while not one.info.peers_zid():
-        assert time.monotonic() < end
-        time.sleep(0.01)
+    eventually(lambda: bool(one.info.peers_zid()))
 
 
 def test_files_are_for_their_owner_alone_and_name_the_host(fleet: Path) -> None:
@@ -211,12 +207,14 @@ def heard_by(agent: zenoh.Session) -> queue.SimpleQueue[str]:
 def all_heard(heard: queue.SimpleQueue[str], writer: zenoh.Session, last: str) -> set[str]:
     """What has been heard once `last`, put again and again by the writer, is."""
     keys: set[str] = set()
-    end = time.monotonic() + PATIENCE_S
-    while last not in keys:
-        assert time.monotonic() < end
+
+    def comes() -> bool:
         writer.put(last, b"")
         with contextlib.suppress(queue.Empty):
             keys.add(heard.get(timeout=0.05))
+        return last in keys
+
+    eventually(comes)
     return keys
 
 

@@ -8,7 +8,6 @@ import socket
 import stat
 import subprocess
 import sys
-import time
 from typing import Any
 
 import pytest
@@ -21,6 +20,7 @@ from cfgplan_runtime.operating.control_server import MOST_CLIENTS, MOST_WAITING_
 from cfgplan_runtime.operating.protocol import RefusedError
 from cfgplan_runtime.streams.run_folder import RunFolder, control_address
 from fake_manager import FORESEEN_IN, FakeManager
+from operated_world import eventually
 
 from cfgplan.domain import ChangeSet
 from cfgplan.errors import Fault, InputError
@@ -62,10 +62,7 @@ def test_what_is_added_while_connected_is_withdrawn_when_the_connection_ends(
     params = {"name": "query", "text": "{}", "while_connected": True}
     kept = {"method": "add", "params": {"name": "kept", "text": "targets: []"}}
     talk(run_folder, json.dumps({"method": "add", "params": {**params, "text": "targets: []"}}), json.dumps(kept))
-    deadline = time.monotonic() + 60
-    while not any(isinstance(change, changes.Withdraw) for change in manager.requested):
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    eventually(lambda: any(isinstance(change, changes.Withdraw) for change in manager.requested))
     assert [change for change in manager.requested if isinstance(change, changes.Withdraw)] == [
         changes.Withdraw("query")
     ]

@@ -11,8 +11,8 @@ from subprocess import Popen
 
 import psutil
 import pytest
-from operated_world import await_event, running
-from words import ENVIRONMENT, await_pid, eventually, listening, pid_of, write_words
+from operated_world import await_event, eventually, running
+from words import ENVIRONMENT, await_pid, listening, pid_of, write_words
 
 HANG = ENVIRONMENT.replace("params: {rate: 100", "run: {hang: 2}\n    params: {rate: 100")
 

@@ -9,8 +9,8 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import pytest
-from operated_world import await_event, running
-from words import eventually, listening, node_names
+from operated_world import await_event, eventually, running
+from words import listening, node_names
 
 from cfgplan.cli import main
 from cfgplan.errors import InputError

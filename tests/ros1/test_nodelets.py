@@ -18,7 +18,8 @@ from cfgplan_runtime import Runtime
 from cfgplan_runtime.ros1.ros1_backend import Ros1Backend
 from cfgplan_runtime.ros1.tcpros import answered
 from cfgplan_runtime.testing import Bench, check_middleware
-from words import NODES, await_pid, eventually, messages, pid_of, published_topics
+from operated_world import eventually
+from words import NODES, await_pid, messages, pid_of, published_topics
 
 from cfgplan.domain import (
     ChangeSet,

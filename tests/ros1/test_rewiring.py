@@ -14,7 +14,8 @@ from cfgplan_runtime import ApplyError, Runtime
 from cfgplan_runtime.ros1.ros1_backend import Ros1Backend
 from cfgplan_runtime.ros1.topic_relay import begins_with_header
 from cfgplan_runtime.supervision.events import UnitPrinted
-from words import NODES, await_pid, eventually, listening, messages, pid_of
+from operated_world import eventually
+from words import NODES, await_pid, listening, messages, pid_of
 
 from cfgplan.domain import (
     ALL,

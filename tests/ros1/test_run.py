@@ -10,8 +10,8 @@ from pathlib import Path
 
 import psutil
 import pytest
-from operated_world import await_event, running
-from words import ENVIRONMENT, eventually, listening, node_names, write_words
+from operated_world import await_event, eventually, running
+from words import ENVIRONMENT, listening, node_names, write_words
 
 from cfgplan.cli import main
 from cfgplan.errors import InputError

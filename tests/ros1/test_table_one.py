@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 from football import scenario
-from operated_world import await_event, running
-from words import await_pid, eventually, messages, node_names, pid_of
+from operated_world import await_event, eventually, running
+from words import await_pid, messages, node_names, pid_of
 
 NAO = Path(__file__).parents[2] / "models" / "nao"
 ROSPY = "import sys; sys.path.append('/usr/lib/python3/dist-packages'); import rospy, cv2"

@@ -16,7 +16,8 @@ from pathlib import Path
 
 import psutil
 import pytest
-from words import PATIENCE_S, eventually, node_names
+from operated_world import PATIENCE_S, eventually
+from words import node_names
 
 from cfgplan.errors import InputError
 

@@ -5,18 +5,16 @@ from __future__ import annotations
 import os
 import shutil
 import socket
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from cfgplan_runtime.ros1.tcpros import MessageReader, subscribed
+from operated_world import PATIENCE_S, eventually
 
 from cfgplan.ros.master import master_graph
 from cfgplan.ros.node_api import SilentError, asked, peer
 
-PATIENCE_S = 60.0
-"""Far longer than anything takes on the slowest machine."""
 NODES = Path(__file__).with_name("talking.py")
 ENVIRONMENT = """\
 format: cfgplan/1
@@ -40,14 +38,6 @@ def write_words(folder: Path) -> Path:
     path = folder / "env.yaml"
     path.write_text(ENVIRONMENT)
     return path
-
-
-def eventually(is_so: Callable[[], object]) -> None:
-    """Wait until something is so; fails if it never is."""
-    deadline = time.monotonic() + PATIENCE_S
-    while not is_so():
-        assert time.monotonic() < deadline, "it never came to be"
-        time.sleep(0.02)
 
 
 def node_names() -> set[str]:

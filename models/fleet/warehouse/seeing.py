@@ -48,7 +48,7 @@ class Obstacle(TypedDict):
 def boxes(image: Bytes, grain: int) -> list[Box]:
     """The crates that are seen whole down to the floor, from the left; only each `grain`th row and column is looked at.
 
-    Two crates of one colour of which one hides the other are taken for one too wide, which `obstacles` leaves out.
+    If a crate hides another of its colour, both are taken for one that is too wide, and `obstacles` leaves it out.
     """
     coarse = image[grain // 2 :: grain, grain // 2 :: grain]
     warmth = coarse[..., 0].astype(np.int16) - coarse[..., 2]
@@ -73,7 +73,7 @@ def obstacles(found: Sequence[Box], pose: Pose) -> list[Obstacle]:
 
 
 def merged(one: Sequence[Obstacle], other: Sequence[Obstacle]) -> list[Obstacle]:
-    """All obstacles of both; what both see once, each counting by the inverse square of its error."""
+    """All obstacles of both. What both see is there once, as the mean weighted by the inverse squares of the errors."""
     left = list(other)
     together = []
     for obstacle in one:

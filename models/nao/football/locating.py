@@ -49,7 +49,7 @@ def located(u: float, v: float, pose: Pose) -> BallPosition | None:
 
 
 def fused(first: BallPosition, second: BallPosition) -> BallPosition:
-    """The most likely position if both are right about their errors: each counts with the inverse of its covariance."""
+    """The most likely position if both covariances are true: each counts by the inverse of its own."""
     weights = [np.linalg.inv(one.covariance) for one in (first, second)]
     covariance = np.linalg.inv(weights[0] + weights[1])
     x, y = covariance @ (weights[0] @ (first.x, first.y) + weights[1] @ (second.x, second.y))

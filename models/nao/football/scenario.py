@@ -51,7 +51,7 @@ def pose(robot: str, time_ns: int) -> Pose:
 class FrameClock:
     """Gives the frames their times: multiples of 1/15 s, the same for all robots, so that streams can be aligned.
 
-    It is asked about twice as often, so that what a busy computer delays is made up for.
+    It is asked about twice as often, so that delays on a busy computer are made up for.
     """
 
     def __init__(self) -> None:

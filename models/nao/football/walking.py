@@ -19,7 +19,7 @@ _SECONDS = (9.0, 23.0)
 
 
 class Gait:
-    """One robot's errors; independent of those of any other. Errors have no mean over a minute, but for the tilt's."""
+    """The errors of one robot, independent of any other's. Over a minute they average to zero, except the tilt's."""
 
     def __init__(self, robot: str) -> None:
         own = np.random.default_rng(zlib.crc32(robot.encode()))

@@ -17,7 +17,7 @@ _PATIENCE_S = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """A position on the topic, in metres: of which moment, when it came, where the ball really was.
+    """A position on the topic, in metres, with the moment that it is of, when it came, and where the ball really was.
 
     `expected_m` is the error that the position itself expects, a standard deviation.
     """
@@ -54,7 +54,7 @@ class Listener:
             )
 
     def wait_for(self, since_ns: int, timeout_s: float) -> Sample | None:
-        """The first position of a moment after `since_ns`, waited for."""
+        """Wait for the first position of a moment from `since_ns` on. None if there is none in time."""
 
         def first() -> Sample | None:
             return next((sample for sample in self._samples if sample.time_ns >= since_ns), None)
@@ -63,7 +63,7 @@ class Listener:
             return self._news.wait_for(first, timeout_s)
 
     def close(self) -> None:
-        """Wait for the end, after that of the run."""
+        """End the thread. To be called after the end of the run."""
         self._is_over = True
         self._thread.join()
 

@@ -33,7 +33,7 @@ class Bar:
     cost: str
     share: float
     more: str = ""
-    """How much dearer than what was done; empty for what was done."""
+    """How much more it costs than what was done; empty for that."""
 
     @property
     def is_chosen(self) -> bool:
@@ -144,7 +144,7 @@ def _graphs(played: Played) -> tuple[str | None, str]:
 
 
 def _svg(environment: Environment, changes: ChangeSet) -> str:
-    """The drawing without what only a file of its own needs; ids would be there once per drawing."""
+    """The drawing without what only a file needs, and without ids, which several drawings would share."""
     text = picture(environment, changes).render("svg").decode()
     text = text[text.index("<svg") :]
     text = re.sub(r"<text[^>]*>(?:[^<]*■[^<]*|\s*)</text>\n?", "", text)

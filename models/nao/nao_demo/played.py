@@ -29,7 +29,7 @@ class Alternative:
 
 @dataclass(frozen=True, slots=True)
 class Silence:
-    """The longest time without a position while something happened: last before, first after, frames without one."""
+    """The longest time without a position: the last one before, the first one after, and the frames in between."""
 
     last: Sample
     first: Sample
@@ -59,7 +59,7 @@ class Played:
 
     @property
     def left(self) -> Environment:
-        """What was left of what ran before when those had died, with the targets of afterwards."""
+        """What ran before, without the units that have died, and with the targets of afterwards."""
         units = (replace(u, subscriptions=_living(u, self.gone)) for u in self.before.units if u.id not in self.gone)
         return replace(self.before, units=tuple(units), targets=self.after.targets)
 
@@ -102,7 +102,7 @@ def _living(unit: ComputationUnit, gone: Sequence[str]) -> tuple[Subscription, .
 
 
 def silence(samples: Sequence[Sample], began_ns: int, until_ns: int) -> Silence | None:
-    """The longest pause between positions of following moments that has to do with the time from `began_ns` on."""
+    """The longest pause between two positions that touches this time, give or take a frame; None without any."""
     near = [
         (last, first)
         for last, first in pairwise(samples)

@@ -48,7 +48,7 @@ class Audience(Protocol):
     """Whoever is told how the play goes on."""
 
     def is_served(self, url: str) -> None:
-        """There is a page about the play, for those who have its address."""
+        """A page about the play is served at this address."""
 
     def begins(self, step: Step) -> None:
         """A step begins."""
@@ -111,7 +111,7 @@ def _served(manager: Manager, runtime: Runtime, port: int | None, audience: Audi
 
 
 def _without_gaps(played: Sequence[Played], listener: Listener) -> tuple[Played, ...]:
-    """Each step until the next one begins: with the positions that came when it had been told already."""
+    """Each step with the positions that came until the next one began, also those after it was told."""
     ends_ns = [*(step.began_ns for step in played[1:]), played[-1].ended_ns]
     return tuple(
         replace(step, ended_ns=end_ns, samples=listener.samples(step.began_ns, end_ns))
@@ -130,14 +130,14 @@ class _Player:
             self._reviews.put(report.review)
 
     def answered(self, step: Step, manager: Manager) -> Played:
-        """What the manager made of a step, up to now."""
+        """A step with what the manager has made of it up to now."""
         before, began_ns = self._runtime.environment, time.time_ns()
         review = self._act(step, manager)
         after = manager.snapshot().environment
         return Played(step, began_ns, time.time_ns(), before, after, review, self._others(step, manager))
 
     def watched(self, answered: Played, manager: Manager, audience: Audience) -> Played:
-        """The same with what comes on the topic for some time."""
+        """A step with what comes on the topic while it is watched."""
         began_ns, review, first = answered.began_ns, answered.review, None
         if review.met:
             first = self._listener.wait_for(began_ns, LONGEST_S)
@@ -198,7 +198,7 @@ class _Player:
             raise RuntimeFaultError(f"no review for {LONGEST_S:.0f} s") from None
 
     def _others(self, step: Step, manager: Manager) -> tuple[Alternative, ...]:
-        """What plans would cost now that must use a certain transformation."""
+        """The costs of plans that must use a certain transformation."""
         if not step.others:
             return ()
         world = manager.world

@@ -198,21 +198,16 @@ def _new_authority() -> _Authority:
     from cryptography.hazmat.primitives.asymmetric import ec
 
     key = ec.generate_private_key(ec.SECP256R1())
-    name = _named("cfgplan's authority")
     usage = x509.KeyUsage(
         digital_signature=False, content_commitment=False, key_encipherment=False, data_encipherment=False,
         key_agreement=False, key_cert_sign=True, crl_sign=True, encipher_only=False, decipher_only=False,
     )  # fmt: skip
-    unsigned = (
-        _valid(x509.CertificateBuilder(), _AUTHORITY_DAYS)
-        .subject_name(name)
-        .issuer_name(name)
-        .public_key(key.public_key())
-        .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
-        .add_extension(usage, critical=True)
-        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
-    )
-    return _Authority(_signed(unsigned, key), key)
+    more = [
+        (x509.BasicConstraints(ca=True, path_length=0), True),
+        (usage, True),
+        (x509.SubjectKeyIdentifier.from_public_key(key.public_key()), False),
+    ]
+    return _Authority(_certificate("cfgplan's authority", key, None, _AUTHORITY_DAYS, more), key)
 
 
 def _make_host(folder: Path, authority: _Authority, names: Sequence[str], days: int) -> None:
@@ -222,22 +217,42 @@ def _make_host(folder: Path, authority: _Authority, names: Sequence[str], days: 
     from cryptography.x509.oid import ExtendedKeyUsageOID
 
     key = ec.generate_private_key(ec.SECP256R1())
-    both = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.CLIENT_AUTH, ExtendedKeyUsageOID.SERVER_AUTH])
-    issuer = authority.key.public_key()
-    unsigned = (
-        _valid(x509.CertificateBuilder(), days)
-        .subject_name(_named(names[0]))
-        .issuer_name(authority.certificate.subject)
-        .public_key(key.public_key())
-        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-        .add_extension(both, critical=False)
-        .add_extension(x509.SubjectAlternativeName(_alternatives(names)), critical=False)
-        .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(issuer), critical=False)
-    )
+    more = [
+        (x509.BasicConstraints(ca=False, path_length=None), True),
+        (x509.ExtendedKeyUsage([ExtendedKeyUsageOID.CLIENT_AUTH, ExtendedKeyUsageOID.SERVER_AUTH]), False),
+        (x509.SubjectAlternativeName(_alternatives(names)), False),
+        (x509.AuthorityKeyIdentifier.from_issuer_public_key(authority.key.public_key()), False),
+    ]
     folder.mkdir(mode=0o700)
     _write(folder / _AUTHORITY_CERTIFICATE, authority.certificate.public_bytes(Encoding.PEM))
-    _write(folder / _CERTIFICATE, _signed(unsigned, authority.key).public_bytes(Encoding.PEM))
+    _write(folder / _CERTIFICATE, _certificate(names[0], key, authority, days, more).public_bytes(Encoding.PEM))
     _write(folder / _KEY, _pem(key))
+
+
+def _certificate(
+    name: str,
+    key: ec.EllipticCurvePrivateKey,
+    authority: _Authority | None,
+    days: int,
+    more: Iterable[tuple[x509.ExtensionType, bool]],
+) -> x509.Certificate:
+    """A certificate that an authority signs, or None: itself. `more` has extensions, and whether each is critical."""
+    from cryptography import x509
+    from cryptography.hazmat.primitives.hashes import SHA256
+
+    own, now = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, name)]), datetime.now(UTC)
+    builder = (
+        x509.CertificateBuilder()
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - _CLOCKS_DIFFER)
+        .not_valid_after(now + timedelta(days=days))
+        .subject_name(own)
+        .issuer_name(own if authority is None else authority.certificate.subject)
+        .public_key(key.public_key())
+    )
+    for extension, is_critical in more:
+        builder = builder.add_extension(extension, critical=is_critical)
+    return builder.sign(key if authority is None else authority.key, SHA256())
 
 
 def _alternatives(names: Iterable[str]) -> list[x509.GeneralName]:
@@ -254,26 +269,6 @@ def _is_address(name: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _named(name: str) -> x509.Name:
-    from cryptography import x509
-
-    return x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, name)])
-
-
-def _valid(builder: x509.CertificateBuilder, days: int) -> x509.CertificateBuilder:
-    from cryptography import x509
-
-    now = datetime.now(UTC)
-    begin, end = now - _CLOCKS_DIFFER, now + timedelta(days=days)
-    return builder.serial_number(x509.random_serial_number()).not_valid_before(begin).not_valid_after(end)
-
-
-def _signed(builder: x509.CertificateBuilder, key: ec.EllipticCurvePrivateKey) -> x509.Certificate:
-    from cryptography.hazmat.primitives.hashes import SHA256
-
-    return builder.sign(key, SHA256())
 
 
 def _pem(key: ec.EllipticCurvePrivateKey) -> bytes:

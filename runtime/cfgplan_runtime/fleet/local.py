@@ -35,18 +35,22 @@ class LocalAgents(Closable):
     ) -> None:
         self.endpoints = [f"unixsock-stream/{run}/a{number}" for number in range(len(hosts))]
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
-        for number, host in enumerate(hosts):
-            runs = run / f"{number}"
-            runs.mkdir(mode=0o700)
-            arguments = [str(os.getpid()), host, str(folder), str(runs), self.endpoints[number]]
-            group = str(cpu[host].path) if host in cpu else ""
-            more = [",".join(self.endpoints[:number]), ",".join(preload), group]
-            # In a session of its own it does not get Ctrl-C: the command does, and stops units in order.
-            self.processes[host] = subprocess.Popen(
-                [sys.executable, "-c", _AGENT_CODE, *arguments, *more],
-                stdin=subprocess.DEVNULL,
-                start_new_session=True,
-            )
+        try:
+            for number, host in enumerate(hosts):
+                runs = run / f"{number}"
+                runs.mkdir(mode=0o700)
+                arguments = [str(os.getpid()), host, str(folder), str(runs), self.endpoints[number]]
+                group = str(cpu[host].path) if host in cpu else ""
+                more = [",".join(self.endpoints[:number]), ",".join(preload), group]
+                # In a session of its own it does not get Ctrl-C: the command does, and stops units in order.
+                self.processes[host] = subprocess.Popen(
+                    [sys.executable, "-c", _AGENT_CODE, *arguments, *more],
+                    stdin=subprocess.DEVNULL,
+                    start_new_session=True,
+                )
+        except BaseException:
+            self.close()
+            raise
 
     def close(self) -> None:
         """End all agents and their units."""

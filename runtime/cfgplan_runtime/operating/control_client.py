@@ -36,7 +36,7 @@ class Control(Closable):
     """A connection to a run; a context manager. `path` is of its socket, if that is on this computer."""
 
     def __init__(self, run: str, end: socket.socket, path: Path | None = None) -> None:
-        """Greet the run to whose control socket `end` leads. Raises ControlError if it does not answer, or refuses."""
+        """Hear the greeting of the run behind `end`. Raises ControlError if it does not answer, or refuses."""
         self.path = path
         self._end = end
         self._number = 0
@@ -76,13 +76,13 @@ class Control(Closable):
         return given
 
     def subscribe(self) -> None:
-        """Have events sent from now on, for `events`."""
+        """Have the run send its events from now on; `events` gives them."""
         if not self._is_subscribed:
             self._is_subscribed = True
             self.call("subscribe")
 
     def events(self) -> Iterator[Record]:
-        """The events from now on, until the run ends; `dropped` in an event counts those lost before it."""
+        """Yield events until the run ends. `dropped` in an event counts those that were lost before it."""
         self.subscribe()
         self._end.settimeout(None)
         with suppress(OSError):
@@ -91,7 +91,7 @@ class Control(Closable):
                 yield {**told["event"], **({"dropped": told["dropped"]} if "dropped" in told else {})}
 
     def hang_up(self) -> None:
-        """Have whatever waits for the run end; for any thread."""
+        """End whatever waits for the run; for any thread."""
         with suppress(OSError):
             self._end.shutdown(socket.SHUT_RDWR)
 

@@ -26,14 +26,15 @@ Listener = Callable[[str, Element], None]
 
 
 class Flows:
-    """Rate, latency and counts of each topic, as last reported by the outlets, and counts of streams between hosts.
+    """What the outlets told last of each topic (rate, latency, counts), and the counts of streams between hosts.
+
     Pass `hear` to `Runtime.listen`. Thread-safe.
     """
 
     def __init__(self) -> None:
         self._told: tuple[float, dict[str, Flow]] = (time.monotonic(), {})
         self.crossings: Mapping[tuple[str, str, str], CrossingCounts] = {}
-        """By stream, the host that it comes from and the one that it goes to; "" stands for streams that are gone."""
+        """By stream, source and target host; "" stands for all streams that are gone."""
 
     def hear(self, event: Event) -> None:
         """Take in what is told of streams."""
@@ -69,7 +70,7 @@ def _later(flow: Flow, since_s: float) -> Flow:
 
 
 class Following:
-    """Fetches every element of the topics of one run for a listener, each topic in a thread of its own."""
+    """Fetches every element of some topics of a run and gives it to a listener. Each topic has a thread."""
 
     def __init__(self, run: str, listener: Listener) -> None:
         self._run = run
@@ -81,7 +82,7 @@ class Following:
         self._lock = threading.Lock()
 
     def follow(self, topics: Iterable[str]) -> None:
-        """Fetch from exactly these topics from now on; a topic need not exist yet."""
+        """Fetch from these topics and no others from now on. A topic need not exist yet."""
         wanted = set(topics)
         with self._lock:
             for topic in self._watches.keys() - wanted:
@@ -91,12 +92,12 @@ class Following:
 
     @property
     def dropped(self) -> int:
-        """How many elements were not fetched in time, topics that are no longer followed included."""
+        """How many elements were not fetched in time, also of topics that are no longer followed."""
         with self._lock:
             return self._dropped + sum(watch.dropped for watch in (*self._watches.values(), *self._left))
 
     def drain(self, timeout_s: float) -> None:
-        """Wait until all followed topics have ended and were fetched to their end, at most `timeout_s`."""
+        """Wait until all topics have ended and were fetched to their end, at most `timeout_s` seconds."""
         deadline = time.monotonic() + timeout_s
         with self._lock:
             watches = list(self._watches.values())

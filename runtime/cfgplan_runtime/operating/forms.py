@@ -87,7 +87,7 @@ def unit_record(seen: Mapping[str, Any]) -> Record:
 def _form(hint: Any) -> Record:
     """The JSON Schema of what `records.plain` makes of a value of a type.
 
-    A union has the fields of all its members, a class that has kinds those of all its kinds.
+    A union has the fields of all its members; a class with kinds has those of all its kinds.
     """
     origin, arguments = get_origin(hint), get_args(hint)
     if hint in _PLAIN:

@@ -24,12 +24,10 @@ from cfgplan_runtime.operating.records import review_record, snapshot_record, wi
 from cfgplan_runtime.operating.sentences import preview_sentence
 
 REQUEST_PATIENCE_S = 60.0
-"""How long a reply waits for the review that a change leads to."""
-
-
+"""Seconds that a reply waits for the review of a change."""
 LONGEST_WAIT_S = 1_000_000
 _WHY_S = 10.0
-"""How long the next best plan is looked for."""
+"""Seconds within which the next best plan must be found."""
 
 T = TypeVar("T")
 
@@ -159,7 +157,7 @@ class Methods:
         return method
 
     def _ask(self, change: changes.Change, params: Mapping[str, Any]) -> Record:
-        """Request a change, and wait for what its review decides."""
+        """Request a change. Returns its review, or that this is still waited for."""
         try:
             review = _waited_for(self._manager.request(change), params)
         except FutureTimeoutError:
@@ -168,8 +166,8 @@ class Methods:
 
 
 def _waited_for(future: Future[T], params: Mapping[str, Any]) -> T:
-    """The result of a future, within `wait_s` of the params. Raises RefusedError, and FutureTimeoutError if it is not
-    there by then.
+    """Wait for a future's result, at most `wait_s` of the params. Raises RefusedError, and FutureTimeoutError when that
+    time is over.
     """
     wait_s = params.get("wait_s", REQUEST_PATIENCE_S)
     if isinstance(wait_s, bool) or not isinstance(wait_s, int | float) or not 0 <= wait_s <= LONGEST_WAIT_S:

@@ -34,7 +34,7 @@ Measured = TypeVar("Measured")
 
 @dataclass(frozen=True, slots=True)
 class _Measure(Generic[Measured]):
-    """A metric that is read at a scrape, as a gauge unless its value only rises. It is left out where it is None."""
+    """A metric that is read at each scrape: a counter if its value only `rises`, else a gauge. None is left out."""
 
     name: str
     help_text: str
@@ -42,7 +42,7 @@ class _Measure(Generic[Measured]):
     rises: bool = False
 
     def family(self, names: tuple[str, ...], seen: Iterable[tuple[tuple[str, ...], Measured]]) -> Metric:
-        """The metric of all that is seen, each with the values of the labels `names`."""
+        """The metric with a sample for each of `seen`, which has the values of the labels `names`."""
         kind = CounterMetricFamily if self.rises else GaugeMetricFamily
         family = kind(f"cfgplan_{self.name}", self.help_text, labels=names)
         for labels, one in seen:
@@ -162,8 +162,8 @@ class Present(Collector):
 class Metrics:
     """Counts a manager's reports, and reads its snapshot at each scrape.
 
-    Pass `listen` to `Manager.listen`; `snapshot` is `Manager.snapshot`, `flows` knows streams. Units that have
-    ended are left out.
+    Pass `listen` to `Manager.listen`. `snapshot` is `Manager.snapshot`; `flows` knows rates and counts of streams.
+    Units that have ended are left out.
     """
 
     def __init__(self, snapshot: Callable[[], reports.Snapshot] | None = None, flows: Flows | None = None) -> None:

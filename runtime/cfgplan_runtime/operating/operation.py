@@ -72,8 +72,9 @@ class Settings:
     record: Path | None = None
     metrics_port: int | None = None
     runtime: Callable[[Environment, Path], AbstractContextManager[Runtime]] | None = None
-    """Makes what runs the units, of the world's environment and the folder that code is relative to; None: processes of
-    this computer."""
+    """Makes what runs the units, given the environment and the folder that code is relative to. None: processes of this
+    computer.
+    """
     adjust: Callable[[World], World] = lambda world: world
 
 
@@ -94,13 +95,13 @@ class Operation(Closable):
         self._unmet: frozenset[str] | None = None
         """The targets that the last decisive review gave up."""
         self._silent: frozenset[str] = frozenset()
-        """The targets that count as unmet, since nothing comes for them."""
+        """The targets that count as unmet because nothing comes on their topics."""
         self._quiet_s: dict[str, float] = {}
-        """By topic of a met target: since when it is known that nothing comes; inf once that was reported."""
+        """For each quiet topic of a met target: since when; infinite once that was reported."""
         self.failure = ""
         """Why the manager ended without being asked; empty otherwise."""
         self.begun = threading.Event()
-        """Set when the first review is over."""
+        """Set once the first review is over."""
         self._settings = settings
         self._path = path
         self._following: Following | None = None
@@ -143,7 +144,7 @@ class Operation(Closable):
             self.ledger.note(self.runtime.observe(), time.monotonic())
 
     def stop(self) -> None:
-        """Begin to stop: units finish what they have taken in, files are completed. Returns at once: call `wait`."""
+        """Begin to stop: units work off their input, files are completed. Returns at once; `wait` waits for the end."""
         threading.Thread(target=self.manager.stop, name="cfgplan-stopping", daemon=True).start()
 
     def stop_at_once(self) -> None:
@@ -316,10 +317,10 @@ def code_watch(
     running: Callable[[], Iterable[ComputationUnit]],
     tell: Callable[[str], object],
 ) -> FileWatch:
-    """A watch that calls `tell` with the units that were started before a file with their code changed.
+    """A watch that calls `tell` when a file of unit code changes, with the units that still run the old code.
 
-    `library` and `running` give what can be started and what runs at present; `units.py` in `source: units.py:Class`
-    is relative to `folder`. Modules that are named with dots are not watched, nor what code imports.
+    `library` and `running` give what can be started and what runs. `units.py` in `source: units.py:Class` is relative
+    to `folder`. Modules that are named with dots are not watched, nor what unit code imports.
     """
 
     def labels_of_files() -> dict[Path, list[str]]:

@@ -124,7 +124,7 @@ class Recording:
         return self._channels[message.topic, schema]
 
     def _reach_disk(self) -> None:
-        """Count what waited in memory as written."""
+        """Count the messages that waited in memory as written."""
         self.written += self._waiting
         self._waiting = 0
 
@@ -139,7 +139,7 @@ class Recording:
 
 
 class _Output:
-    """A file of whole records that can be cut after any of the last ones."""
+    """A file of records that can be cut after any of the last _LAST_RECORDS."""
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("xb", buffering=0)
@@ -159,7 +159,7 @@ class _Output:
         os.fsync(self._file.fileno())
 
     def end_early(self) -> None:
-        """Cut the file after the last whole record that leaves room for the file's end. It has no index then."""
+        """Cut the file after the last record behind which its end still has room on the disk. It then has no index."""
         from mcap.data_stream import RecordBuilder
         from mcap.records import DataEnd, Footer
         from mcap.writer import MCAP0_MAGIC

@@ -96,7 +96,7 @@ def plain(value: Any) -> Any:
         case list() | tuple() | set() | frozenset():
             return [plain(item) for item in value]
     if is_dataclass(value) and not isinstance(value, type):
-        # Only where a value may be of several types is `kind` needed; faults and observations have it all the same.
+        # `kind` is needed only if a value may be of several types. Faults and observations have it nevertheless.
         return _with_kind(value)
     return str(value)
 

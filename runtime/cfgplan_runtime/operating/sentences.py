@@ -51,7 +51,7 @@ def sentence(report: Report) -> str | None:
             label, cause = backing_off.transformation, short(backing_off.cause)
             if backing_off.left_s == float("inf"):
                 return f"{label} is not started until it changes: {cause}"
-            # The cause was told when it happened.
+            # The cause was reported when it happened.
             times = _times(backing_off.failures)
             return f"{label} has failed {times} and is not started for {backing_off.left_s:.0f} s"
         case WorldRefused(_, faults) if faults:
@@ -125,7 +125,7 @@ def milliseconds(seconds: float) -> str:
 
 
 def _because(review: Review) -> str:
-    """Why a review was made, in a few words. Inputs that are lost since a unit died are not mentioned."""
+    """Why a review was made, in a few words. If a unit died, the inputs that were lost with it are left out."""
     gone = any(isinstance(perturbation, kinds.UnitGone) for perturbation in review.perturbations)
     told = [p for p in review.perturbations if not (gone and isinstance(p, kinds.SubscriptionLost))]
     return named(dict.fromkeys(map(_cause, told)))
@@ -214,13 +214,13 @@ def _perturbation(perturbation: kinds.Perturbation) -> str | None:
             return f"{named(transformations)} may start again"
         case kinds.ReviewRequested(by):
             return f"a review was asked for by {by}"
-    # The others are told by the unit's event, or by the review.
+    # All others are told by an event of a unit, or by the review.
     return None
 
 
 def _is_request(by: str) -> bool:
-    """Whether a world was changed by a request, of which that is the kind, and not by a file."""
-    from cfgplan_runtime.lifecycle import changes  # it takes long, and who steers a run from outside needs none of it
+    """Whether `by` is a kind of request, and not a file."""
+    from cfgplan_runtime.lifecycle import changes  # this takes long, and clients that only show sentences don't need it
 
     return hasattr(changes, by)
 

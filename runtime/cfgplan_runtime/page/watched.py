@@ -27,15 +27,15 @@ from cfgplan_runtime.operating.control_client import Control
 from cfgplan_runtime.operating.protocol import Record
 
 FRAME_S = 0.1
-"""Viewers are told of the state so often."""
+"""Seconds from one state to the next, as viewers are told."""
 MARKED_S = 5.0
-"""What an update has changed is marked in the picture for so long."""
+"""Seconds for which the picture marks what an update has changed."""
 _MOST_NEWS = 100
 _MOST_WAITING = 200
-"""A viewer that does not fetch more messages than these loses the oldest."""
+"""If more messages wait for a viewer, the oldest are dropped."""
 _RUN_S = 10.0
 _REVIEWED_S = 80.0
-"""A change is answered when its review is over."""
+"""Seconds that a change may take: it is answered when its review is over."""
 
 ToViewer = tuple[str, str]
 """A kind and its data as JSON."""
@@ -143,7 +143,7 @@ class Watched:
             self._is_wanted.notify()
 
     def _draw(self) -> None:
-        """Lay pictures out, the latest that is wanted: a large one takes longer than a frame."""
+        """Lay out the picture that was wanted last, again and again: a large one takes longer than a frame."""
         while not self.has_ended.is_set():
             with self._is_wanted:
                 self._is_wanted.wait_for(lambda: self._wanted is not None, timeout=1.0)
@@ -152,7 +152,7 @@ class Watched:
                 self._tell(("picture", json.dumps(svg(*wanted))))
 
     def _tell(self, message: ToViewer) -> None:
-        """Tell all who look, and keep what those who come later are told: nobody gets anything twice."""
+        """Tell all viewers, and keep the message if later ones get it too. Nobody gets a message twice."""
         with self._lock:
             if message[0] == "event":
                 self._events.append(message)
@@ -182,7 +182,7 @@ def anew(review: Record) -> tuple[str, ...]:
 
 
 def without(environment: Environment, units: Collection[str]) -> Environment:
-    """The environment without some units; what they fed names them still."""
+    """The environment without some units. What they fed still names them."""
     return replace(environment, units=tuple(unit for unit in environment.units if unit.id not in units))
 
 

@@ -17,7 +17,7 @@ from cfgplan_runtime.ros1.ros_master import with_parent
 class NodeProcess:
     """A process in a session of its own, which ends with the thread that made it. Raises OSError if it can't start.
 
-    `ended` can be read once it has ended.
+    The descriptor `ended` becomes readable when it has ended.
     """
 
     def __init__(self, command: Sequence[str], environment: Mapping[str, str], folder: Path) -> None:
@@ -57,7 +57,7 @@ class NodeProcess:
         self._signal(signal.SIGKILL)
 
     def reap(self) -> int:
-        """Its exit status, once it has ended; what it has left behind is ended too."""
+        """Wait for its end, and end what it has left behind. Returns its exit status."""
         self.kill()
         status = self._process.wait()
         os.close(self.ended)

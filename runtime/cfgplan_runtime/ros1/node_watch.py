@@ -1,4 +1,4 @@
-"""Watches one ROS 1 node: until it has told its master of itself, and then whether it still answers."""
+"""Watches one ROS 1 node: whether it has told its master of itself, then whether it still answers."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ ALIVE_S = 1.0
 
 
 class WatchOwner(Protocol):
-    """Who is told, from the watch's own thread."""
+    """Whoever is told, by the watch's thread."""
 
     def note_ready(self, node: str, address: str) -> None: ...
     def note_alive(self, node: str) -> None: ...
     def note_late(self, node: str, topics: list[str]) -> None:
-        """It does not publish these, though it runs for a while."""
+        """It has been running for a while and does not publish these topics."""
 
     def note_silence(self, node: str) -> None:
         """It did not answer twice in a row: a busy computer may make it miss one question."""
 
 
 class NodeWatch:
-    """A watch that begins at once. `is_own` tells by process id whether a node of this name is the one that is meant.
+    """A watch that begins at once. `is_own` tells by its process id whether a node of this name is the right one.
 
-    `published` and `subscribed` are the topics of its ports, which a node may also take up late, or never.
+    `published` and `subscribed` are the topics of its ports. A node may begin with them late, or never.
     """
 
     def __init__(
@@ -87,7 +87,7 @@ class NodeWatch:
                 self._tell(partial(self._owner.note_alive, self._node))
 
     def _address(self) -> str | None:
-        """The node's address once it answers there; None if that is not wanted any more."""
+        """Wait until the node answers. Returns its address, or None if the watch has ended."""
         look_s = _NODE_LOOK_S
         while not self._is_over.wait(look_s):
             look_s = min(1.2 * look_s, _MOST_NODE_LOOK_S)
@@ -104,7 +104,7 @@ class NodeWatch:
             return False
 
     def _unpublished(self, node: ServerProxy) -> list[str]:
-        """What it neither publishes nor serves, of what it is to publish."""
+        """The names of outputs that it neither publishes nor offers as services."""
         left = self._published - _topics(node, "getPublications")
         return sorted(name for name in left if not self._serves(name))
 

@@ -1,4 +1,4 @@
-"""A nodelet manager of ROS 1, and the nodelets that a run has in it: loaded and unloaded by its services."""
+"""A nodelet manager of ROS 1, and the nodelets that a run loads and unloads there by its services."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ _SEE = "can't be loaded: see what it printed"
 
 
 class NodeletGroup:
-    """The manager `name`, which runs in `process`, or is somebody else's if that is None.
+    """The manager `name`. It runs in `process`; None if somebody else runs it.
 
-    `used_us` has, by the unit of each nodelet, its part of the CPU time: all of a manager's nodelets count alike.
+    `used_us` is the CPU time of each nodelet, by unit: all nodelets of a manager get equal parts of its own.
     """
 
     def __init__(self, name: str, master: str, process: NodeProcess | None) -> None:
@@ -41,9 +41,8 @@ class NodeletGroup:
         """The CPU time that was shared out by now."""
 
     def load(self, unit: str, ros: RosUnit, tell: Callable[[str, int], None]) -> None:
-        """Load a nodelet, once the manager is there. `tell` gets why it can't be, or "", and the labor of it.
-
-        That comes from a thread of its own.
+        """Load a nodelet once the manager is there. A thread calls `tell` with the cause of a failure, or "", and with
+        the labor.
         """
         self._share()
         self.used_us[unit] = 0
@@ -70,23 +69,23 @@ class NodeletGroup:
         threading.Thread(target=work, daemon=True).start()
 
     def unload(self, ros: RosUnit, tell: Callable[[bool], None]) -> None:
-        """Unload a nodelet. `tell` gets whether that went well, from a thread of its own."""
+        """Unload a nodelet. A thread calls `tell` with whether that went well."""
         threading.Thread(target=lambda: tell(self.unloads(ros)), daemon=True).start()
 
     def unloads(self, ros: RosUnit) -> bool:
-        """Unload a nodelet, and wait for that. Returns whether it went well."""
+        """Unload a nodelet, and wait until that is done. Returns whether it went well."""
         try:
             return self._asked("unload_nodelet", _text(ros.name))
         except (SilentError, OSError):
             return False
 
     def forget(self, unit: str) -> None:
-        """Count a nodelet no more."""
+        """Stop counting a nodelet."""
         self._share()
         self.used_us.pop(unit, None)
 
     def usage(self, unit: str) -> Usage | None:
-        """A nodelet's part of what its manager uses; nothing where that is somebody else's."""
+        """A nodelet's part of what its manager uses; zero if somebody else runs that. None if it has ended."""
         if self.process is None:
             return Usage(0, 0)
         self._share()
@@ -104,7 +103,7 @@ class NodeletGroup:
         return 0 if self.process is None else cpu_us(self.process.pid) or 0
 
     def _await_services(self) -> None:
-        """Wait for the manager; the master may still know those of one that has died."""
+        """Wait until the manager answers. Before that the master may know the services of one that has died."""
         until = time.monotonic() + _MANAGER_START_S
         while True:
             try:

@@ -15,7 +15,7 @@ _Answer: TypeAlias = "tuple[int, str, Any]"
 
 
 class ApiOwner(Protocol):
-    """What the interface asks its node, from threads of its own. Message types are by topic."""
+    """The node behind the interface, which asks it from its own threads. Message types are by topic."""
 
     def published(self) -> Mapping[str, str]: ...
     def subscribed(self) -> Mapping[str, str]: ...
@@ -34,7 +34,7 @@ class _ApiServer(ThreadingMixIn, SimpleXMLRPCServer):
 
 
 class RelayApi:
-    """Serves the interface from now on. Messages are to be had at `port` of `host`."""
+    """Serves the interface from now on. Subscribers are sent to `port` of `host` for messages."""
 
     def __init__(self, owner: ApiOwner, master: str, host: str, port: int) -> None:
         self._owner, self._master, self._host, self._port = owner, master, host, port

@@ -29,10 +29,10 @@ class RelayOrder(msgspec.Struct, frozen=True):
 
 
 class Lead(msgspec.Struct, tag=True):
-    """Lead what is published on `source` to an inlet, as its source or its standby: it comes out on `target`.
+    """Lead what is published on the topic `source` to an inlet, as its source or standby. It comes out on `target`.
 
-    `unit` is whose inlet it is, "" for a topic's outlet, which has the topic's name. Of several publishers only those
-    of `publisher` count, if that is given. With `is_service`, both are services.
+    `unit` owns the inlet; for the outlet of a topic it is "", and the inlet has the topic's name. If `publisher` is
+    given, only that node's messages count. With `is_service`, `source` and `target` are services.
     """
 
     wire: int
@@ -46,13 +46,13 @@ class Lead(msgspec.Struct, tag=True):
 
 
 class CloseInlets(msgspec.Struct, tag=True):
-    """A unit is gone, and all topics that were for its inputs."""
+    """A unit is gone: close all inlets that fed it."""
 
     unit: str
 
 
 class Passed(msgspec.Struct, tag=True):
-    """A sign of life, with counts since the start: what came on each source topic, and what inlets and topics got."""
+    """A sign of life, with counts since the start: of messages by source topic, and of what inlets and topics got."""
 
     sources: dict[str, int]
     inlets: dict[str, PortCounts]
@@ -60,13 +60,13 @@ class Passed(msgspec.Struct, tag=True):
 
 
 class Listening(msgspec.Struct, tag=True):
-    """The relay is there: its address as a node."""
+    """The relay is ready, and has this address as a node."""
 
     address: str
 
 
 class Refused(msgspec.Struct, tag=True):
-    """A node does not get what it asked the relay for, or the relay not what it asked a node for."""
+    """A node asked the relay for a topic and was refused."""
 
     topic: str
     cause: str

@@ -51,9 +51,9 @@ _RELAY_AGAIN_S, _MOST_RELAY_AGAIN_S = 0.05, 5.0
 
 @dataclass(slots=True, eq=False)
 class _UnitNode:
-    """A unit's node: a process, a nodelet in a group, or somebody else's. `address` is known once it told its master.
+    """A unit's node: a process, a nodelet in a group, or somebody else's. Its `address` is known once it is ready.
 
-    A nodelet is there once it `is_loaded`, and nothing more is asked of it once it `is_leaving`.
+    A nodelet is there once it `is_loaded`. Once it `is_leaving` it is to be unloaded.
     """
 
     unit: str
@@ -68,7 +68,7 @@ class _UnitNode:
 
 
 class _Relay:
-    """The relay of topics and the connection to it. It ends with the thread that made it. Raises OSError."""
+    """The process of the relay, and the connection to it. It ends with the thread that made it. Raises OSError."""
 
     def __init__(self, order: RelayOrder) -> None:
         self._process, ours = start_helper(_RELAY_CODE, msgspec.json.encode(order).decode(), in_own_session=True)
@@ -107,7 +107,7 @@ class Ros1Backend:
         """The unit of each node by the node's name."""
         self._groups: dict[str, NodeletGroup] = {}
         self._leads: dict[int, tuple[Inlet, Lead]] = {}
-        """Wires that the relay has, or is to have."""
+        """The wires that the relay leads, or will once it is there."""
         self._topics: list[str] = []
         self._passed = Passed({}, {}, {})
         self._relay: _Relay | None = None
@@ -214,7 +214,7 @@ class Ros1Backend:
         self._lose_relay()
 
     def usage(self, unit: str) -> Usage | None:
-        """What a node's process has used; a node that somebody else runs costs this run nothing."""
+        """What a node has used; zero if somebody else runs it."""
         node = self._nodes.get(unit)
         if node is None:
             return None
@@ -268,7 +268,7 @@ class Ros1Backend:
 
     def _post(self, node: str, call: Callable[[_UnitNode], None]) -> None:
         def do() -> None:
-            """What is told of a manager is told of all nodelets that are there."""
+            """Call it for the node; for a nodelet manager, for each of its nodelets that is loaded."""
             units = self._groups[node].used_us if node in self._groups else (self._units.get(node, ""),)
             for known in [self._nodes[unit] for unit in units if unit in self._nodes]:
                 if known.group is None or known.is_loaded:
@@ -335,7 +335,7 @@ class Ros1Backend:
         )
 
     def _attend(self, process: NodeProcess, end: Callable[[], None], unit: Callable[[], str]) -> None:
-        """Hear what a process prints, for a unit, and that it has ended."""
+        """Report what a process prints as printed by a unit, and call `end` when it has ended."""
         self._ends.watch(process.ended, end)
         self._ends.watch(process.printed.socket, lambda: self._hear_print(process, unit()))
 
@@ -372,7 +372,7 @@ class Ros1Backend:
         self._events.append(events.UnitStopped(node.unit) if node.is_stopping else events.UnitDied(node.unit, cause))
 
     def _end(self, node: _UnitNode, end: Callable[[NodeProcess], None]) -> None:
-        """Unload a nodelet, give up a node that somebody else runs, and have any other end."""
+        """Unload a nodelet, give up a node that somebody else runs, or call `end` with the process of any other."""
         if node.group is not None:
             self._unload(node, node.group)
         elif node.process is None:
@@ -383,7 +383,7 @@ class Ros1Backend:
     # Nodelets.
 
     def _group(self, name: str) -> NodeletGroup:
-        """The nodelet manager of a name, "" for the run's own: it is started, unless somebody else runs it."""
+        """The nodelet manager of a name, or the run's own for "". Starts it, unless it is there already."""
         full = f"/{name.lstrip('/')}" if name else f"/cfgplan_nodelets_{self.id}"
         if full in self._groups:
             return self._groups[full]
@@ -415,7 +415,7 @@ class Ros1Backend:
         self._post_of(node.unit, do)
 
     def _unload(self, node: _UnitNode, group: NodeletGroup) -> None:
-        """Unload a nodelet, once it is loaded; if its manager does not do that, it is ended with all that is in it."""
+        """Unload a nodelet once it is loaded. If its manager fails to, the manager is ended with all its nodelets."""
         if node.is_loaded and not node.is_leaving:
             self._unload_now(node, group)
         node.is_leaving = True
@@ -462,7 +462,7 @@ class Ros1Backend:
             self._ends.watch(self.master.ended, self._lose_master)
 
     def _lose_master(self) -> None:
-        """Start this run's own master anew, and with it all that it knew: nodes tell of themselves only once."""
+        """End all nodes and start this run's own master anew: nodes tell a master of themselves only once."""
         assert self.master.ended is not None
         self._ends.unwatch(self.master.ended)
         for group in list(self._groups.values()):
@@ -530,7 +530,7 @@ class Ros1Backend:
             inlet, _ = self._leads[wire]
             self._leads = {
                 other: one for other, one in self._leads.items() if other >= wire or one[0] != inlet
-            }  # what it has replaced
+            }  # those that it has replaced are gone
         self._events.append(events.WireSwitched(wire))
 
     def _tell_refusal(self, topic: str, cause: str) -> None:

@@ -50,13 +50,15 @@ class RosMaster:
 
     @property
     def host(self) -> str:
-        """The name by which nodes here are reached."""
+        """The name by which others reach nodes on this computer."""
         named = next((os.environ[name] for name in reversed(_HOST_VARIABLES) if os.environ.get(name)), None)
         return named or ("127.0.0.1" if self.is_local else socket.gethostname())
 
     @property
     def environment(self) -> Mapping[str, str]:
-        """The environment of nodes: with a master on this computer, nobody else reaches them unless it says so."""
+        """The environment of nodes. With a master on this computer only this computer reaches them, unless ROS_IP or
+        ROS_HOSTNAME says otherwise.
+        """
         is_said = any(os.environ.get(name) for name in _HOST_VARIABLES)
         host = {} if is_said or not self.is_local else {"ROS_IP": self.host}
         inherited = {name: value for name, value in os.environ.items() if name != "ROS_NAMESPACE"}
@@ -83,14 +85,14 @@ class RosMaster:
         asked(peer(str(self.ask("lookupNode", node))), _CALLED_BY, "getPid")
 
     def set_parameters(self, node: str, parameters: Mapping[str, object]) -> None:
-        """Have a node find these parameters, by full names, and no others of its own. Raises SilentError."""
+        """Replace all parameters of a node by these, given by full names. Raises SilentError."""
         with suppress(SilentError):  # it has none
             self.ask("deleteParam", node)
         for name, value in parameters.items():
             self.ask("setParam", name, value)
 
     def restart(self) -> None:
-        """Start this run's own master anew, with nothing in it."""
+        """Start this run's own master anew, empty."""
         self.close()
         self._start()
 
@@ -124,7 +126,7 @@ class RosMaster:
 
 
 def forget_node(master: str, node: str, address: str) -> None:
-    """Tell a master what a node that has died there would have told it. Raises SilentError."""
+    """Unregister everything of a node that has died, which it could not do itself. Raises SilentError."""
     of = peer(master)
     publishers, subscribers, servers = asked(of, node, "getSystemState")
     for method, rows in (("unregisterPublisher", publishers), ("unregisterSubscriber", subscribers)):

@@ -1,7 +1,7 @@
 """The process that rewires ROS 1 nodes: a node itself, which leads topics that nodes publish to those they listen to.
 
-Each input of a node listens to a topic of its own, on which only the relay publishes. What it publishes there comes
-from one output after the other, as wires say, so that no node has to know of it.
+Each input of a node listens to a topic of its own, on which only the relay publishes. The relay takes what it
+publishes there from one output after the other, as wires say, and no node notices.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ _CONNECT_AGAIN_S, _MOST_CONNECT_AGAIN_S = 0.05, 2.0
 
 
 def begins_with_header(definition: str) -> bool:
-    """Whether the first field of a message is a header, by its definition, which begins with comments and constants."""
+    """Whether the first field of a message is a header. Comments and constants may stand before it."""
     said = (line.partition("#")[0] for line in definition.splitlines())
     first = next((line.split() for line in said if line.strip() and "=" not in line), [""])
     return first[0] in _HEADER_TYPES
@@ -72,7 +72,7 @@ def begins_with_header(definition: str) -> bool:
 
 @dataclass(slots=True, eq=False)
 class _Publication:
-    """A topic that the relay publishes; nobody can have it before it is known what is published."""
+    """A topic that the relay publishes. Nobody can subscribe before its `header`, with the type, is known."""
 
     topic: str
     queue: int
@@ -82,7 +82,7 @@ class _Publication:
     writers: list[MessageWriter] = field(default_factory=list)
     latched: Framed | None = None
     dropped: int = 0
-    """What was dropped for subscribers that are gone."""
+    """How many messages were dropped for subscribers that are gone."""
 
 
 @dataclass(slots=True, eq=False)
@@ -99,7 +99,7 @@ class _LedInlet:
 
 @dataclass(slots=True, eq=False)
 class _SourceTopic:
-    """A topic that the relay listens to, with the inlet of each wire, and how many of its messages that was offered.
+    """A topic that the relay listens to. `wires` has the inlet of each wire, `offered` how many messages it was given.
 
     `wanted` are the addresses of its publishers, `readers` the connections to them.
     """
@@ -114,11 +114,11 @@ class _SourceTopic:
     has_stamp: bool = False
     messages: int = 0
     latched: Framed | None = None
-    """The last message, if whoever comes later is to have it too."""
+    """The last message of a latched topic, which inlets that come later get too."""
     last: Moment = (0, 0)
 
     def moment(self, message: Framed, now_ns: int) -> Moment:
-        """When a message was made: its stamp, if it has one that can be true, else its arrival. Moments always rise."""
+        """When a message was made: its stamp, if that is near `now_ns`, else `now_ns`. Moments always rise."""
         time_ns = now_ns
         if self.has_stamp and len(message) >= _STAMP.size:
             _, seconds, nanoseconds = _STAMP.unpack_from(message)
@@ -302,7 +302,7 @@ class TopicRelay:
     # What comes from nodes.
 
     def _want(self, source: _SourceTopic, addresses: set[str], *, adds: bool) -> None:
-        """Connect to these publishers of a source. With `adds`, which is older news, no other is given up for that."""
+        """Connect to these publishers of a source. With `adds`, for older news, connections to others are kept."""
         if self._sources.get((source.topic, source.publisher)) is not source:
             return
         if adds:
@@ -319,7 +319,7 @@ class TopicRelay:
         threading.Thread(target=self._connect, args=(source, address), daemon=True).start()
 
     def _connect(self, source: _SourceTopic, address: str) -> None:
-        """Wait until a publisher has taken the relay on. Works in a thread of its own."""
+        """Try to subscribe at a publisher until that works. Has a thread of its own."""
         again_s = _CONNECT_AGAIN_S
         while address in source.wanted:
             with suppress(SilentError, OSError):
@@ -377,7 +377,7 @@ class TopicRelay:
             self._watch_writers(publication)
 
     def _tell_switch(self, inlet: _LedInlet) -> None:
-        """Tell that an inlet goes on with another wire, once that is connected."""
+        """Report that an inlet has switched to another wire, once the type of that is known."""
         active = inlet.queue.active
         if active is None or active == inlet.told:
             return
@@ -389,7 +389,7 @@ class TopicRelay:
     # What goes to nodes.
 
     def _advertise(self, publication: _Publication, of: Header, then: Callable[[], None]) -> None:
-        """Publish what a source sends, and call `then` once the master knows of the topic."""
+        """Publish with the type of a source, and call `then` once the master knows of the topic."""
         before = publication.header
         publication.header = {
             "callerid": self._node,
@@ -417,7 +417,7 @@ class TopicRelay:
             threading.Thread(target=self._greet, args=(end,), daemon=True).start()
 
     def _greet(self, end: socket.socket) -> None:
-        """Agree with a subscriber on a topic and its type, or pass calls of a service on. Works in its own thread."""
+        """Agree with a subscriber on a topic and its type, or pass calls of a service on. Has a thread of its own."""
         try:
             asks = read_header(end)
             if "service" in asks:
@@ -453,7 +453,7 @@ class TopicRelay:
             self._watch_writers(publication)
 
     def _hear_subscriber(self, publication: _Publication, writer: MessageWriter) -> None:
-        """Go on sending, or notice that the subscriber is gone: it says nothing itself."""
+        """Go on sending. A subscriber says nothing: what can be read is its end."""
         writer.flush()
         try:
             writer.has_ended = not writer.socket.recv(1 << 12)

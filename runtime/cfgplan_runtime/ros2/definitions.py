@@ -27,11 +27,10 @@ _WITHOUT_HASHES = ("humble",)
 
 
 class Definitions:
-    """The messages that are known: of `files`, which may be folders, of a distribution, and of ROS as it is set up.
+    """Definitions of messages: those in `files`, which may be folders, those of a distribution, and installed ones.
 
-    What none of them has is looked for as PACKAGE/msg/NAME.msg in `folder`. A file that is not absolute is there too.
-    Without a `folder` that is the working folder, or one of those that Python imports from, which a unit's is. Raises
-    InputError.
+    A type that is in none of them is looked for as PACKAGE/msg/NAME.msg in `folder`, to which `files` are relative.
+    Without a `folder`, the working folder and the folders that Python imports from are searched. Raises InputError.
     """
 
     def __init__(self, distribution: str | None = None, files: Sequence[str] = (), folder: Path | None = None) -> None:
@@ -54,7 +53,7 @@ class Definitions:
         return MessageForm(type, type_hash, self._store)
 
     def _learn(self, name: str, path: list[str]) -> None:
-        """Have a type known, and those of its fields."""
+        """Register a type and the types of its fields."""
         if name not in self._store.fielddefs:
             self._store.register(self._read(name, path))
         for other in _types_in(self._store.fielddefs[name][1]):
@@ -76,7 +75,7 @@ class Definitions:
         except OSError as error:
             raise InputError.of(f"can't be read: {error.strerror}", file=str(file)) from None
         except Exception as error:
-            # The parser's own errors, and those of what it does not foresee, have no common class but this.
+            # The parser raises errors of its own, and any others at input that it does not foresee.
             raise InputError.of(f"this is no message definition: {error}", file=str(file)) from None
 
     def _alike(self, name: str) -> list[str]:
@@ -134,7 +133,7 @@ def _types_in(fields: Iterable[tuple[str, Any]]) -> Iterator[str]:
 
 
 def _without_char(field: Any) -> Any:
-    """A field of `char` is one of `uint8` in ROS 2, and its hash is that one's."""
+    """A field with `uint8` in place of `char`: ROS 2 takes them for the same, also in hashes."""
     kind, what = field
     if kind in _several():
         inner, size = what

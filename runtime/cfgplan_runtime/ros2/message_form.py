@@ -35,16 +35,16 @@ class MisfitError(EncodingError):
         self.path = path
 
     def within(self, place: str) -> MisfitError:
-        """The same, told of what contains the value."""
+        """The same error as seen from what contains the value."""
         return MisfitError(self.what, place + self.path)
 
 
 class MessageForm:
     """The messages of one type; a value is a mapping from field to value, or anything with such attributes.
 
-    Arrays of numbers are numpy arrays, and whatever numpy makes one of; arrays of bytes are bytes too. A field that a
-    value lacks is zero, empty or false. The stamp of a `header` that a value lacks is the time of its element. If a
-    type has one field only, a value may be that field's.
+    For an array of numbers, a value may have anything that numpy makes an array of; for one of bytes, bytes too. A
+    field that a value lacks becomes zero, empty or false; the stamp of a `header` becomes the time of the element. If a
+    type has a single field, a value may be that field's.
     """
 
     def __init__(self, type: MessageType, type_hash: str, store: Typestore) -> None:  # noqa: A002
@@ -66,7 +66,7 @@ class MessageForm:
         message = self._message(value)
         if self._has_header and _inner(_inner(value, "header"), "stamp") is None:
             message.header.stamp = self._store.types[_TIME](*divmod(time_ns, 10**9))
-        # What is behind the view that rosbags gives, since Zenoh takes no views.
+        # rosbags gives a view, which Zenoh does not take: this is what the view is of.
         return self._store.serialize_cdr(message, self._name).obj  # type: ignore[return-value]
 
     def decode(self, data: bytes) -> dict[str, Any]:
@@ -223,7 +223,7 @@ class _Numbers:
             raise MisfitError(f"an array of {self.kind} is needed, not {_shown(value)}")
         if self._fits(array):
             return array.astype(self.kind)
-        # Each is looked at alone to tell which one does not fit. Of numbers in a list numpy may have made texts.
+        # Checking each number tells which one does not fit. If a list has a text, numpy makes texts of all numbers.
         given = value if array.ndim == 1 and isinstance(value, Sequence) else array.reshape(-1).tolist()
         return numpy.array(_each(self._one, given), self.kind)
 

@@ -54,7 +54,7 @@ class RosSession:
             raise InputError.of(f"no session of Zenoh can be opened: {first_line(error)}", mend=mend) from None
         self._numbers = iter(range(1 << 31))
         self._kept: list[Any] = []
-        """What ends with the last reference to it."""
+        """What Zenoh ends when the last reference to it is gone."""
         space, _, name = checked_name(node, "node").rpartition("/")
         self.node = NodeToken(
             ros_domain(domain), str(self._session.info.zid()), next(self._numbers), name, space or "/"
@@ -93,7 +93,10 @@ class RosSession:
         return published
 
     def subscribe(self, topic: str, form: MessageForm, qos: Qos, take: Take) -> None:
-        """Have the messages of a topic taken from now on, and with transient local the last ones. Raises InputError."""
+        """Call `take` with each message of a topic from now on, with transient local also with the last ones before.
+
+        Raises InputError.
+        """
         ext = self._zenoh.ext
         endpoint = self._endpoint("subscription", topic, form, qos)
         keeps = qos.durability == "transient_local"
@@ -116,7 +119,7 @@ class RosSession:
         self._live(str(endpoint))
 
     def watch_publishers(self, topic: str, tell: Callable[[EndpointToken], None]) -> None:
-        """Have each publisher of a topic told that is there or comes, whatever its type, in threads of Zenoh's."""
+        """Call `tell` with each publisher of a topic, now and later, whatever its type. Zenoh's threads call it."""
         mangled = topic.replace("/", "%")
         keys = f"{ADMIN_SPACE}/{self.node.domain}/*/*/*/MP/*/*/*/{mangled}/**"
         put = self._zenoh.SampleKind.PUT
@@ -130,7 +133,7 @@ class RosSession:
         self._kept.append(self._session.liveliness().declare_subscriber(keys, hear, history=True))
 
     def close(self) -> None:
-        """End the node and all that it has; the session is left to itself if it does not close in time."""
+        """End the node. A session that does not close in time is left to itself."""
         thread = threading.Thread(target=self._session.close, daemon=True)
         thread.start()
         thread.join(_SESSION_CLOSE_S)
@@ -167,7 +170,7 @@ class RosPublisher:
             raise RuntimeFaultError(f"{self._endpoint.topic}: {first_line(error)}") from None
 
     def close(self) -> None:
-        """Publish it no more. To be called once."""
+        """Publish the topic no more. To be called once."""
         self._forget(self)
         self._token.undeclare()
         self._publisher.undeclare()
@@ -188,7 +191,7 @@ def checked_name(name: str, what: str) -> str:
 
 
 def _id_of(endpoint: EndpointToken) -> bytes:
-    """The 16 bytes that tell an endpoint from all others: the hash of its token, the lower half first."""
+    """The id of an endpoint: the hash of its token, 16 bytes, the lower half first."""
     import xxhash
 
     return xxhash.xxh3_128_intdigest(str(endpoint).encode()).to_bytes(16, "little")

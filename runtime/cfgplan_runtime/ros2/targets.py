@@ -45,8 +45,8 @@ class PublishedTargets(Closable):
         self._session = RosSession(f"cfgplan_{re.sub('[^A-Za-z0-9]', '_', operation.id)}")
         threading.Thread(target=self._session.tell_if_alone, args=[operation.show], daemon=True).start()
         self._following = Following(operation.id, self._publish)
-        self._take_targets()
         operation.manager.listen(self._hear)
+        self._take_targets()
 
     def close(self) -> None:
         self._following.close()

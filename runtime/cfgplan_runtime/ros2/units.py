@@ -35,7 +35,7 @@ class PublisherParams(msgspec.Struct, forbid_unknown_fields=True):
     reliability: Literal["reliable", "best_effort"] = "reliable"
     durability: Literal["volatile", "transient_local"] = "volatile"
     depth: int = 10
-    """How many messages are kept: by a subscriber until they are taken, with transient local by both for who comes."""
+    """How many messages a subscriber keeps until they are taken; with transient local, how many late ones get."""
     node: str | None = None
     """The name of the node; by the topic's if None."""
     domain: int | None = None
@@ -64,7 +64,7 @@ class PublisherParams(msgspec.Struct, forbid_unknown_fields=True):
         return Definitions(self.distribution, files, folder).form(MessageType.read(self.type))
 
     def open(self, tell: Callable[[str], None]) -> RosSession:
-        """The session of a node; tells if it reaches nobody. Raises InputError."""
+        """Open the session of a node; `tell` is told if it reaches nobody. Raises InputError."""
         name = self.node or f"cfgplan_{re.sub('/+', '_', self.topic.strip('/'))}"
         connect = [self.connect] if isinstance(self.connect, str) else self.connect
         session = RosSession(name, domain=self.domain, connect=connect)
@@ -135,14 +135,14 @@ class Publisher:
 
 
 class Once:
-    """Tells what is new."""
+    """Tells each thing once."""
 
     def __init__(self, tell: Callable[[str], None]) -> None:
         self._tell = tell
         self._told: set[str] = set()
 
     def tell(self, what: str, text: str) -> None:
-        """Tell a text, unless one was told about this; an empty one is not told."""
+        """Tell a text, unless it is empty or one was told about the same thing (`what`)."""
         if text and what not in self._told:
             self._told.add(what)
             self._tell(text)
@@ -178,7 +178,7 @@ def _read(params: Mapping[str, object], kind: type[Any]) -> Any:
 
 
 def _unlike(token: EndpointToken, form: MessageForm) -> tuple[str, str]:
-    """What a publisher's type is if it is not the form's, and that in words; an empty text if it is."""
+    """The type or hash of a publisher that differs from the form's, and a sentence about it; empty if none does."""
     who = f"{token.topic}: {token.node.full_name} publishes {token.type}"
     if token.type != form.type:
         return str(token.type), f"{who}, which does not come as {form.type}"
@@ -189,7 +189,7 @@ def _unlike(token: EndpointToken, form: MessageForm) -> tuple[str, str]:
 
 
 class _Mailbox:
-    """Messages that wait; the oldest goes if there are too many. Thread-safe."""
+    """Messages that wait. If there are too many the oldest is dropped. Thread-safe."""
 
     def __init__(self, depth: int) -> None:
         self.dropped = 0
