@@ -24,7 +24,7 @@ UNITS = Path(__file__).parents[1] / "runtime"
 RATE_HZ = 200
 SOME = 600
 """The elements of a source that ends."""
-PATIENCE_S = 30.0
+PATIENCE_S = 120.0
 HELPERS = ("nursery", "outlets")
 
 _COMMAND = """

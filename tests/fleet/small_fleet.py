@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import subprocess
 import sys
 import threading
@@ -38,7 +39,7 @@ from cfgplan.domain import (
     Transformation,
 )
 
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 """Far longer than anything takes on the slowest machine."""
 FOLDER = Path(__file__).parent
 RESULT = Target("result", "Y", "/result", host="r1")
@@ -205,6 +206,11 @@ def eventually(is_so: Callable[[], bool]) -> None:
     while not is_so():
         assert time.monotonic() < deadline, "it never came to be"
         time.sleep(0.01)
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        return int(free.getsockname()[1])
 
 
 def seen(runtime: Runtime, kind: type[Event]) -> list[Any]:
