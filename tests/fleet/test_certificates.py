@@ -21,7 +21,7 @@ from cfgplan_runtime.fleet.certificates import make
 from cfgplan_runtime.fleet.links import config
 from cfgplan_runtime.streams.zenoh_link import Lane, ZenohLink
 from cryptography import x509
-from small_fleet import PATIENCE_S, Listener, eventually, small_fleet, source, unit, worker
+from small_fleet import PATIENCE_S, Listener, eventually, free_port, small_fleet, source, unit, worker
 
 from cfgplan.cli import main
 from cfgplan.domain import ChangeSet
@@ -44,11 +44,6 @@ def strangers(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("strangers") / "secrets"
     make(folder, {"r1": ADDRESS, "r2": ADDRESS}, days=2)
     return folder
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        return int(free.getsockname()[1])
 
 
 @contextlib.contextmanager

@@ -14,7 +14,7 @@ from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.fleet.links import LEASE_S, Lives, Pulse, config, sign_period_s
 from cfgplan_runtime.fleet.ways import ReachedAt, reach
 from cfgplan_runtime.streams.zenoh_link import Taken, ZenohLink, taken
-from small_fleet import PATIENCE_S, eventually
+from small_fleet import PATIENCE_S, eventually, free_port
 from test_local_run import CFGPLAN
 
 from cfgplan.cli import main
@@ -84,14 +84,8 @@ def test_what_is_not_taken_is_counted_by_looks_as_a_stalled_process_has_looked_o
         assert looks == [Taken(0, 0), Taken(0, 1), Taken(0, 2), Taken(1, 0)]
 
 
-def free_ports(number: int) -> list[int]:
-    with ExitStack() as stack:
-        servers = [stack.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(number)]
-        return [server.getsockname()[1] for server in servers]
-
-
 def test_of_two_agents_that_connect_to_each_other_one_ends_and_names_both(tmp_path: Path) -> None:
-    ports = dict(zip(("r1", "r2"), free_ports(2), strict=True))
+    ports = {name: free_port() for name in ("r1", "r2")}
     with ExitStack() as stack:
         agents = {}
         for name, other in (("r1", "r2"), ("r2", "r1")):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -12,7 +11,7 @@ from cfgplan_runtime.fleet import ways
 from cfgplan_runtime.fleet.links import config
 from cfgplan_runtime.fleet.ways import Way, alive_key, reach_key
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
-from small_fleet import PATIENCE_S, eventually
+from small_fleet import PATIENCE_S, eventually, free_port
 
 
 class Hosts:
@@ -59,11 +58,6 @@ def stack(monkeypatch: pytest.MonkeyPatch) -> Iterator[ExitStack]:
     monkeypatch.setattr(ways, "_WAY_LOOK_S", 0.1)
     with ExitStack() as made:
         yield made
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        return int(free.getsockname()[1])
 
 
 def test_hosts_that_are_linked_with_one_alone_hear_each_other(stack: ExitStack) -> None:

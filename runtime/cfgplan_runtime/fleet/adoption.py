@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from cfgplan.domain import ComputationUnit, Host, Publication, Stream, Subscription, Transformation
+from cfgplan.domain import ComputationUnit, Host, Publication, Subscription, Transformation
 from cfgplan_runtime.children.messages import Release
 from cfgplan_runtime.children.unit_order import unit_order
-from cfgplan_runtime.fleet.orders import CloseTopicOrder, CutOrder, DiscardOrder, Held, HeldExport, HeldUnit, KillOrder
+from cfgplan_runtime.fleet.orders import CloseTopicOrder, CutOrder, DiscardOrder, Held, HeldUnit, KillOrder
 from cfgplan_runtime.fleet.routes import Crossing, OrderTo, Route, Routes
 from cfgplan_runtime.processes.process_backend import RELAY
 from cfgplan_runtime.supervision.backend import Found, FoundWire
@@ -118,12 +118,9 @@ def _crossings(held: Mapping[str, Held]) -> tuple[dict[str, Crossing], list[Orde
                 orders.append((source, Release(name)))
             else:
                 connected = held[target].imports[name].connected
-                crossings[name] = _crossing(name, export, export.stream, source, connected)
+                blocks = export.order.blocks
+                crossings[name] = Crossing(name, export.wire, export.stream, source, target, blocks, connected)
     return crossings, orders
-
-
-def _crossing(name: str, export: HeldExport, stream: Stream, source: str, connected: int) -> Crossing:
-    return Crossing(name, export.wire, stream, source, export.order.host, export.order.blocks, connected)
 
 
 def _routes(

@@ -10,6 +10,7 @@ import secrets
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 import msgspec
@@ -99,45 +100,29 @@ class Agent:
         """The error that ends this agent."""
         # Bad endpoints and certificates are refused before a process is started.
         given = config(listen, connect, certificates)
-        self._backend = ProcessBackend(folder=folder, preload=preload, base=base, cpu=cpu)
-        try:
+        with ExitStack() as stack:
+            self._backend = ProcessBackend(folder=folder, preload=preload, base=base, cpu=cpu)
+            stack.callback(self._backend.close)
             self._link = ZenohLink(given)
-            try:
-                self._refuse_twin()
-                self._answer()
-                self._backend.warm_up()
-                self._relay = Relay(name, self._link, self._backend.open_relay(), self._note_failure)
-                life = secrets.token_hex(4)
-                self._tunnels = TunnelServer(self._link, name, life, self._backend.run_folder.path)
-                self._link.live(f"{alive_key(name)}/{life}")
-                self._link.give_signs(f"{alive_key(name)}/{life}", sign_period_s())
-                self._way = Way(
-                    self._link,
-                    f"{alive_key(name)}/{life}",
-                    listen,
-                    connect,
-                    certificates,
-                    self._note_failure,
-                    self._tell_user,
-                )
-            except BaseException:
-                self._link.close()
-                raise
-        except BaseException:
-            self._backend.close()
-            raise
+            stack.callback(self._link.close)
+            self._refuse_twin()
+            self._answer()
+            self._backend.warm_up()
+            self._relay = Relay(name, self._link, self._backend.open_relay(), self._note_failure)
+            stack.callback(self._relay.close)
+            life = secrets.token_hex(4)
+            stack.callback(TunnelServer(self._link, name, life, self._backend.run_folder.path).close)
+            key = f"{alive_key(name)}/{life}"
+            self._link.live(key)
+            self._link.give_signs(key, sign_period_s())
+            stack.callback(Way(self._link, key, listen, connect, certificates, self._note_failure, say).close)
+            self._stack = stack.pop_all()
 
     def run(self) -> None:
         """Work until an exception, such as a signal handler's, then end everything that runs here."""
-        try:
+        with self._stack:
             while True:
                 self._step()
-        finally:
-            self._way.close()
-            self._relay.close()
-            self._tunnels.close()
-            self._link.close()
-            self._backend.close()
 
     def _refuse_twin(self) -> None:
         """Raise InputError if the fleet has an agent of this name. One that was just killed seems alive for a while."""

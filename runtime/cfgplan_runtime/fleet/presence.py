@@ -160,10 +160,7 @@ class Presence:
         """Wait for something to happen, until `end_s`. Returns what has happened, and whether `wake` was called."""
         is_awake = self._hear_all()
         while not (is_awake or self._happened or time.monotonic() >= end_s):
-            with suppress(queue.Empty):
-                arrival = self._inbox.get(timeout=self._patience_s(end_s))
-                is_awake = self._hear(arrival)
-            is_awake = self._hear_all() or is_awake
+            is_awake = self._hear_once(end_s)
         happened, self._happened = self._happened, []
         return happened, is_awake
 
@@ -209,11 +206,12 @@ class Presence:
         while any(not host.talk.is_done for host in self._hosts.values()) and time.monotonic() < end_s:
             self.wait(min(end_s, time.monotonic() + 0.05))
 
-    def _hear_once(self, end_s: float) -> None:
-        """Wait until something arrives or is due to be sent, and handle it."""
+    def _hear_once(self, end_s: float) -> bool:
+        """Wait until something arrives or is due to be sent, and handle it. Returns whether `wake` was called."""
+        is_awake = False
         with suppress(queue.Empty):
-            self._hear(self._inbox.get(timeout=self._patience_s(end_s)))
-        self._hear_all()
+            is_awake = self._hear(self._inbox.get(timeout=self._patience_s(end_s)))
+        return self._hear_all() or is_awake
 
     def _patience_s(self, end_s: float) -> float:
         """Seconds until something is due to be sent, at most until `end_s` and at most a sign's period."""
