@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from cfgplan_runtime.operating.control_client import Control, connect
-from cfgplan_runtime.operating.control_server import ControlServer, about_this_process
+from cfgplan_runtime.operating.control_server import ControlServer
 from cfgplan_runtime.operating.methods import Methods
 from cfgplan_runtime.streams.run_folder import RunFolder
 from fake_manager import FakeManager
@@ -38,7 +38,7 @@ def manager() -> FakeManager:
 def server(run_folder: RunFolder, manager: FakeManager) -> Iterator[ControlServer]:
     """A control server of a fake manager."""
     methods = Methods(manager).by_name()
-    with ControlServer(run_folder.path, methods, about_this_process("/robots/env.yaml")) as running:
+    with ControlServer(run_folder.path, methods, "/robots/env.yaml") as running:
         yield running
 
 

@@ -256,7 +256,7 @@ def test_a_bug_is_told_as_one_and_the_server_goes_on(run_folder: RunFolder) -> N
     def buggy(_: object) -> dict[str, Any]:
         raise ZeroDivisionError("oh")
 
-    with ControlServer(run_folder.path, {"buggy": buggy}, {}):
+    with ControlServer(run_folder.path, {"buggy": buggy}, ""):
         _, first, second = talk(run_folder, *['{"method": "buggy"}'] * 2)
     assert first["error"]["code"] == second["error"]["code"] == "internal"
 
@@ -329,8 +329,8 @@ def test_without_a_run_there_is_nothing_to_control() -> None:
 def test_the_run_must_be_named_where_there_are_several(run_folder: RunFolder) -> None:
     other = RunFolder()
     try:
-        with ControlServer(other.path, {}, {"environment": "/robots/other.yaml", "pid": 1}):
-            with pytest.raises(NoSuchRunError, match=r"several runs .*other\.yaml, pid 1"):
+        with ControlServer(other.path, {}, "/robots/other.yaml"):
+            with pytest.raises(NoSuchRunError, match=rf"several runs .*other\.yaml, pid {os.getpid()}"):
                 connect()
             with pytest.raises(NoSuchRunError, match=r"no run 'ghost' is live; there is .*env\.yaml"):
                 connect("ghost")

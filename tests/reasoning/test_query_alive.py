@@ -130,7 +130,7 @@ def test_a_run_of_another_process_is_asked_through_its_control_socket(
 ) -> None:
     with running() as (manager, runtime):
         methods = Methods(manager).by_name()
-        with ControlServer(runs / "cfgplan" / runtime.id, methods, {"environment": str(WORLD), "pid": 1}):
+        with ControlServer(runs / "cfgplan" / runtime.id, methods, str(WORLD)):
             formula = "eventually (robot.seen and in(ball, opponent_half))"
             code = main(["query", formula, "--json", "--features", str(PITCH / "features.yaml")])
             answer = json.loads(capsys.readouterr().out.splitlines()[-1])
@@ -148,7 +148,7 @@ def test_a_run_of_another_process_is_asked_through_its_control_socket(
 def test_what_a_query_has_added_ends_with_its_process_even_if_that_is_killed(runs: Path) -> None:
     with running() as (manager, runtime):
         methods = Methods(manager).by_name()
-        with ControlServer(runs / "cfgplan" / runtime.id, methods, {"environment": str(WORLD), "pid": 1}):
+        with ControlServer(runs / "cfgplan" / runtime.id, methods, str(WORLD)):
             code = "import sys; from cfgplan.cli import main; sys.exit(main())"
             features = ("--features", str(PITCH / "features.yaml"))
             line = [sys.executable, "-c", code, "query", "always eventually[0,1h] ball.x > 99", *features]
@@ -188,7 +188,7 @@ def test_what_a_run_can_not_decide_is_named_to_whoever_asks_for_it(
     with Runtime(folder=PITCH) as runtime, Manager(world, runtime, policy=Policy(reasoner="el")) as manager:
         assert manager.settle(PATIENCE_S)
         methods = Methods(manager).by_name()
-        with ControlServer(runs / "cfgplan" / runtime.id, methods, {"environment": str(WORLD), "pid": 1}):
+        with ControlServer(runs / "cfgplan" / runtime.id, methods, str(WORLD)):
             assert main(["query", "always u.x > 3", "--feature", "u=W"]) == 10
             assert f"u {why}" in capsys.readouterr().err
             assert main(["ctl", "add", str(more)]) == 12

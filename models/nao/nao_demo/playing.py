@@ -18,7 +18,7 @@ from cfgplan_runtime.lifecycle.perturbations import UnitGone
 from cfgplan_runtime.lifecycle.reports import Decision, Report, Review, Reviewed
 from cfgplan_runtime.lifecycle.seams import DeclaredCosts
 from cfgplan_runtime.operating.control_client import connect
-from cfgplan_runtime.operating.control_server import ControlServer, about_this_process
+from cfgplan_runtime.operating.control_server import ControlServer
 from cfgplan_runtime.operating.flows import Flows
 from cfgplan_runtime.operating.methods import Methods
 from cfgplan_runtime.operating.records import report_record
@@ -93,11 +93,10 @@ def play(story: Sequence[Step], step_s: float, audience: Audience, port: int | N
 @contextmanager
 def _served(manager: Manager, runtime: Runtime, port: int | None, audience: Audience) -> Iterator[None]:
     """The manager at work; `cfgplan ctl` reaches it, and a page shows it where a port is named."""
-    flows = Flows()
+    flows, world = Flows(), str(WORLD / "0-target-only.yaml")
     runtime.listen(flows.hear)
-    about = about_this_process(str(WORLD / "0-target-only.yaml"))
     with (
-        ControlServer(base_folder() / runtime.id, Methods(manager, flows).by_name(), about) as server,
+        ControlServer(base_folder() / runtime.id, Methods(manager, flows).by_name(), world) as server,
         ExitStack() as more,
     ):
         manager.listen(lambda report: server.publish({**report_record(report), "says": sentence(report)}))

@@ -39,14 +39,14 @@ _REQUEST_CHUNK = 1 << 16
 class ControlServer(Closable):
     """Serves `methods` at the control socket of the run in `folder` until it is closed; a context manager.
 
-    Each client gets `about` as it connects. `subscribe` is a method of the server's own: `publish` sends events to the
-    clients that have called it. Events that a client does not fetch are dropped, and it is told how many. What a
-    client has added `while_connected` is withdrawn when its connection ends, however it does.
+    Each client is told of the run's `environment` file as it connects. `subscribe` is a method of the server's own:
+    `publish` sends events to the clients that have called it. Events that a client does not fetch are dropped, and it
+    is told how many. What a client has added `while_connected` is withdrawn when its connection ends, however it does.
     """
 
-    def __init__(self, folder: Path, methods: Mapping[str, Method], about: Mapping[str, Any]) -> None:
+    def __init__(self, folder: Path, methods: Mapping[str, Method], environment: str) -> None:
         self._methods = methods
-        self._greeting = line(greeting(folder.name, about))
+        self._greeting = line(greeting(folder.name, environment, os.getpid()))
         self._path = control_address(folder)
         self._clients: set[_Client] = set()
         self._lock = threading.Lock()
@@ -223,8 +223,3 @@ class _Client:
     def _send(self, data: bytes) -> None:
         with self._sending:
             self._end.sendall(data)
-
-
-def about_this_process(environment: str) -> Record:
-    """What a client is told of the run it has connected to."""
-    return {"environment": environment, "pid": os.getpid()}

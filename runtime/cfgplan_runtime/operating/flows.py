@@ -112,12 +112,12 @@ class Following:
             watches = list(self._left)
         deadline = time.monotonic() + _FLOW_CLOSE_S
         for watch in watches:
-            watch.join(max(0.0, deadline - time.monotonic()))
+            watch.thread.join(max(0.0, deadline - time.monotonic()))
 
     def _leave(self, topic: str) -> None:
         watch = self._watches.pop(topic)
-        watch.close()
-        for gone in [watch for watch in self._left if watch.has_ended]:
+        watch.is_closed.set()
+        for gone in [watch for watch in self._left if not watch.thread.is_alive()]:
             self._dropped += gone.dropped
             self._left.remove(gone)
         self._left.append(watch)
@@ -130,24 +130,15 @@ class _Watch:
         self._topic = topic
         self._run = run
         self._listener = listener
-        self._is_closed = threading.Event()
+        self.is_closed = threading.Event()
+        """When this is set, the thread ends soon."""
         self.is_connected = False
         self.dropped = 0
-        self._thread = threading.Thread(target=self._watch, name=f"cfgplan-flow {topic}", daemon=True)
-        self._thread.start()
-
-    def close(self) -> None:
-        self._is_closed.set()
-
-    @property
-    def has_ended(self) -> bool:
-        return not self._thread.is_alive()
-
-    def join(self, timeout_s: float) -> None:
-        self._thread.join(timeout_s)
+        self.thread = threading.Thread(target=self._watch, name=f"cfgplan-flow {topic}", daemon=True)
+        self.thread.start()
 
     def _watch(self) -> None:
-        while not self._is_closed.is_set():
+        while not self.is_closed.is_set():
             with (
                 suppress(NoSuchTopicError),
                 subscribe(self._topic, run=self._run, timeout_s=_FLOW_LOOK_S) as subscription,
@@ -155,16 +146,16 @@ class _Watch:
                 self.is_connected = True
                 self._follow(subscription)
             self.is_connected = False
-            self._is_closed.wait(_FLOW_LOOK_S)
+            self.is_closed.wait(_FLOW_LOOK_S)
 
     def _follow(self, subscription: SubscriptionToTopic) -> None:
         """Fetch until the topic has ended or this watch is closed."""
         before = self.dropped
-        while not self._is_closed.is_set() and subscription.is_connected:
+        while not self.is_closed.is_set() and subscription.is_connected:
             with suppress(TimeoutError):
                 for element in subscription.elements():
                     self.dropped = before + subscription.dropped
                     with suppress(EncodingError):
                         self._listener(self._topic, element)
-                    if self._is_closed.is_set():
+                    if self.is_closed.is_set():
                         return

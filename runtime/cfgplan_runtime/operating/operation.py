@@ -29,7 +29,7 @@ from cfgplan_runtime.lifecycle.file_watch import FileWatch, WorldWatch
 from cfgplan_runtime.lifecycle.manager import Manager
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Decision, Ended, Observed, Report, Reviewed
-from cfgplan_runtime.operating.control_server import ControlServer, about_this_process
+from cfgplan_runtime.operating.control_server import ControlServer
 from cfgplan_runtime.operating.flows import Flows, Following
 from cfgplan_runtime.operating.methods import Methods
 from cfgplan_runtime.operating.recording import Recorder
@@ -195,7 +195,7 @@ class Operation(Closable):
         if self.recorder is not None:
             self.manager.listen(self.recorder.report)
         methods = Methods(self.manager, self.flows).by_name()
-        self._server = ControlServer(base_folder() / self.id, methods, about_this_process(str(self._path.resolve())))
+        self._server = ControlServer(base_folder() / self.id, methods, str(self._path.resolve()))
         stack.callback(self._server.close)
         if settings.metrics_port is not None:
             self._serve_metrics(stack, settings.metrics_port)
