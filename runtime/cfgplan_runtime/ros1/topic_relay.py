@@ -147,8 +147,9 @@ class TopicRelay:
         self._service_relay = ServiceRelay(order.master)
         self._listener = socket.create_server((order.host, 0), backlog=64)
         self._listener.setblocking(False)
-        self._host, self._port = order.host, self._listener.getsockname()[1]
-        self._api = RelayApi(self, order.master, self._host, self._port)
+        port = self._listener.getsockname()[1]
+        self._service_place = f"rosrpc://{order.host}:{port}"
+        self._api = RelayApi(self, order.master, order.host, port)
         self._to_master = ThreadPoolExecutor(1, "to-master")
         """What the master is told, in order."""
         self._ends.watch(control.socket, self._hear)
@@ -222,16 +223,16 @@ class TopicRelay:
     def _lead_service(self, order: Lead) -> None:
         inlet = self._services.setdefault(order.target, order)
         if inlet is order:
-            place = f"rosrpc://{self._host}:{self._port}"
-            self._to_master.submit(self._ask_master, "registerService", order.target, place, self._api.address)
+            self._to_master.submit(
+                self._ask_master, "registerService", order.target, self._service_place, self._api.address
+            )
         self._service_relay.lead(order.wire, order.source, order.target)
         self._say(Switched(order.inlet, order.wire))
 
     def _close_service(self, target: str) -> None:
         del self._services[target]
         self._service_relay.close(target)
-        place = f"rosrpc://{self._host}:{self._port}"
-        self._to_master.submit(self._ask_master, "unregisterService", target, place)
+        self._to_master.submit(self._ask_master, "unregisterService", target, self._service_place)
 
     def _lead(self, order: Lead) -> None:
         if order.is_service:

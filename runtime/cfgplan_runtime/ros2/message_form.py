@@ -137,7 +137,7 @@ class _Messages:
             numbers = _Numbers(inner[1][0], size, is_fixed)
             return numbers, lambda: numbers(numpy.zeros(length, numbers.kind))
         change, empty = self._field(inner)
-        return _Several(change, size, is_fixed), lambda: [empty() for _ in range(length)]
+        return partial(_several, change=change, size=size, is_fixed=is_fixed), lambda: [empty() for _ in range(length)]
 
 
 class _Values:
@@ -176,21 +176,6 @@ class _Values:
 
 def _as_it_is(value: Any) -> Any:
     return value
-
-
-class _Several:
-    """Lists of texts or of messages."""
-
-    def __init__(self, change: _Change, size: int, is_fixed: bool) -> None:
-        self._change = change
-        self._size = size
-        self._is_fixed = is_fixed
-
-    def __call__(self, value: Any) -> list[Any]:
-        if isinstance(value, str | bytes) or not isinstance(value, Sequence):
-            raise MisfitError(f"a list is needed, not {_shown(value)}")
-        _check_length(len(value), self._size, self._is_fixed)
-        return _each(self._change, value)
 
 
 class _Numbers:
@@ -235,6 +220,14 @@ class _Numbers:
             return False
         limits = numpy.iinfo(self.kind)
         return bool(limits.min <= int(array.min()) and int(array.max()) <= limits.max)
+
+
+def _several(value: Any, change: _Change, size: int, is_fixed: bool) -> list[Any]:
+    """A list of texts or of messages."""
+    if isinstance(value, str | bytes) or not isinstance(value, Sequence):
+        raise MisfitError(f"a list is needed, not {_shown(value)}")
+    _check_length(len(value), size, is_fixed)
+    return _each(change, value)
 
 
 def _each(change: _Change, values: Sequence[Any]) -> list[Any]:
