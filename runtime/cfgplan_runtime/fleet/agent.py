@@ -20,7 +20,7 @@ from cfgplan.errors import InputError
 from cfgplan_runtime.children.messages import Export, Import, Marked, Release, TellMark
 from cfgplan_runtime.fleet import orders
 from cfgplan_runtime.fleet.clocks import HostClock, clock_key
-from cfgplan_runtime.fleet.links import LEASE_S, Lives, config, sign_period_s
+from cfgplan_runtime.fleet.links import LEASE_S, PRIVATE, Lives, config, sign_period_s
 from cfgplan_runtime.fleet.relay import Relay
 from cfgplan_runtime.fleet.tunnels import TunnelServer
 from cfgplan_runtime.fleet.ways import Way, alive_key
@@ -32,6 +32,8 @@ from cfgplan_runtime.supervision import events
 from cfgplan_runtime.supervision.backend import Inlet
 
 USAGE_PERIOD_S = 0.5
+LINK_S = 2.0
+"""Seconds that an agent which starts waits for a first link."""
 
 
 def digest_of(path: Path) -> str | None:
@@ -105,7 +107,7 @@ class Agent:
             stack.callback(self._backend.close)
             self._link = ZenohLink(given)
             stack.callback(self._link.close)
-            self._refuse_twin()
+            self._refuse_twin(connect)
             self._answer()
             self._backend.warm_up()
             self._relay = Relay(name, self._link, self._backend.open_relay(), self._note_failure)
@@ -124,8 +126,14 @@ class Agent:
             while True:
                 self._step()
 
-    def _refuse_twin(self) -> None:
-        """Raise InputError if the fleet has an agent of this name. One that was just killed seems alive for a while."""
+    def _refuse_twin(self, connect: Sequence[str]) -> None:
+        """Raise InputError if the fleet has an agent of this name. One that was just killed seems alive for a while.
+
+        Nobody is seen without a link, so a first one to another computer is waited for.
+        """
+        link_s, is_far = time.monotonic() + LINK_S, any(not one.startswith(f"{PRIVATE}/") for one in connect)
+        while is_far and not self._link.linked and time.monotonic() < link_s:
+            time.sleep(0.02)
         end_s = time.monotonic() + 2 * LEASE_S
         while self._link.alive(f"{alive_key(self.name)}/*"):
             if time.monotonic() > end_s:

@@ -81,8 +81,15 @@ class RosMaster:
         asked(self._peer, node, "unregisterPublisher", topic, address)
 
     def ask_node(self, node: str) -> None:
-        """Raises SilentError if the master knows no node of that name, or it does not answer."""
-        asked(peer(str(self.ask("lookupNode", node))), _CALLED_BY, "getPid")
+        """Raises SilentError if the master knows no node of that name, or it misses two calls.
+
+        Who takes its name ends it, and a busy computer may make it miss one.
+        """
+        address = str(self.ask("lookupNode", node))
+        try:
+            asked(peer(address), _CALLED_BY, "getPid")
+        except SilentError:
+            asked(peer(address), _CALLED_BY, "getPid")
 
     def set_parameters(self, node: str, parameters: Mapping[str, object]) -> None:
         """Replace all parameters of a node by these, given by full names. Raises SilentError."""
