@@ -23,26 +23,27 @@ from cfgplan_runtime.supervision.observation import Observation
 
 _PLAIN: Mapping[Any, str] = {bool: "boolean", int: "integer", float: "number", str: "string", bytes: "integer"}
 _TEXT: Record = {"type": "string"}
-_TEXTS: Record = {"type": "array", "items": _TEXT}
-_WIRED: Record = {
-    "type": "object",
-    "properties": {
+
+
+def _object(properties: Record) -> Record:
+    return {"type": "object", "properties": properties}
+
+
+def _list(items: Record) -> Record:
+    return {"type": "array", "items": items}
+
+
+_WIRED = _object(
+    {
         "id": _TEXT,
         "transformation": _TEXT,
         "inputs": {"type": "object"},
         "topics": {"type": "object"},
         "host": _TEXT,
         "standby": {"type": "boolean"},
-    },
-}
-_CHANGES: Record = {
-    "type": "object",
-    "properties": {
-        "started": {"type": "array", "items": _WIRED},
-        "rewired": {"type": "array", "items": _WIRED},
-        "stopped": _TEXTS,
-    },
-}
+    }
+)
+_CHANGES = _object({"started": _list(_WIRED), "rewired": _list(_WIRED), "stopped": _list(_TEXT)})
 
 
 @cache
@@ -51,17 +52,16 @@ def units_form() -> Record:
     unit = _form(Observation)
     for side in ("inputs", "outputs"):
         counts = unit["properties"][side]["additionalProperties"]
-        ports = {"type": "object", "properties": {"port": _TEXT, **counts["properties"]}}
-        unit["properties"][side] = {"type": "array", "items": ports}
-    return {"type": "object", "properties": {"units": {"type": "array", "items": unit}}}
+        unit["properties"][side] = _list(_object({"port": _TEXT, **counts["properties"]}))
+    return _object({"units": _list(unit)})
 
 
 @cache
 def reviews_form() -> Record:
     """The schema of `/cfgplan/reviews`."""
     form = _form(Review)
-    seconds = {"type": "object", "properties": {phase: {"type": "number"} for phase in PHASES}}
-    return {"type": "object", "properties": {**form["properties"], "seconds": seconds, "says": _TEXT}}
+    seconds = _object({phase: {"type": "number"} for phase in PHASES})
+    return _object({**form["properties"], "seconds": seconds, "says": _TEXT})
 
 
 @cache
@@ -103,7 +103,7 @@ def _form(hint: Any) -> Record:
     if origin is not None and issubclass(origin, Mapping):
         return {"type": "object", "additionalProperties": _form(arguments[1])}
     if origin in (tuple, list, frozenset):
-        return {"type": "array", "items": _form(arguments[0])}
+        return _list(_form(arguments[0]))
     if is_dataclass(hint):
         names = [field.name for field in fields(hint)]
     elif isinstance(hint, type) and issubclass(hint, msgspec.Struct):
@@ -111,7 +111,7 @@ def _form(hint: Any) -> Record:
     else:
         return _TEXT
     hints = get_type_hints(hint)
-    return {"type": "object", "properties": {"kind": _TEXT, **{name: _form(hints[name]) for name in names}}}
+    return _object({"kind": _TEXT, **{name: _form(hints[name]) for name in names}})
 
 
 def _merged(forms: list[Record]) -> Record:
@@ -121,4 +121,4 @@ def _merged(forms: list[Record]) -> Record:
     for form in forms:
         for name, inner in form.get("properties", {}).items():
             properties.setdefault(name, inner)
-    return {"type": "object", "properties": properties}
+    return _object(properties)

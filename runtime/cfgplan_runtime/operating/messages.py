@@ -19,48 +19,27 @@ SMALLEST_SIDE = 16
 MOST_NUMBERS = 1024
 """An array of more numbers than this is recorded as the base64 of its bytes."""
 
-_TIME_SCHEMA = {
-    "type": "object",
-    "title": "time",
-    "properties": {"sec": {"type": "integer", "minimum": 0}, "nsec": {"type": "integer", "minimum": 0}},
-}
-_BYTES = {"type": "string", "contentEncoding": "base64"}
+
+def _form(title: str, **properties: Mapping[str, Any]) -> dict[str, Any]:
+    return {"type": "object", "title": title, "properties": properties}
+
+
+_TEXT = {"type": "string"}
 _COUNT = {"type": "integer", "minimum": 0}
-_RAW_IMAGE = {
-    "type": "object",
-    "title": "foxglove.RawImage",
-    "properties": {
-        "timestamp": _TIME_SCHEMA,
-        "frame_id": {"type": "string"},
-        "width": _COUNT,
-        "height": _COUNT,
-        "encoding": {"type": "string"},
-        "step": _COUNT,
-        "data": _BYTES,
-    },
-}
-_COMPRESSED_IMAGE = {
-    "type": "object",
-    "title": "foxglove.CompressedImage",
-    "properties": {
-        "timestamp": _TIME_SCHEMA,
-        "frame_id": {"type": "string"},
-        "data": _BYTES,
-        "format": {"type": "string"},
-    },
-}
-_LOG = {
-    "type": "object",
-    "title": "foxglove.Log",
-    "properties": {
-        "timestamp": _TIME_SCHEMA,
-        "level": _COUNT,
-        "message": {"type": "string"},
-        "name": {"type": "string"},
-        "file": {"type": "string"},
-        "line": _COUNT,
-    },
-}
+_BYTES = {"type": "string", "contentEncoding": "base64"}
+_STAMP = _form("time", sec=_COUNT, nsec=_COUNT)
+_COMPRESSED_IMAGE = _form("foxglove.CompressedImage", timestamp=_STAMP, frame_id=_TEXT, data=_BYTES, format=_TEXT)
+_RAW_IMAGE = _form(
+    "foxglove.RawImage",
+    timestamp=_STAMP,
+    frame_id=_TEXT,
+    width=_COUNT,
+    height=_COUNT,
+    encoding=_TEXT,
+    step=_COUNT,
+    data=_BYTES,
+)
+_LOG = _form("foxglove.Log", timestamp=_STAMP, level=_COUNT, message=_TEXT, name=_TEXT, file=_TEXT, line=_COUNT)
 _ENCODINGS = {
     ("u1", None): "mono8",
     ("u1", 3): "rgb8",
