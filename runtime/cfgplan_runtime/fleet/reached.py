@@ -27,7 +27,7 @@ _REACH_S = 5.0
 """Seconds within which the run that is asked for must be found, and each host must tell of its topics."""
 _ANSWER_S = 1.0
 """Seconds that one question for the topics of all hosts may take."""
-_LOOK_S = 0.02
+_REACH_LOOK_S = 0.02
 
 
 class ReachedFleet(Closable):
@@ -97,7 +97,7 @@ class ReachedFleet(Closable):
             is_whole = not found and told.keys() >= set(self.hosts)
             if time.monotonic() > (end_s if is_whole else end_s + patience_s):
                 raise NoSuchTopicError(_why_not(topic, found, told))
-            time.sleep(_LOOK_S)
+            time.sleep(_REACH_LOOK_S)
 
     def places(self, topic: str, run: str | None) -> list[tuple[str, str]]:
         """Where a topic is, as runs and hosts."""
@@ -201,5 +201,5 @@ def _until(is_so: Callable[[], bool], patience_s: float) -> bool:
     while not is_so():
         if time.monotonic() > end_s:
             return False
-        time.sleep(_LOOK_S)
+        time.sleep(_REACH_LOOK_S)
     return True

@@ -24,22 +24,32 @@ def _form(title: str, **properties: Mapping[str, Any]) -> dict[str, Any]:
     return {"type": "object", "title": title, "properties": properties}
 
 
-_TEXT = {"type": "string"}
+_TEXT_FORM = {"type": "string"}
 _COUNT = {"type": "integer", "minimum": 0}
 _BYTES = {"type": "string", "contentEncoding": "base64"}
-_STAMP = _form("time", sec=_COUNT, nsec=_COUNT)
-_COMPRESSED_IMAGE = _form("foxglove.CompressedImage", timestamp=_STAMP, frame_id=_TEXT, data=_BYTES, format=_TEXT)
+_TIMESTAMP = _form("time", sec=_COUNT, nsec=_COUNT)
+_COMPRESSED_IMAGE = _form(
+    "foxglove.CompressedImage", timestamp=_TIMESTAMP, frame_id=_TEXT_FORM, data=_BYTES, format=_TEXT_FORM
+)
 _RAW_IMAGE = _form(
     "foxglove.RawImage",
-    timestamp=_STAMP,
-    frame_id=_TEXT,
+    timestamp=_TIMESTAMP,
+    frame_id=_TEXT_FORM,
     width=_COUNT,
     height=_COUNT,
-    encoding=_TEXT,
+    encoding=_TEXT_FORM,
     step=_COUNT,
     data=_BYTES,
 )
-_LOG = _form("foxglove.Log", timestamp=_STAMP, level=_COUNT, message=_TEXT, name=_TEXT, file=_TEXT, line=_COUNT)
+_LOG = _form(
+    "foxglove.Log",
+    timestamp=_TIMESTAMP,
+    level=_COUNT,
+    message=_TEXT_FORM,
+    name=_TEXT_FORM,
+    file=_TEXT_FORM,
+    line=_COUNT,
+)
 _ENCODINGS = {
     ("u1", None): "mono8",
     ("u1", 3): "rgb8",
