@@ -64,10 +64,11 @@ class OwnThread:
             except BaseException as error:
                 future.set_exception(error)
 
-        if not self._thread.is_alive():
-            raise RuntimeFaultError("the runtime is closed")
         self._work.put(do)
         self._supervisor.backend.wake()
+        if self._supervisor.is_ending:  # perhaps nobody looks any more
+            self._thread.join()
+            self._do_what_waits()
         return future.result()
 
     def close(self) -> None:

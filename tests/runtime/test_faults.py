@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+import errno
+import gc
 import os
 import re
 import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from queue import SimpleQueue
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import psutil
 import pytest
 from cfgplan_runtime import ApplyError, Patience, SimulatedRuntime, StaleChangeSetError, subscribe
 from cfgplan_runtime.errors import NoSuchTopicError, RuntimeFaultError, UnsupportedPlatformError
-from cfgplan_runtime.runtime import Inline
+from cfgplan_runtime.processes.nursery_link import start_helper
+from cfgplan_runtime.runtime import Inline, OwnThread
+from cfgplan_runtime.streams.run_folder import topics_of
 from cfgplan_runtime.supervision.events import (
     OutletsLost,
     RolledBack,
@@ -351,6 +359,45 @@ def test_a_folder_whose_name_is_too_long_for_sockets_is_refused_with_the_mend(
         run_units(source())
 
 
+def test_a_run_on_a_full_disk_runs_on_without_a_note_of_its_clock(
+    run_units: StartRuntime, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path, *_: object, **__: object) -> None:
+        path.touch()
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "write_text", full)
+        runtime = run_units(source())
+    runtime.apply(start(unit("count.1", topic="/result", port="n")))
+    with subscribe("/result") as topic:
+        came = next(iter(topic))
+        assert 0 <= topic.now_ns() - came.time_ns < PATIENCE_S * 1e9
+
+
+def test_where_no_descriptor_is_left_for_a_run_no_folder_is_left(
+    run_units: StartRuntime, nothing_is_left_behind: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    really = os.open
+
+    def short(path: str | Path, *more: int) -> int:
+        if str(path).endswith("lock"):
+            raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+        return really(path, *more)
+
+    monkeypatch.setattr(os, "open", short)
+    with pytest.raises(RuntimeFaultError, match="Too many open files"):
+        run_units(source())
+    assert list((nothing_is_left_behind / "cfgplan").iterdir()) == []
+    gc.collect()  # the error's traceback holds the backend's sockets
+
+
+def test_topics_that_are_closed_while_they_are_listed_are_left_out(tmp_path: Path) -> None:
+    (tmp_path / "there.topic").write_text("/there")
+    (tmp_path / "gone.topic").symlink_to(tmp_path / "nowhere")
+    assert topics_of(tmp_path) == ["/there"]
+
+
 def test_only_the_user_can_reach_the_topics(run_units: StartRuntime, nothing_is_left_behind: Path) -> None:
     runtime = run_units(source())
     runs = nothing_is_left_behind / "cfgplan"
@@ -428,6 +475,30 @@ def test_a_runtime_of_processes_works_in_the_calling_thread_too(run_units: Start
             break
         here.wait(threading.Event(), 0.1)
     assert [died.unit for died in seen(runtime, UnitDied)] == ["count.1"]
+
+
+def test_what_is_asked_just_as_a_runtime_ends_is_refused(
+    run_units: StartRuntime, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    executor = OwnThread()
+    runtime = run_units(source(), executor=executor)
+
+    class Late(SimpleQueue[Callable[[], None]]):
+        """What is put there comes when the thread has ended."""
+
+        def put(self, item: Callable[[], None], *_: Any, **__: Any) -> None:
+            executor.close()
+            super().put(item)
+
+    monkeypatch.setattr(executor, "_work", Late())
+    with ThreadPoolExecutor(1) as asking, pytest.raises(RuntimeFaultError, match="closed"):
+        asking.submit(runtime.observe).result(PATIENCE_S)
+
+
+def test_ctrl_c_reaches_no_process_that_makes_the_units_from_its_first_moment() -> None:
+    process, ours = start_helper("import sys; sys.stdin.read()")
+    with ours, process:
+        assert os.getpgid(process.pid) == process.pid != os.getpgrp()
 
 
 def test_a_closed_runtime_in_thought_says_so_too() -> None:

@@ -211,7 +211,6 @@ def main(arguments: Sequence[str]) -> None:
     number, parent, run, *preload = arguments
     setproctitle(f"cfgplan {run} nursery")
     die_with_parent(int(parent))
-    os.setpgid(0, 0)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for name in preload:
         with contextlib.suppress(Exception):  # the units that import it will report what is wrong

@@ -20,7 +20,8 @@ def start_helper(
 ) -> tuple[subprocess.Popen[bytes], socket.socket]:
     """A process that runs `code`, and our end of its control connection. Raises OSError.
 
-    Before its arguments it gets the number of its own end and the id of this process.
+    Before its arguments it gets the number of its own end and the id of this process. It is in a process group of its
+    own from the beginning: Ctrl-C is for this process.
     """
     ours, theirs = socket.socketpair()
     number = theirs.fileno()
@@ -30,6 +31,7 @@ def start_helper(
             pass_fds=[number],
             stdin=subprocess.DEVNULL,
             start_new_session=in_own_session,
+            process_group=None if in_own_session else 0,
         )
     except OSError:
         ours.close()

@@ -69,12 +69,12 @@ class ProcessBackend:
         cpu: CpuGroup | None = None,
     ) -> None:
         _raise_descriptor_limit()
-        self.run_folder = RunFolder(base)
         self._cpu = cpu
         self._code_folder = str((folder or Path.cwd()).resolve())
         self._ends = Ends()
         self._bell = Bell()
         self._ends.watch(self._bell.socket, self._bell.hear)
+        self.run_folder = RunFolder(base)  # after all that needs descriptors: where there are none, nothing is left
         self._events: list[events.Event] = []
         self._children: dict[int, ChildProcess] = {}
         self._by_name: dict[str, ChildProcess] = {}

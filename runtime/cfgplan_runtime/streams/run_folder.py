@@ -17,7 +17,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from urllib.parse import quote
 
@@ -43,13 +43,20 @@ class RunFolder:
                 self._lock = os.open(self.path / "lock", os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)
                 fcntl.flock(self._lock, fcntl.LOCK_EX)
         except OSError as error:
+            with suppress(OSError):  # `rmtree` would need descriptors
+                (self.path / "lock").unlink(missing_ok=True)
+                self.path.rmdir()
             raise RuntimeFaultError(f"{self.path}: can't hold the run's sockets: {error.strerror}") from None
 
     def tell_clock(self, offset_ns: int) -> None:
-        """Tell who listens that the run's clock, by which elements have their times, is the monotonic one plus this."""
+        """Tell who listens that the run's clock, by which elements have their times, is the monotonic one plus this.
+
+        On a full disk what was told before stays.
+        """
         told = self.path / "clock.new"
-        told.write_text(str(offset_ns))
-        told.rename(_clock(self.path))
+        with suppress(OSError):
+            told.write_text(str(offset_ns))
+            told.rename(_clock(self.path))
 
     def listen(self, topic: str) -> socket.socket:
         """A listening socket at the topic's address. Raises OSError, and leaves none."""
@@ -135,8 +142,12 @@ def remove_dead_runs(base: Path) -> None:
 
 
 def topics_of(run: Path) -> list[str]:
-    """The topics of a run."""
-    return sorted(path.read_text(encoding="utf-8") for path in run.glob("*.topic"))
+    """The topics of a run, without those that are closed meanwhile."""
+    topics = []
+    for path in run.glob("*.topic"):
+        with suppress(FileNotFoundError):
+            topics.append(path.read_text(encoding="utf-8"))
+    return sorted(topics)
 
 
 def address(run: Path, topic: str) -> Path:
