@@ -172,6 +172,7 @@ class Runtime(Closable):
         keeps_new: bool = False,
     ) -> Applied:
         """Carry out a change set as a whole or not at all; see `Supervisor.apply`."""
+        self.supervisor.is_abandoned = False  # from now on `abandon` is about this one
         return self._executor.call(
             lambda: self.supervisor.apply(change_set, id=id, basis=basis, patience=patience, keeps_new=keeps_new)
         )

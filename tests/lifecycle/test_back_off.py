@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import inf
+from typing import Any, TypeVar
 
-from cfgplan_runtime import Patience, Policy
+import pytest
+from cfgplan_runtime import Patience, Policy, SimulatedRuntime
 from cfgplan_runtime.lifecycle.back_off import BackOffRules, BackOffs
 from cfgplan_runtime.lifecycle.changes import Add, ReviewNow, Stop
 from cfgplan_runtime.lifecycle.deliberation import without_stopping
@@ -16,6 +19,10 @@ from cfgplan_runtime.supervision.simulated_backend import Behaviour
 from living import Life, source, started, worker
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Publication, Stream, Subscription, Target
+from cfgplan.planners import PLANNERS
+from cfgplan.planning import Plan, Problem
+
+T = TypeVar("T")
 
 CRASHING = {"work": Behaviour(dies_s=0.5)}
 DYING = {"work": Behaviour(dies_at_start="no camera")}
@@ -210,5 +217,42 @@ def test_the_end_does_not_wait_for_a_slow_start() -> None:
     life = Life(behaviours={"work": Behaviour(start_s=20.0), "count": Behaviour(start_s=1.0)})
     life.runtime.listen(lambda event: life.manager.request(Stop()) if isinstance(event, UnitReady) else None)
     life.manager.run(10)
+    assert life.manager.snapshot().phase is Phase.STOPPED
+    assert life.now < 2
+
+
+def test_the_end_does_not_wait_for_a_slow_start_that_is_about_to_be_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    life = Life(behaviours={"work": Behaviour(start_s=20.0)})
+    execute, clock = life.runtime.clock.call, life.runtime.clock
+
+    def call(work: Callable[[], T]) -> T:
+        life.manager.request(Stop())
+        return execute(work)
+
+    monkeypatch.setattr(clock, "call", call)
+    life.manager.run(10)
+    assert life.manager.snapshot().phase is Phase.STOPPED
+    assert life.now < 2
+
+
+def test_the_end_does_not_wait_for_a_slow_start_that_was_just_decided() -> None:
+    class Watched(SimulatedRuntime):
+        """What runs is asked for once more when a plan was made, to decide about it."""
+
+        @property
+        def environment(self) -> Environment:
+            if planned and not asked:
+                asked.append(life.manager.request(Stop()))
+            return super().environment
+
+    planned, asked = list[Plan](), list[object]()
+
+    def planner(problem: Problem, **limits: Any) -> Plan:
+        planned.append(PLANNERS["cpsat"](problem, **limits))
+        return planned[-1]
+
+    life = Life(planner=planner, runtime=Watched(behaviours={"work": Behaviour(start_s=20.0)}))
+    life.manager.run(10)
+    assert asked
     assert life.manager.snapshot().phase is Phase.STOPPED
     assert life.now < 2

@@ -210,12 +210,16 @@ def test_an_input_that_has_gone_over_goes_back_when_another_new_unit_dies(run_un
     assert listener.values == list(range(listener.values[0], listener.values[0] + len(listener.values)))
 
 
-def test_an_update_whose_unit_is_never_ready_is_undone(run_units: StartRuntime) -> None:
+def test_an_update_whose_unit_is_never_ready_is_undone_after_the_unit_has_said_where_it_is(
+    run_units: StartRuntime,
+) -> None:
     runtime = run_units(source(), worker("naughty", "Naughty", deed="never ready"))
     runtime.apply(start(unit("count.1")))
     with pytest.raises(ApplyError, match=r"naughty\.1 was not ready"):
         runtime.apply(start(unit("naughty.1", x="count.1/n")), patience=Patience(start_s=0.5, stop_s=0.2))
     assert [unit.id for unit in runtime.environment.units] == ["count.1"]
+    printed = [event.line for event in seen(runtime, UnitPrinted) if event.unit == "naughty.1"]
+    assert any("running_units.py" in line and "in __init__" in line for line in printed)
 
 
 def test_source_that_does_not_exist_is_named(run_units: StartRuntime) -> None:

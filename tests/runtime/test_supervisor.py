@@ -130,7 +130,7 @@ def test_an_update_is_undone_when_a_unit_dies_at_its_start() -> None:
     simulation = Simulation(source(), worker(), worker("bad"), bad=Behaviour(dies_at_start="no camera"))
     simulation.apply(start(*ONE))
     before = simulation.supervisor.environment
-    with pytest.raises(ApplyError, match=r"bad\.1 no camera"):
+    with pytest.raises(ApplyError, match=r"bad\.1 died: no camera"):
         simulation.apply(
             ChangeSet(
                 started=(unit("bad.1", topic="/result", x="work.2/y"), unit("work.2", x="count.1/n")),
@@ -551,7 +551,7 @@ def test_nothing_waits_for_a_unit_on_a_host_that_is_lost_while_it_starts() -> No
     simulation.backend.lose_host("r3")
     began_s = simulation.backend.now()
     new = at("r3", unit("work.2", topic="/result", x="count.1/n"))
-    with pytest.raises(ApplyError, match=r"work\.2 was on r3, which is gone: its link is cut"):
+    with pytest.raises(ApplyError, match=r"work\.2 died: host r3 is gone: its link is cut"):
         simulation.apply(ChangeSet((new,), stopped=("work.1",)), basis=before)
     assert simulation.backend.now() - began_s < 0.1
     simulation.check()

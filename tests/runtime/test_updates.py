@@ -16,6 +16,7 @@ from cfgplan_runtime.supervision.updates import (
     Command,
     Connect,
     Disconnect,
+    Dump,
     EndUnit,
     GoOver,
     OpenTopic,
@@ -89,6 +90,8 @@ class Scene:
             case EndUnit(name):
                 self.said.append(f"end {name}")
                 self._end(name)
+            case Dump(name):
+                self.said.append(f"dump {name}")
             case Connect(stream, inlet):
                 self.said.append(f"{stream} > {inlet}")
                 self.feeds[inlet] = Wire(0, stream, inlet, has_switched=stream.unit not in self.quiet)
@@ -164,8 +167,8 @@ def test_an_update_gives_its_commands_in_this_order(
 @pytest.mark.parametrize(
     ("scene", "cause", "said"),
     [
-        (Scene(dying={"work.2"}, cause_of_death={"work.2": "has no camera"}), r"work\.2 has no camera", ["wait"]),
-        (Scene(slow={"work.2"}), r"work\.2 was not ready within 30 s", ["wait in vain"]),
+        (Scene(dying={"work.2"}, cause_of_death={"work.2": "no camera"}), r"work\.2 died: no camera", ["wait"]),
+        (Scene(slow={"work.2"}), r"work\.2 was not ready within 30 s", ["wait in vain", "dump work.2", "wait in vain"]),
         (Scene(slow={"work.2"}, is_abandoned=True), r"given up while work\.2 was starting", ["wait"]),
     ],
     ids=["dead", "slow", "abandoned"],

@@ -20,6 +20,7 @@ from cfgplan.errors import Fault, InputError
 from cfgplan.planning import Planner
 from cfgplan.validity import kept_us
 from cfgplan_runtime.errors import (
+    AbandonedError,
     ApplyError,
     NoSourceError,
     RuntimeFaultError,
@@ -319,6 +320,8 @@ class Manager:
     def _apply(self, order: turns.ApplyUpdate) -> None:
         start, failed = time.perf_counter(), None
         try:
+            if self._ending.is_set():  # it came before there was an update to abandon
+                raise AbandonedError("the manager is to end")
             self._middleware.apply(order.change_set, basis=order.basis, keeps_new=True)
         except Exception as error:
             if isinstance(error, RuntimeFaultError) and not isinstance(error, _UNDONE):

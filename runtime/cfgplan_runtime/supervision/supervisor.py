@@ -23,7 +23,6 @@ HANG_S = 10.0
 WATCH_PERIOD_S = 0.25
 _LONGEST_ROUND_S = 1.0
 """A longer round is a gap: this process was suspended, and has seen nothing meanwhile."""
-_TIME_TO_DUMP_S = 0.2
 _DRY_S = 2.5
 _MOST_REMEMBERED = 1000
 """The number of change sets that are remembered by their ids."""
@@ -92,7 +91,6 @@ class Supervisor:
         after = updates.environment_after(self.environment, change_set, self.lost_hosts)
         name = id or uuid.uuid4().hex[:12]
         self.cause_of_death.clear()
-        self.is_abandoned = False
         self._update_patience = patience or updates.Patience()
         again = self._stopping.keys() & {unit.id for unit in change_set.started}
         self._wait(updates.WaitUntil(lambda: self._stopping.keys().isdisjoint(again), self._update_patience.kill_s))
@@ -104,6 +102,7 @@ class Supervisor:
             self._report(events.RolledBack(name, str(error)))
             raise
         finally:
+            self.is_abandoned = False
             self.wiring.settle()
         self.environment = carried.environment
         self.spares.keep(self.environment, self.now())
@@ -210,6 +209,8 @@ class Supervisor:
                 self.backend.stop(unit_id)
             case updates.EndUnit(unit_id):
                 self.backend.kill(unit_id)
+            case updates.Dump(unit_id):
+                self.backend.kill(unit_id, dump=True)
             case updates.Connect(stream, inlet):
                 self.wiring.connect(stream, inlet, self._library.get(inlet.unit))
             case updates.Disconnect(inlet):
@@ -315,7 +316,7 @@ class Supervisor:
     def _lose(self, host: str, cause: str) -> None:
         """Bury the units on a host that is gone, cold spares too, and end what was led to its topics."""
         for unit in [unit for unit, record in self._records.items() if record.host == host]:
-            self.cause_of_death[unit] = f"was on {host}, which is gone: {cause}"
+            self.cause_of_death[unit] = f"host {host} is gone: {cause}"
             self._bury(unit)
         for unit in [unit for unit, (at, _) in self._stopping.items() if at == host]:
             self._bury(unit)
@@ -349,7 +350,7 @@ class Supervisor:
         for unit in sorted(self.alive):
             record, run = self._records[unit], self._library[unit].run
             if record.killed_s is not None:
-                if now - record.killed_s >= _TIME_TO_DUMP_S:
+                if now - record.killed_s >= updates.TIME_TO_DUMP_S:
                     self.backend.kill(unit)
                 continue
             patience_s = _patience_s(self._library[unit]) if unit in self.ready else self._patience_to_start_s

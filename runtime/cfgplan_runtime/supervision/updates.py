@@ -17,6 +17,9 @@ from cfgplan_runtime.errors import AbandonedError, ApplyError, NoSourceError, St
 from cfgplan_runtime.supervision import wiring
 from cfgplan_runtime.supervision.backend import Inlet
 
+TIME_TO_DUMP_S = 0.2
+"""A unit that is asked where it is has so many seconds to print it before it is killed."""
+
 
 @dataclass(frozen=True, slots=True)
 class Patience:
@@ -91,6 +94,12 @@ class StopUnit(Command, frozen=True):
 
 class EndUnit(Command, frozen=True):
     """End a unit at once."""
+
+    unit: str
+
+
+class Dump(Command, frozen=True):
+    """Have a unit print where it is."""
 
     unit: str
 
@@ -253,6 +262,9 @@ class _Update:
         if slow and actual.is_abandoned:
             raise _StepFailedError(f"it was given up while {', '.join(slow)} was starting", slow, is_abandoned=True)
         if slow:
+            for unit_id in slow:
+                yield Dump(unit_id)
+            yield WaitUntil(lambda: actual.is_abandoned, TIME_TO_DUMP_S)
             raise _StepFailedError(f"{', '.join(slow)} was not ready within {self.patience.start_s:g} s", slow)
 
     def rewire(self) -> Commands:
@@ -400,7 +412,8 @@ class _Update:
     def fail_if_dead(self) -> None:
         dead = self.dead()
         if dead:
-            raise _StepFailedError(f"{dead[0]} {self.actual.cause_of_death.get(dead[0], 'died')}", dead)
+            cause = self.actual.cause_of_death.get(dead[0])
+            raise _StepFailedError(f"{dead[0]} died" + (f": {cause}" if cause else ""), dead)
 
 
 class _StepFailedError(Exception):
