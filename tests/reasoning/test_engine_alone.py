@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import NoReturn
 
 import pytest
@@ -11,7 +13,7 @@ from cfgplan_runtime.reasoning.features import DeclaredFeatures, Feature, of_opt
 from cfgplan_runtime.reasoning.queries import Answer, Noted, QueryReport, SetUp, UnmetTargetsError, query
 from cfgplan_runtime.reasoning.states import Timing
 from cfgplan_runtime.reasoning.truth import Verdict
-from fake_subscriptions import FakeSubscriptions, Given, stream
+from fake_subscriptions import FakeSubscriptions, Given, Stream, stream
 
 from cfgplan.domain import Target
 from cfgplan.errors import InputError
@@ -135,11 +137,31 @@ def test_a_topic_that_fails_ends_the_query_and_takes_the_targets_down() -> None:
 
 
 def test_a_stream_on_the_computers_clock_is_answered_with_its_delay() -> None:
-    import time
-
     now = time.time_ns()
     fake = FakeSubscriptions({"Ball": [Given(now - 50 * MS, at(1)), Given(now, at(-1))]})
     found = answer(ask("always in(ball, right)", fake))
     assert (found.verdict, found.time_ns) == (Verdict.FALSE, now)
     assert found.delay_s is not None
     assert 0 <= found.delay_s < 50
+
+
+@pytest.mark.parametrize("ahead_s", [30, -30])
+def test_states_go_by_the_runs_clock_though_the_computers_was_set_since(ahead_s: int) -> None:
+    class Set(FakeSubscriptions):
+        """A run whose clock began as the time of day, which was set by `ahead_s` since."""
+
+        @contextmanager
+        def samples(self, topic: str, wait_s: float) -> Iterator[Stream]:
+            with super().samples(topic, wait_s) as given:
+                given.now_ns = run_ns  # type: ignore[attr-defined]
+                yield given
+
+    def run_ns() -> int:
+        return time.time_ns() + ahead_s * 1000 * MS
+
+    now = run_ns()
+    fake = Set({"Ball": [Given(now, at(1))], "/robot": [Given(now, at(9)), Given(now + MS, at(1))]})
+    found = answer(ask("eventually distance(ball, robot) < 1", fake, for_s=10))
+    assert (found.verdict, found.time_ns, found.late) == (Verdict.TRUE, now + MS, 0)
+    assert found.delay_s is not None
+    assert 0 <= found.delay_s < 10

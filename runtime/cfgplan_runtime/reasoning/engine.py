@@ -27,7 +27,13 @@ from cfgplan_runtime.reasoning.truth import VERDICT_OF, Verdict
 _ENGINE_LOOK_S = 0.1
 _MOST_AT_ONCE = 10_000
 _OWN_CLOCK_NS = 60 * 1_000_000_000
-"""Streams whose times are further from the computer's clock than this have a clock of their own."""
+"""Streams whose times are further from the run's clock than this have a clock of their own."""
+_TIME_OF_DAY_NS = time.time_ns() - time.monotonic_ns()
+
+
+def _now_ns() -> int:
+    """The time of day, by a clock that goes on evenly when the computer's is set."""
+    return time.monotonic_ns() + _TIME_OF_DAY_NS
 
 
 class _Ended(NamedTuple):
@@ -46,19 +52,20 @@ class Engine:
         report: Callable[[queries.QueryReport], None],
         *,
         name: str | None = None,
-        clock_ns: Callable[[], int] = time.time_ns,
     ) -> None:
         self.monitor = Monitor(query.program)
         self._query = query
         self._subscriptions = subscriptions
         self._report = report
         self._name = name or os.urandom(3).hex()
-        self._clock_ns = clock_ns
         self._inbox: queue.SimpleQueue[tuple[str, Any, int] | Exception | str | _Ended] = queue.SimpleQueue()
         self._is_over = threading.Event()
         self._evaluator = Evaluator(query.program, query.declared.regions, self._note)
         self._streams: Synchroniser | None = None
+        self._ahead_ns = 0
+        """How far the clock of the run whose streams these are is ahead of `_now_ns`."""
         self._skew_ns = 0
+        """How far the streams' own clock is, once there are states."""
         self._has_targets = False
         self._ended: set[str] = set()
         self._first_ns: int | None = None
@@ -127,6 +134,7 @@ class Engine:
         """Put what comes on a topic into the inbox (a thread of its own for each feature)."""
         try:
             with self._subscriptions.samples(topic, self._query.timing.patience_ns / 1e9) as samples:
+                self._ahead_ns = getattr(samples, "now_ns", _now_ns)() - _now_ns()
                 while not self._is_over.is_set():
                     try:
                         for sample in samples:
@@ -143,7 +151,7 @@ class Engine:
 
     def _follow(self, for_s: float | None, every_s: float) -> queries.Answer:
         begin = time.monotonic()
-        begin_ns = self._clock_ns()
+        begin_ns = _now_ns()
         end = None if for_s is None else begin + for_s
         told = begin
         if not self._query.features:
@@ -166,7 +174,7 @@ class Engine:
         """The seconds until a state is due even if no sample comes."""
         if self._streams is None:
             return _ENGINE_LOOK_S
-        return max(0.0, (self._streams.due_ns() - self._now_ns()) / 1e9)
+        return max(0.0, (self._streams.due_ns() - self._streams_ns()) / 1e9)
 
     def _take(self, timeout_s: float, begin_ns: int) -> None:
         """Take the samples that have come. Wait up to `timeout_s` for the first."""
@@ -188,21 +196,22 @@ class Engine:
                     self._streams.push(name, time_ns, value)
                 found = self._inbox.get_nowait()
         except queue.Empty:
-            if self._streams is None and self._clock_ns() > begin_ns + self._query.timing.patience_ns:
-                self._begin(begin_ns, self._clock_ns())
+            if self._streams is None and _now_ns() > begin_ns + self._query.timing.patience_ns:
+                self._begin(begin_ns, _now_ns() + self._ahead_ns)
 
     def _begin(self, begin_ns: int, time_ns: int) -> None:
         """Begin to make states. The time of the first sample tells which clock the streams have."""
-        apart = time_ns - self._clock_ns()
-        self._skew_ns = apart if abs(apart) > _OWN_CLOCK_NS else 0
+        apart = time_ns - _now_ns() - self._ahead_ns
+        self._skew_ns = self._ahead_ns + (apart if abs(apart) > _OWN_CLOCK_NS else 0)
         holds = {each.name: each.hold_ns for each in self._query.features}
         self._streams = Synchroniser(holds, self._query.timing, begin_ns=begin_ns + self._skew_ns)
 
-    def _now_ns(self) -> int:
-        return self._clock_ns() + self._skew_ns
+    def _streams_ns(self) -> int:
+        """The time by the streams' clock."""
+        return _now_ns() + self._skew_ns
 
     def _progress(self, streams: Synchroniser) -> Verdict:
-        for state in streams.ready(self._now_ns()):
+        for state in streams.ready(self._streams_ns()):
             if self._first_ns is None:
                 self._first_ns = state.time_ns
             self._absent = tuple(name for name in streams.missing if name not in state.values)
@@ -224,7 +233,7 @@ class Engine:
             monitor.states,
             self._first_ns,
             monitor.time_ns,
-            (self._now_ns() - monitor.time_ns) / 1e9 if is_final and monitor.time_ns is not None else None,
+            (self._streams_ns() - monitor.time_ns) / 1e9 if is_final and monitor.time_ns is not None else None,
             monitor.waiting(),
             monitor.possible,
             monitor.expired,

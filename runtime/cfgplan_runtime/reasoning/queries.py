@@ -74,7 +74,8 @@ class Sample(Protocol):
 class Samples(Protocol):
     """A topic's elements, until the stream ends.
 
-    Iterating raises TimeoutError where none has come for a while, and may go on after that.
+    Iterating raises TimeoutError where none has come for a while, and may go on after that. It may have `dropped`, the
+    number of elements that this consumer was too slow for, and `now_ns`, which tells the time by the run's clock.
     """
 
     def __iter__(self) -> Iterator[Sample]: ...
