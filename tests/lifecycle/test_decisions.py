@@ -156,14 +156,14 @@ def test_the_first_review_plans_updates_and_is_put_on_record() -> None:
     state, effects = after(first_state(world(), POLICY), 5.0, Started(), Tick(100.0), running=EMPTY)
     assert perturbations(effects) == [Started()]
     (plan,) = found(effects, MakePlan)
-    assert (plan.running, plan.optimises, plan.is_last) == (EMPTY, True, False)
+    assert (plan.scene.running, plan.optimises, plan.is_last) == (EMPTY, True, False)
     state, effects = after(state, 6.0, Planned(thought()), running=EMPTY)
     assert effects == [ApplyUpdate(START, EMPTY)]
     state, effects = after(state, 7.0, Updated(0.5))
     (review,) = state.reviews
     assert (review.number, review.at_s, review.time_s, review.decision) == (1, 5.0, 100.0, Decision.APPLIED)
     assert review.seconds == {"detect": 0.0, "match": 0.0, "apply": 0.5}
-    assert effects == [Tell(Reviewed(review)), Prepare(state.living.world, RUNNING, state.situation)]
+    assert effects == [Tell(Reviewed(review)), Prepare(replace(state, running=RUNNING).scene)]
     assert (state.doing, state.horizon_at_s, state.observe_at_s) == (None, 67.0, 8.0)
     assert {unit: known.since_s for unit, known in state.situation.units.items()} == {"count.1": 6.0, "work.1": 6.0}
 
@@ -641,16 +641,18 @@ class Deciding(RuleBasedStateMachine):
         order, self.pending = self.pending, None
         assert isinstance(order, MakePlan)
         self.number += 1
-        targets = order.world.environment.targets
-        host = next((host for host in ("far", "near") if not order.situation.is_lost(host)), "near")
+        targets = order.scene.world.environment.targets
+        host = next((host for host in ("far", "near") if not order.scene.situation.is_lost(host)), "near")
         started = tuple(
             ComputationUnit(f"count.{self.number}-{one.label}", "count", (), (Publication("n", one.topic),), host)
             for one in targets
         )
-        change_set = ChangeSet(started, stopped=tuple(order.running.unit)) if finds else None
+        change_set = ChangeSet(started, stopped=tuple(order.scene.running.unit)) if finds else None
         met = tuple(target.label for target in targets)
         decision = Decision.APPLIED if finds else Decision.UNDECIDED
-        made = Thought(order.running, self.running, decision=decision, change_set=change_set, met=met if finds else ())
+        made = Thought(
+            order.scene.running, self.running, decision=decision, change_set=change_set, met=met if finds else ()
+        )
         self.decide(Planned(made, was_interrupted))
 
     @precondition(lambda self: isinstance(self.pending, ApplyUpdate))

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
+from cfgplan.api import World
 from cfgplan.costs import labor_us, upkeep_us
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Host, Transformation
 from cfgplan_runtime.lifecycle.back_off import BackOffs
@@ -82,6 +83,15 @@ class Situation:
         return replace(self, units={**self.units, **new}) if new else self
 
 
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """What a plan is made from: the world, what runs in it, and what else is known of what runs."""
+
+    world: World
+    running: Environment
+    situation: Situation
+
+
 def hosts_of(world: Environment) -> tuple[str, ...]:
     """The hosts that are declared; if none are, those that transformations name, sorted."""
     if world.hosts:
@@ -127,12 +137,13 @@ def _capped(cost_us: int) -> int:
     return max(0, min(cost_us, LARGEST_ESTIMATE_US))
 
 
-def avoided_now(world: Environment, running: Environment, situation: Situation) -> dict[str, str]:
+def avoided_now(scene: Scene) -> dict[str, str]:
     """Why transformations are left out, by label. One that backs off is not, while a good unit of it runs."""
+    world, situation = scene.world.environment, scene.situation
     avoided: dict[str, str] = {}
     sound = {
         situation.units[unit.id].transformation.label: situation.units[unit.id].transformation
-        for unit in running.units
+        for unit in scene.running.units
         if unit.id in situation.units and unit.id not in situation.failing
     }
     for label, transformation in world.transformation.items():
@@ -146,23 +157,18 @@ def avoided_now(world: Environment, running: Environment, situation: Situation) 
     return avoided
 
 
-def environment_to_plan(
-    world: Environment,
-    running: Environment,
-    situation: Situation,
-    avoided: Mapping[str, str],
-    costs: Mapping[str, Transformation],
-) -> Environment:
+def environment_to_plan(scene: Scene, avoided: Mapping[str, str], costs: Mapping[str, Transformation]) -> Environment:
     """The environment that an update is planned for.
 
     It has no host that is lost, and no target there. A unit that can't go on (given up, of a transformation that runs
     otherwise now, or on a host that it does not have) gets a label that the library does not have, so that the planner
     stops it, and replaces it where it is needed.
     """
+    world, situation = scene.world.environment, scene.situation
     library = tuple(costs[label] for label in world.transformation if label not in avoided)
     hosts = tuple(host for host in world.hosts if not situation.is_lost(host.name))
     targets = tuple(target for target in world.targets if not situation.is_lost(target.host))
-    units = tuple(_as_planned(unit, world, hosts, situation) for unit in running.units)
+    units = tuple(_as_planned(unit, world, hosts, situation) for unit in scene.running.units)
     return replace(world, units=units, library=library, targets=targets, hosts=hosts)
 
 

@@ -184,36 +184,38 @@ def _planning(turn: Turn, planning: Planning) -> Turn:
     """Ask for one plan that answers everything that has happened."""
     state = turn.state
     entries = (*planning.entries, *state.entries)
-    world, running = state.living.world, state.running
     planning = replace(
         planning,
-        world=world,
+        world=state.living.world,
         entries=entries,
         plans=planning.plans + 1,
         optimises=state.owes_optimising or any(isinstance(each.perturbation, _OPTIMISING) for each in entries),
     )
-    situation = state.situation.with_started(running.units, running, turn.at_s)
-    turn = turn.to(replace(state, doing=planning, entries=(), situation=situation))
-    return turn.also(MakePlan(world, running, situation, planning.optimises, _is_last(planning, state)))
+    turn = _units_known(turn.to(replace(state, doing=planning, entries=())))
+    return turn.also(MakePlan(turn.state.scene, planning.optimises, _is_last(planning, state)))
+
+
+def _units_known(turn: Turn) -> Turn:
+    """Note the units that run and are not known yet, such as those that a manager begins with."""
+    running = turn.state.running
+    return turn.situated(turn.state.situation.with_started(running.units, running, turn.at_s))
 
 
 def _seen_to(turn: Turn, time_s: float) -> Turn:
     """Have the first given plan judged, unless its basis is stale. Make previews if no plan was given."""
     state, at_s = turn.state, turn.at_s
     if not state.given:
-        order = MakePreview(state.living.world, state.running, state.situation, state.previews)
-        return turn.to(replace(state, previews=())).also(order)
+        return turn.to(replace(state, previews=())).also(MakePreview(state.scene, state.previews))
     request, *others = state.given
     assert isinstance(request.change, ApplyPlan)
     turn = turn.to(replace(state, given=tuple(others)))
-    world, running, given = state.living.world, state.running, request.change
-    if faults := staleness(given.basis, basis_of(world, running)):
+    world, given = state.living.world, request.change
+    if faults := staleness(given.basis, basis_of(world, state.running)):
         return turn.also(Respond(request.outcome, InputError(faults)))
     entry = Entry(PlanGiven(given.by), at_s, at_s, (request.outcome,))
     planning = Planning(state.number + 1, at_s, time_s, 0.0, world, (entry,), plans=1)
-    situation = state.situation.with_started(running.units, running, at_s)
-    turn = turn.to(replace(turn.state, doing=planning, situation=situation))
-    return turn.also(JudgeGiven(world, running, situation, given.change_set))
+    turn = _units_known(turn.to(replace(turn.state, doing=planning)))
+    return turn.also(JudgeGiven(turn.state.scene, given.change_set))
 
 
 def _given_judged(turn: Turn, thought: Thought) -> Turn:
@@ -395,7 +397,7 @@ def _prepared(turn: Turn) -> Turn:
     state = turn.state
     if state.reviews[-1].decision is not Decision.APPLIED or state.due_s <= turn.at_s:
         return turn
-    return turn.also(Prepare(state.living.world, state.running, state.situation))
+    return turn.also(Prepare(state.scene))
 
 
 def _seen(turn: Turn, seen: Seen) -> Turn:

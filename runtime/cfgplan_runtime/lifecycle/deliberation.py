@@ -11,7 +11,7 @@ from operator import is_
 
 from cfgplan import validity
 from cfgplan.api import World
-from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Objective, Transformation
+from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Objective
 from cfgplan.errors import CfgplanError
 from cfgplan.explaining.best_effort import BestEffort, best_effort
 from cfgplan.explaining.what_if import only_targets
@@ -23,7 +23,7 @@ from cfgplan.validity import Rule
 from cfgplan.validity.facts import meeting_targets, needed_by
 from cfgplan_runtime.lifecycle.configuration import (
     EstimatedLibrary,
-    Situation,
+    Scene,
     as_it_runs,
     avoided_now,
     environment_to_plan,
@@ -110,50 +110,45 @@ class Deliberation:
         if self._session is not None:
             threading.Thread(target=_import_solver, name="cfgplan-warm-up", daemon=True).start()
 
-    def think(
-        self, world: World, running: Environment, situation: Situation, *, optimises: bool, stop: threading.Event
-    ) -> Thought:
+    def think(self, scene: Scene, *, optimises: bool, stop: threading.Event) -> Thought:
         """The best update of what runs, and whether to carry it out now.
 
         An update that only saves cost is put off, unless the review `optimises`. `stop` ends planning early.
         """
         self._stop = stop
-        thought = self._think(world, running, situation, optimises=optimises)
-        thought = self._letting_wait(thought, world, situation)
+        thought = self._letting_wait(self._think(scene, optimises=optimises), scene)
         warnings = (*self._matching.warnings, *thought.warnings)
         out_of_reach = {
             target.label: gone_host(target.host)
-            for target in world.environment.targets
-            if situation.is_lost(target.host)
+            for target in scene.world.environment.targets
+            if scene.situation.is_lost(target.host)
         }
-        return replace(thought, unmet={**out_of_reach, **self._reasons(thought, world)}, warnings=warnings)
+        return replace(thought, unmet={**out_of_reach, **self._reasons(thought, scene.world)}, warnings=warnings)
 
-    def judged(self, world: World, running: Environment, situation: Situation, change_set: ChangeSet) -> Thought:
+    def judged(self, scene: Scene, change_set: ChangeSet) -> Thought:
         """What a change set over units means that somebody has given; without one if it is not valid."""
-        avoided, costs, planned = self._planned(world, running, situation)
-        now = as_it_runs(replace(world.environment, library=tuple(costs.values())), running)
-        thought = Thought(running, planned, validity.kept_us(now, world.horizon_s), avoided)
-        wanted = self.problem(planned, world)
+        thought = self._begun(scene)
+        wanted = self.problem(thought.planned, scene.world)
         try:
             asked = [_given(problem, change_set) for problem in (wanted, *(less for less, _ in _asking_less(wanted)))]
             valid = (found for found in asked if not validity.plan_violations(found.problem, found.plan))
             judged = _judged(thought, next(valid, asked[0]), optimises=True)
         except Exception as error:  # the judge's own fault must not end the life-cycle
             return replace(thought, cause=str(error) or type(error).__name__)
-        unmet = [target.label for target in planned.targets if target.label not in asked[0].problem.environment.target]
+        unmet = [label for label in thought.planned.target if label not in asked[0].problem.environment.target]
         given_up = dict.fromkeys(unmet, "the plan that was given does not meet it")
         return replace(
             judged, decision=Decision.APPLIED, met=tuple(asked[0].problem.environment.target), unmet=given_up
         )
 
-    def prepare(self, world: World, running: Environment, situation: Situation, *, stop: threading.Event) -> None:
+    def prepare(self, scene: Scene, *, stop: threading.Event) -> None:
         """Plan for what runs now, so that a planner that remembers is ready for repairs."""
         if self._session is None:
             return
         self._stop = stop
-        _, _, planned = self._planned(world, running, situation)
+        planned = self._begun(scene).planned
         with suppress(Exception):  # a review would meet it again, and tell
-            self._plan(self.problem(planned, world), optimises=False)
+            self._plan(self.problem(planned, scene.world), optimises=False)
 
     def _remembering(
         self,
@@ -165,16 +160,14 @@ class Deliberation:
         assert self._session is not None
         return self._session.plan(problem, time_limit_s=time_limit_s, report=report, stop=self._stop)
 
-    def _think(self, world: World, running: Environment, situation: Situation, *, optimises: bool) -> Thought:
+    def _think(self, scene: Scene, *, optimises: bool) -> Thought:
         seconds: dict[str, float] = {}
         with _timed("estimate", seconds):
-            avoided, costs, planned = self._planned(world, running, situation)
-            now = as_it_runs(replace(world.environment, library=tuple(costs.values())), running)
-            cost_before_us = validity.kept_us(now, world.horizon_s)
-        thought = Thought(running, planned, cost_before_us, avoided, seconds=seconds)
+            thought = replace(self._begun(scene), seconds=seconds)
         with _timed("plan", seconds):
             try:
-                found, asked, given_up = self._plan(self.problem(planned, world), optimises=optimises)
+                problem = self.problem(thought.planned, scene.world)
+                found, asked, given_up = self._plan(problem, optimises=optimises)
             except CfgplanError as error:
                 return replace(thought, cause=str(error))
             except Exception as error:  # a planner's own fault must not end the life-cycle
@@ -216,23 +209,23 @@ class Deliberation:
         found = best_effort(problem, self._planner, time_limit_s=self._time_limit_s, impossible=impossible)
         return replace(found, problem=self._planner.known(found.problem))
 
-    def _planned(
-        self, world: World, running: Environment, situation: Situation
-    ) -> tuple[Mapping[str, str], Mapping[str, Transformation], Environment]:
-        """What is left out for now, the estimated costs by label, and the environment to plan in."""
-        wanted = world.environment
-        avoided = avoided_now(wanted, running, situation)
-        costs = self._library.estimated(wanted, self._estimator, world.horizon_s)
-        return avoided, costs, environment_to_plan(wanted, running, situation, avoided, costs)
+    def _begun(self, scene: Scene) -> Thought:
+        """What is known before planning: what is left out for now, what to plan in, and what keeping all costs."""
+        wanted, horizon_s, avoided = scene.world.environment, scene.world.horizon_s, avoided_now(scene)
+        costs = self._library.estimated(wanted, self._estimator, horizon_s)
+        now = as_it_runs(replace(wanted, library=tuple(costs.values())), scene.running)
+        planned = environment_to_plan(scene, avoided, costs)
+        return Thought(scene.running, planned, validity.kept_us(now, horizon_s), avoided)
 
-    def _letting_wait(self, thought: Thought, world: World, situation: Situation) -> Thought:
+    def _letting_wait(self, thought: Thought, scene: Scene) -> Thought:
         """If targets are given up for transformations that back off, hurry these, and keep units that wait for them."""
+        situation = scene.situation
         refusals = situation.back_offs.refusals()
         avoided = situation.back_offs.avoided - refusals.avoided
         if thought.change_set is None or not thought.unmet or avoided.isdisjoint(thought.avoided):
             return thought
-        hopeful = replace(situation, back_offs=refusals)
-        hoped = self._think(world, thought.running, hopeful, optimises=True)
+        hopeful = replace(scene, situation=replace(situation, back_offs=refusals))
+        hoped = self._think(hopeful, optimises=True)
         plan_s = thought.seconds["plan"] + hoped.seconds["plan"]
         thought = replace(thought, seconds={**thought.seconds, "plan": plan_s})
         if hoped.change_set is None or not set(hoped.met) - set(thought.met):

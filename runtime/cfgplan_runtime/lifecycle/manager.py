@@ -274,14 +274,14 @@ class Manager:
                 self._plan(effect)
             case turns.MakePreview():
                 self._preview(effect)
-            case turns.JudgeGiven(world, running, situation, change_set):
-                self._decide(turns.GivenJudged(self._deliberation.judged(world, running, situation, change_set)))
+            case turns.JudgeGiven(scene, change_set):
+                self._decide(turns.GivenJudged(self._deliberation.judged(scene, change_set)))
             case turns.ApplyUpdate():
                 self._apply(effect)
-            case turns.Prepare(world, running, situation):
+            case turns.Prepare(scene):
                 self._interrupt.clear()
                 if self._inbox.is_empty:
-                    self._deliberation.prepare(world, running, situation, stop=self._interrupt)
+                    self._deliberation.prepare(scene, stop=self._interrupt)
             case turns.StopAll():
                 self._middleware.stop()
                 self._decide(turns.Finished())
@@ -298,19 +298,16 @@ class Manager:
 
     def _plan(self, order: turns.MakePlan) -> None:
         stop = self._ending if order.is_last else self._interrupt
-        thought = self._deliberation.think(
-            order.world, order.running, order.situation, optimises=order.optimises, stop=stop
-        )
+        thought = self._deliberation.think(order.scene, optimises=order.optimises, stop=stop)
         was_interrupted = self._interrupt.is_set()
         self._interrupt.clear()
         self._decide_arrivals()
         self._decide(turns.Planned(thought, was_interrupted))
 
     def _preview(self, order: turns.MakePreview) -> None:
-        world, running, situation = order.world, order.running, order.situation
-        thought = self._deliberation.think(world, running, situation, optimises=True, stop=self._interrupt)
-        problem = self._deliberation.problem(thought.planned, world)
-        preview = Preview(thought, problem, basis_of(world, running))
+        thought = self._deliberation.think(order.scene, optimises=True, stop=self._interrupt)
+        problem = self._deliberation.problem(thought.planned, order.scene.world)
+        preview = Preview(thought, problem, basis_of(order.scene.world, order.scene.running))
         for outcome in order.outcomes:
             if self._interrupt.is_set():
                 self._put(PreviewAsked(outcome))

@@ -12,7 +12,7 @@ from cfgplan.api import World
 from cfgplan.domain import ChangeSet, Environment, Transformation
 from cfgplan.errors import Fault
 from cfgplan_runtime.lifecycle.basis import Preview
-from cfgplan_runtime.lifecycle.configuration import Situation
+from cfgplan_runtime.lifecycle.configuration import Scene, Situation
 from cfgplan_runtime.lifecycle.deliberation import Thought
 from cfgplan_runtime.lifecycle.inbox import Asked, Outcome
 from cfgplan_runtime.lifecycle.perturbations import Perturbation, SubscriptionLost, UnitGone, UpdateFailed
@@ -127,6 +127,11 @@ class State:
     cycle_began_s: float = inf
     observe_at_s: float = inf
     observations: Mapping[str, Observation] = field(default_factory=dict)
+
+    @property
+    def scene(self) -> Scene:
+        """What a plan is made from now."""
+        return Scene(self.living.world, self.running, self.situation)
 
     @property
     def phase(self) -> Phase:

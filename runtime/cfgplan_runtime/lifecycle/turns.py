@@ -9,12 +9,11 @@ from typing import Any, TypeAlias
 
 import msgspec
 
-from cfgplan.api import World
 from cfgplan.domain import ChangeSet, Environment
 from cfgplan.errors import InputError
 from cfgplan_runtime.lifecycle.basis import Preview
 from cfgplan_runtime.lifecycle.changes import WorldChange
-from cfgplan_runtime.lifecycle.configuration import Situation
+from cfgplan_runtime.lifecycle.configuration import Scene, Situation
 from cfgplan_runtime.lifecycle.deliberation import Thought
 from cfgplan_runtime.lifecycle.inbox import Asked, Item, Outcome
 from cfgplan_runtime.lifecycle.perturbations import Perturbation, Started
@@ -138,9 +137,7 @@ class LearnOfFailure(Effect, frozen=True):
 class MakePlan(Effect, frozen=True):
     """Plan an update: Planned follows. If it `is_last` of its review, only the manager's end interrupts it."""
 
-    world: World
-    running: Environment
-    situation: Situation
+    scene: Scene
     optimises: bool
     is_last: bool
 
@@ -148,18 +145,14 @@ class MakePlan(Effect, frozen=True):
 class MakePreview(Effect, frozen=True):
     """Answer what a review would do now, unless something comes in between: then it is asked again."""
 
-    world: World
-    running: Environment
-    situation: Situation
+    scene: Scene
     outcomes: tuple[Future[Preview], ...]
 
 
 class JudgeGiven(Effect, frozen=True):
     """Judge a change set that was given: GivenJudged follows at once."""
 
-    world: World
-    running: Environment
-    situation: Situation
+    scene: Scene
     change_set: ChangeSet
 
 
@@ -173,9 +166,7 @@ class ApplyUpdate(Effect, frozen=True):
 class Prepare(Effect, frozen=True):
     """Let the planner prepare to repair what runs now, unless something has come."""
 
-    world: World
-    running: Environment
-    situation: Situation
+    scene: Scene
 
 
 class StopAll(Effect, frozen=True):
