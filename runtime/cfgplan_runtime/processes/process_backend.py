@@ -74,7 +74,12 @@ class ProcessBackend:
         self._ends = Ends()
         self._bell = Bell()
         self._ends.watch(self._bell.socket, self._bell.hear)
-        self.run_folder = RunFolder(base)  # after all that needs descriptors: where there are none, nothing is left
+        try:
+            self.run_folder = RunFolder(base)  # last: where no descriptor is left, no folder is
+        except BaseException:
+            self._ends.close()
+            self._bell.close()
+            raise
         self._events: list[events.Event] = []
         self._children: dict[int, ChildProcess] = {}
         self._by_name: dict[str, ChildProcess] = {}
