@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -168,11 +167,10 @@ def small_fleet(*hosts: str) -> Iterator[SmallFleet]:
 
 
 class Listener:
-    """Collects what comes on a topic of a run, in a thread, and when."""
+    """Collects what comes on a topic of a run, in a thread."""
 
     def __init__(self, source: Runtime | SubscriptionToTopic, topic: str = "/result") -> None:
         self.received: list[Received] = []
-        self.at_s: list[float] = []
         is_run = isinstance(source, Runtime)
         self.subscription = subscribe(topic, run=source.id, wait_s=PATIENCE_S) if is_run else source
         self._thread = threading.Thread(target=self._collect, daemon=True)
@@ -187,17 +185,12 @@ class Listener:
         wanted = len(self.received) + count
         eventually(lambda: len(self.received) >= wanted)
 
-    def longest_silence_s(self, since_s: float) -> float:
-        times = [at_s for at_s in self.at_s if at_s >= since_s]
-        return max((b - a for a, b in pairwise(times)), default=0.0)
-
     def close(self) -> None:
         self.subscription.close()
 
     def _collect(self) -> None:
         for received in self.subscription:
             self.received.append(received)
-            self.at_s.append(time.monotonic())
 
 
 def eventually(is_so: Callable[[], bool]) -> None:
