@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from cfgplan.errors import InputError as InputError
     from cfgplan.errors import InvalidValueError as InvalidValueError
     from cfgplan.planning import Failures as Failures
-    from cfgplan.planning import Notion as Notion
+    from cfgplan.planning import Feature as Feature
     from cfgplan.planning import Plan as Plan
     from cfgplan.planning import Planner as Planner
     from cfgplan.planning import Problem as Problem
@@ -75,7 +75,7 @@ __all__, __getattr__, __dir__ = exports(
         "domain": "ChangeSet ComputationUnit Environment Host InputPort OutputPort Publication Similarity Stream "
         "Subscription Target Transformation",
         "errors": "CfgplanError Fault InputError InvalidValueError",
-        "planning": "Failures Notion Plan Planner Problem Progress Status",
+        "planning": "Failures Feature Plan Planner Problem Progress Status",
         "qualities": "Better Contribution Over QualityAttribute Wish",
         "validity": "Rule Violation plan_violations violations",
     },

@@ -37,7 +37,7 @@ class Failures(StrEnum):
     """Of a host, with all its units, or of a unit."""
 
 
-class Notion(StrEnum):
+class Feature(StrEnum):
     """What a problem may ask beyond the paper, in the words of an error message."""
 
     QUALITY = "quality of streams"
@@ -94,33 +94,33 @@ class Problem:
             raise InvalidValueError("the failure of a host can't be survived where no hosts are declared")
 
     @cached_property
-    def notions(self) -> frozenset[Notion]:
+    def features(self) -> frozenset[Feature]:
         """What the problem asks beyond the paper; quality counts only if a target asks for it."""
         environment, library = self.environment, self.environment.library
         inputs = [port for t in library for port in t.inputs]
         outputs = [port for t in library for port in t.outputs]
         asked = {
-            Notion.QUALITY: any(target.quality for target in environment.targets),
-            Notion.HOSTS: bool(environment.hosts),
-            Notion.CONFLICTS: any(map(any, _said(library, "conflicts", "conflicts_on_host"))),
-            Notion.BESIDE: bool(environment.companions),
-            Notion.INSTANCES: not _said(library, "min_instances", "max_instances", "per_host") <= {(0, None, None)},
-            Notion.OPTIONAL: True in _said(inputs, "optional"),
-            Notion.COUNTS: not _said(inputs, "count") <= {1},
-            Notion.LIMITS: not _said(outputs, "serves") <= {None},
-            Notion.RUNS: bool(environment.wanted_to_run),
-            Notion.SURVIVAL: self.survive is not None or any(unit.standby for unit in environment.units),
-            Notion.LATENCY: not {link.adds for link in environment.links}.isdisjoint(
+            Feature.QUALITY: any(target.quality for target in environment.targets),
+            Feature.HOSTS: bool(environment.hosts),
+            Feature.CONFLICTS: any(map(any, _said(library, "conflicts", "conflicts_on_host"))),
+            Feature.BESIDE: bool(environment.companions),
+            Feature.INSTANCES: not _said(library, "min_instances", "max_instances", "per_host") <= {(0, None, None)},
+            Feature.OPTIONAL: True in _said(inputs, "optional"),
+            Feature.COUNTS: not _said(inputs, "count") <= {1},
+            Feature.LIMITS: not _said(outputs, "serves") <= {None},
+            Feature.RUNS: bool(environment.wanted_to_run),
+            Feature.SURVIVAL: self.survive is not None or any(unit.standby for unit in environment.units),
+            Feature.LATENCY: not {link.adds for link in environment.links}.isdisjoint(
                 wish.attribute for target in environment.targets for wish in target.quality
             ),
-            Notion.ORDER: environment.minimise != (Objective.COST,),
+            Feature.ORDER: environment.minimise != (Objective.COST,),
         }
-        return frozenset(notion for notion, is_asked in asked.items() if is_asked)
+        return frozenset(feature for feature, is_asked in asked.items() if is_asked)
 
     @property
     def is_plain(self) -> bool:
         """Whether the problem asks nothing beyond the paper."""
-        return not self.notions
+        return not self.features
 
     def with_parts(self, **parts: Any) -> Problem:
         """The problem with other `units`, another `library` or other `targets`."""
@@ -403,15 +403,15 @@ def fresh_units(environment: Environment, numbers: Mapping[str, int]) -> dict[st
 
 def refuse_order(problem: Problem, who: str) -> None:
     """Raise InputError if a problem minimises anything before or beside the cost."""
-    if Notion.ORDER in problem.notions:
+    if Feature.ORDER in problem.features:
         named = ", ".join(problem.environment.minimise)
         raise InputError.of(f"{who} compare costs, but `minimise` is [{named}]", mend="leave `minimise` out")
 
 
-def refuse_notions(problem: Problem, who: str) -> None:
+def refuse_features(problem: Problem, who: str) -> None:
     """Raise InputError if a problem asks for what only `cpsat` and `exhaustive` know."""
-    if problem.notions:
-        known = " and ".join(sorted(problem.notions))
+    if problem.features:
+        known = " and ".join(sorted(problem.features))
         raise InputError.of(f"{who} does not know {known}", mend="use the planner cpsat")
 
 

@@ -25,7 +25,7 @@ from cfgplan.drawing import picture
 from cfgplan.errors import InputError
 from cfgplan.explaining.why_not import why_not
 from cfgplan.planners import PLANNERS
-from cfgplan.planning import Notion, Problem
+from cfgplan.planning import Feature, Problem
 from cfgplan.validity.plans import kept_us
 
 sys.path.append(str(Path(__file__).parent / "planners"))
@@ -52,7 +52,7 @@ class Word:
     target: Said = field(default_factory=dict)
     hosts: tuple[Said, ...] = ()
     units: tuple[Said, ...] | None = None
-    notion: Notion | None = None
+    feature: Feature | None = None
     """By what name planners refuse it that don't know it; None: it is no more than they know."""
     broken: str | None = None
     costs_us: int = 0
@@ -105,7 +105,7 @@ WORDS: Mapping[str, Word] = {
     "count": Word(
         lambda e: any(port.count > 1 for port in ports(e)),
         takes={"count": 2},
-        notion=Notion.COUNTS,
+        feature=Feature.COUNTS,
         broken="input a of unit sink.1 takes 2 streams, but has 1: source.1/a",
         never={"max_instances": 1},
         limit="`count` of input sink/a",
@@ -119,7 +119,7 @@ WORDS: Mapping[str, Word] = {
             {"id": "source.2", "transformation": "source"},
             {"id": "sink.1", "transformation": "sink", "inputs": {"a": "source.1/a"}, "topics": {"b": ["/t"]}},
         ),
-        notion=Notion.COUNTS,
+        feature=Feature.COUNTS,
         broken="input a of unit sink.1 takes all that matches, but not source.2/a",
         shown="one of all",
     ),
@@ -131,7 +131,7 @@ WORDS: Mapping[str, Word] = {
             {"id": "source.1", "transformation": "source"},
             {"id": "sink.1", "transformation": "sink", "topics": {"b": ["/t"]}},
         ),
-        notion=Notion.OPTIONAL,
+        feature=Feature.OPTIONAL,
         broken="optional input a of unit sink.1 is not fed, but source.1/a could feed it",
         shown="(a: not fed)",
     ),
@@ -139,7 +139,7 @@ WORDS: Mapping[str, Word] = {
         lambda e: any(port.worth_us for port in ports(e)),
         takes={"optional": True, "worth": 0.5},
         units=({"id": "sink.1", "transformation": "sink", "topics": {"b": ["/t"]}},),
-        notion=Notion.OPTIONAL,
+        feature=Feature.OPTIONAL,
         costs_us=5_000_000,
         shown="(a: not fed)",
     ),
@@ -157,7 +157,7 @@ WORDS: Mapping[str, Word] = {
             {"id": "sink.2", "transformation": "sink", "inputs": {"a": "source.1/a"}},
         ),
         sink={"min_instances": 2},
-        notion=Notion.LIMITS,
+        feature=Feature.LIMITS,
         broken="1 more than it serves take the stream source.1/a",
         never={"max_instances": 1},
         limit="`serves` of output source/a",
@@ -167,7 +167,7 @@ WORDS: Mapping[str, Word] = {
         lambda e: bool(e.wanted_to_run),
         target={"label": "shown", "run": "sink"},
         units=({"id": "source.1", "transformation": "source"},),
-        notion=Notion.RUNS,
+        feature=Feature.RUNS,
         broken="no unit of sink runs, which target shown wants",
         shown="shown",
     ),
@@ -176,7 +176,7 @@ WORDS: Mapping[str, Word] = {
         source={"needs": {"gpu": 1}},
         hosts=({"name": "h", "offers": {"gpu": 1}},),
         units=tuple({"id": f"source.{n}", "transformation": "source", "host": "h"} for n in (1, 2)),
-        notion=Notion.HOSTS,
+        feature=Feature.HOSTS,
         broken="the units on h take 2 gpu, but it has 1 gpu",
         never={"needs": {"gpu": 2}},
         limit="`needs` of transformation source",
@@ -187,7 +187,7 @@ WORDS: Mapping[str, Word] = {
         source={"memory": 6},
         hosts=({"name": "h", "memory": 10},),
         units=tuple({"id": f"source.{n}", "transformation": "source", "host": "h"} for n in (1, 2)),
-        notion=Notion.HOSTS,
+        feature=Feature.HOSTS,
         broken="the units on h take 12 MB of memory, but it has 10 MB of memory",
         never={"memory": 11},
         limit="`memory` of host h",
@@ -196,7 +196,7 @@ WORDS: Mapping[str, Word] = {
         lambda e: any(t.on for t in e.library) and any(host.labels for host in e.hosts),
         source={"on": "not old"},
         hosts=({"name": "h", "labels": ["old"]}, {"name": "k"}),
-        notion=Notion.HOSTS,
+        feature=Feature.HOSTS,
         broken="unit source.1 is on h, where source may not run",
         never={"on": "young"},
         limit="`on` of transformation source",
@@ -207,7 +207,7 @@ WORDS: Mapping[str, Word] = {
         source={"with": ["sink"]},
         hosts=TWO,
         units=APART,
-        notion=Notion.BESIDE,
+        feature=Feature.BESIDE,
         broken="unit source.1 runs on h without a unit of sink",
         never={"with": ["sink"], "conflicts": {"host": ["sink"]}},
         limit="`with` of transformation source",
@@ -217,7 +217,7 @@ WORDS: Mapping[str, Word] = {
         source={"per_host": 1},
         hosts=ONE,
         units=tuple({"id": f"source.{n}", "transformation": "source", "host": "h"} for n in (1, 2)),
-        notion=Notion.INSTANCES,
+        feature=Feature.INSTANCES,
         broken="2 units of source are on h, but it allows 1 on one host",
         never={"min_instances": 2},
         limit="`per_host` of transformation source",
@@ -226,7 +226,7 @@ WORDS: Mapping[str, Word] = {
         lambda e: any(t.conflicts_on_host for t in e.library),
         source={"conflicts": {"host": ["sink"]}},
         hosts=ONE,
-        notion=Notion.CONFLICTS,
+        feature=Feature.CONFLICTS,
         broken="units of source and sink are on h, which conflict on a host",
         never={},
         limit="`conflicts: host` of transformation source",
@@ -234,14 +234,14 @@ WORDS: Mapping[str, Word] = {
     "rent": Word(
         lambda e: any(host.rent_us for host in e.hosts),
         hosts=({"name": "h", "rent": 0.25},),
-        notion=Notion.HOSTS,
+        feature=Feature.HOSTS,
         costs_us=12_500_000,
         shown="h, rent 0.25 s/s",
     ),
     "speed": Word(
         lambda e: any(host.speed != 1_000_000 for host in e.hosts),
         hosts=({"name": "h", "speed": 0.5},),
-        notion=Notion.HOSTS,
+        feature=Feature.HOSTS,
         costs_us=20_000_000,
         shown="h, speed 0.5",
     ),
@@ -249,7 +249,7 @@ WORDS: Mapping[str, Word] = {
         lambda e: any(host.energy is not None for host in e.hosts),
         source={"needs": {"power": 2}},
         hosts=({"name": "h", "energy": 15},),
-        notion=Notion.HOSTS,
+        feature=Feature.HOSTS,
         broken="the units on h take 20 W s of energy in 10 s, but it has 15 W s",
         never={},
         limit="`energy` of host h",
@@ -260,7 +260,7 @@ WORDS: Mapping[str, Word] = {
         source={"host": "h.2"},
         hosts=({"name": "h", "copies": 2},),
         units=({"id": "source.1", "transformation": "source", "host": "h.1"},),
-        notion=Notion.HOSTS,
+        feature=Feature.HOSTS,
         broken="unit source.1 is on h.1, where source may not run",
     ),
     "bandwidth": Word(
@@ -271,7 +271,7 @@ WORDS: Mapping[str, Word] = {
         hosts=TWO,
         units=APART,
         top={"links": [{"between": ["h", "k"], "bandwidth": 9}]},
-        notion=Notion.HOSTS,
+        feature=Feature.HOSTS,
         broken="the link between h and k carries 1000000 bytes a second, but bears 9",
         never={},
         limit="`bandwidth` of link h - k",
@@ -282,7 +282,7 @@ WORDS: Mapping[str, Word] = {
         hosts=TWO,
         units=APART,
         top={"links": [{"between": ["h", "k"], "price": 0.1}]},
-        notion=Notion.HOSTS,
+        feature=Feature.HOSTS,
         costs_us=11_000_000,
     ),
     "latency": Word(
@@ -297,7 +297,7 @@ WORDS: Mapping[str, Word] = {
         },
         gives={"quality": {"delay": {"set": 5}}},
         target={"label": "t", "topic": "/t", "tag": "B", "quality": {"delay": {"at_most": 10}}},
-        notion=Notion.LATENCY,
+        feature=Feature.LATENCY,
         broken="target t asks for delay of at most 10, but its stream has 25",
         never={},
         limit="`quality` of target t",
@@ -307,12 +307,12 @@ WORDS: Mapping[str, Word] = {
         lambda e: len(e.minimise) > 1,
         hosts=ONE,
         top={"minimise": ["hosts"]},
-        notion=Notion.ORDER,
+        feature=Feature.ORDER,
     ),
     "survive": Word(
         lambda e: any(unit.standby for unit in e.units),
         top={"survive": "units"},
-        notion=Notion.SURVIVAL,
+        feature=Feature.SURVIVAL,
         broken="if unit source.1 fails, nothing else can meet target t",
         never={"max_instances": 1},
         limit="`survive` of the environment",
@@ -349,10 +349,10 @@ def test_the_word_means_the_same_in_yaml_and_in_json(word: Word, tmp_path: Path)
 @each_word
 def test_a_planner_that_does_not_know_the_word_refuses_it_by_name(word: Word, tmp_path: Path) -> None:
     problem = word.problem(tmp_path)
-    if word.notion is None:
+    if word.feature is None:
         assert problem.is_plain
         return
-    with pytest.raises(InputError, match=f"does not know .*{word.notion}"):
+    with pytest.raises(InputError, match=f"does not know .*{word.feature}"):
         PLANNERS["branch-and-bound"](problem)
 
 
@@ -392,9 +392,9 @@ def test_a_picture_shows_the_word(word: Word, tmp_path: Path) -> None:
 @of_word(lambda word: word.drawn)
 def test_the_oracle_s_generators_draw_the_word(word: Word) -> None:
     assert word.drawn is not None
-    notions = frozenset({*Notion})
+    features = frozenset({*Feature})
     is_drawn = word.drawn
     try:
-        find(fleets(notions, most=2), lambda problem: is_drawn(problem.environment), settings=MANY)
+        find(fleets(features, most=2), lambda problem: is_drawn(problem.environment), settings=MANY)
     except NoSuchExample:
         pytest.fail("no generator draws it")

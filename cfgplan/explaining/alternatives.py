@@ -14,7 +14,7 @@ from cfgplan.errors import InputError
 from cfgplan.explaining.kept import Kept, Labels
 from cfgplan.explaining.what_if import requiring, without_transformations
 from cfgplan.onward import reached
-from cfgplan.planning import REFUSED, Notion, Plan, Planner, Problem, Rank, Status, refuse_order
+from cfgplan.planning import REFUSED, Feature, Plan, Planner, Problem, Rank, Status, refuse_order
 from cfgplan.reasons import Givers, startable
 from cfgplan.summary import Summary, counted, cpu, summarised, summary
 from cfgplan.validity import unused_required
@@ -65,7 +65,7 @@ def alternatives(problem: Problem, planner: Planner, count: int, *, time_limit_s
     alone if it is not proven optimal, ties included.
     """
     refuse_order(problem, "alternatives")
-    if Notion.SURVIVAL in problem.notions:
+    if Feature.SURVIVAL in problem.features:
         raise InputError.of(
             "alternatives differ in what serves targets, and the spares of a plan that survives failures serve none",
             mend="solve with --without NAME for what else there is, or with --survive 0",

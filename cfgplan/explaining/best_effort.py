@@ -11,7 +11,7 @@ from functools import cached_property
 from cfgplan.costs import seconds
 from cfgplan.domain import Target
 from cfgplan.explaining.what_if import only_targets
-from cfgplan.planning import REFUSED, Notion, Pair, Plan, Planner, Problem, Status
+from cfgplan.planning import REFUSED, Feature, Pair, Plan, Planner, Problem, Status
 from cfgplan.reasons import unmet_reasons, with_pinned_reasons
 from cfgplan.summary import Summary, counted, summarised, summary
 
@@ -168,7 +168,7 @@ class _Search:
 
     def _may_be_better(self, chosen: frozenset[Target], everything: frozenset[Target]) -> bool:
         most, best = self._counts(everything), self._counts(self.best)
-        if most != best or not self._is_free or Notion.ORDER in self._problem.notions:
+        if most != best or not self._is_free or Feature.ORDER in self._problem.features:
             return most >= best
         return self._free_plan(chosen).bound_us <= (self._plan(self.best).cost_us or 0)
 

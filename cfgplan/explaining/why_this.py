@@ -10,7 +10,7 @@ from cfgplan.domain import ComputationUnit, Environment, Objective
 from cfgplan.explaining.kept import Kept
 from cfgplan.explaining.what_if import requiring, without_transformations
 from cfgplan.onward import reached
-from cfgplan.planning import Notion, Plan, Planner, Problem, Status
+from cfgplan.planning import Feature, Plan, Planner, Problem, Status
 from cfgplan.summary import Summary, cpu, summarised, summary
 from cfgplan.validity import unused_required
 
@@ -156,7 +156,7 @@ def _why(
 
 def _feeding_what_stays(problem: Problem, planner: Planner, label: str) -> Plan | None:
     """The best plan in which a transformation serves what runs anyway, such as pinned units, if there is one."""
-    if Notion.SURVIVAL in problem.notions:
+    if Feature.SURVIVAL in problem.features:
         return None
     kept = Kept(problem)
     wanted = kept.with_own_targets()

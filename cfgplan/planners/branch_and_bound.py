@@ -25,7 +25,7 @@ from dataclasses import dataclass, field
 from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.domain import ComputationUnit, Publication, Stream, Subscription, Transformation
 from cfgplan.planners.networks.keys import key_of, unused_required
-from cfgplan.planning import OnProgress, Plan, Problem, Progress, Status, fresh_unit_ids, refuse_notions
+from cfgplan.planning import OnProgress, Plan, Problem, Progress, Status, fresh_unit_ids, refuse_features
 from cfgplan.reasons import Givers, startable, unmet_reasons
 from cfgplan.validity import plan_violations
 
@@ -63,7 +63,7 @@ class TreeNode:
 def plan(problem: Problem, *, time_limit_s: float | None = None, report: OnProgress | None = None) -> Plan:
     """The paper's approximation of the optimal update; see `planning.Planner` and the module's text."""
     began = time.monotonic()
-    refuse_notions(problem, "branch-and-bound")
+    refuse_features(problem, "branch-and-bound")
     reasons = unmet_reasons(problem)
     if reasons:
         return Plan("branch-and-bound", Status.INFEASIBLE, reasons=reasons)

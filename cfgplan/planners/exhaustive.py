@@ -25,7 +25,7 @@ from cfgplan.domain import (
     Transformation,
 )
 from cfgplan.errors import InputError
-from cfgplan.planning import Measured, Notion, OnProgress, Plan, Problem, Progress, Status, fresh_units
+from cfgplan.planning import Feature, Measured, OnProgress, Plan, Problem, Progress, Status, fresh_units
 from cfgplan.validity.counts import unfed_us
 from cfgplan.validity.environments import instance_violations, missing_units, violations
 from cfgplan.validity.hosts import carried_us, company_violations, placing_violations
@@ -250,7 +250,7 @@ def _least(problem: Problem, after: Environment) -> OracleRank:
 
 def _first(problem: Problem, after: Environment, dear_us: int, rewired: int) -> tuple[int, ...]:
     """What comes first of a configuration with this cost and number of rewired units."""
-    if Notion.ORDER not in problem.notions:
+    if Feature.ORDER not in problem.features:
         return ()
     values = {**values_of(problem, after), Objective.COST: dear_us, Objective.REWIRED: rewired}
     is_too_dear = problem.max_cost_us is not None and dear_us > problem.max_cost_us

@@ -20,7 +20,7 @@ from typing import Final
 
 from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.domain import ALL, Environment, Similarity
-from cfgplan.planning import REFUSED, Decider, Notion, OnProgress, Pair, Plan, Planner, Problem, Progress, Status
+from cfgplan.planning import REFUSED, Decider, Feature, OnProgress, Pair, Plan, Planner, Problem, Progress, Status
 from cfgplan.reasons import Givers, startable
 
 FIRST_BATCH: Final = 16
@@ -150,7 +150,7 @@ def _compelling_pairs(problem: Problem) -> tuple[Pair, ...]:
 
     All of them where more than the cost is minimised: what else gets less by more matches is not known.
     """
-    if Notion.ORDER in problem.notions:
+    if Feature.ORDER in problem.features:
         return tuple(problem.similarity.open_pairs())
     ports = [port for t in problem.environment.library for port in t.inputs]
     tags = {port.tag for port in ports if port.count == ALL or port.starts_nothing}

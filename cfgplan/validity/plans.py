@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from cfgplan.domain import ComputationUnit, Environment, Objective, Transformation
 from cfgplan.errors import InvalidValueError
-from cfgplan.planning import Measured, Notion, Plan, Problem, Status
+from cfgplan.planning import Feature, Measured, Plan, Problem, Status
 from cfgplan.validity.counts import unfed_us
 from cfgplan.validity.environments import violations
 from cfgplan.validity.facts import known_units, meeting_targets, needed_by
@@ -139,7 +139,7 @@ def _refuted_by_what_runs(problem: Problem, plan: Plan) -> Iterator[Violation]:
         return
     values, more_unused = values_of(problem, before), len(unused_required(before)) - len(plan.unused_required)
     if (
-        Notion.ORDER in problem.notions
+        Feature.ORDER in problem.features
         and problem.max_cost_us is not None
         and values[Objective.COST] > problem.max_cost_us
     ):
@@ -190,7 +190,7 @@ def values_of(problem: Problem, after: Environment) -> Mapping[Objective, int]:
 
 
 def _bad_objectives(problem: Problem, plan: Plan, after: Environment) -> Iterator[Violation]:
-    named = problem.environment.minimise if Notion.ORDER in problem.notions else ()
+    named = problem.environment.minimise if Feature.ORDER in problem.features else ()
     if tuple(one.objective for one in plan.objectives) != named:
         yield Violation(Rule.CONSISTENT, f"what is minimised is {', '.join(named)}, but the plan names something else")
         return

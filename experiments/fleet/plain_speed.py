@@ -1,4 +1,4 @@
-"""Whether environments that use no notion of a fleet are solved as fast as by another checkout.
+"""Whether environments that use no feature of a fleet are solved as fast as by another checkout.
 
 `git worktree add ../before COMMIT && python experiments/fleet/plain_speed.py ../before`: both checkouts plan the same
 problems in turn, each in processes of their own; the table holds medians of CPU milliseconds and their ratio.

@@ -253,8 +253,8 @@ MODEL = _room(
     ("landmarks need one less", "model.py", "at_least(self.cp, least, [", "at_least(self.cp, max(1, least - 1), ["),
     ("units fed apart are alike", "units.py", "unit not in apart", "unit >= 0"),
     ("running units are alike", "units.py", "candidate.running is None and unit", "True and unit"),
-    ("required ones are alike", "units.py", "model.problem.notions or model.tracked", "model.problem.notions"),
-    ("fleets' units are alike", "units.py", "model.problem.notions or model.tracked", "model.tracked"),
+    ("required ones are alike", "units.py", "model.problem.features or model.tracked", "model.problem.features"),
+    ("fleets' units are alike", "units.py", "model.problem.features or model.tracked", "model.tracked"),
     (
         "new units come in any order",
         "units.py",

@@ -17,16 +17,16 @@ from cfgplan.domain import ALL, ComputationUnit, Publication, Stream, Subscripti
 from cfgplan.errors import InputError
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.decode import lean
-from cfgplan.planning import Notion, Plan, Problem, Status
+from cfgplan.planning import Feature, Plan, Problem, Status
 
-KNOWN = {Notion.HOSTS, Notion.CONFLICTS, Notion.BESIDE, Notion.INSTANCES, Notion.COUNTS, Notion.LIMITS}
+KNOWN = {Feature.HOSTS, Feature.CONFLICTS, Feature.BESIDE, Feature.INSTANCES, Feature.COUNTS, Feature.LIMITS}
 Where = tuple[str, str]
 """The label of a transformation and the name of a host."""
 
 
 def is_counted(problem: Problem) -> bool:
     """Whether a problem asks for more than hosts beyond the paper: then numbers of units have to be chosen."""
-    return not problem.notions <= {Notion.HOSTS}
+    return not problem.features <= {Feature.HOSTS}
 
 
 class Counting:
@@ -44,7 +44,7 @@ class Counting:
         self.tags = {port.tag for port in ports} | {target.tag for target in environment.targets}
         alone = [tag for tag in self.tags if len(self.givers(tag)) > 1 and any(map(self.serves, self.givers(tag)))]
         unknown = {
-            ", ".join(sorted(problem.notions - KNOWN)): not problem.notions <= KNOWN,
+            ", ".join(sorted(problem.features - KNOWN)): not problem.features <= KNOWN,
             "numbers of what runs already": bool(environment.units),
             "numbers without hosts": not environment.hosts,
             "required transformations": bool(environment.required),

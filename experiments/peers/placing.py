@@ -25,7 +25,7 @@ from cfgplan.domain import (
     Transformation,
 )
 from cfgplan.errors import InputError
-from cfgplan.planning import Notion, Plan, Problem, fresh_unit_ids
+from cfgplan.planning import Feature, Plan, Problem, fresh_unit_ids
 from experiments.peers.selection import Limit, Selection
 
 
@@ -38,7 +38,7 @@ class Placing(Selection):
     def __init__(self, problem: Problem, who: str) -> None:
         environment = problem.environment
         unknown = {
-            "quality, numbers or company of units": problem.notions > {Notion.HOSTS},
+            "quality, numbers or company of units": problem.features > {Feature.HOSTS},
             "fleets that run already": bool(environment.units),
             "links": bool(environment.links),
             "rents": any(host.rent_us for host in environment.hosts),
@@ -164,4 +164,4 @@ def _there(tag: str, host: str) -> str:
 
 def selection_of(problem: Problem, who: str) -> Selection:
     """What may be chosen of a plain problem, or of a fleet."""
-    return Placing(problem, who) if Notion.HOSTS in problem.notions else Selection(problem, who)
+    return Placing(problem, who) if Feature.HOSTS in problem.features else Selection(problem, who)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from cfgplan.domain import ComputationUnit, InputPort, Publication, Stream, Subscription
 from cfgplan.errors import InputError
 from cfgplan.planners.exact.candidates import Candidates
-from cfgplan.planning import Plan, Problem, Status, refuse_notions
+from cfgplan.planning import Plan, Problem, Status, refuse_features
 from cfgplan.reasons import assign_different
 
 
@@ -37,7 +37,7 @@ class Selection:
     """Limits that whole numbers keep anyway, but fractions do not."""
 
     def __init__(self, problem: Problem, who: str) -> None:
-        refuse_notions(problem, who)
+        refuse_features(problem, who)
         if any(transformation.required for transformation in problem.environment.library):
             raise InputError.of(f"{who} does not know required transformations", mend="use the planner cpsat")
         self.problem = problem

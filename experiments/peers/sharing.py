@@ -13,7 +13,7 @@ import heapq
 import time
 from collections.abc import Callable
 
-from cfgplan.planning import Plan, Problem, Progress, Status, refuse_notions
+from cfgplan.planning import Plan, Problem, Progress, Status, refuse_features
 from cfgplan.reasons import unmet_reasons
 from experiments.peers.selection import Selection
 
@@ -32,7 +32,7 @@ def plan(
     """The cheapest update, proven so unless the time runs out; see `planning.Planner`."""
     began = time.monotonic()
     until = began + (float("inf") if time_limit_s is None else time_limit_s)
-    refuse_notions(problem, NAME)
+    refuse_features(problem, NAME)
     if reasons := unmet_reasons(problem):
         return Plan(NAME, Status.INFEASIBLE, reasons=reasons)
     selection = Selection(problem, NAME)

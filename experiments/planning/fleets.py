@@ -84,7 +84,7 @@ def with_hosts(seed: int, room: float, transfer_us: int) -> Problem:
 
 
 FAMILIES: dict[str, Callable[[int], Problem]] = {
-    "no notion": base,
+    "no feature": base,
     "latency at most 1.2 times the least": lambda seed: with_latency(seed, slack=1.2),
     "latency weighed, 5 ms of CPU time for 1 ms": lambda seed: with_latency(seed, weight_us=5_000),
     "latency weighed, 20 ms for 1 ms": lambda seed: with_latency(seed, weight_us=20_000),

@@ -14,7 +14,7 @@ from cfgplan.planners.exact.rules import RULES
 from cfgplan.planners.exact.search import Search
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.solving.clock import Clock, OutOfTimeError
-from cfgplan.planning import Plan, Problem, Progress, Status, refuse_notions
+from cfgplan.planning import Plan, Problem, Progress, Status, refuse_features
 from cfgplan.reasons import unmet_reasons
 from experiments.planning.levels import everything_rests_on_something_lower
 
@@ -37,7 +37,7 @@ class Defaults(Search):
 def _unprepared(
     search: type[Search], rules: Sequence[ModelRule], problem: Problem, limit_s: float | None, report: Report
 ) -> Plan:
-    refuse_notions(problem, "the model alone")
+    refuse_features(problem, "the model alone")
     clock = Clock(limit_s)
     closure = Closure.of(problem, clock)
     reasons = unmet_reasons(problem, possible=closure.possible)

@@ -97,7 +97,7 @@ def _document(problem: Problem) -> dict[str, Any]:
 
     environment = problem.environment
     offers = {tag: sorted(offered) for tag, offered in sorted(problem.similarity.offers.items())}
-    if problem.notions:
+    if problem.features:
         limits = {"horizon_s": problem.horizon_s, "max_cost_us": problem.max_cost_us, "survive": problem.survive}
         return {"environment": plain_environment(environment, **limits), "offers": offers}
     return {

@@ -238,7 +238,7 @@ def test_a_file_that_holds_no_results_is_named_and_stays(tmp_path: Path) -> None
 @pytest.mark.parametrize("family", ["random_library", "replanning"])
 def test_a_problem_survives_the_way_to_another_process(family: str) -> None:
     instance = generated(family, 2)
-    assert not instance.problem.notions
+    assert not instance.problem.features
     back = pickle.loads(b64decode(pickled(instance.problem)))
     assert back == instance.problem
     assert vars(back).keys() == {each.name for each in fields(back)}, "what was derived from it is not sent"

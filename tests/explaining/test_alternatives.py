@@ -16,7 +16,7 @@ from cfgplan.errors import InputError
 from cfgplan.explaining import alternatives
 from cfgplan.planners import PLANNERS, exhaustive
 from cfgplan.planners.exhaustive import OracleRank
-from cfgplan.planning import Failures, Notion, Plan, Problem
+from cfgplan.planning import Failures, Feature, Plan, Problem
 from cfgplan.validity import plan_violations
 
 many = examples(50)
@@ -81,8 +81,8 @@ def may_feed_what_stays(problem: Problem) -> bool:
     st.one_of(
         with_some_that_stay(),
         problems(most=3),
-        fleets(frozenset({Notion.INSTANCES}), most=3),
-        fleets(frozenset({Notion.INSTANCES, Notion.CONFLICTS, Notion.QUALITY}), most=3),
+        fleets(frozenset({Feature.INSTANCES}), most=3),
+        fleets(frozenset({Feature.INSTANCES, Feature.CONFLICTS, Feature.QUALITY}), most=3),
     ),
     st.integers(1, 6),
 )

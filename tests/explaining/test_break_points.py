@@ -16,7 +16,7 @@ from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Targe
 from cfgplan.errors import InputError, InvalidValueError
 from cfgplan.explaining import Sensitivity, horizon_sensitivity, upkeep_sensitivity
 from cfgplan.planners import PLANNERS
-from cfgplan.planning import Failures, Notion, Plan, Problem, Status
+from cfgplan.planning import Failures, Feature, Plan, Problem, Status
 from cfgplan.qualities import MICRO
 
 many = examples(60)
@@ -72,15 +72,15 @@ def test_the_least_cost_is_that_of_the_spans_at_every_upkeep(problem: Problem, d
     is_envelope(found, {value: cost_us(value) for value in (0, 1, 2, 3, 5, 8, 20, 100)})
 
 
-NOTIONS = [
-    frozenset({Notion.QUALITY, Notion.CONFLICTS}),
-    frozenset({Notion.INSTANCES}),
-    frozenset({Notion.HOSTS}),
-    frozenset({Notion.SURVIVAL}),
-    frozenset({Notion.OPTIONAL}),
+FEATURES = [
+    frozenset({Feature.QUALITY, Feature.CONFLICTS}),
+    frozenset({Feature.INSTANCES}),
+    frozenset({Feature.HOSTS}),
+    frozenset({Feature.SURVIVAL}),
+    frozenset({Feature.OPTIONAL}),
 ]
-beyond_the_paper = st.sampled_from(NOTIONS).flatmap(
-    lambda notions: fleets(notions, most=2 if notions & {Notion.SURVIVAL, Notion.HOSTS} else 3)
+beyond_the_paper = st.sampled_from(FEATURES).flatmap(
+    lambda features: fleets(features, most=2 if features & {Feature.SURVIVAL, Feature.HOSTS} else 3)
 )
 
 

@@ -15,7 +15,7 @@ from cfgplan.explaining.limits import Limit, limits_of, without_limits
 from cfgplan.explaining.what_if import only_targets, requiring
 from cfgplan.explaining.why_not import WhyNot, demanding, why_not
 from cfgplan.planners import PLANNERS
-from cfgplan.planning import REFUSED, Notion, Plan, Problem, Status
+from cfgplan.planning import REFUSED, Feature, Plan, Problem, Status
 
 many = examples(80)
 fewer = examples(80, part=2)
@@ -49,7 +49,7 @@ def test_a_clash_is_minimal_and_there_is_one_for_each_plan_that_fails_though_all
 
 
 @examples(80, part=8)
-@given(fleets(frozenset({Notion.HOSTS, Notion.INSTANCES, Notion.CONFLICTS, Notion.BESIDE, Notion.COUNTS}), most=2))
+@given(fleets(frozenset({Feature.HOSTS, Feature.INSTANCES, Feature.CONFLICTS, Feature.BESIDE, Feature.COUNTS}), most=2))
 def test_of_the_limits_those_in_the_way_are_minimal(problem: Problem) -> None:
     found = why_not(problem, cpsat)
     if found.clash is None:

@@ -22,7 +22,7 @@ from cfgplan.domain import (
     Target,
     Transformation,
 )
-from cfgplan.planning import Failures, Notion, Problem
+from cfgplan.planning import Failures, Feature, Problem
 from cfgplan.qualities import Better, Contribution, Over, QualityAttribute, QualityRule, Wish
 
 MICRO = 1_000_000
@@ -33,7 +33,7 @@ HOSTS = (
 )
 SELECTORS = st.sampled_from([None, None, None, None, "a", "not a", "a and not b", "b or h2", "not (a or b)"])
 SPEEDS = st.sampled_from([MICRO, MICRO, MICRO // 2, 700_000, 3 * MICRO])
-TOGETHER = frozenset(Notion) - {Notion.OPTIONAL, Notion.COUNTS, Notion.LIMITS}
+TOGETHER = frozenset(Feature) - {Feature.OPTIONAL, Feature.COUNTS, Feature.LIMITS}
 """What first plans and bounds know."""
 LINKS = st.builds(
     Link,
@@ -46,35 +46,35 @@ FACTORS = st.sampled_from([0, MICRO // 3, MICRO // 2, MICRO, 3 * MICRO // 2])
 
 
 @st.composite
-def fleets(draw: st.DrawFn, notions: frozenset[Notion], *, most: int = 3) -> Problem:
-    """A problem that may use the given notions; with all of them it is small enough for the oracle."""
+def fleets(draw: st.DrawFn, features: frozenset[Feature], *, most: int = 3) -> Problem:
+    """A problem that may use the given features; with all of them it is small enough for the oracle."""
     plain = draw(problems(most=most, special=draw(st.booleans())))
     environment = plain.environment
-    hosts = HOSTS[: draw(st.integers(1, 3))] if Notion.HOSTS in notions else ()
+    hosts = HOSTS[: draw(st.integers(1, 3))] if Feature.HOSTS in features else ()
     rents = st.sampled_from([0, 0, 1, 4])
     energies = st.sampled_from([None, None, plain.horizon_s, 2 * plain.horizon_s + 1])
     hosts = tuple(replace(h, speed=draw(SPEEDS), rent_us=draw(rents), energy=draw(energies)) for h in hosts)
     if hosts and draw(st.integers(0, 3)) == 0:
         hosts = tuple(replace(hosts[0], name=host.name) for host in hosts)
-    qualities = draw(attributes()) if Notion.QUALITY in notions else ()
+    qualities = draw(attributes()) if Feature.QUALITY in features else ()
     labels = [t.label for t in environment.library]
-    library = [draw(transformations(t, labels, hosts, qualities, notions)) for t in environment.library]
+    library = [draw(transformations(t, labels, hosts, qualities, features)) for t in environment.library]
     targets = [draw(targets_of(target, hosts, qualities)) for target in environment.targets]
-    if Notion.RUNS in notions and draw(st.sampled_from([True, True, True, False])):
+    if Feature.RUNS in features and draw(st.sampled_from([True, True, True, False])):
         wanted = draw(st.lists(st.sampled_from(labels), min_size=1, max_size=2, unique=True))
         targets = [*targets[draw(st.integers(0, 1)) :], *(Target(f"a unit of {label}", run=label) for label in wanted)]
     by_label = {t.label: t for t in library}
     survive = None
-    if Notion.SURVIVAL in notions:
+    if Feature.SURVIVAL in features:
         survive = draw(st.sampled_from([Failures.UNITS, Failures.HOSTS if hosts else Failures.UNITS]))
     units = [draw(placed(unit, by_label.get(unit.transformation), hosts, survive)) for unit in environment.units]
     units = [draw(fed_by_several(unit, units, by_label)) for unit in units]
     transfer_us = draw(st.sampled_from([0, 1, 700_000])) if hosts else 0
-    is_ordered = Notion.ORDER in notions and draw(st.booleans())
+    is_ordered = Feature.ORDER in features and draw(st.booleans())
     minimise = draw(st.lists(st.sampled_from(Objective), unique=True, max_size=4)) if is_ordered else ()
     links = draw(st.lists(LINKS, max_size=2)) if len(hosts) > 1 and draw(st.booleans()) else []
     slow = [attribute.name for attribute in qualities if attribute.better is Better.LOWER]
-    if slow and Notion.LATENCY in notions and draw(st.booleans()):
+    if slow and Feature.LATENCY in features and draw(st.booleans()):
         links = [
             replace(link, latency=draw(st.sampled_from([1, 2, 5])), adds=draw(st.sampled_from(slow))) for link in links
         ]
@@ -115,9 +115,9 @@ def transformations(
     labels: list[str],
     hosts: tuple[Host, ...],
     qualities: tuple[QualityAttribute, ...],
-    notions: frozenset[Notion],
+    features: frozenset[Feature],
 ) -> Transformation:
-    """A transformation with something added of each notion."""
+    """A transformation with something added of each feature."""
     outputs = []
     for port in plain.outputs:
         stated = []
@@ -129,10 +129,10 @@ def transformations(
         rate, size = (
             (draw(st.sampled_from([0, MICRO, 2_500_000])), draw(st.sampled_from([0, 1, 3]))) if hosts else (0, 0)
         )
-        serves = draw(st.sampled_from([None, 1, 1, 2])) if Notion.LIMITS in notions else None
+        serves = draw(st.sampled_from([None, 1, 1, 2])) if Feature.LIMITS in features else None
         outputs.append(OutputPort(port.name, port.tag, tuple(stated), rate, size, serves))
     changes: dict[str, object] = {"outputs": tuple(outputs)}
-    changes["inputs"] = tuple(draw(inputs(port, notions)) for port in plain.inputs)
+    changes["inputs"] = tuple(draw(inputs(port, features)) for port in plain.inputs)
     if hosts:
         names = [host.name for host in hosts]
         choice = draw(st.sampled_from(["any", "one", "some"]))
@@ -143,28 +143,28 @@ def transformations(
         changes["seen_us"] = draw(st.sampled_from([{}, {}, {names[0]: (1, 2)}, {names[-1]: (3, 0)}]))
         needs = [{}, {}, {}, {"gpu": 0}, {"gpu": 1}, {"gpu": 2}, {"power": 1}, {"power": 2}]
         changes["needs"] = draw(st.sampled_from(needs))
-    if Notion.CONFLICTS in notions:
+    if Feature.CONFLICTS in features:
         changes["conflicts"] = tuple(draw(st.sets(st.sampled_from(labels), max_size=1)) - {plain.label})
         changes["conflicts_on_host"] = tuple(draw(st.sets(st.sampled_from(labels), max_size=1)) - {plain.label})
-    if Notion.BESIDE in notions:
+    if Feature.BESIDE in features:
         changes["beside"] = tuple(draw(st.sets(st.sampled_from(labels), max_size=1)))
-    if Notion.INSTANCES in notions:
+    if Feature.INSTANCES in features:
         least = draw(st.sampled_from([0, 0, 0, 0, 1]))
         changes["min_instances"] = least
         changes["max_instances"] = draw(st.sampled_from([None, None, max(1, least), 2]))
         changes["per_host"] = draw(st.sampled_from([None, None, None, 1, 2]))
-    if Notion.SURVIVAL in notions:
+    if Feature.SURVIVAL in features:
         changes["standby_us"] = draw(st.sampled_from([None, 0, 1, 2]))
     return replace(plain, **changes)  # type: ignore[arg-type]
 
 
 @st.composite
-def inputs(draw: st.DrawFn, plain: InputPort, notions: frozenset[Notion]) -> InputPort:
+def inputs(draw: st.DrawFn, plain: InputPort, features: frozenset[Feature]) -> InputPort:
     """An input that may be optional, worth something, and take several streams."""
     changes: dict[str, object] = {}
-    if Notion.OPTIONAL in notions and draw(st.booleans()):
+    if Feature.OPTIONAL in features and draw(st.booleans()):
         changes |= {"optional": True, "worth_us": draw(st.sampled_from([0, 0, 1, 3, 8]))}
-    if Notion.COUNTS in notions:
+    if Feature.COUNTS in features:
         changes["count"] = draw(st.sampled_from([1, 1, 2, 2, ALL]))
     return replace(plain, **changes)  # type: ignore[arg-type]
 

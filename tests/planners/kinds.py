@@ -18,7 +18,7 @@ from cfgplan.planners import PLANNERS
 from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.groups import is_countable
-from cfgplan.planning import Notion, Plan, Problem
+from cfgplan.planning import Feature, Plan, Problem
 from cfgplan.validity import plan_violations
 
 
@@ -70,14 +70,14 @@ def of_open_pairs(case: tuple[Problem, Similarity]) -> list[str]:
     return undecided.differences(*case)
 
 
-HOSTS, QUALITY, SURVIVAL = (frozenset({notion}) for notion in (Notion.HOSTS, Notion.QUALITY, Notion.SURVIVAL))
-BESIDE = frozenset({Notion.BESIDE})
-NUMBERS = frozenset({Notion.CONFLICTS, Notion.INSTANCES})
-WIRING = frozenset({Notion.OPTIONAL, Notion.COUNTS, Notion.LIMITS})
-LIMITS = frozenset({Notion.LIMITS})
-RUNS = frozenset({Notion.RUNS})
-ORDER = frozenset({Notion.ORDER})
-OPTIONAL, COUNTS = (frozenset({notion}) for notion in (Notion.OPTIONAL, Notion.COUNTS))
+HOSTS, QUALITY, SURVIVAL = (frozenset({feature}) for feature in (Feature.HOSTS, Feature.QUALITY, Feature.SURVIVAL))
+BESIDE = frozenset({Feature.BESIDE})
+NUMBERS = frozenset({Feature.CONFLICTS, Feature.INSTANCES})
+WIRING = frozenset({Feature.OPTIONAL, Feature.COUNTS, Feature.LIMITS})
+LIMITS = frozenset({Feature.LIMITS})
+RUNS = frozenset({Feature.RUNS})
+ORDER = frozenset({Feature.ORDER})
+OPTIONAL, COUNTS = (frozenset({feature}) for feature in (Feature.OPTIONAL, Feature.COUNTS))
 
 COUNTABLE = st.one_of(
     fleets(COUNTS | LIMITS | NUMBERS | HOSTS, most=2),
@@ -99,7 +99,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         ),
         "optional company": Kind(
             st.one_of(fleets(BESIDE | OPTIONAL), fleets(BESIDE | WIRING | HOSTS, most=2)).filter(
-                lambda problem: problem.notions >= BESIDE | OPTIONAL
+                lambda problem: problem.features >= BESIDE | OPTIONAL
             ),
             of_one,
         ),
@@ -108,14 +108,14 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
             st.one_of(fleets(QUALITY | OPTIONAL), fleets(QUALITY | COUNTS), fleets(QUALITY | WIRING | HOSTS, most=2)),
             of_one,
         ),
-        "latency": Kind(fleets(QUALITY | HOSTS | {Notion.LATENCY}, most=2), of_one),
+        "latency": Kind(fleets(QUALITY | HOSTS | {Feature.LATENCY}, most=2), of_one),
         "survival of wiring": Kind(
             st.one_of(
                 fleets(SURVIVAL | OPTIONAL),
                 fleets(SURVIVAL | COUNTS | LIMITS, most=2),
                 fleets(SURVIVAL | WIRING | NUMBERS, most=2),
                 fleets(SURVIVAL | WIRING | HOSTS | BESIDE, most=2),
-            ).filter(lambda problem: bool(problem.notions & WIRING) and sets_of_units(problem) < 2000),
+            ).filter(lambda problem: bool(problem.features & WIRING) and sets_of_units(problem) < 2000),
             of_one,
         ),
         "survival": Kind(st.one_of(fleets(SURVIVAL), fleets(SURVIVAL | HOSTS, most=2)), of_one),
@@ -139,9 +139,9 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         "everything": Kind(
             st.one_of(
                 fleets(TOGETHER, most=2),
-                fleets(frozenset(Notion) - SURVIVAL, most=2),
-                fleets(frozenset(Notion) - SURVIVAL - QUALITY, most=2),
-                fleets(frozenset(Notion), most=2).filter(lambda problem: sets_of_units(problem) < 2000),
+                fleets(frozenset(Feature) - SURVIVAL, most=2),
+                fleets(frozenset(Feature) - SURVIVAL - QUALITY, most=2),
+                fleets(frozenset(Feature), most=2).filter(lambda problem: sets_of_units(problem) < 2000),
             ),
             of_one,
         ),

@@ -27,7 +27,7 @@ from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.exact.survivors import can_do_without
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import USUAL
-from cfgplan.planning import Failures, Notion, Plan, Problem, Status
+from cfgplan.planning import Failures, Feature, Plan, Problem, Status
 from cfgplan.reasons import startable, unmet_reasons
 from cfgplan.validity import plan_violations
 from experiments.fleet import instances
@@ -40,7 +40,7 @@ def first(problem: Problem) -> Plan:
 
 
 @some
-@given(st.frozensets(st.sampled_from(sorted(TOGETHER)), min_size=1).flatmap(lambda notions: fleets(notions, most=3)))
+@given(st.frozensets(st.sampled_from(sorted(TOGETHER)), min_size=1).flatmap(lambda features: fleets(features, most=3)))
 def test_first_plans_are_valid_and_no_cheaper_than_the_optimum(problem: Problem) -> None:
     assume(not unmet_reasons(problem))
     found = first(problem)
@@ -52,7 +52,7 @@ def test_first_plans_are_valid_and_no_cheaper_than_the_optimum(problem: Problem)
 
 
 @some
-@given(fleets(frozenset({Notion.SURVIVAL, Notion.HOSTS, Notion.QUALITY}), most=9))
+@given(fleets(frozenset({Feature.SURVIVAL, Feature.HOSTS, Feature.QUALITY}), most=9))
 def test_first_plans_are_valid_beyond_the_oracles_reach(problem: Problem) -> None:
     assume(not unmet_reasons(problem))
     assert plan_violations(problem, first(problem)) == []
@@ -65,7 +65,7 @@ def what_runs(problem: Problem) -> Plan:
 
 
 @some
-@given(st.frozensets(st.sampled_from(sorted(TOGETHER))).flatmap(lambda notions: fleets(notions, most=9)))
+@given(st.frozensets(st.sampled_from(sorted(TOGETHER))).flatmap(lambda features: fleets(features, most=9)))
 def test_what_runs_is_a_valid_plan_or_none(problem: Problem) -> None:
     found = what_runs(problem)
     assert plan_violations(problem, found) == []

@@ -1,4 +1,4 @@
-"""The planner for fleets against the oracle and the judge, on small environments that use every notion.
+"""The planner for fleets against the oracle and the judge, on small environments that use every feature.
 
 `CFGPLAN_EXAMPLES=5000 pytest tests/planners` runs the long version.
 """
@@ -18,7 +18,7 @@ from cfgplan.errors import InputError
 from cfgplan.planners import PLANNERS
 from cfgplan.planners.exact.session import PlannerSession
 from cfgplan.planners.tuning import USUAL, Tuning
-from cfgplan.planning import Notion, Plan, Problem, Status
+from cfgplan.planning import Feature, Plan, Problem, Status
 from cfgplan.qualities import Better, Wish
 from cfgplan.reasons import unmet_reasons
 from cfgplan.validity import plan_violations
@@ -40,7 +40,7 @@ def agree(problem: Problem) -> None:
     for exact in (PLANNERS["cpsat"](problem), plan_alone(problem)):
         assert plan_violations(problem, exact) == []
         assert quality(exact) == quality(oracle)
-    if problem.notions and not unmet_reasons(problem):
+    if problem.features and not unmet_reasons(problem):
         assert quality(plan_apart(problem)) == quality(oracle)
 
 
@@ -54,9 +54,9 @@ def agree_with_the_explicit_model(problem: Problem, tuning: Tuning = USUAL) -> N
 
 
 @st.composite
-def asking_for_nothing(draw: st.DrawFn, notions: frozenset[Notion], most: int) -> Problem:
+def asking_for_nothing(draw: st.DrawFn, features: frozenset[Feature], most: int) -> Problem:
     """A fleet whose bounds all lie at the worst of their scales or beyond."""
-    problem = draw(fleets(notions, most=most))
+    problem = draw(fleets(features, most=most))
     environment = problem.environment
 
     def moved(wish: Wish) -> Wish:
@@ -70,13 +70,13 @@ def asking_for_nothing(draw: st.DrawFn, notions: frozenset[Notion], most: int) -
 
 
 @examples(80)
-@given(asking_for_nothing(frozenset({Notion.QUALITY}), 3))
+@given(asking_for_nothing(frozenset({Feature.QUALITY}), 3))
 def test_bounds_at_the_worst_of_the_scale_and_beyond_equal_the_oracle(problem: Problem) -> None:
     agree(problem)
 
 
 @examples(80)
-@given(asking_for_nothing(frozenset({Notion.QUALITY}), 9))
+@given(asking_for_nothing(frozenset({Feature.QUALITY}), 9))
 def test_bounds_at_the_worst_of_the_scale_and_beyond_ask_for_nothing(problem: Problem) -> None:
     free = tuple(
         replace(t, quality=tuple(replace(wish, bound=None) for wish in t.quality if wish.weight_us))
@@ -89,38 +89,38 @@ def test_bounds_at_the_worst_of_the_scale_and_beyond_ask_for_nothing(problem: Pr
 
 
 @some
-@given(fleets(frozenset({Notion.QUALITY})))
+@given(fleets(frozenset({Feature.QUALITY})))
 def test_quality_equals_the_oracle(problem: Problem) -> None:
     agree(problem)
 
 
 @some
-@given(fleets(frozenset({Notion.HOSTS})))
+@given(fleets(frozenset({Feature.HOSTS})))
 def test_hosts_equal_the_oracle(problem: Problem) -> None:
     agree(problem)
 
 
 @some
-@given(fleets(frozenset({Notion.CONFLICTS, Notion.INSTANCES})))
+@given(fleets(frozenset({Feature.CONFLICTS, Feature.INSTANCES})))
 def test_conflicts_and_instances_equal_the_oracle(problem: Problem) -> None:
     agree(problem)
 
 
 @some
-@given(fleets(frozenset({Notion.SURVIVAL}), most=4))
+@given(fleets(frozenset({Feature.SURVIVAL}), most=4))
 def test_survival_of_units_equals_the_oracle(problem: Problem) -> None:
     agree(problem)
 
 
 @examples(30, part=2)
-@given(fleets(frozenset({Notion.SURVIVAL, Notion.HOSTS}), most=2))
+@given(fleets(frozenset({Feature.SURVIVAL, Feature.HOSTS}), most=2))
 def test_survival_of_hosts_equals_the_oracle(problem: Problem) -> None:
     agree(problem)
 
 
 @some
-@given(st.frozensets(st.sampled_from(sorted(TOGETHER)), min_size=2).flatmap(lambda notions: fleets(notions, most=2)))
-def test_all_notions_together_equal_the_oracle(problem: Problem) -> None:
+@given(st.frozensets(st.sampled_from(sorted(TOGETHER)), min_size=2).flatmap(lambda features: fleets(features, most=2)))
+def test_all_features_together_equal_the_oracle(problem: Problem) -> None:
     agree(problem)
 
 
@@ -155,16 +155,16 @@ def test_the_plan_for_a_fleet_leaves_nothing_to_do(problem: Problem) -> None:
 
 
 @settings(some, max_examples=5)
-@given(problem=fleets(frozenset({Notion.HOSTS})))
-def test_a_planner_that_does_not_know_the_notions_refuses_them(problem: Problem) -> None:
+@given(problem=fleets(frozenset({Feature.HOSTS})))
+def test_a_planner_that_does_not_know_the_features_refuses_them(problem: Problem) -> None:
     with pytest.raises(InputError, match="does not know hosts"):
         PLANNERS["branch-and-bound"](problem)
 
 
-FLAT = frozenset({Notion.QUALITY, Notion.HOSTS, Notion.CONFLICTS, Notion.INSTANCES})
+FLAT = frozenset({Feature.QUALITY, Feature.HOSTS, Feature.CONFLICTS, Feature.INSTANCES})
 
 
 @some
-@given(st.frozensets(st.sampled_from(sorted(FLAT)), min_size=1).flatmap(lambda notions: fleets(notions, most=9)))
+@given(st.frozensets(st.sampled_from(sorted(FLAT)), min_size=1).flatmap(lambda features: fleets(features, most=9)))
 def test_the_planner_equals_the_explicit_model_beyond_the_oracles_reach(problem: Problem) -> None:
     agree_with_the_explicit_model(problem)

@@ -24,11 +24,11 @@ from cfgplan.planners.exact.session import PlannerSession
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import Fleets, Tuning
-from cfgplan.planning import Failures, Notion, Problem, Status
+from cfgplan.planning import Failures, Feature, Problem, Status
 from cfgplan.reasons import unmet_reasons
 from cfgplan.validity import plan_violations
 
-on_hosts = fleets(frozenset({Notion.HOSTS, Notion.CONFLICTS, Notion.INSTANCES}), most=9)
+on_hosts = fleets(frozenset({Feature.HOSTS, Feature.CONFLICTS, Feature.INSTANCES}), most=9)
 
 
 IN_PARTS = Tuning(fleet=Fleets(sizes=(1, 2, 4)))

@@ -17,7 +17,7 @@ from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.quality_chains import Chains, Root
 from cfgplan.planners.exact.quality_cuts import chain_cuts
 from cfgplan.planners.solving.clock import Clock
-from cfgplan.planning import Notion, Problem
+from cfgplan.planning import Feature, Problem
 from cfgplan.qualities import MICRO, Better, Contribution, QualityAttribute, QualityRule, Wish
 from cfgplan.reasons import unmet_reasons
 from experiments.families.random_library import random_library
@@ -85,7 +85,7 @@ def is_kept(problem: Problem, candidates: Candidates, attribute: QualityAttribut
 
 
 @examples(30, part=2)
-@given(fleets(frozenset({Notion.QUALITY})), st.data())
+@given(fleets(frozenset({Feature.QUALITY})), st.data())
 def test_cuts_hold_whatever_the_potentials(problem: Problem, data: st.DataObject) -> None:
     assume(not unmet_reasons(problem))
     for attribute in problem.environment.qualities:
@@ -93,7 +93,7 @@ def test_cuts_hold_whatever_the_potentials(problem: Problem, data: st.DataObject
 
 
 @some
-@given(fleets(frozenset({Notion.QUALITY, Notion.HOSTS}), most=2), st.data())
+@given(fleets(frozenset({Feature.QUALITY, Feature.HOSTS}), most=2), st.data())
 def test_cuts_hold_with_hosts_too(problem: Problem, data: st.DataObject) -> None:
     assume(not unmet_reasons(problem))
     for attribute in problem.environment.qualities:

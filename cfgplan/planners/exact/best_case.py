@@ -68,7 +68,7 @@ def least_badness(candidates: Candidates, attribute: QualityAttribute) -> dict[S
     """
     if attribute not in candidates.least:
         streams = (Stream(c.id, port.name) for c in candidates.all for port in c.transformation.outputs)
-        is_of_several = not ONLY_IN_THE_MODEL.isdisjoint(candidates.problem.notions)
+        is_of_several = not ONLY_IN_THE_MODEL.isdisjoint(candidates.problem.features)
         least = dict.fromkeys(streams, 0) if is_of_several else _least_badness(candidates, attribute)
         candidates.least[attribute] = least
     return candidates.least[attribute]
@@ -164,7 +164,7 @@ def _demands(candidates: Candidates) -> dict[str, list[str]]:
 
 def most_badness(candidates: Candidates, attribute: QualityAttribute) -> dict[str, int]:
     """For each demanded tag the badness up to which a stream is of use for it; tags of no use are left out."""
-    if ONLY_IN_THE_MODEL & candidates.problem.notions:
+    if ONLY_IN_THE_MODEL & candidates.problem.features:
         return {}
     if attribute not in candidates.most:
         candidates.most[attribute] = _most_badness(candidates, attribute)

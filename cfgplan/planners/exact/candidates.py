@@ -17,11 +17,11 @@ from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.keys import may_stay
 from cfgplan.planners.networks.network import Network
 from cfgplan.planners.solving.clock import Clock
-from cfgplan.planning import Notion, Problem, fresh_units
+from cfgplan.planning import Feature, Problem, fresh_units
 from cfgplan.qualities import QualityAttribute, worst_allowed
 from cfgplan.reasons import startable
 
-ONLY_IN_THE_MODEL: Final = frozenset({Notion.OPTIONAL, Notion.COUNTS, Notion.LIMITS})
+ONLY_IN_THE_MODEL: Final = frozenset({Feature.OPTIONAL, Feature.COUNTS, Feature.LIMITS})
 """What first plans and bounds don't know."""
 HostName = str | None
 """Where something is; None where there are no hosts, or on no host in particular."""
@@ -299,7 +299,7 @@ def _numbers_of_new(problem: Problem, labels: frozenset[str]) -> dict[str, int]:
     more required transformations be used.
     """
     environment, library = problem.environment, problem.environment.transformation
-    is_any = problem.notions or any(library[label].required for label in labels)
+    is_any = problem.features or any(library[label].required for label in labels)
     running = () if is_any else {unit.transformation for unit in environment.units}
     return {
         label: problem.most_new(library[label])

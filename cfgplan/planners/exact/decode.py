@@ -13,13 +13,13 @@ from cfgplan.onward import grouped, reached
 from cfgplan.planners.exact.candidates import Candidates, HostName
 from cfgplan.planners.exact.survivors import can_do_without
 from cfgplan.planners.networks.keys import needed_feeders
-from cfgplan.planning import Notion, Problem, fresh_units
+from cfgplan.planning import Feature, Problem, fresh_units
 from cfgplan.reasons import Each
 
 if TYPE_CHECKING:
     from cfgplan.planners.exact.model import Model  # the solver takes long to import
 
-MAY_RUN_FOR_NOBODY = {Notion.SURVIVAL, Notion.INSTANCES, Notion.BESIDE}
+MAY_RUN_FOR_NOBODY = {Feature.SURVIVAL, Feature.INSTANCES, Feature.BESIDE}
 """With these, units may be needed that feed nobody and meet no target."""
 
 
@@ -54,7 +54,7 @@ class _Decoding:
             return None
         first = {units[0] for units in running}
         ahead = sorted(first | {*topics, *filter(self.candidates.is_pinned, model.runs)})
-        if MAY_RUN_FOR_NOBODY & model.problem.notions:
+        if MAY_RUN_FOR_NOBODY & model.problem.features:
             ahead += sorted(self.host_of.keys() - set(ahead))
         found: dict[int, ComputationUnit] = {}
         for i in ahead:
@@ -81,7 +81,7 @@ class _Decoding:
 
     def _are_enough(self, units: Collection[int]) -> bool:
         """Whether as many units are grounded of each transformation as it asks for."""
-        if Notion.INSTANCES not in self.model.problem.notions:
+        if Feature.INSTANCES not in self.model.problem.features:
             return True
         running = Counter(self.candidates.all[i].transformation.label for i in units)
         return all(running[t.label] >= t.min_instances for t in self.model.environment.library)

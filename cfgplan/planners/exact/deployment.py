@@ -34,7 +34,7 @@ from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.networks.keys import Key
 from cfgplan.planners.solving.clock import Clock, ContradictionError
 from cfgplan.planners.solving.engine import repeatable_solver, solve
-from cfgplan.planning import Notion
+from cfgplan.planning import Feature
 
 
 def plan_by_counting(candidates: Candidates, standing: Standing) -> None:
@@ -117,7 +117,7 @@ class _Deployment:
 
     def _steps(self, counts: CountingModel) -> Iterator[_Step]:
         problem, standing = self.candidates.problem, self.standing
-        named = problem.environment.minimise if Notion.ORDER in problem.notions else ()
+        named = problem.environment.minimise if Feature.ORDER in problem.features else ()
         for place, each in enumerate(named, 1):
             learn = partial(standing.raise_bound_of, each)
             yield _Step(counts.objective(each), partial(_of_order, place), learn)

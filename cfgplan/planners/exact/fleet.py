@@ -20,7 +20,7 @@ from cfgplan.planners.exact.quality_chains import ChainCut, has_chains
 from cfgplan.planners.exact.quality_cuts import chain_cuts
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.networks.core import Floats
-from cfgplan.planning import Notion
+from cfgplan.planning import Feature
 
 
 def plan_fleet(candidates: Candidates, standing: Standing, last: Collection[str]) -> None:
@@ -120,7 +120,7 @@ def left_by_bounds(candidates: Candidates, standing: Standing) -> Shortlist:
     bound = tightened(Bound(network.core, cost), most, most, standing.clock)
     standing.raise_bound(bound.value + prices_us)
     names = [network.labels[i] for i in bound.core.labels.tolist()]
-    known = bound.landmarks if Notion.QUALITY in candidates.problem.notions else bound.short()
+    known = bound.landmarks if Feature.QUALITY in candidates.problem.features else bound.short()
     landmarks = tuple(([names[i] for i in one.counted.tolist()], one.least) for one in known)
     _, before = cheapest_way(bound.core, bound.residual)
     least = (before[:-1] + bound.residual).tolist()

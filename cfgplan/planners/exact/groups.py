@@ -12,18 +12,18 @@ from networkx import DiGraph, is_directed_acyclic_graph
 from cfgplan.domain import ALL, InputPort
 from cfgplan.onward import grouped
 from cfgplan.planners.exact.candidates import Candidate, Candidates, HostName
-from cfgplan.planning import Notion
+from cfgplan.planning import Feature
 
 COUNTABLE = frozenset(
     {
-        Notion.HOSTS,
-        Notion.CONFLICTS,
-        Notion.BESIDE,
-        Notion.INSTANCES,
-        Notion.COUNTS,
-        Notion.LIMITS,
-        Notion.RUNS,
-        Notion.ORDER,
+        Feature.HOSTS,
+        Feature.CONFLICTS,
+        Feature.BESIDE,
+        Feature.INSTANCES,
+        Feature.COUNTS,
+        Feature.LIMITS,
+        Feature.RUNS,
+        Feature.ORDER,
     }
 )
 """What may be asked where units are counted."""
@@ -68,11 +68,11 @@ def is_countable(candidates: Candidates) -> bool:
     kinds = candidates.kinds
     is_carried = any(port.bytes_per_s for kind in kinds.values() for port in kind.outputs)
     return (
-        problem.notions <= COUNTABLE
+        problem.features <= COUNTABLE
         and not environment.required
         and not environment.links
         and not (environment.transfer_us and is_carried and environment.hosts)
-        and not (Notion.ORDER in problem.notions and problem.max_cost_us is not None)
+        and not (Feature.ORDER in problem.features and problem.max_cost_us is not None)
         and all(map(_is_usual, chain.from_iterable(kind.inputs for kind in kinds.values())))
         and _are_there_several(candidates)
         and is_directed_acyclic_graph(_feeds(candidates))

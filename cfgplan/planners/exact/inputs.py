@@ -8,7 +8,7 @@ from cfgplan.domain import ALL, InputPort, Stream
 from cfgplan.onward import grouped
 from cfgplan.planners.exact.candidates import HostName
 from cfgplan.planners.exact.model import Model
-from cfgplan.planning import Notion
+from cfgplan.planning import Feature
 
 
 def a_staying_unit_keeps_its_feeders(model: Model) -> None:
@@ -122,7 +122,7 @@ def inputs_of_a_group_are_fed_by_different_transformations(model: Model) -> None
 
 def units_that_feed_each_other_come_one_after_the_other(model: Model) -> None:
     """Implied, but where inputs need not be fed there are too many ways to close a ring to cut them one by one."""
-    if Notion.OPTIONAL not in model.problem.notions:
+    if Feature.OPTIONAL not in model.problem.features:
         return
     from networkx import DiGraph, strongly_connected_components
 

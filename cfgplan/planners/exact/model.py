@@ -19,7 +19,7 @@ from cfgplan.planners.exact.best_case import demands_of_quality
 from cfgplan.planners.exact.candidates import ONLY_IN_THE_MODEL, Candidates, HostName
 from cfgplan.planners.solving.engine import at_least
 from cfgplan.planners.solving.support import Support
-from cfgplan.planning import Notion
+from cfgplan.planning import Feature
 
 ModelRule = Callable[["Model"], None]
 
@@ -37,9 +37,9 @@ class Model:
         self.candidates = candidates
         self.problem = candidates.problem
         self.environment = candidates.environment
-        self.asks_for_quality = Notion.QUALITY in self.problem.notions
-        by_stream = {Notion.LATENCY, *ONLY_IN_THE_MODEL} if self.asks_for_quality else {Notion.LATENCY}
-        self.is_apart = is_apart or not by_stream.isdisjoint(self.problem.notions)
+        self.asks_for_quality = Feature.QUALITY in self.problem.features
+        by_stream = {Feature.LATENCY, *ONLY_IN_THE_MODEL} if self.asks_for_quality else {Feature.LATENCY}
+        self.is_apart = is_apart or not by_stream.isdisjoint(self.problem.features)
         self.cp = CpModel()
         self.support = Support()
         self.anywhere = Support()

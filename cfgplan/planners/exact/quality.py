@@ -17,7 +17,7 @@ from cfgplan.planners.exact.best_case import Making, least_badness, most_badness
 from cfgplan.planners.exact.candidates import Candidates, HostName
 from cfgplan.planners.exact.model import Model
 from cfgplan.planners.exact.quality_chains import ChainCut
-from cfgplan.planning import Notion
+from cfgplan.planning import Feature
 from cfgplan.qualities import MICRO, Over, QualityAttribute, QualityRule, Wish
 
 
@@ -71,7 +71,7 @@ class _Badness:
         self._choices: list[tuple[Hashable, IntVar, Mapping[Stream, IntVar]]] = []
         self._most: dict[int, int] = {}
         """The badness up to which a stream for a demand is of use to anybody; spares may get any quality."""
-        of_use = most_badness(model.candidates, attribute) if Notion.SURVIVAL not in model.problem.notions else {}
+        of_use = most_badness(model.candidates, attribute) if Feature.SURVIVAL not in model.problem.features else {}
         for tag, most in of_use.items():
             demand = model.demand(tag)
             self._most[demand] = max(most // self.step, self._most.get(demand, 0))
@@ -130,7 +130,7 @@ class _Badness:
     def _delay(self, where: Hashable, stream: Stream) -> IntVar | None:
         """What links add to a stream's badness on its way to a target or an input told apart; None if they do not."""
         model, made_on = self.model, self.model.runs_on[self.model.unit_of(stream)]
-        if Notion.LATENCY not in model.problem.notions:
+        if Feature.LATENCY not in model.problem.features:
             return None
         wanted: Mapping[HostName, list[IntVar]] = {}
         if isinstance(where, str):

@@ -23,7 +23,7 @@ from cfgplan.domain import Stream, Transformation
 from cfgplan.planners.exact.best_case import Making, demands_of_quality, least_badness, most_badness
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.networks.core import Flags, Ints
-from cfgplan.planning import Notion
+from cfgplan.planning import Feature
 from cfgplan.qualities import MICRO, Over, QualityAttribute
 
 
@@ -40,7 +40,7 @@ class ChainCut:
 def has_chains(candidates: Candidates) -> bool:
     """Whether one attribute counts, and one stream is the best for all who demand it."""
     asked = {wish.attribute for target in candidates.environment.targets for wish in target.quality}
-    is_simple = len(asked) == 1 and Notion.SURVIVAL not in candidates.problem.notions
+    is_simple = len(asked) == 1 and Feature.SURVIVAL not in candidates.problem.features
     return is_simple and not any(demands_of_quality(candidates).values())
 
 

@@ -10,7 +10,7 @@ from cfgplan.domain import POWER, Environment, Host, Target, Transformation, amo
 from cfgplan.planners.exact.best_case import least_badness
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.places import Rooms
-from cfgplan.planning import Failures, Notion, Problem
+from cfgplan.planning import Failures, Feature, Problem
 from cfgplan.qualities import is_met, units
 from cfgplan.reasons import Givers, startable
 
@@ -26,7 +26,7 @@ def joint_reasons(problem: Problem) -> dict[str, str]:
         ]
         if reason
     }
-    asked = f" ({', '.join(sorted(problem.notions))})"
+    asked = f" ({', '.join(sorted(problem.features))})"
     missing = _missing_together(problem) or _missing_host(problem) or _missing_places(problem) or asked
     joint = f"no configuration meets all that is asked together{missing}"
     return unreachable or {target.label: joint for target in problem.environment.targets}
@@ -216,6 +216,6 @@ def _fatal_failure(problem: Problem, target: Target) -> str | None:
         left = {**most, label: number - 1}
         if number == 1 and not _can_be_met(problem, target, {label}):
             return f"{_unmet(target)} if the only unit of {label} fails"
-        if number > 1 and Notion.COUNTS in problem.notions and not _can_be_met(problem, target, (), left):
+        if number > 1 and Feature.COUNTS in problem.features and not _can_be_met(problem, target, (), left):
             return f"{_unmet(target)} if one of {number} units of {label} fails"
     return None

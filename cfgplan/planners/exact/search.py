@@ -33,7 +33,7 @@ from cfgplan.planners.exact.survival import Survival
 from cfgplan.planners.networks.keys import Key
 from cfgplan.planners.solving.clock import Clock, ContradictionError
 from cfgplan.planners.solving.engine import repeatable_solver, solve
-from cfgplan.planning import Notion
+from cfgplan.planning import Feature
 
 EXACT = 2**50
 """Up to here the solver's bound, a double, is exact."""
@@ -77,7 +77,7 @@ class Search:
         self._survival, self._first = None, None
         if self.problem.survive is not None:
             self._survival = Survival(candidates)
-            if not ONLY_IN_THE_MODEL & self.problem.notions:
+            if not ONLY_IN_THE_MODEL & self.problem.features:
                 self._first = FirstPlans(candidates, standing)
         self.model = Model(candidates, rules, is_apart=is_apart)
         self.model.enough_of_each_run(landmarks)
@@ -134,7 +134,7 @@ class Search:
         False if the time is over before all are proven, or if each plan is proven to cost more than is allowed.
         """
         standing, largest_us = self.standing, self.problem.max_cost_us
-        named = self.problem.environment.minimise if Notion.ORDER in self.problem.notions else ()
+        named = self.problem.environment.minimise if Feature.ORDER in self.problem.features else ()
         if named and largest_us is not None:
             is_too_dear = self.model.boolean()
             self.model.cp.add(self._cost <= largest_us).only_enforce_if(is_too_dear.negated())
@@ -297,7 +297,7 @@ class Search:
         is_large = self._has_hosts or self.model.asks_for_quality
         small = size < (tuning.fleet.small if is_large else tuning.solve.small)
         solver = repeatable_solver(small=small, time_limit_s=self.standing.clock.left_s())
-        if ONLY_IN_THE_MODEL & self.problem.notions and size < tuning.fleet.wired:
+        if ONLY_IN_THE_MODEL & self.problem.features and size < tuning.fleet.wired:
             solver.parameters.linearization_level = 1
         if size < tuning.solve.tiny:
             solver.parameters.max_presolve_iterations = 1

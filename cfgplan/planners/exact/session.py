@@ -25,10 +25,10 @@ from cfgplan.planners.exact.work import Work
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import USUAL, Tuning
 from cfgplan.planners.undecided import Deciding
-from cfgplan.planning import Notion, OnProgress, Plan, Problem, Status
+from cfgplan.planning import Feature, OnProgress, Plan, Problem, Status
 from cfgplan.reasons import Givers, startable
 
-SOLVED_AT_ONCE: Final = ONLY_IN_THE_MODEL | {Notion.ORDER, Notion.LATENCY}
+SOLVED_AT_ONCE: Final = ONLY_IN_THE_MODEL | {Feature.ORDER, Feature.LATENCY}
 """A problem with one of these goes to the solver without bounds and first plans."""
 
 
@@ -54,7 +54,7 @@ class PlannerSession:
         """The optimal update. Stopped by the clock, by `stop` or by Ctrl-C it is the best one so far."""
         if problem.similarity.open:
             return Deciding(partial(self.plan, stop=stop))(problem, time_limit_s=time_limit_s, report=report)
-        is_solver_only = self._tuning.is_solver_only or bool(SOLVED_AT_ONCE & problem.notions)
+        is_solver_only = self._tuning.is_solver_only or bool(SOLVED_AT_ONCE & problem.features)
         clock = Clock(time_limit_s, stop, replace(self._tuning, is_solver_only=is_solver_only))
         standing = Standing(problem, clock, report)
         clock.run(lambda: self._go_through_stages(standing), standing.plan)

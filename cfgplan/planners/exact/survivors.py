@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from cfgplan.domain import ALL, ComputationUnit, Environment, Target
 from cfgplan.planners.exact.candidates import Candidates, HostName
 from cfgplan.planners.exact.reach import Reach
-from cfgplan.planning import Failures, Notion
+from cfgplan.planning import Failures, Feature
 from cfgplan.reasons import startable
 
 Site = tuple[str, HostName]
@@ -37,7 +37,7 @@ def site_of(environment: Environment, label: str, host: HostName) -> Site:
 
 def are_counted(candidates: Candidates) -> bool:
     """Whether the number of units of a site matters: inputs take several streams, or outputs serve only so many."""
-    return not {Notion.COUNTS, Notion.LIMITS}.isdisjoint(candidates.problem.notions)
+    return not {Feature.COUNTS, Feature.LIMITS}.isdisjoint(candidates.problem.features)
 
 
 def units_of_sites(candidates: Candidates, units: Iterable[ComputationUnit]) -> UnitsBySite:

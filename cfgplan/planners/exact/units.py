@@ -89,7 +89,7 @@ def one_of_new_units_alike_is_enough(model: Model) -> None:
     It shortens the proof where nothing is asked beyond the paper; `closing.program.alike` says why it holds. Where
     transformations are required two of them may be wanted.
     """
-    if model.problem.notions or model.tracked:
+    if model.problem.features or model.tracked:
         return
     candidates = model.candidates
     apart: set[int] = set()

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from cfgplan.domain import ALL, ComputationUnit, Environment, Objective
 from cfgplan.figures import cost_parts, used_hosts
 from cfgplan.onward import reached
-from cfgplan.planning import Notion, Problem
+from cfgplan.planning import Feature, Problem
 
 
 class Key(NamedTuple):
@@ -36,7 +36,7 @@ def key_of(problem: Problem, units: Collection[ComputationUnit]) -> Key:
         Objective.STARTED: len(changes.started),
     }
     first: tuple[int, ...] = ()
-    if Notion.ORDER in problem.notions:
+    if Feature.ORDER in problem.features:
         is_too_dear = problem.max_cost_us is not None and parts.total_us > problem.max_cost_us
         first = int(is_too_dear), *(values[each] for each in problem.environment.minimise)
     unused = len(unused_required(problem, units))

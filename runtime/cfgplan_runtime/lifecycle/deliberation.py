@@ -16,7 +16,7 @@ from cfgplan.errors import CfgplanError
 from cfgplan.explaining.best_effort import BestEffort, best_effort
 from cfgplan.explaining.what_if import only_targets
 from cfgplan.planners.undecided import Deciding
-from cfgplan.planning import Failures, Measured, Notion, Pair, Plan, Planner, Problem, Progress, Status, fresh_unit_ids
+from cfgplan.planning import Failures, Feature, Measured, Pair, Plan, Planner, Problem, Progress, Status, fresh_unit_ids
 from cfgplan.reasons import unmet_reasons
 from cfgplan.summary import some
 from cfgplan.validity import Rule
@@ -272,7 +272,7 @@ def _given(problem: Problem, change_set: ChangeSet) -> BestEffort:
     after = problem.environment.update(change_set)
     problem = only_targets(problem, after.meeting(after.units).keys())
     values, unused = validity.values_of(problem, after), validity.unused_required(after)
-    order = problem.environment.minimise if Notion.ORDER in problem.notions else ()
+    order = problem.environment.minimise if Feature.ORDER in problem.features else ()
     objectives = tuple(Measured(objective, values[objective], 0) for objective in order)
     plan = Plan(
         "given", Status.FEASIBLE, change_set, values[Objective.COST], objectives=objectives, unused_required=unused
