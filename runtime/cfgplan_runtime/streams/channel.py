@@ -10,8 +10,7 @@ import socket
 from collections import deque
 from collections.abc import Iterator
 
-from cfgplan_runtime.streams.element import HEADER, LONGEST_PAYLOAD, Element, Outgoing
-from cfgplan_runtime.streams.payload import Buffer
+from cfgplan_runtime.streams.element import HEADER, LONGEST_PAYLOAD, Buffer, Element, Outgoing
 
 MOST_WAITING_BYTES = 32 << 20
 """The most bytes that may wait for one subscriber, whatever the queue's length."""

@@ -16,7 +16,6 @@ from typing import NamedTuple, TypeAlias
 from urllib.parse import quote
 
 from cfgplan_runtime.streams.channel import MOST_WAITING_BYTES
-from cfgplan_runtime.streams.payload import Buffer
 
 KEYS = "cfgplan"
 """What every key of a fleet begins with."""

@@ -6,7 +6,7 @@ import struct
 from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
-from cfgplan_runtime.streams.payload import Buffer
+Buffer: TypeAlias = "bytes | bytearray | memoryview"
 
 Moment: TypeAlias = "tuple[int, int]"
 """An element's time in nanoseconds, and its turn among elements of that time. Moments rise along a stream."""

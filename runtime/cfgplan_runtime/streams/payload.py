@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import struct
 import sys
-from typing import Any, TypeAlias
+from typing import Any
 
 import msgspec
 
 from cfgplan_runtime.errors import EncodingError
-
-Buffer: TypeAlias = "bytes | bytearray | memoryview"
+from cfgplan_runtime.streams.element import Buffer
 
 _PAYLOAD_HEAD = struct.Struct("<I")
 _ARRAY = 1

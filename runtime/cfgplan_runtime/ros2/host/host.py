@@ -1,0 +1,98 @@
+"""The helper itself: a node of ROS 2, orders that come as lines of JSON, and answers that go the same way."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import queue
+import signal
+import socket
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import rclpy
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from cfgplan_runtime.ros2.host.waiting import Waiting
+
+_PR_SET_PDEATHSIG = 1
+
+
+def die_with_parent(parent: int) -> None:
+    """Have the kernel kill this process when the thread that made it ends. `parent` is that thread's process."""
+    if sys.platform != "linux":
+        return
+    import ctypes
+
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:
+        os._exit(1)
+
+
+class Host:
+    """What all parts of the helper share. `handlers` has what is done with an order, by the order's `type`.
+
+    All but the reading and writing of the socket is done by the thread of `run`.
+    """
+
+    def __init__(self, end: socket.socket, name: str) -> None:
+        self._socket = end
+        self._orders: deque[dict[str, Any]] = deque()
+        self._words: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+        self._is_over = False
+        self.handlers: dict[str, Callable[[dict[str, Any]], None]] = {"Finish": lambda _: self._finish()}
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        self.node: Any = Node(name, enable_rosout=False, start_parameter_services=False)
+        self.context: Any = self.node.context
+        self.waiting = Waiting(self.context)
+        self._guard = self.node.create_guard_condition(self._do_orders)
+        self.waiting.watch("guard_condition", self._guard.handle, self._do_orders)
+        for work in (self._hear, self._speak):
+            threading.Thread(target=work, daemon=True).start()
+        self.say(
+            "Listening",
+            rmw=rclpy.get_rmw_implementation_identifier(),
+            distribution=os.environ.get("ROS_DISTRO", ""),
+            python=platform.python_version(),
+        )
+
+    def say(self, kind: str, **fields: object) -> None:
+        """Send a message. Never waits."""
+        self._words.put(json.dumps({"type": kind, **fields}).encode() + b"\n")
+
+    def run(self) -> None:
+        """Carry out orders until told to finish, or until nobody is there to give any."""
+        while not self._is_over:
+            self.waiting.wait()
+
+    def close(self) -> None:
+        """Take leave of other nodes."""
+        self.node.destroy_node()
+        rclpy.shutdown()
+
+    def _finish(self) -> None:
+        self._is_over = True
+
+    def _do_orders(self) -> None:
+        while self._orders:
+            order = self._orders.popleft()
+            self.handlers[order.pop("type")](order)
+
+    def _hear(self) -> None:
+        with self._socket.makefile("rb") as lines:
+            for line in lines:
+                self._orders.append(json.loads(line))
+                self._guard.trigger()
+        self._orders.append({"type": "Finish"})
+        self._guard.trigger()
+
+    def _speak(self) -> None:
+        with suppress(OSError):
+            while True:
+                self._socket.sendall(self._words.get())

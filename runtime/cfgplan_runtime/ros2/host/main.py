@@ -1,0 +1,34 @@
+"""Start of the helper: `PYTHON main.py SOCKET PARENT NODE`, by a Python that has rclpy."""
+
+from __future__ import annotations
+
+import socket
+import sys
+from pathlib import Path
+from types import ModuleType
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = ("cfgplan_runtime", "cfgplan_runtime.streams", "cfgplan_runtime.ros2", "cfgplan_runtime.ros2.host")
+
+
+def adopt_packages() -> None:
+    """Have modules of these packages found here, without what the packages themselves import."""
+    sys.path[:] = [path for path in sys.path if Path(path or ".").resolve() != Path(__file__).resolve().parent]
+    for name in PACKAGES:
+        package = sys.modules[name] = ModuleType(name)
+        package.__path__ = [str(ROOT.joinpath(*name.split(".")[1:]))]
+
+
+def main(number: str, parent: str, node: str) -> None:
+    """Serve the process at the other end of the socket until it closes that or ends."""
+    adopt_packages()
+    from cfgplan_runtime.ros2.host.host import Host, die_with_parent
+
+    die_with_parent(int(parent))
+    host = Host(socket.socket(fileno=int(number)), node)
+    host.run()
+    host.close()
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

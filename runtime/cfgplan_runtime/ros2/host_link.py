@@ -1,0 +1,116 @@
+"""cfgplan's end of the helper that speaks ROS 2: a process in the user's ROS Python, and lines of JSON."""
+
+from __future__ import annotations
+
+import os
+import selectors
+import socket
+import subprocess
+import time
+from collections import deque
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Generic, TypeVar
+
+import msgspec
+
+from cfgplan_runtime.ros2.ros_python import RosPython
+
+MAIN = Path(__file__).with_name("host") / "main.py"
+_END_S = 5.0
+"""Seconds that its end may take."""
+
+Incoming = TypeVar("Incoming")
+
+
+class HostLink(Generic[Incoming]):
+    """A helper, which ends with the thread that made it. Raises OSError if it can't be started.
+
+    Messages are msgspec structs with a tag; `incoming` is the union of what it may say. Sending never waits: what the
+    socket does not take waits for `hear`. The helper is the node `name`.
+    """
+
+    def __init__(self, python: RosPython, name: str, incoming: object) -> None:
+        self.socket, theirs = socket.socketpair()
+        number = theirs.fileno()
+        try:
+            self._process = subprocess.Popen(
+                [python.program, str(MAIN), str(number), str(os.getpid()), name],
+                pass_fds=[number],
+                stdin=subprocess.DEVNULL,
+                env=dict(python.environment),
+                start_new_session=True,
+            )
+        except OSError:
+            self.socket.close()
+            raise
+        finally:
+            theirs.close()
+        self.socket.setblocking(False)
+        self.pid = self._process.pid
+        self.has_ended = False
+        self._decoder: msgspec.json.Decoder[Incoming] = msgspec.json.Decoder(incoming)
+        self._received = bytearray()
+        self._waiting: deque[bytes] = deque()
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether something waits to be sent."""
+        return bool(self._waiting)
+
+    def send(self, message: msgspec.Struct) -> None:
+        """Send a message. Does nothing once the helper has ended."""
+        self._waiting.append(msgspec.json.encode(message) + b"\n")
+        self._flush()
+
+    def hear(self) -> Iterator[Incoming]:
+        """What it has said by now. If `has_ended` is set afterwards, there will be no more."""
+        self._flush()
+        while not self.has_ended:
+            try:
+                data = self.socket.recv(1 << 16)
+            except BlockingIOError:
+                return
+            except OSError:
+                data = b""
+            self.has_ended = not data
+            *lines, rest = (self._received + data).split(b"\n")
+            self._received = bytearray(rest)
+            yield from map(self._decoder.decode, lines)
+
+    def await_words(self, patience_s: float) -> Iterator[Incoming]:
+        """What it says until it ends, or until so many seconds are over; for callers that do nothing else."""
+        until = time.monotonic() + patience_s
+        with selectors.DefaultSelector() as selector:
+            selector.register(self.socket, selectors.EVENT_READ)
+            while not self.has_ended and time.monotonic() < until:
+                selector.select(until - time.monotonic())
+                yield from self.hear()
+
+    def close(self) -> int:
+        """Have it take leave of other nodes, and end. Returns its exit status."""
+        with suppress(OSError):
+            self.socket.shutdown(socket.SHUT_RDWR)
+        self.has_ended = True
+        try:
+            self._process.wait(_END_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+        self.socket.close()
+        return self._process.wait()
+
+    def _flush(self) -> None:
+        while self._waiting and not self.has_ended:
+            data = self._waiting[0]
+            try:
+                sent = self.socket.send(data)
+            except BlockingIOError:
+                return
+            except OSError:  # its end is heard as well
+                self._waiting.clear()
+                return
+            if sent < len(data):
+                self._waiting[0] = data[sent:]
+            else:
+                self._waiting.popleft()
