@@ -16,6 +16,7 @@ from typing import NamedTuple, TypeAlias
 from urllib.parse import quote
 
 from cfgplan_runtime.streams.channel import MOST_WAITING_BYTES
+from cfgplan_runtime.streams.element import Buffer
 
 KEYS = "cfgplan"
 """What every key of a fleet begins with."""
