@@ -207,9 +207,13 @@ class Status(StrEnum):
     """Stopped without a plan and without a proof that there is none."""
 
     @classmethod
-    def of_plan(cls, cost_us: int, bound_us: int, objectives: tuple[Measured, ...] = ()) -> Status:
-        """Optimal if the proven bound reaches the cost, and all objectives are proven, else feasible."""
-        is_proven = bound_us == cost_us and all(one.is_proven for one in objectives)
+    def of_plan(
+        cls, cost_us: int, bound_us: int, objectives: tuple[Measured, ...] = (), *, is_required_proven: bool
+    ) -> Status:
+        """Return optimal if the bound reaches the cost, all objectives are proven, and no plan uses more of what is
+        required; else feasible.
+        """
+        is_proven = is_required_proven and bound_us == cost_us and all(one.is_proven for one in objectives)
         return cls.OPTIMAL if is_proven else cls.FEASIBLE
 
 
@@ -268,13 +272,14 @@ class Plan:
     the update (Definition 8) or, when too expensive, that of the cheapest update if it is known;
     `bound_us` is proven: no update is cheaper. `reasons` says why: for each target that can't be met, by its
     label, and for each pinned unit that can't be fed and is stopped, by its id. `unused_required`
-    names the required transformations that could not be used. `seconds` is the wall time of each
+    names the required transformations that the plan does not use. `seconds` is the wall time of each
     phase; `counts` are the planner's own figures (nodes, conflicts, rounds).
 
     Three fields say what is proven besides the cost: `ties_proven`, that no plan of this cost rewires fewer running
     units, or as many and starts fewer; `required_proven`, that no valid configuration uses more of the required
-    transformations; `undecided` names the (offered, demanded) pairs of tags that the bound hangs on: a cheaper
-    plan may exist if they match. A plan that is optimal has none.
+    transformations, without which a plan that leaves some unused is not optimal; `undecided` names the (offered,
+    demanded) pairs of tags that the bound hangs on: a cheaper plan may exist if they match. A plan that is optimal has
+    none.
 
     Where the environment minimises more than the cost, `objectives` are what it minimises, in order. Then `bound_us`
     holds of the updates that are as good in what comes before the cost, a plan is optimal if all of `objectives` are
@@ -329,8 +334,7 @@ class PlannerFaultError(CfgplanError):
     def __init__(self, message: str, plan: Plan) -> None:
         self.plan = plan
         if plan.change_set is not None and plan.cost_us is not None:
-            status = Status.of_plan(plan.cost_us, 0)
-            self.plan = replace(plan.unproven, status=status)
+            self.plan = replace(plan.unproven, status=Status.FEASIBLE)
         super().__init__(message)
 
     def __reduce__(self) -> tuple[type[PlannerFaultError], tuple[str, Plan]]:

@@ -20,7 +20,7 @@ from cfgplan.domain import (
     Target,
     Transformation,
 )
-from cfgplan.planning import Plan, Problem, Status
+from cfgplan.planning import Plan, PlannerFaultError, Problem, Status
 from cfgplan.validity import Rule, kept_us, plan_violations, violations
 
 CAMERA = Transformation("camera", (), (OutputPort("out", "Image"),), labor_us=5, upkeep_us=1)
@@ -267,6 +267,13 @@ def test_a_feasible_plan_has_a_lower_bound() -> None:
     assert plan_rules(replace(GOOD, status=Status.FEASIBLE, bound_us=37)) == set()
 
 
+def test_a_bound_of_0_claims_nothing_even_of_a_plan_that_costs_0() -> None:
+    keeps = Plan("by hand", Status.FEASIBLE, ChangeSet(), cost_us=0, bound_us=0)
+    problem = replace(EMPTY, environment=VALID, horizon_s=0)
+    assert plan_rules(keeps, problem) == plan_rules(replace(keeps, status=Status.OPTIMAL), problem) == set()
+    assert PlannerFaultError("a fault", replace(keeps, status=Status.OPTIMAL)).plan.status is Status.FEASIBLE
+
+
 @pytest.mark.parametrize("changes", [{"bound_us": 38}, {"bound_us": 39}, {"bound_us": 37, "ties_proven": True}])
 def test_a_feasible_plan_proves_neither_its_cost_nor_more_nor_its_ties(changes: dict[str, object]) -> None:
     plan = replace(GOOD, status=Status.FEASIBLE, **changes)  # type: ignore[arg-type]
@@ -328,7 +335,16 @@ def test_a_required_transformation_that_is_not_used_must_be_named() -> None:
     library = (CAMERA, DETECTOR, Transformation("radar", (), (OutputPort("out", "Image"),), required=True))
     problem = replace(EMPTY, environment=replace(EMPTY.environment, library=library))
     assert plan_rules(GOOD, problem) == {Rule.REQUIRED}
-    assert plan_rules(replace(GOOD, unused_required=("radar",)), problem) == set()
+    assert plan_rules(replace(GOOD, unused_required=("radar",), required_proven=True), problem) == set()
+
+
+def test_a_plan_is_optimal_only_with_the_proof_that_none_uses_more_of_what_is_required() -> None:
+    library = (CAMERA, DETECTOR, Transformation("radar", (), (OutputPort("out", "Image"),), required=True))
+    problem = replace(EMPTY, environment=replace(EMPTY.environment, library=library))
+    unproven = replace(GOOD, unused_required=("radar",))
+    assert plan_rules(unproven, problem) == {Rule.REQUIRED}
+    assert plan_rules(replace(unproven, status=Status.FEASIBLE), problem) == set()
+    assert plan_rules(replace(unproven, status=Status.FEASIBLE, required_proven=True), problem) == {Rule.BOUND}
 
 
 def test_the_targets_that_can_not_be_met_must_be_named_exactly() -> None:

@@ -203,6 +203,8 @@ def verdict(problem: Problem, plan: Plan) -> Text:
             first = next((one for one in plan.measured if not one.is_proven), plan.measured[-1])
             bound = f"no update costs less than {amount(first.objective, first.bound)}, a gap of {plan.gap:.1%}"
             proven = bound if first.bound else "it has no bound on the optimum"
+            if first.bound and first.is_proven and not plan.required_proven:
+                proven = "another may use more of what is required"
             return Text(f"Feasible: {plan.planner} has not proven it optimal; {proven}.", style="bold yellow")
         case Status.INFEASIBLE:
             return Text("No plan: these targets can't be met by any configuration.", style="bold red")

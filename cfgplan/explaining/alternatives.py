@@ -179,12 +179,15 @@ class _Ranking:
         if plan is None or plan.cost_us is None:
             return None
         unused = self._unused(plan)
-        bound_us = self._best.bound_us if len(unused) == len(self._best.unused_required) else 0
+        uses_as_many = len(unused) == len(self._best.unused_required)
+        bound_us = self._best.bound_us if uses_as_many else 0
+        is_required_proven = uses_as_many and self._best.required_proven
         return replace(
             plan,
-            status=Status.of_plan(plan.cost_us, bound_us),
+            status=Status.of_plan(plan.cost_us, bound_us, is_required_proven=is_required_proven),
             bound_us=bound_us,
             unused_required=unused,
+            required_proven=is_required_proven,
             ties_proven=False,
         )
 

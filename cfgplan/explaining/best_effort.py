@@ -209,7 +209,7 @@ class _Search:
                 self._refused.append(targets)
         else:
             self.undecided.update(plan.undecided)
-            self.is_exact &= plan.status is Status.OPTIMAL and plan.required_proven
+            self.is_exact &= plan.status is Status.OPTIMAL
         return plan
 
     def _left_s(self) -> float | None:

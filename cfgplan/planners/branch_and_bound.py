@@ -11,7 +11,8 @@ are merged from the root down. It is faithful, so that it can be compared, and k
 * The paper's algorithm does not end on units that feed each other. Here a transformation may not
   stand below itself, except below a feedback input, where it points at the one above.
 * Distinct groups and required transformations are unknown to it. A plan that breaks a rule is not
-  given out: the status is unknown and the reasons hold the judge's words.
+  given out: the status is unknown and the reasons hold the judge's words. So it is where a plan within
+  a largest cost leaves required transformations unused, which come before that cost.
 * It proves no bound but 0. Pinned units that can be fed are further children of the root.
 """
 
@@ -75,9 +76,14 @@ def plan(problem: Problem, *, time_limit_s: float | None = None, report: OnProgr
     units = compiled(problem, root)
     cost_us = key_of(problem, units).cost_us
     unused = unused_required(problem, units)
+    if unused and problem.max_cost_us is not None:
+        text = (
+            f"it does not know `required`, which comes before the largest cost, and uses no {' and no '.join(unused)}"
+        )
+        return _unknown(text, tree, seconds)
     answer = Plan(
         "branch-and-bound",
-        Status.of_plan(cost_us, 0),
+        Status.of_plan(cost_us, 0, is_required_proven=not unused),
         problem.environment.change_to(units),
         cost_us,
         unused_required=unused,

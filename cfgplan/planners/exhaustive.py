@@ -154,14 +154,15 @@ def _answer(problem: Problem, best: tuple[OracleRank, Environment] | None, steps
         return plan(Status.TOO_EXPENSIVE, None, rank.cost_us, bound_us)
     unused, named = unused_required(after), zip(problem.environment.minimise, rank.first[1:], strict=False)
     objectives = tuple(Measured(each, value, 0 if stopped else value) for each, value in named)
+    is_required_proven = not (stopped and unused)
     return plan(
-        Status.of_plan(rank.cost_us, bound_us, objectives),
+        Status.of_plan(rank.cost_us, bound_us, objectives, is_required_proven=is_required_proven),
         problem.environment.change_to(after.units),
         rank.cost_us,
         bound_us,
         unused_required=unused,
         ties_proven=not stopped,
-        required_proven=not (stopped and unused),
+        required_proven=is_required_proven,
         objectives=objectives,
     )
 

@@ -130,6 +130,9 @@ def _misreported_required(plan: Plan, after: Environment) -> Iterator[Violation]
             f"the unused required transformations are {list(unused)}, but the plan names {list(plan.unused_required)}"
         )
         yield Violation(Rule.REQUIRED, text)
+    if plan.status is Status.OPTIMAL and unused and not plan.required_proven:
+        text = f"the plan says optimal, but not that no plan uses more than it does: {', '.join(unused)} may be of use"
+        yield Violation(Rule.REQUIRED, text)
 
 
 def _refuted_by_what_runs(problem: Problem, plan: Plan) -> Iterator[Violation]:
@@ -218,7 +221,8 @@ def _bad_cost(problem: Problem, plan: Plan, after: Environment) -> Iterator[Viol
         yield Violation(Rule.BOUND, f"the bound {plan.bound_us} us exceeds the cost {cost} us")
     if plan.status is Status.OPTIMAL and plan.bound_us != cost:
         yield Violation(Rule.BOUND, f"the plan says optimal, but its bound is {plan.bound_us} us of {cost} us")
-    is_proven = all(one.is_proven for one in plan.measured)
+    is_proven = all(one.bound and one.is_proven for one in plan.measured)  # a bound of 0 claims nothing
+    is_proven &= plan.required_proven or not plan.unused_required
     if plan.status is Status.FEASIBLE and is_proven and not plan.undecided:
         yield Violation(Rule.BOUND, f"the plan says feasible, but its bound is its cost of {cost} us")
     if plan.status is Status.FEASIBLE and plan.ties_proven:

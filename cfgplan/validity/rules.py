@@ -26,12 +26,12 @@ class Rule(StrEnum):
     INSTANCES = "of each transformation as many units run as it asks for and allows, in all and on each host"
     SURVIVES = "no single failure leaves a target without a stream"
     PINNED = "a running unit of a pinned transformation is kept where it can be fed, and not stopped without a reason"
-    REQUIRED = "a plan says which required transformations it leaves unused"
+    REQUIRED = "a plan says which required transformations it leaves unused; an optimal one proves that none uses more"
     CONSISTENT = "a change set can be applied and says exactly what changes"
     COST = (
         "cost is labor of what starts plus upkeep of what runs over the horizon (Definition 8), and what else is priced"
     )
-    BOUND = "the bound is at most the cost, and equal to it exactly when the plan is optimal"
+    BOUND = "the bound is at most the cost, and equal to it where the plan is optimal; a bound of 0 claims nothing"
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,14 +7,15 @@ from dataclasses import replace
 from itertools import product
 
 import pytest
-from fixed import kind, unit, world
+from fixed import PLAIN_OUTPUT, kind, unit, world
 from kinds import differences
 from worlds import oracle_of
 
-from cfgplan.domain import ALL, Host, Objective, Target
+from cfgplan.domain import ALL, Host, Objective, OutputPort, Target
 from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planners.tuning import USUAL, Tuning
 from cfgplan.planning import Failures, Problem
+from cfgplan.qualities import Better, Contribution, QualityAttribute, QualityRule, Wish
 
 SOURCE, SINK, OTHER = kind("s", "", "A", 3), kind("k", "A", "B", 2), kind("o", "", "A", 9)
 BOTH = (unit("s"), unit("k", "s.1/x0", topic="B"))
@@ -83,9 +84,22 @@ def more_streams_than_there_may_be() -> Iterator[Problem]:
             yield world("B", source, OTHER, distinct, units=units)
 
 
+def scales_whose_worst_is_their_best() -> Iterator[Problem]:
+    stated = OutputPort("x", "", (Contribution("f", QualityRule.ADD, 0), Contribution("e", QualityRule.ADD, 3)))
+    for at, bound, weight_us in product((0, 7), (None, 0, 7), (0, 1, 10**6)):
+        flat = QualityAttribute("f", Better.LOWER, worst=at, best=at)
+        wishes = (Wish("f", bound, weight_us), Wish("e", 3, 1))
+        for output, units in product((PLAIN_OUTPUT, stated), ((), BOTH)):
+            sink = kind("k", "A", "B", 2, output=output)
+            target = Target("B", "B", "/B", quality=wishes if bound is not None or weight_us else wishes[1:])
+            steep = QualityAttribute("e", Better.LOWER, worst=20)
+            yield world((target,), SOURCE, sink, units=units, qualities=(flat, steep))
+
+
 @pytest.mark.parametrize(
     "corner",
     [
+        scales_whose_worst_is_their_best,
         without_targets,
         two_targets_of_one_stream,
         costs_that_are_allowed,

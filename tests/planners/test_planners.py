@@ -247,6 +247,15 @@ def test_branch_and_bound_says_unknown_instead_of_giving_out_an_invalid_plan() -
     assert "must differ" in plan.reasons["B"]
 
 
+@every_planner
+def test_what_is_required_comes_before_the_largest_cost(planner: Planner) -> None:
+    library = (make("free", gives="A", labor=0), make("wanted", gives="A", labor=5, required=True))
+    assert planner(world("A", *library, max_cost=4)).status in (Status.TOO_EXPENSIVE, Status.UNKNOWN)
+    assert planner(world("A", *library, max_cost=5)).status in (Status.OPTIMAL, Status.UNKNOWN)
+    free = planner(world("A", *library))
+    assert (free.status is Status.OPTIMAL) == free.required_proven == (free.cost_us == 5)
+
+
 def test_the_oracle_refuses_what_it_cannot_try(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match="too many"):
         PLANNERS["exhaustive"](world("A", *(make(f"t{i}", gives="A") for i in range(19))))

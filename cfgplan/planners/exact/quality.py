@@ -50,12 +50,15 @@ def chains_are_as_bad_as_who_runs_lets_them(model: Model, cuts: Iterable[ChainCu
 
 
 def _step(candidates: Candidates, attribute: QualityAttribute) -> int:
-    """A number of which all badness is a multiple: small numbers are what the engine is good at."""
+    """Return a number of which all badness is a multiple: small numbers are what the engine is good at.
+
+    It is 1 where all badness is 0, as on a scale whose worst is its best.
+    """
     outputs = [port for t in candidates.kinds.values() for port in t.outputs]
     stated = [c for port in outputs for c in port.quality if c.attribute == attribute.name]
     is_cut = any(c.rule is QualityRule.SCALE or c.over is Over.MEAN for c in stated)
     late = [link.latency for link in candidates.environment.links if link.adds == attribute.name]
-    return 1 if is_cut else gcd(attribute.worst, attribute.best, *(c.value for c in stated), *late)
+    return 1 if is_cut else max(1, gcd(attribute.worst, attribute.best, *(c.value for c in stated), *late))
 
 
 class _Badness:

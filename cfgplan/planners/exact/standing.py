@@ -133,14 +133,14 @@ class Standing:
         if self.best is None or (largest is not None and self.best.key.cost_us > largest):
             return plan(Status.UNKNOWN, bound_us=bound_us)
         key, units = self.best
-        objectives = self.measured()
+        objectives, is_required_proven = self.measured(), key.unused <= self.fewest_unused
         return plan(
-            Status.of_plan(key.cost_us, bound_us, objectives),
+            Status.of_plan(key.cost_us, bound_us, objectives, is_required_proven=is_required_proven),
             problem.environment.change_to([in_order(problem.environment, unit) for unit in units]),
             key.cost_us,
             bound_us,
             unused_required=unused_required(problem, units),
             ties_proven=self.are_ties_proven,
-            required_proven=key.unused <= self.fewest_unused,
+            required_proven=is_required_proven,
             objectives=objectives,
         )

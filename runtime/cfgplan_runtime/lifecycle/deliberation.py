@@ -376,7 +376,7 @@ def _judged(thought: Thought, found: BestEffort, *, optimises: bool) -> Thought:
         change_set=plan.change_set,
         cost_us=plan.cost_us,
         bound_us=plan.bound_us,
-        is_proven=found.exact and plan.status is Status.OPTIMAL and plan.required_proven,
+        is_proven=found.exact and plan.status is Status.OPTIMAL,
     )
     met_now = [target.label for target in planned.targets if target.label not in unmet_now]
     met_then = [target.label for target in found.problem.environment.targets]
