@@ -3,14 +3,17 @@
 expression = and-list { (⊔ | or) and-list }
 and-list   = operand { (⊓ | and | that) operand }
 operand    = ¬ operand | ( expression ) | ⊤ | ⊥ | name
+
+A word such as `and` is a keyword only where a name can't stand. In quotes it is always a name.
 """
 
 from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import lru_cache
+from types import MappingProxyType
 from typing import ClassVar, Final, Generic, TypeVar
 from unicodedata import category
 
@@ -22,13 +25,15 @@ DEEPEST_EXPRESSION: Final = 100
 _TOKEN: Final = r"<[^<>\s]+>|'[^']*'|:?[^\W](?:[{0}-]*[{0}])?(?::[{0}](?:[{0}-]*[{0}])?)?|\S"
 _PLAIN_TOKEN: Final = re.compile(_TOKEN.format(r"\w"))
 _JOINERS: Final = "\u200c\u200d"
-_WORDS: Final = {
-    "and": "⊓", "that": "⊓", "&": "⊓", "∧": "⊓", "or": "⊔", "|": "⊔", "∨": "⊔",
-    "not": "¬", "~": "¬", "!": "¬", "exists": "∃", "forall": "∀",
-    "Thing": "⊤", "owl:Thing": "⊤", "Nothing": "⊥", "owl:Nothing": "⊥",
-}  # fmt: skip
+_JOINING: Final = {"and": "⊓", "that": "⊓", "&": "⊓", "∧": "⊓", "or": "⊔", "|": "⊔", "∨": "⊔"}
+_NEGATING: Final = {"not": "¬", "~": "¬", "!": "¬"}
+QUANTIFYING: Final = {"exists": "∃", "forall": "∀"}
 RESTRICTIONS: Final = frozenset({"some", "only", "value", "min", "max", "exactly"})
-NO_OPERAND: Final = frozenset("⊓⊔.,)}") | RESTRICTIONS
+KEYWORDS: Final = RESTRICTIONS.union(
+    word for words in (_JOINING, _NEGATING, QUANTIFYING) for word in words if word.isalpha()
+)
+"""The words that mean more than a name in a tag."""
+_NO_OPERAND: Final = frozenset("⊓⊔.,)}")
 
 Meaning = TypeVar("Meaning")
 """What an expression means to those who read it."""
@@ -40,14 +45,18 @@ class ExpressionReader(ABC, Generic[Meaning]):
     what: ClassVar[str] = "expression"
     wanted: ClassVar[str] = "a name"
     examples: ClassVar[str] = "a name"
+    signs: ClassVar[Mapping[str, str]] = MappingProxyType({**_JOINING, **_NEGATING})
+    """The signs that words and other signs stand for."""
+    restrictions: ClassVar[frozenset[str]] = frozenset()
+    """Words that stand between a role and an operand or a number."""
     top: Meaning
     bottom: Meaning
 
     def __init__(self, text: str) -> None:
         self._text = text
         self._token = _token_of(text)
-        self._tokens: list[str] = [_WORDS.get(token, token) for token in self._token.findall(text)]
-        self._tokens.append("")
+        self._words: list[str] = [*self._token.findall(text), ""]
+        self._tokens: list[str] = [self.signs.get(word, word) for word in self._words]
         self._at = 0
         self._depth = 0
 
@@ -66,6 +75,10 @@ class ExpressionReader(ABC, Generic[Meaning]):
     @abstractmethod
     def other(self, token: str) -> Meaning:
         """What an operand means that begins with a token that has just been read."""
+
+    def is_name(self, _word: str, _follows: str) -> bool:
+        """Whether a keyword that stands where an operand is wanted is a name, given the token that follows it."""
+        return False
 
     def whole(self) -> Meaning:
         """What the text means. Raises TagError."""
@@ -95,14 +108,36 @@ class ExpressionReader(ABC, Generic[Meaning]):
         self._depth += 1
         if self._depth > DEEPEST_EXPRESSION:
             raise self._error(f"the {self.what} is nested more than {DEEPEST_EXPRESSION} deep", "shorten it")
-        token = self._tokens[self._at]
-        if not token or token in NO_OPERAND:
+        token, is_name = self._tokens[self._at], self._is_own_name()
+        if not is_name and self._ends_operand(token):
             what = f"{self._written()!r} stands" if token else f"the {self.what} ends"
-            raise self._error(f"{what} where {self.wanted} is wanted", f"write {self.examples}")
+            quoted = f"; a name is written \"'{self._written()}'\"" if self._is_keyword() else ""
+            raise self._error(f"{what} where {self.wanted} is wanted", f"write {self.examples}{quoted}")
         self._at += 1
-        found = self._compound(token)
+        found = self.other(self._words[self._at - 1]) if is_name else self._compound(token)
         self._depth -= 1
         return found
+
+    def _is_keyword(self) -> bool:
+        """Whether the next token is a word that means more than a name."""
+        word = self._written()
+        return word in self.restrictions or (word in self.signs and word.isalpha())
+
+    def _is_own_name(self) -> bool:
+        """Whether the next token is a keyword in a place where it can only be a name, and there is that name."""
+        if not self._is_keyword():
+            return False
+        token, follows, then = (*self._tokens[self._at :], "", "")[:3]
+        if token == "¬":
+            may_be_name = follows in ("⊓", "⊔") or follows in self.restrictions
+            is_operator = not self._ends_operand(follows) or (may_be_name and self._ends_operand(then))
+        else:
+            is_operator = token in ("∃", "∀") and then == "."
+        return not is_operator and self.is_name(self._written(), follows)
+
+    def _ends_operand(self, token: str) -> bool:
+        """Whether a token can't begin an operand."""
+        return not token or token in _NO_OPERAND or token in self.restrictions
 
     def _compound(self, token: str) -> Meaning:
         if token == "¬":
@@ -121,7 +156,7 @@ class ExpressionReader(ABC, Generic[Meaning]):
         first = token[:1]
         if first == "'":
             return token[1:-1]
-        if (first.isalnum() or (first in ("_", ":", "<") and len(token) > 1)) and token not in RESTRICTIONS:
+        if first.isalnum() or (first in ("_", ":", "<") and len(token) > 1):
             return token
         what = f"{token!r} is no name" if token else f"the {self.what} ends where a name is wanted"
         raise self._error(what, "names are letters, digits, _ and -; write others as 'name' or <IRI>", at)
@@ -135,14 +170,20 @@ class ExpressionReader(ABC, Generic[Meaning]):
 
     def _written(self) -> str:
         """The token that is to be read next, as it stands in the text."""
-        tokens: list[str] = self._token.findall(self._text)
-        return tokens[self._at]
+        return self._words[self._at]
 
     def _error(self, message: str, mend: str | None = None, at: int | None = None) -> TagError:
         index = self._at if at is None else at
         starts = [found.start() for found in self._token.finditer(self._text)]
         column = starts[index] if index < len(starts) else len(self._text.rstrip())
         return TagError(message, column + 1, mend)
+
+
+def quoted(name: str) -> str | None:
+    """A name as an expression writes it, in quotes if need be; None for one that can't be written by itself."""
+    if name not in KEYWORDS and name[:1] not in ("<", "'") and _token_of(name).fullmatch(name) and name[0].isalnum():
+        return name
+    return None if "'" in name or not name else f"'{name}'"
 
 
 def _token_of(text: str) -> re.Pattern[str]:

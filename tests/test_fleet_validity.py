@@ -262,7 +262,7 @@ PLAN = Plan("test", Status.OPTIMAL, ChangeSet(started=(camera, detector)), COST,
 
 def test_a_link_has_its_price_and_bears_no_more_than_its_bandwidth() -> None:
     labelled = (replace(HOSTS[0], labels=("mobile",)), HOSTS[1])
-    dearer, usual = Link(("base", "mobile"), 2_500_000, 4), Link(("Thing", "Thing"), 0, 9)
+    dearer, usual = Link(("base", "mobile"), 2_500_000, 4), Link(("⊤", "⊤"), 0, 9)
     linked = replace(VALID, hosts=labelled, links=(dearer, usual))
     assert rules(linked) == set()
     assert rules(replace(linked, links=(replace(dearer, bandwidth=2_499_999),))) == {Broken.CAPACITY}

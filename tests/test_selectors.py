@@ -17,13 +17,19 @@ from cfgplan.errors import InvalidValueError
         ("robot ⊓ ¬gpu ⊔ c", "bc"),
         ("not (robot and gpu)", "bc"),
         ("a or 'base station'", "ac"),
-        ("Thing", "abc"),
-        ("Nothing", ""),
+        ("⊤", "abc"),
+        ("⊥", ""),
+        ("Thing", "a"),
+        ("min or only", "b"),
         ("unknown", ""),
     ],
 )
 def test_a_selector_chooses_hosts_by_their_labels_and_names(text: str, chosen: str) -> None:
-    hosts = (Host("a", labels=("robot", "gpu")), Host("b", labels=("robot",)), Host("c", labels=("base station",)))
+    hosts = (
+        Host("a", labels=("robot", "gpu", "Thing")),
+        Host("b", labels=("robot", "min")),
+        Host("c", labels=("base station",)),
+    )
     environment = Environment(hosts=hosts)
     assert environment.hosts_for(Transformation("t", on=text)) == tuple(chosen)
     assert Environment().hosts_for(Transformation("t", on=text)) == (None,)

@@ -19,7 +19,7 @@ from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.session import Matching
 
 _FOLDER: Final = "matching"
-_FORMAT: Final = "cfgplan-matching/3"
+_FORMAT: Final = "cfgplan-matching/4"
 """Raise this number whenever tags or ontologies are read differently: kept answers would be wrong."""
 MOST_FILES: Final = 64
 """The number of answers that are kept; the oldest are dropped first."""

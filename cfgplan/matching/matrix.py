@@ -131,7 +131,7 @@ def instances(ontology: Ontology, class_or_tag: str, *, time_limit_s: float | No
     if name in ontology.individuals and name not in ontology.classes:
         raise UnknownNameError(f"{name!r} is an individual, but a class is wanted here")
     parse_tag(name, ontology)
-    tags = {f"{{{individual}}}": individual for individual in ontology.individuals}
+    tags = {f"{{{ontology.in_tag(iri)}}}": individual for individual, iri in ontology.individuals.items()}
     found = match(tags, [name], ontology, time_limit_s=time_limit_s)
     if found.similarity.open:
         message = f"it could not be decided in {time_limit_s} s which individuals belong to {name!r}"

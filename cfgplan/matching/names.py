@@ -40,10 +40,14 @@ class NameTable:
     def __contains__(self, iri: object) -> bool:
         return iri in self._iris
 
+    def has(self, name: str) -> bool:
+        """Whether an IRI has this short name."""
+        return bool(self._by_name.get(normal(name)))
+
     def written(self, iri: str) -> str:
-        """How a tag writes this IRI: short, with its prefix, or in full."""
+        """The shortest name of this IRI: short, with its prefix, or in full."""
         short = short_name(iri)
-        if len(self._by_name[short]) < 2:
+        if len(self._by_name.get(short, ())) < 2:
             return short
         for prefix, namespace in sorted(self._prefixes.items()):
             if namespace + short == iri:

@@ -16,6 +16,7 @@ from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI, Concept, in_descri
 from cfgplan.matching.functional import Signature, Tree, parse
 from cfgplan.matching.literals import told
 from cfgplan.matching.names import NameTable, expanded, short_name
+from cfgplan.selectors import quoted
 
 BRACKETED: Final = re.compile(r"<([^<>\s]+)>")
 
@@ -124,6 +125,10 @@ class Ontology:
         return NameTable("property", self._signature.roles, self.prefixes)
 
     @property
+    def _vocabularies(self) -> tuple[NameTable, ...]:
+        return self.class_names, self.individual_names, self.property_names
+
+    @property
     def classes(self) -> Mapping[str, str]:
         """IRIs of the named classes by short name (`prefix:name` where the short name is ambiguous)."""
         return self.class_names.by_short_name
@@ -149,8 +154,8 @@ class Ontology:
         return expanded(name, self.prefixes) or name
 
     def written(self, iri: str) -> str:
-        """How a tag writes this IRI."""
-        for vocabulary in (self.class_names, self.individual_names, self.property_names):
+        """The shortest name of an IRI."""
+        for vocabulary in self._vocabularies:
             if iri in vocabulary:
                 return vocabulary.written(iri)
         return {THING_IRI: "⊤", NOTHING_IRI: "⊥"}.get(iri) or short_name(iri)
@@ -160,13 +165,21 @@ class Ontology:
         return BRACKETED.sub(lambda found: self.written(found[1]), text)
 
     def render(self, concept: Concept) -> str:
-        """A concept in DL syntax with short names."""
-        return in_description_logic(concept, self.written)
+        """A concept as a tag in DL syntax, with short names; names that would be read otherwise are in quotes."""
+        return in_description_logic(concept, self.in_tag)
+
+    def in_tag(self, iri: str) -> str:
+        """An IRI as the name that stands for it in a tag."""
+        known = [names.written(iri) for names in self._vocabularies if iri in names]
+        name = max(known, key=len) if known else iri if self.is_open else short_name(iri)
+        if name.startswith("<"):
+            return name
+        return (None if self.is_open and ":" in name else quoted(name)) or f"<{iri}>"
 
     def _unknown(self, name: str, vocabularies: Sequence[NameTable]) -> UnknownNameError:
         wanted = " or ".join(vocabulary.what for vocabulary in vocabularies)
         known = sorted(short for vocabulary in vocabularies for short in vocabulary.by_short_name)
-        for other in (self.class_names, self.individual_names, self.property_names):
+        for other in self._vocabularies:
             if other not in vocabularies and other.find(name) is not None:
                 message = f"{name!r} is {_article(other.what)}, but {_article(wanted)} is wanted here"
                 return UnknownNameError(message, f"write one, such as {', '.join(known[:3])}" if known else None)

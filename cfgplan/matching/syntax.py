@@ -4,16 +4,21 @@ tag      = and-list { (⊔ | or) and-list }
 and-list = operand { (⊓ | and | that) operand }
 operand  = ¬ operand | (∃|∀) role . operand | (≥|≤|=) number role . operand | ( tag ) | {a, b} | name | name(a)
          | role (some|only) operand | role value a | role (min|max|exactly) number operand
+
+`Thing` and `Nothing` mean ⊤ and ⊥ unless the ontology has such names; without an ontology they are names like others.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from types import MappingProxyType
 from typing import Final
 
 from cfgplan.errors import UnknownNameError, did_you_mean
 from cfgplan.matching.concepts import (
     BOTTOM,
+    NOTHING_IRI,
+    THING_IRI,
     TOP,
     AtMost,
     Concept,
@@ -27,9 +32,10 @@ from cfgplan.matching.concepts import (
     negation,
     some,
 )
+from cfgplan.matching.expressions import BUILT_IN_ROLE
 from cfgplan.matching.names import NameTable
 from cfgplan.matching.ontology import Ontology
-from cfgplan.selectors import NO_OPERAND, RESTRICTIONS, ExpressionReader
+from cfgplan.selectors import QUANTIFYING, RESTRICTIONS, ExpressionReader
 
 SOURCE_ROLE: Final = "hasSource"
 """The property that the paper's form `P(a)` means: P ⊓ ∃hasSource.{a}."""
@@ -46,6 +52,8 @@ class _TagReader(ExpressionReader[Concept]):
     what = "tag"
     wanted = "a concept"
     examples = "a class, a restriction or {an individual}"
+    signs = MappingProxyType({**ExpressionReader.signs, **QUANTIFYING})
+    restrictions = RESTRICTIONS
     top, bottom = TOP, BOTTOM
 
     def __init__(self, text: str, ontology: Ontology) -> None:
@@ -60,6 +68,13 @@ class _TagReader(ExpressionReader[Concept]):
 
     def none_of(self, part: Concept) -> Concept:
         return negation(part)
+
+    def is_name(self, word: str, follows: str) -> bool:
+        if self._ontology.is_open:
+            return self._ends_operand(follows) or follows == "("
+        is_role = follows in RESTRICTIONS
+        own = self._ontology.property_names if is_role else self._ontology.class_names
+        return own.has(word) or (not is_role and self._ontology.individual_names.has(word))
 
     def other(self, token: str) -> Concept:
         if token == "∃" or token == "∀":
@@ -100,11 +115,12 @@ class _TagReader(ExpressionReader[Concept]):
             return Some(role, self._individual())
         number = self._number()
         follows = self._tokens[self._at]
-        filler = TOP if not follows or follows in NO_OPERAND else self._operand()
+        is_whole = self._ends_operand(follows) and follows not in RESTRICTIONS
+        filler = TOP if is_whole else self._operand()
         return _cardinality({"min": "≥", "max": "≤", "exactly": "="}[word], number, role, filler)
 
     def _predicate(self) -> Concept:
-        predicate = self._name_as_concept(self._tokens[self._at - 1])
+        predicate = self._name_as_concept(self._words[self._at - 1])
         self._at += 1
         individual = self._individual()
         self._expect(")", "after the individual of a predicate")
@@ -119,8 +135,22 @@ class _TagReader(ExpressionReader[Concept]):
         return disjunction(individuals)
 
     def _name_as_concept(self, token: str) -> Concept:
-        name = self._name(token, self._at - 1)
-        return self._meant(name, self._at - 1, self._ontology.class_names, self._ontology.individual_names)
+        name, at = self._name(token, self._at - 1), self._at - 1
+        vocabularies = self._ontology.class_names, self._ontology.individual_names
+        built_in = self._built_in(name, vocabularies)
+        return Named(built_in) if built_in else self._meant(name, at, *vocabularies)
+
+    def _built_in(self, name: str, vocabularies: Sequence[NameTable]) -> str | None:
+        """The IRI of ⊤ or ⊥ if a name stands for it; None if it is a name of the user's.
+
+        `Thing` and `Nothing` stand for ⊤ and ⊥ in an ontology without such names of its own.
+        """
+        iri = name[1:-1] if name.startswith("<") else None
+        if name.startswith("owl:"):
+            iri = self._ontology.prefixes.get("owl", BUILT_IN_ROLE) + name.removeprefix("owl:")
+        elif not self._ontology.is_open and not any(names.has(name) for names in vocabularies):
+            iri = iri or BUILT_IN_ROLE + name
+        return iri if iri in (THING_IRI, NOTHING_IRI) else None
 
     def _individual(self) -> Concept:
         """A name in an individual's place; without an ontology it means the same in every place."""
@@ -139,7 +169,7 @@ class _TagReader(ExpressionReader[Concept]):
 
     def _next_name(self) -> str:
         self._at += 1
-        return self._name(self._tokens[self._at - 1], self._at - 1)
+        return self._name(self._words[self._at - 1], self._at - 1)
 
     def _found(
         self, name: str, at: int, *vocabularies: NameTable, mend: str | None = None

@@ -9,11 +9,10 @@ from collections.abc import Iterable, Iterator
 
 from cfgplan.ros.graph import RosGraph, RosPort
 from cfgplan.ros.types import MessageType
-from cfgplan.selectors import NO_OPERAND
+from cfgplan.selectors import KEYWORDS
 
 _IRI = "urn:cfgplan:ros#"
-_OF_TAGS = {"and", "or", "not", "that", "exists", "forall", "thing", "nothing"}
-_NO_CONCEPTS = NO_OPERAND | _OF_TAGS | {"message", "topic", "service"}
+_NO_CONCEPTS = KEYWORDS | {"thing", "nothing", "message", "topic", "service"}
 
 
 class RosVocabulary:

@@ -37,7 +37,7 @@ TOGETHER = frozenset(Feature) - {Feature.OPTIONAL, Feature.COUNTS, Feature.LIMIT
 """What first plans and bounds know."""
 LINKS = st.builds(
     Link,
-    st.sampled_from([("a", "a"), ("a", "b"), ("h0", "not h0"), ("h2", "Thing")]),
+    st.sampled_from([("a", "a"), ("a", "b"), ("h0", "not h0"), ("h2", "⊤")]),
     st.sampled_from([None, None, 0, 1, 3, 8]),
     st.sampled_from([None, 0, 1, 400_000, 1_500_000]),
 )

@@ -159,7 +159,7 @@ RADIO = Link(("robot", "robot"), 1_500_000, 30)
 
 @every_model
 def test_the_first_link_that_joins_two_hosts_has_its_price(model: type[Hubs]) -> None:
-    links = (RADIO, Link(("robot", "Thing"), None, 7), Link(("h2", "h0"), 0, 9))
+    links = (RADIO, Link(("robot", "⊤"), None, 7), Link(("h2", "h0"), 0, 9))
     library = (kind("s", gives="A", output=STREAM), kind("f", "A", "B"))
     fixed = model(world("B", *library, hosts=ROUND, transfer_us=100, links=links))
     assert fixed.least_us(on("s.1", "h0"), on("f.1", "h1")) == 2 + 30
