@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
@@ -21,23 +22,23 @@ from cfgplan.cli.interrupts import Interrupts
 from cfgplan.cli.run_output import JsonLines, Lines, RunOutput
 from cfgplan.cli.screen import Screen, counted
 from cfgplan.errors import Fault, InputError
-from cfgplan.planning import Decider, Problem
 from cfgplan.summary import some
 
 if TYPE_CHECKING:
     from cfgplan_runtime.fleet.fleet_runtime import Fleet
+    from cfgplan_runtime.lifecycle.deliberation import Thought
     from cfgplan_runtime.operating.operation import Operation, Settings
     from cfgplan_runtime.runtime import Runtime
 
     from cfgplan.api import World
     from cfgplan.domain import ComputationUnit, Environment
-    from cfgplan.explaining.best_effort import BestEffort
-    from cfgplan.planning import Problem
+    from cfgplan.matching import Matches
 
 _LIVE_LOOK_S = 0.1
 ROS1 = "ros1"
 _HOSTS_S = 5.0
 """So many seconds after the start a fleet's backend must have told of each host."""
+_MOST_NAMED = 4
 _ESTIMATORS = ("declared", "latest", "average", "trend", "holt")
 _GUESSES = ("declared", "optimistic", "pessimistic")
 _RUN_EXAMPLE = """\
@@ -105,6 +106,8 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan_runtime.lifecycle.worlds import refuse_hosts
 
+    from cfgplan.api import FEW_PAIRS
+
     if options.page is not None:
         shared.needed_for_pages()
     if options.ros2:
@@ -139,14 +142,19 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     world = replace(loaded, environment=replace(loaded.environment, units=()))
     if options.dry_run or options.strict:
         settings = _settings(options, screen)
-        task = shared.task(options, screen, world)
+        matches = shared.matches(options, screen, world, FEW_PAIRS)
+        known = matches.warnings
         with screen.phase("plan"):
-            found = first_update(task.problem, settings, task.matches)
+            thought = first_review(_adjusted(options, world), settings, matches)
+        found = thought.found
+        if found is None or (thought.change_set is None and found.plan.change_set is not None):
+            raise thought.error or RuntimeError(thought.cause)
+        for warning in thought.warnings:
+            if warning not in (*known, *found.plan.reasons.values()):
+                screen.warn(warning)
         code = exit_of(found.plan.status, is_exact=found.exact, is_unmet=bool(found.unmet))
         if options.dry_run or code is not Exit.OK:
-            _show_first(found, world.digest, screen)
-            if said is not None and found.plan.change_set is not None:
-                screen.note(difference_text(said, found.problem.after(found.plan)), style="")
+            _shown_first(thought, world, said, screen)
             return code
     return _operate(options, world, screen, said)
 
@@ -154,7 +162,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 def _check_can_start(world: World) -> None:
     library = world.environment.library
     if world.environment.targets and library and not any(transformation.source for transformation in library):
-        labels = some((transformation.label for transformation in library), 4)
+        labels = some((transformation.label for transformation in library), _MOST_NAMED)
         message = f"nothing can be started: no transformation names its unit code ({labels})"
         mend = "add `source: units.py:Class` to them, or plan with `solve`"
         raise InputError.of(message, file=str(world.file.path) if world.file else None, mend=mend)
@@ -408,34 +416,40 @@ def _runtime(
     return lambda environment, folder: fleet_runtime(fleet, environment, folder, options.preload, screen.note)
 
 
-def first_update(problem: Problem, settings: Settings, decider: Decider) -> BestEffort:
-    """What the first review of a run would decide, by the costs that are known by now."""
+def first_review(world: World, settings: Settings, matches: Matches) -> Thought:
+    """Plan as the first review of a run would, with the estimates that earlier runs have kept."""
     from cfgplan_runtime.estimating.estimates_file import load
     from cfgplan_runtime.estimating.estimator import make_estimator
-    from cfgplan_runtime.lifecycle.configuration import EstimatedLibrary
-
-    from cfgplan.explaining.best_effort import best_effort
-    from cfgplan.planners import PLANNERS
-    from cfgplan.planners.undecided import Deciding
+    from cfgplan_runtime.lifecycle.basis import preview_of
+    from cfgplan_runtime.lifecycle.decisions import first_state
+    from cfgplan_runtime.lifecycle.deliberation import Deliberation
 
     estimator = make_estimator(settings.estimator, settings.guess)
     if settings.estimates is not None:
         load(estimator, settings.estimates, time.monotonic())
-    environment = problem.environment
-    library = EstimatedLibrary().estimated(environment, estimator, problem.horizon_s)
-    estimated = replace(problem, environment=replace(environment, library=tuple(library.values())))
-    deciding = Deciding(settings.planner or PLANNERS["cpsat"], decider)
-    found = best_effort(estimated, deciding, time_limit_s=settings.policy.time_limit_s)
-    return replace(found, problem=deciding.known(found.problem))
+    policy = replace(settings.policy, hosts_s=None, refuses_hosts=False)  # no host is asked whether it is there
+    deliberation = Deliberation(settings.planner, estimator, policy, matches)
+    return preview_of(deliberation, first_state(world, policy).scene, threading.Event()).thought
 
 
-def _show_first(found: BestEffort, digest: str, screen: Screen) -> None:
-    """Print the first update: as text, or as a plan file (JSON)."""
+def _shown_first(thought: Thought, world: World, said: Environment | None, screen: Screen) -> None:
+    """Show a first review that starts nothing: as text, or as a plan file (JSON)."""
+    found = thought.found
+    assert found is not None
     if screen.json:
         from cfgplan.formats.plan_file import dump_plan
 
-        screen.write(dump_plan(found.plan, found.problem, digest))
+        screen.write(dump_plan(found.plan, found.problem, world.digest))
     else:
         from cfgplan.cli.plan_text import update_text
 
         screen.show(update_text(found.problem, found.plan, found.given_up))
+    if found.plan.change_set is None:
+        return
+    library = world.environment.transformation
+    lacking = {unit.transformation for unit in found.plan.change_set.started if not library[unit.transformation].source}
+    if lacking:
+        labels = some(sorted(lacking), _MOST_NAMED)
+        screen.warn(f"{labels}: no unit code (`source:`) is named; a run can't start it, and plans again without it")
+    if said is not None:
+        screen.note(difference_text(said, found.problem.after(found.plan)), style="")

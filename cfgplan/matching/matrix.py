@@ -85,6 +85,11 @@ class Matches:
         """How many pairs were asked about by now, and how many each reasoner has decided."""
         return self.matching.counts
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What was not as expected while tags were matched."""
+        return self.matching.warnings
+
     def decide(self, pairs: Sequence[Pair]) -> int:
         """Ask about open pairs within what is left of the time limit; returns how many were asked."""
         matcher = self._matcher

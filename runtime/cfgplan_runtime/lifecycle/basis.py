@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import threading
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -14,7 +15,8 @@ from cfgplan.domain import ChangeSet, Environment
 from cfgplan.errors import Fault
 from cfgplan.formats.plan_file import dump_plan
 from cfgplan.planning import Plan, Problem, Status
-from cfgplan_runtime.lifecycle.deliberation import Thought
+from cfgplan_runtime.lifecycle.configuration import Scene
+from cfgplan_runtime.lifecycle.deliberation import Deliberation, Thought
 from cfgplan_runtime.lifecycle.reports import Decision
 
 Basis: TypeAlias = Mapping[str, Mapping[str, str]]
@@ -36,6 +38,13 @@ class Preview:
     thought: Thought
     problem: Problem
     basis: Basis
+
+
+def preview_of(deliberation: Deliberation, scene: Scene, stop: threading.Event) -> Preview:
+    """What a review of a scene would do, optimising. `stop` ends planning early."""
+    thought = deliberation.think(scene, optimises=True, stop=stop)
+    problem = deliberation.problem(thought.planned, scene.world)
+    return Preview(thought, problem, basis_of(scene.world, scene.running))
 
 
 def basis_of(world: World, running: Environment) -> Basis:

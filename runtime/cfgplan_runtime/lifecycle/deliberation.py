@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Set
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from operator import is_
+from typing import TYPE_CHECKING
 
 from cfgplan import validity
 from cfgplan.api import World
@@ -34,6 +35,9 @@ from cfgplan_runtime.lifecycle.reports import Decision
 from cfgplan_runtime.lifecycle.seams import Estimator
 from cfgplan_runtime.lifecycle.warm_matching import WarmMatching
 
+if TYPE_CHECKING:
+    from cfgplan.matching import Matches
+
 _MOST_AVOIDED_NAMED = 4
 
 
@@ -59,6 +63,10 @@ class Thought:
     """Transformations that are avoided though nothing can take their place."""
     seconds: Mapping[str, float] = field(default_factory=dict, compare=False)
     """Wall time of each phase."""
+    found: BestEffort | None = field(default=None, compare=False)
+    """The planner's answer, with the problem that it solves; None if the planner gave none."""
+    error: Exception | None = field(default=None, compare=False)
+    """An exception of the planner or of the judge."""
 
 
 @dataclass(frozen=True)
@@ -91,8 +99,8 @@ class Deliberation:
         planner: Planner | None,
         estimator: Estimator,
         policy: Policy,
-        matching: WarmMatching,
-        is_stopped: Callable[[], bool],
+        matching: WarmMatching | Matches,
+        is_stopped: Callable[[], bool] = lambda: False,
     ) -> None:
         from cfgplan.planners.cpsat import PlannerSession
 
@@ -169,16 +177,16 @@ class Deliberation:
                 problem = self.problem(thought.planned, scene.world)
                 found, asked, given_up = self._plan(problem, optimises=optimises)
             except CfgplanError as error:
-                return replace(thought, cause=str(error))
+                return replace(thought, cause=str(error), error=error)
             except Exception as error:  # a planner's own fault must not end the life-cycle
-                return replace(thought, cause=f"{type(error).__name__}: {error}")
+                return replace(thought, cause=f"{type(error).__name__}: {error}", error=error)
         thought = replace(thought, planned=asked.environment)
         with _timed("judge", seconds):
             try:
                 judged = _judged(thought, found, optimises=optimises)
                 return replace(judged, warnings=(*given_up, *judged.warnings))
             except Exception as error:  # what nobody has judged is not carried out
-                return replace(thought, cause=f"the judge failed: {type(error).__name__}: {error}")
+                return replace(thought, cause=f"the judge failed: {type(error).__name__}: {error}", error=error)
 
     def problem(self, planned: Environment, world: World) -> Problem:
         """The problem of planning in an environment that `think` has planned in."""
@@ -357,6 +365,7 @@ def _judged(thought: Thought, found: BestEffort, *, optimises: bool) -> Thought:
     unmet_now = {violation.target for violation in violations if violation.rule is Rule.MET}
     thought = replace(
         thought,
+        found=found,
         undecided=found.undecided,
         warnings=tuple(why for name, why in plan.reasons.items() if name not in found.given_up),
         unmet={label: why for label, why in given_up.items() if label in unmet_now},

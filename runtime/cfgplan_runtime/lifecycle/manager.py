@@ -27,7 +27,7 @@ from cfgplan_runtime.errors import (
     StaleChangeSetError,
 )
 from cfgplan_runtime.lifecycle import turns
-from cfgplan_runtime.lifecycle.basis import Preview, basis_of
+from cfgplan_runtime.lifecycle.basis import Preview, preview_of
 from cfgplan_runtime.lifecycle.changes import Change, Stop
 from cfgplan_runtime.lifecycle.configuration import as_it_runs
 from cfgplan_runtime.lifecycle.decisions import BreakIn, breaks_in, decide, first_state
@@ -305,9 +305,7 @@ class Manager:
         self._decide(turns.Planned(thought, was_interrupted))
 
     def _preview(self, order: turns.MakePreview) -> None:
-        thought = self._deliberation.think(order.scene, optimises=True, stop=self._interrupt)
-        problem = self._deliberation.problem(thought.planned, order.scene.world)
-        preview = Preview(thought, problem, basis_of(order.scene.world, order.scene.running))
+        preview = preview_of(self._deliberation, order.scene, self._interrupt)
         for outcome in order.outcomes:
             if self._interrupt.is_set():
                 self._put(PreviewAsked(outcome))
