@@ -1,17 +1,72 @@
-"""For all tests: how many run at a time, and signals that work as at a shell, whatever the tests were started by."""
+"""For all tests: how many run at a time, signals as at a shell, and which examples property tests draw.
+
+A push draws a sixth of each property's examples, with a seed made of the commit: the next commit draws others, and the
+same commit draws the same ones again. `CFGPLAN_SHARE=1` draws all of them, `CFGPLAN_SEED=N` repeats those of a seed.
+"""
 
 from __future__ import annotations
 
 import os
 import signal
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import settings
+
+FEWEST_EXAMPLES = 10
+"""A property with fewer examples draws all of them."""
+SHARE = 1 if "CFGPLAN_EXAMPLES" in os.environ else int(os.environ.get("CFGPLAN_SHARE", "6"))
+_OF_FUNCTIONS = "_hypothesis_internal_use_settings"
 
 
-def pytest_configure() -> None:
-    """nohup ignores hang-ups, a shell's background job interrupts, and all children would inherit that."""
+def _seed_of_the_commit() -> int:
+    """The first digits of the commit that is checked out; 0 outside a git checkout."""
+    asked = ["git", "-C", str(Path(__file__).parent), "rev-parse", "HEAD"]
+    try:
+        return int(subprocess.run(asked, capture_output=True, text=True, check=True).stdout[:8], 16)
+    except (OSError, subprocess.CalledProcessError):
+        return 0
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_configure(config: pytest.Config) -> None:
+    """Set the seed, and give back the signals that nohup and a shell's background jobs make children ignore."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
         signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    if config.option.hypothesis_seed is None:
+        config.option.hypothesis_seed = os.environ.get("CFGPLAN_SEED") or str(_seed_of_the_commit())
+
+
+def pytest_report_header(config: pytest.Config) -> str:
+    seed = config.option.hypothesis_seed
+    return f"properties draw 1/{SHARE} of their examples: CFGPLAN_SHARE={SHARE} CFGPLAN_SEED={seed} repeats them"
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Lower the number of examples of each property and of each stateful test, once."""
+    lowered: set[int] = set()
+    for item in items:
+        method = getattr(item, "obj", None)
+        test = getattr(method, "__func__", method)
+        machine: Any = getattr(item, "cls", None)
+        if not getattr(test, "is_hypothesis_test", False):
+            continue
+        if isinstance(getattr(machine, "settings", None), settings):
+            home, name = machine, "settings"
+        else:
+            home, name = test, _OF_FUNCTIONS
+        if id(home) not in lowered:
+            lowered.add(id(home))
+            setattr(home, name, _share_of(getattr(home, name)))
+
+
+def _share_of(whole: settings) -> settings:
+    number = max(min(FEWEST_EXAMPLES, whole.max_examples), whole.max_examples // SHARE)
+    return settings(whole, max_examples=number, derandomize=False, database=None)
 
 
 def pytest_xdist_auto_num_workers() -> int:

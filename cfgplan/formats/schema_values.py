@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from decimal import Decimal, DecimalException
+from enum import Enum
 from functools import lru_cache
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -38,6 +39,14 @@ T = TypeVar("T")
 
 def _refusal(text: str, mend: str) -> PydanticCustomError:
     return PydanticCustomError("value", "{text}", {"text": text, "mend": mend})
+
+
+def _member(kind: type[Enum]) -> AfterValidator:
+    """Turn a checked text into the member of an enumeration.
+
+    The class itself can't be the validator: since Python 3.12 its signature takes any number of values.
+    """
+    return AfterValidator(lambda value: kind(value))
 
 
 def _taken(convert: Callable[[Any], T], value: object) -> T:
@@ -299,10 +308,10 @@ Resources = Annotated[
 ]
 Survived = Annotated[Literal[0, 1, "units", "hosts"], BeforeValidator(_whole), BeforeValidator(_no_flag)]
 Params = Annotated[dict[str, Any], PlainValidator(_params), WithJsonSchema({"type": ["object", "null"]})]
-ObjectiveName = Annotated[Literal["rent", "cost", "units", "hosts", "rewired", "started"], AfterValidator(Objective)]
+ObjectiveName = Annotated[Literal["rent", "cost", "units", "hosts", "rewired", "started"], _member(Objective)]
 Objectives = Annotated[list[ObjectiveName], Written(lambda named: [one.value for one in named])]
-BetterName = Annotated[Literal["lower", "higher"], AfterValidator(Better), Written(str)]
-RuleName = Annotated[Literal["add", "limit", "scale", "set"], AfterValidator(QualityRule), Written(str)]
+BetterName = Annotated[Literal["lower", "higher"], _member(Better), Written(str)]
+RuleName = Annotated[Literal["add", "limit", "scale", "set"], _member(QualityRule), Written(str)]
 InputKind = Annotated[
     Literal["stream", "service"],
     AfterValidator(lambda kind: kind == "service"),
