@@ -71,7 +71,9 @@ class _TagReader(ExpressionReader[Concept]):
 
     def is_name(self, word: str, follows: str) -> bool:
         if self._ontology.is_open:
-            return self._ends_operand(follows) or follows == "("
+            # `A and and` is a slip rather than a name: with quotes it is one.
+            is_repeated = self._at > 0 and {self._tokens[self._at - 1], self._tokens[self._at]} <= {"⊓", "⊔", "¬"}
+            return not is_repeated and (self._ends_operand(follows) or follows == "(")
         is_role = follows in RESTRICTIONS
         own = self._ontology.property_names if is_role else self._ontology.class_names
         return own.has(word) or (not is_role and self._ontology.individual_names.has(word))

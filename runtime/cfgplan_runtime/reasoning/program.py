@@ -90,8 +90,52 @@ class Program:
 def compiled(formula: Formula) -> Program:
     """Make a formula ready for progression."""
     compiler = _Compiler()
-    root = compiler.step(formula, False)
+    root = compiler.step(folded(formula), False)
     return Program(str(formula), tuple(compiler.propositions), tuple(compiler.operators), root)
+
+
+def folded(formula: Formula) -> Formula:
+    """The formula without constants that decide a part of it or add nothing: it means the same in every trace.
+
+    An interval that begins later may hold no state, so that `eventually[1s,2s] true` is no constant.
+    """
+    match formula:
+        case Not(part):
+            inner = folded(part)
+            return Constant(not inner.value) if isinstance(inner, Constant) else Not(inner)
+        case And(left, right):
+            return _joined_of(And, folded(left), folded(right), Constant(True))
+        case Or(left, right):
+            return _joined_of(Or, folded(left), folded(right), Constant(False))
+        case Implies(left, right):
+            premise, conclusion = folded(left), folded(right)
+            if conclusion == Constant(True) or premise == Constant(False):
+                return Constant(True)
+            if conclusion == Constant(False):
+                return folded(Not(premise))
+            return conclusion if premise == Constant(True) else Implies(premise, conclusion)
+        case Always(part, interval) | Eventually(part, interval):
+            inner, neutral = folded(part), Constant(isinstance(formula, Always))
+            is_now = interval.begin_ns == 0 and isinstance(inner, Constant)
+            return inner if inner == neutral or is_now else type(formula)(inner, interval)
+        case Until(left, right, interval):
+            before, goal = folded(left), folded(right)
+            is_now = interval.begin_ns == 0
+            if goal == Constant(False) or (before == Constant(False) and not is_now):
+                return Constant(False)
+            if is_now and (before == Constant(False) or goal == Constant(True)):
+                return goal
+            return Eventually(goal, interval) if before == Constant(True) else Until(before, goal, interval)
+    return formula
+
+
+def _joined_of(kind: type[And | Or], left: Formula, right: Formula, neutral: Constant) -> Formula:
+    dominant = Constant(not neutral.value)
+    if dominant in (left, right):
+        return dominant
+    if neutral in (left, right):
+        return right if left == neutral else left
+    return kind(left, right)
 
 
 def truth_of(proposition: Formula, atom: Callable[[object], Truth]) -> Truth:
