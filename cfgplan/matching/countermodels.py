@@ -17,6 +17,7 @@ from __future__ import annotations
 import time
 from collections.abc import Collection, Iterable, Iterator, Mapping, Set
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Final
 
 from cfgplan.matching.axioms import LITERAL, Statement, Subclass, Subrole, Subvalue, inverse
@@ -48,7 +49,7 @@ after this many levels the first one is used again, so that models stay finite.
 
 
 class _OutOfTimeError(Exception):
-    """Building took too long."""
+    """Building took too much CPU time."""
 
 
 @dataclass
@@ -62,11 +63,11 @@ class _Rule:
 class _Program:
     """The axioms as rules, which say what the members of a class expression get."""
 
-    def __init__(self, trees: Iterable[Tree]) -> None:
+    def __init__(self, trees: Iterable[Tree], individuals: Set[str]) -> None:
         trees = [tree for tree in trees if tree[0] != "Declaration"]
         self.checks = [check for tree in trees for check in checks_of(tree)]
         anonymous = {leaf for tree in trees for leaf in leaves(tree) if leaf.startswith("_:")}
-        self.individuals = sorted(Signature(trees).individuals | anonymous)
+        self.individuals = sorted(Signature(trees).individuals | anonymous | individuals)
         self.rules = [rule for check in self.checks for rule in _rules_of(check)]
 
 
@@ -174,7 +175,7 @@ class _Model:
         """Apply all rules until nothing changes. Raises _OutOfTimeError."""
         changed = True
         while changed:
-            if self._deadline is not None and time.monotonic() > self._deadline:
+            if self._deadline is not None and time.thread_time() > self._deadline:
                 raise _OutOfTimeError
             changed = _some(self._apply(rule) for rule in self._rules)
 
@@ -329,16 +330,24 @@ class _Batch:
 
 
 class Countermodels:
-    """Models of one ontology in which offered tags have members, and what they show not to match."""
+    """Models of one ontology in which offered tags have members, and what they show not to match.
 
-    def __init__(self, ontology: Ontology) -> None:
-        self._program = _Program(ontology.trees.values())
+    The models have a thing for each individual of the ontology and of `individuals`.
+    """
+
+    def __init__(self, ontology: Ontology, individuals: Set[str] = frozenset()) -> None:
+        self._program = _Program(ontology.trees.values(), individuals)
         self._batches: list[_Batch] = []
         self._tried: set[Concept] = set()
         self._excluded: set[Concept] = set()
         self._none = False
         self._some = False
         self._builds_left = 0
+
+    @cached_property
+    def individuals(self) -> Set[str]:
+        """The individuals that all models have."""
+        return frozenset(self._program.individuals)
 
     @property
     def possible(self) -> Set[Concept]:
@@ -350,14 +359,17 @@ class Countermodels:
         return frozenset().union(*(batch.refuted(demanded) for batch in self._batches))
 
     def build(self, offered: Iterable[Concept], demanded: Collection[Concept], time_limit_s: float | None) -> None:
-        """Look for models that have the new offered concepts, until they refute no further pairs or time is over."""
+        """Look for models that have the new offered concepts, until they refute no further pairs or time is over.
+
+        The limit is CPU time: what is found does not hang on what else the computer does.
+        """
         offered = list(offered)
         new = [concept for concept in offered if concept not in self._tried]
         negative = sorted(filter(_says_not, demanded), key=in_functional_syntax)
         if self._none or not (new or self._excluded.issuperset(negative)):
             return
         self._tried.update(new)
-        deadline = None if time_limit_s is None else time.monotonic() + time_limit_s
+        deadline = None if time_limit_s is None else time.thread_time() + time_limit_s
         self._builds_left = MOST_BUILDS
         plain = [concept for concept in new if not _says_more_of_individuals(concept)]
         special = [concept for concept in new if _says_more_of_individuals(concept)]

@@ -113,6 +113,32 @@ def leaves(tree: Tree) -> Iterator[str]:
             yield from leaves(part)
 
 
+def symbols(tree: Tree) -> frozenset[str]:
+    """The classes, properties and datatypes in an axiom or expression: all names but those of individuals."""
+    return frozenset(_symbols(tree)) - {THING_IRI, NOTHING_IRI}
+
+
+def _symbols(tree: Tree) -> Iterator[str]:
+    if tree[0] == "Variable":
+        return
+    if tree[0] == "HasKey":
+        yield from _strings(tree[1:])  # the class of a key may stand where a keyword does
+    uses = _USES.get(str(tree[0]), "x")
+    for position, argument in enumerate(tree[1:]):
+        if isinstance(argument, tuple):
+            yield from _symbols(argument)
+        elif uses[min(position, len(uses) - 1)] in "crx" and not argument.startswith('"'):
+            yield argument
+
+
+def _strings(tree: Tree) -> Iterator[str]:
+    if isinstance(tree, str):
+        yield tree
+    else:
+        for part in tree:
+            yield from _strings(part)
+
+
 def _without_repetition(closed: list[Tree]) -> Tree:
     """What is said to be disjoint is a set: what is repeated counts once (OWL 2, 2.1), if two or more are left."""
     first = _FIRST_DISJOINT.get(str(closed[0]))

@@ -27,8 +27,9 @@ class Ontology:
     An *open* ontology knows no names: every name is free to use in tags and means nothing but itself.
     Ontologies are values: those with the same axioms and prefixes are equal. `files` says where it was read from.
     `dropped` maps what its files say but no reasoner is told to the reason: matches hold all the same, but pairs that
-    don't match might by what was dropped. `ignored` are the IRIs of imports that are left out on request: what they
-    say is no part of the ontology, so that no pair is open for them.
+    don't match might by what was dropped. `lost_rules` are the texts of the rules among it, each with the axiom that
+    it stands for. `ignored` are the IRIs of imports that are left out on request: what they say is no part of the
+    ontology, so that no pair is open for them. `trees` may have axioms that are parsed already.
     """
 
     def __init__(
@@ -39,7 +40,9 @@ class Ontology:
         is_open: bool = False,
         files: Iterable[Path] = (),
         dropped: Mapping[str, str] | None = None,
+        lost_rules: Iterable[tuple[str, str]] = (),
         ignored: Iterable[str] = (),
+        trees: Mapping[str, Tree] | None = None,
     ) -> None:
         self.axioms: frozenset[str] = frozenset(map(normal, axioms))
         written = prefixes or {}
@@ -47,7 +50,9 @@ class Ontology:
         self.is_open = is_open
         self.files = tuple(files)
         self._dropped = dict(dropped or {})
+        self.lost_rules = tuple(sorted({(text, normal(rule)) for text, rule in lost_rules}))
         self.ignored = tuple(sorted(set(ignored)))
+        self._parsed = trees or {}
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Ontology):
@@ -67,7 +72,7 @@ class Ontology:
     @cached_property
     def trees(self) -> Mapping[str, Tree]:
         """The tree of each axiom, in the order of the axioms' texts."""
-        return MappingProxyType({axiom: parse(axiom) for axiom in sorted(self.axioms)})
+        return MappingProxyType({axiom: self._parsed.get(axiom) or parse(axiom) for axiom in sorted(self.axioms)})
 
     @cached_property
     def digest(self) -> str:

@@ -54,13 +54,17 @@ _NO_TEXT = "name a file in Turtle, RDF/XML, JSON-LD, OWL/XML, functional or Manc
 
 @dataclass(frozen=True)
 class _Document:
-    """One parsed file: its own IRI, the IRIs it imports, its axioms and prefixes, what is dropped and why."""
+    """One parsed file: its own IRI, the IRIs it imports, its axioms and prefixes, what is dropped and why.
+
+    `lost_rules` are the texts of the rules among what is dropped, each with its rule.
+    """
 
     iri: str | None = None
     imports: tuple[str, ...] = ()
     axioms: tuple[str, ...] = ()
     prefixes: Mapping[str, str] = field(default_factory=dict)
     dropped: Mapping[str, str] = field(default_factory=dict)
+    lost_rules: tuple[tuple[str, str], ...] = ()
 
 
 def load_ontology(paths: Sequence[Path], imports: Mapping[str, Path | None] | None = None) -> Ontology:
@@ -125,13 +129,19 @@ def load_ontology(paths: Sequence[Path], imports: Mapping[str, Path | None] | No
         for axiom in document.axioms
     ]
     dropped = {text: why for document in documents.values() for text, why in document.dropped.items()}
-    return Ontology(axioms, prefixes, files=documents, dropped=dropped, ignored=ignored)
+    lost_rules = [
+        (text, _with_own_anonymous(rule, number))
+        for number, document in enumerate(documents.values())
+        for text, rule in document.lost_rules
+    ]
+    return Ontology(axioms, prefixes, files=documents, dropped=dropped, ignored=ignored, lost_rules=lost_rules)
 
 
 def read_owlready(onto: Any) -> Ontology:
     """The axioms of an `owlready2` ontology object and of those that it imports. Raises InputError."""
     axioms: list[str] = []
     dropped: dict[str, str] = {}
+    lost_rules: list[tuple[str, str]] = []
     for number, part in enumerate(onto.indirectly_imported_ontologies()):
         written = io.BytesIO()
         part.save(written, format="rdfxml")
@@ -139,7 +149,8 @@ def read_owlready(onto: Any) -> Ontology:
         document = _parse_rdf(written.getvalue().decode(), "rdf", part.base_iri, shown)
         axioms.extend(_with_own_anonymous(axiom, number) for axiom in document.axioms)
         dropped |= document.dropped
-    return Ontology(axioms, dropped=dropped)
+        lost_rules += [(text, _with_own_anonymous(rule, number)) for text, rule in document.lost_rules]
+    return Ontology(axioms, dropped=dropped, lost_rules=lost_rules)
 
 
 def _with_own_anonymous(axiom: str, number: int) -> str:
@@ -252,12 +263,15 @@ def _document(parsed: Any, components: Iterable[str], syntax: str, shown: str) -
     axioms: list[str] = []
     imports: list[str] = []
     dropped: dict[str, str] = {}
+    lost_rules: list[tuple[str, str]] = []
     for component in components:
         keyword = component[: component.find("(")]
         if keyword == "DLSafeRule":
             why = _loss_of_rule(component, syntax)
             if why:
-                dropped[f"the rule {rule_text(parse(component))} in {Path(shown).name}"] = why
+                text = f"the rule {rule_text(parse(component))} in {Path(shown).name}"
+                dropped[text] = why
+                lost_rules.append((text, component))
             if why != _NOT_TOLD:
                 axioms.append(component)
         elif keyword in LOGICAL:
@@ -266,7 +280,11 @@ def _document(parsed: Any, components: Iterable[str], syntax: str, shown: str) -
             imports.append(component[len("Import(") : -1].strip("<>"))
     iri = parsed.get_iri()
     return _Document(
-        None if iri is None else str(iri), tuple(sorted(imports)), tuple(axioms), dropped=MappingProxyType(dropped)
+        None if iri is None else str(iri),
+        tuple(sorted(imports)),
+        tuple(axioms),
+        dropped=MappingProxyType(dropped),
+        lost_rules=tuple(lost_rules),
     )
 
 

@@ -17,6 +17,7 @@ from cfgplan.matching.engine import FastEngine, MatchedRows, roles_in
 from cfgplan.matching.faults import InconsistentOntologyError
 from cfgplan.matching.functional import parse
 from cfgplan.matching.losses import Losses
+from cfgplan.matching.modules import Module, Modules, individuals_in, names_in
 from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.reference import reference_named
 from cfgplan.matching.syntax import parse_tag
@@ -85,7 +86,7 @@ class TagRegistry:
 
 
 REFUTING: Final = 0.25
-"""The share of a time limit in which models are looked for before the reference is asked."""
+"""The share of a time limit that models may take, in CPU time, before the reference is asked."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +115,8 @@ class Matcher:
     at once. The reference is asked about pairs that the engine leaves open: all of them by `matching`, those that
     matter by `decide`, after which `matching(decide=False)` knows the answers. No pair is asked about twice.
     An offered tag that nothing can have matches nothing as soon as that is known: after `matching` if time suffices,
-    and after `decide` for the tags that it asked about. Until then it matches what the fast engine finds.
+    and after `decide` for the tags that it asked about. Until then it matches what the fast engine finds. Reasoners are
+    told the module of the ontology that bears on the tags, the reference that of the tags it is asked about.
     Raises UnknownNameError for a reasoner that is none of REASONERS.
     """
 
@@ -130,9 +132,12 @@ class Matcher:
         self._ontology = ontology
         self._engine: FastEngine | None = None
         self._rows: MatchedRows | None = None
-        self._verdicts = Verdicts(ontology, self._reference)
+        self._modules: Modules | None = None
+        self._known: Module | None = None
+        self._parts: Modules | None = None
+        self._verdicts = Verdicts(self._part, self._reference)
         self._countermodels: Countermodels | None = None
-        self._losses = Losses(ontology)
+        self._losses = Losses(ontology, self._modules_of_all)
 
     @property
     def ontology(self) -> Ontology:
@@ -170,12 +175,16 @@ class Matcher:
         before, after = self._ontology.axioms, ontology.axioms
         added, removed = ({axiom: parse(axiom) for axiom in sorted(some)} for some in (after - before, before - after))
         stays = offered.concepts == self._offered.concepts and demanded.concepts == self._demanded.concepts
-        engine = self._engine
+        engine, module = self._engine, self._known
         self._start(ontology)
         self._offered, self._demanded = offered, demanded
+        if not stays or engine is None or module is None:
+            return
+        known = module.after(added, removed, ontology)
         left = frozenset(ontology.individuals.values())
-        if stays and engine is not None and engine.take_in(added, removed, left):
-            self._engine = engine
+        gone = {axiom: tree for axiom, tree in removed.items() if axiom in module.ontology.axioms}
+        if known is not None and engine.take_in(added, gone, left):
+            self._engine, self._known = engine, known
 
     def matching(self, *, time_limit_s: float | None = None, decide: bool = True) -> Matching:
         """The similarity of the tags registered now; pairs that are not decided are in its `open`.
@@ -209,10 +218,35 @@ class Matcher:
         """The axioms that the fast engine has no words for, with the reason."""
         return self._current_engine().outside
 
+    def _module(self) -> Module:
+        """What bears on the tags that are registered now. What is known by another module is forgotten."""
+        names = names_in((*self._offered.texts, *self._demanded.texts))
+        before = self._known
+        if before is None or not names <= before.names:
+            self._known = self._modules_of_all().of(names)
+            self._parts = None
+            if before is None or before.ontology != self._known.ontology:
+                self._engine = self._countermodels = None
+        assert self._known is not None
+        return self._known
+
+    def _modules_of_all(self) -> Modules:
+        self._modules = self._modules or Modules(self._ontology)
+        return self._modules
+
+    def _part(self, concepts: Iterable[Concept]) -> Ontology:
+        """What bears on some of the registered tags."""
+        module, names = self._module(), names_in(concepts)
+        if not names <= module.names:
+            return self._modules_of_all().of(names).ontology
+        self._parts = self._parts or Modules(module.ontology)
+        return self._parts.of(names).ontology
+
     def _current_engine(self) -> FastEngine:
+        module = self._module()
         if self._engine is None or self._engine.is_too_large(len(self._offered.texts) + len(self._demanded.texts)):
             roles = set().union(*map(roles_in, (*self._offered.texts, *self._demanded.texts)))
-            engine = FastEngine(self._ontology.trees, roles, self._ontology.dropped)
+            engine = FastEngine(module.ontology.trees, roles, self._losses.of(module))
             if engine.is_inconsistent:
                 raise self._input_error(self._contradiction())
             self._engine = engine
@@ -265,8 +299,9 @@ class Matcher:
         """Look for models that show what does not match, for offers that the fast engine does not certify."""
         if rows is None or not (rows.beyond_words or rows.uncertified):
             return
-        if self._countermodels is None:
-            self._countermodels = Countermodels(self._ontology)
+        individuals = individuals_in((*self._offered.texts, *self._demanded.texts))
+        if self._countermodels is None or not individuals <= self._countermodels.individuals:
+            self._countermodels = Countermodels(self._module().ontology, individuals)
         beyond = dict(self._beyond_engine(rows))
         share_s = None if time_limit_s is None else REFUTING * time_limit_s
         self._countermodels.build(set().union(*beyond.values()), beyond, share_s)
@@ -289,9 +324,7 @@ class Matcher:
 
     def _for_certain(self, demand: Concept, denied: frozenset[Concept]) -> frozenset[Concept]:
         """The denied offers that would not match either if what was dropped from the ontology held."""
-        if not self._ontology.dropped:
-            return denied
-        return frozenset(offered for offered in denied if not self._losses.concern(offered, demand))
+        return denied - self._losses.concerned(denied, demand)
 
     def _told(self, rows: MatchedRows | None, time_limit_s: float | None, *, is_asked: bool) -> Matching:
         warnings = [*self._ontology.warnings]

@@ -31,11 +31,12 @@ MOST_PAIRS: Final = 8192
 class Verdicts:
     """The answers for one ontology: by demanded concept, the offered ones asked about and those found to be below it.
 
-    Answers stay right whether the tags are still registered or not.
+    `part` gives what the ontology says that bears on some concepts; the reference is told no more. Answers stay right
+    whether the tags are still registered or not.
     """
 
-    def __init__(self, ontology: Ontology, reference: Reference | None) -> None:
-        self._ontology = ontology
+    def __init__(self, part: Callable[[Iterable[Concept]], Ontology], reference: Reference | None) -> None:
+        self._part = part
         self._reference = reference
         self._answered: defaultdict[Concept, frozenset[Concept]] = defaultdict(frozenset)
         self._accepted: defaultdict[Concept, frozenset[Concept]] = defaultdict(frozenset)
@@ -62,7 +63,7 @@ class Verdicts:
         known = {*self.possible, *self.unsatisfiable, *([TOP] if self.possible else [])}
         questions = sorted({*concepts} - known, key=in_functional_syntax)
         if self._reference is not None and questions and (time_limit_s is None or time_limit_s > 0):
-            self._note(satisfiable(self._reference, self._ontology, questions, time_limit_s), concepts)
+            self._note(satisfiable(self._reference, self._part(questions), questions, time_limit_s), concepts)
 
     def _note(self, told: Mapping[Concept, bool], concepts: Collection[Concept]) -> None:
         for concept in told.keys() & concepts:
@@ -101,7 +102,8 @@ class Verdicts:
         if time_limit_s is not None and any(tags >= n and time_limit_s <= s for n, s in self._too_hard):
             return
         try:
-            impossible, below = classify(self._reference, self._ontology, offered, demanded, time_limit_s)
+            part = self._part((*offered, *demanded))
+            impossible, below = classify(self._reference, part, offered, demanded, time_limit_s)
         except ReasonerTimeoutError:
             self._too_hard.append((tags, time_limit_s or 0.0))
             return
@@ -131,7 +133,7 @@ class Verdicts:
         questions = dict.fromkeys(
             question for pair in pairs for question in _questions(pair) if question not in self.possible
         )
-        told = satisfiable(self._reference, self._ontology, questions, time_limit_s, patience_s)
+        told = satisfiable(self._reference, self._part(questions), questions, time_limit_s, patience_s)
         self._note(told, {concept for concept, _ in pairs})
         rows: defaultdict[Concept, list[tuple[Concept, bool]]] = defaultdict(list)
         for pair in pairs:

@@ -49,7 +49,7 @@ def brick_shaped(seed: int = 0, classes: int = 1000) -> Ontology:
 
 def brick(path: Path) -> Ontology:
     """Brick as it is published."""
-    ontology = load_ontology([path])
+    ontology = load_ontology([path], {"": None})
     return Ontology(ontology.axioms, {"brick": BRICK, "": BUILDING}, dropped=ontology.dropped)
 
 
