@@ -16,7 +16,7 @@ from cfgplan.errors import Fault, InputError
 from cfgplan.matching.functional import LOGICAL, parse, rule_text
 from cfgplan.matching.names import short_name
 from cfgplan.matching.ontology import Ontology
-from cfgplan.matching.rdf import ANONYMOUS, TripleGraph
+from cfgplan.matching.rdf import ANONYMOUS, TripleGraph, restored
 
 EXTENSIONS: Final = {
     ".ttl": "ttl", ".nt": "ttl", ".n3": "ttl", ".owl": "rdf", ".rdf": "rdf", ".xml": "rdf",
@@ -216,7 +216,8 @@ def _parse_rdf(text: str, syntax: str, base: str, shown: str) -> _Document:
     components = [str(component.component) for component in parsed.get_components()]
     document = _document(parsed, components, syntax, shown)
     unread = {f"{said} in {Path(shown).name}": "that is no axiom of OWL 2" for said in graph.unread(components)}
-    axioms = [_ANONYMOUS_IRI.sub(r"_:\1", axiom) for axiom in (*document.axioms, *graph.axioms)]
+    said = filter(None, map(restored, (*document.axioms, *graph.axioms)))
+    axioms = [_ANONYMOUS_IRI.sub(r"_:\1", axiom) for axiom in said]
     axioms = [axiom for axiom in axioms if not axiom.startswith("Declaration(NamedIndividual(_:")]
     dropped = {**document.dropped, **unread}
     return replace(document, axioms=tuple(axioms), prefixes=_prefixes_in(text, syntax), dropped=dropped)

@@ -1,13 +1,14 @@
 """RDF documents as N-Triples that py-horned-owl reads without a loss.
 
 Of a valid ontology it would silently drop disjointness of several classes or properties, anonymous individuals, class
-expressions without a type, names that are defined without `owl:equivalentClass` (as OWL 1 allowed), and names of RDF
-Schema; it would refuse a second type of the ontology itself. So these are written in another way first. What it drops
-nevertheless is found by comparing its axioms with the triples.
+expressions without a type, qualified cardinalities of inverse properties, names that are defined without
+`owl:equivalentClass` (as OWL 1 allowed), and names of RDF Schema; it would refuse a second type of the ontology itself.
+So these are written in another way first. What it drops nevertheless is found by comparing its axioms with the triples.
 """
 
 from __future__ import annotations
 
+import json
 import re
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterator
@@ -22,6 +23,9 @@ RDFS: Final = "http://www.w3.org/2000/01/rdf-schema#"
 SWRL: Final = "http://www.w3.org/2003/11/swrl#"
 ANONYMOUS: Final = "urn:cfgplan:anonymous:"
 """Stands before the number of an anonymous individual."""
+_INVERSE: Final = "urn:cfgplan:inverse:"
+"""Stands before the name of a property whose inverse is meant."""
+_INVERSE_IRI: Final = re.compile(f"<{_INVERSE}([^>]*)>")
 
 _TYPE: Final = f"<{RDF}type>"
 _BUILT_IN: Final = (f"<{OWL}", f"<{RDF}", f"<{RDFS}", f"<{SWRL}")
@@ -82,6 +86,8 @@ class TripleGraph:
         """Read Turtle ("ttl"), RDF/XML ("rdf") or JSON-LD ("jsonld"). Raises SyntaxError with line and column."""
         from pyoxigraph import RdfFormat, parse
 
+        if syntax == "jsonld":
+            text = _with_types_as_names(text)
         form = {"ttl": RdfFormat.TURTLE, "rdf": RdfFormat.RDF_XML, "jsonld": RdfFormat.JSON_LD}[syntax]
         numbers: dict[str, str] = {}
 
@@ -96,12 +102,12 @@ class TripleGraph:
         self.axioms: list[str] = []
         self._individuals: set[str] = set()
         self._of: defaultdict[str, list[tuple[str, str]]] = defaultdict(list)
-        for subject, predicate, value in self._triples:
-            self._of[subject].append((predicate, value))
+        self._index()
 
     def lossless(self) -> str:
         """The document in N-Triples; what would be dropped from any triples is in `axioms`, in functional syntax."""
         self._drop_what_means_nothing()
+        self._name_inverse_properties()
         self._give_names_a_type()
         self._write_disjointness_as_axioms()
         self._give_expressions_a_type()
@@ -118,6 +124,27 @@ class TripleGraph:
             if (s not in header or p in _OF_THE_HEADER or o == f"<{OWL}Ontology>")
             and not (p == _TYPE and (o in _DEPRECATED or (o == f"<{OWL}Class>" and restriction in self._of[s])))
         ]
+
+    def _name_inverse_properties(self) -> None:
+        """Replace each anonymous inverse of a property by a name; `restored` undoes it."""
+        is_inverse = f"<{OWL}inverseOf>"
+        names = {
+            s: f"<{_INVERSE}{o[1:-1]}>"
+            for s, p, o in self._triples
+            if p == is_inverse and s.startswith("_:") and o.startswith("<")
+        }
+        if not names:
+            return
+        kept = [
+            (names.get(s, s), p, names.get(o, o)) for s, p, o in self._triples if not (s in names and p == is_inverse)
+        ]
+        self._triples = [*kept, *((name, _TYPE, _PROPERTY_TYPES[0]) for name in dict.fromkeys(names.values()))]
+        self._index()
+
+    def _index(self) -> None:
+        self._of.clear()
+        for subject, predicate, value in self._triples:
+            self._of[subject].append((predicate, value))
 
     def _give_names_a_type(self) -> None:
         """Type classes and properties of RDF Schema as those of OWL: a property that has a literal is one of data."""
@@ -177,7 +204,7 @@ class TripleGraph:
                 is_of_owl = value.startswith(_BUILT_IN)
                 is_meant = (value in _ROOTS or value in _CHARACTERISTICS) if is_of_owl else not is_part
             elif predicate in _KEYWORDS:
-                is_meant = subject not in annotations and not (is_part and predicate == f"<{OWL}inverseOf>")
+                is_meant = subject not in annotations
             elif predicate in _OF_EXPRESSIONS:
                 is_meant = not is_part
             else:
@@ -241,6 +268,33 @@ class TripleGraph:
             if predicate.startswith(_BUILT_IN) and predicate not in _ABOUT_INDIVIDUALS:
                 blank.discard(value)
         return blank
+
+
+def _with_types_as_names(text: str) -> str:
+    """JSON-LD whose types are names: rdflib also writes nodes there, which become values of `rdf:type`."""
+    try:
+        data = json.loads(text)
+    except ValueError:
+        return text
+    waiting, is_changed = [data], False
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, dict):
+            types = node["@type"] if isinstance(node.get("@type"), list) else [node.get("@type")]
+            nodes = [each for each in types if isinstance(each, dict)]
+            if nodes:
+                is_changed = True
+                node["@type"] = [each for each in types if isinstance(each, str)]
+                node[f"{RDF}type"] = nodes
+        waiting += node.values() if isinstance(node, dict) else node if isinstance(node, list) else ()
+    return json.dumps(data) if is_changed else text
+
+
+def restored(axiom: str) -> str | None:
+    """An axiom as the document says it, with anonymous inverse properties; None for what only declares one."""
+    if _INVERSE not in axiom:
+        return axiom
+    return None if axiom.startswith("Declaration(") else _INVERSE_IRI.sub(r"ObjectInverseOf(<\1>)", axiom)
 
 
 def _axiom_of(subject: str, predicate: str, value: str) -> tuple[tuple[str, ...], str, str]:
