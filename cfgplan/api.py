@@ -108,7 +108,7 @@ def ontology_of(document: Document) -> Ontology:
     Raises InputError with the document's faults and those of the ontologies.
     """
     try:
-        return load_ontology(document.ontology_paths, dict(document.imports))
+        return load_ontology(document.ontology_paths, dict(document.imports), ignores_rules=document.ignores_rules)
     except InputError as error:
         raise InputError((*document.faults, *map(document.at_ontology, error.faults))) from None
 

@@ -322,6 +322,7 @@ def _build(document: Document, vocabulary: TagVocabulary) -> EnvironmentFile:
         document.ontology_paths,
         fleet.survive,
         document.imports,
+        document.ignores_rules,
         names.origins,
     )
 

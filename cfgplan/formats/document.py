@@ -71,6 +71,11 @@ class Document:
         folder = self.path.parent
         return tuple((iri, None if name == fields.IGNORE else folder / name) for iri, name in sorted(named.items()))
 
+    @property
+    def ignores_rules(self) -> bool:
+        """Whether the rules of the ontology are left out."""
+        return self.header.rules == fields.IGNORE
+
     def at_ontology(self, fault: Fault) -> Fault:
         """Move a fault of a whole ontology file to the entry that names the file; any other stays as it is."""
         source = self.files[0].source

@@ -64,6 +64,7 @@ def plain_environment(
     ontology: Iterable[str] = (),
     survive: Failures | None = None,
     imports: Mapping[str, str | None] | None = None,
+    ignores_rules: bool = False,
 ) -> dict[str, Any]:
     """An environment as the mappings and lists of an environment file; costs are Decimal or int.
 
@@ -76,6 +77,7 @@ def plain_environment(
         format=fields.FORMAT,
         ontology=ontologies[0] if len(ontologies) == 1 else ontologies,
         imports=_imports(imports or {}),
+        rules=fields.IGNORE if ignores_rules else None,
         horizon=horizon_s,
         max_cost=None if max_cost_us is None else plain_cost(max_cost_us),
         defaults=None,

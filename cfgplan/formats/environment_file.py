@@ -37,11 +37,12 @@ class EnvironmentFile:
     ontology_paths: tuple[FilePath, ...] = ()
     survive: Failures | None = None
     imports: FoundImports = ()
+    ignores_rules: bool = False
     origins: Mapping[tuple[str, str], Passage] = field(default_factory=dict, repr=False, compare=False)
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 (hex) of all that a plan depends on, the ontology files and `imports` too.
+        """SHA-256 (hex) of all that a plan depends on, the ontology files, `imports` and `rules` too.
 
         Comments, the order of lists and fields that planning does not use don't count. Nor do imported files that
         `imports` does not name: to find them would take reading ontologies.
@@ -81,6 +82,7 @@ class EnvironmentFile:
         for iri, imported in self.imports:
             hashed.update(hashlib.sha256(iri.encode()).digest() + (b"ignored" if imported is None else b"read"))
             hashed.update(b"" if imported is None else _file_digest(imported))
+        hashed.update(b"rules ignored" if self.ignores_rules else b"")
         return hashed.hexdigest()
 
     def place(
@@ -119,7 +121,7 @@ def _file_digest(path: FilePath) -> bytes:
 
 
 _HELD: Mapping[type[fields.Part], str] = {
-    fields.EnvironmentPart: "format ontology imports horizon max_cost defaults include hosts transfer links "
+    fields.EnvironmentPart: "format ontology imports rules horizon max_cost defaults include hosts transfer links "
     "qualities survive transformations units targets",
     fields.HostPart: "name cpu memory",
     fields.LinkPart: "",
@@ -132,7 +134,7 @@ _HELD: Mapping[type[fields.Part], str] = {
     fields.UnitPart: "id transformation inputs topics host standby",
     fields.TargetPart: "label topic tag priority quality host",
 }
-"""The keys that digests held before fields were rows. A later one that planning uses counts unless it is default."""
+"""The keys that digests hold apart. Any other that planning uses counts unless it is default."""
 
 
 def later_fields(part: type[fields.Part], value: object) -> dict[str, object]:

@@ -454,6 +454,7 @@ class EnvironmentPart(Part):
         "IRI that an ontology imports to a file, relative to this file, or to `ignore`; "
         "`ignore` alone: all that can't be found"
     )
+    rules: Literal["ignore"] | None = row("`ignore`: the ontology counts without its rules (SWRL)")
     horizon: Horizon = row("how far ahead upkeep counts: whole seconds, or `10m`, `1h`", DEFAULT_HORIZON_S, "horizon_s")
     max_cost: Cost | None = row("the most that an update may cost, in CPU seconds", to="max_cost_us")
     defaults: DefaultsPart | None = row("costs of transformations that state none", xml=ELEMENT)

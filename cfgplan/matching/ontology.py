@@ -28,8 +28,9 @@ class Ontology:
     Ontologies are values: those with the same axioms and prefixes are equal. `files` says where it was read from.
     `dropped` maps what its files say but no reasoner is told to the reason: matches hold all the same, but pairs that
     don't match might by what was dropped. `lost_rules` are the texts of the rules among it, each with the axiom that
-    it stands for. `ignored` are the IRIs of imports that are left out on request: what they say is no part of the
-    ontology, so that no pair is open for them. `trees` may have axioms that are parsed already.
+    it stands for. `ignored` are the IRIs of imports that are left out on request, `ignored_rules` counts the rules that
+    are: what they say is no part of the ontology, so that no pair is open for them. `trees` may have axioms that are
+    parsed already.
     """
 
     def __init__(
@@ -42,6 +43,7 @@ class Ontology:
         dropped: Mapping[str, str] | None = None,
         lost_rules: Iterable[tuple[str, str]] = (),
         ignored: Iterable[str] = (),
+        ignored_rules: int = 0,
         trees: Mapping[str, Tree] | None = None,
     ) -> None:
         self.axioms: frozenset[str] = frozenset(map(normal, axioms))
@@ -52,6 +54,7 @@ class Ontology:
         self._dropped = dict(dropped or {})
         self.lost_rules = tuple(sorted({(text, normal(rule)) for text, rule in lost_rules}))
         self.ignored = tuple(sorted(set(ignored)))
+        self.ignored_rules = ignored_rules
         self._parsed = trees or {}
 
     def __eq__(self, other: object) -> bool:
@@ -64,7 +67,7 @@ class Ontology:
 
     @property
     def _content(self) -> tuple[object, ...]:
-        return self.axioms, self.prefixes, self.is_open, self.dropped, self.ignored
+        return self.axioms, self.prefixes, self.is_open, self.dropped, self.ignored, self.ignored_rules
 
     def __repr__(self) -> str:
         return f"<Ontology of {len(self.axioms)} axioms{', open' if self.is_open else ''}>"
@@ -80,6 +83,7 @@ class Ontology:
         lines = "\n".join(sorted(self.axioms)) + ("\nopen" if self.is_open else "")
         lines += "".join(f"\ndropped {text}" for text in self.dropped)
         lines += "".join(f"\nignored {iri}" for iri in self.ignored)
+        lines += f"\nignored {self.ignored_rules} rules" if self.ignored_rules else ""
         return hashlib.sha256(lines.encode()).hexdigest()
 
     @cached_property
@@ -98,7 +102,7 @@ class Ontology:
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
-        """A sentence on each thing that no reasoner is told, and on each import that is ignored."""
+        """A sentence on each thing that no reasoner is told, on each import that is ignored, and on ignored rules."""
         return (
             *(
                 f"the ontology says more than cfgplan reads: {self.shortened(text)}: {self.shortened(why)}"
@@ -108,7 +112,12 @@ class Ontology:
                 f"the import <{iri}> is ignored: what matches only by what it says does not match"
                 for iri in self.ignored
             ),
+            *([self._about_ignored_rules()] if self.ignored_rules else []),
         )
+
+    def _about_ignored_rules(self) -> str:
+        rules = "1 rule is" if self.ignored_rules == 1 else f"{self.ignored_rules} rules are"
+        return f"{rules} ignored: what matches only by what they say does not match"
 
     @cached_property
     def _signature(self) -> Signature:

@@ -41,6 +41,7 @@ _REASON: Final = re.compile(
 _TERM: Final = re.compile(r'(?:Iri\()?IRI\(\\*"([^"\\]+)\\*"\)\)?')
 _DL_SAFE: Final = ("ofn", "owx")
 """The syntaxes whose rules are by definition about named individuals only; rules of others are about everything."""
+_RULE: Final = "DLSafeRule("
 _BUILT_INS: Final = "<http://www.w3.org/2003/11/swrlb#"
 """Manchester syntax does not tell built-ins from data properties."""
 _NOT_TOLD: Final = "its built-ins are told to no reasoner"
@@ -67,15 +68,17 @@ class _Document:
     lost_rules: tuple[tuple[str, str], ...] = ()
 
 
-def load_ontology(paths: Sequence[Path], imports: Mapping[str, Path | None] | None = None) -> Ontology:
+def load_ontology(
+    paths: Sequence[Path], imports: Mapping[str, Path | None] | None = None, *, ignores_rules: bool = False
+) -> Ontology:
     """The union of ontology files and of everything they import; the open ontology if there are no files.
 
-    The syntax (Turtle, N-Triples, RDF/XML, JSON-LD, OWL/XML, functional, Manchester) is told by the content. An
-    import is a relative path, a file beside the importing one that is named like the last part of the IRI or declares
-    it, or one of `paths`. `imports` comes first: it maps an IRI to its file, or to None where the import is ignored,
-    and "" to None where every import is ignored that can't be found. Of the syntaxes that are no RDF everything is
-    read but annotations; what RDF says beyond axioms of OWL 2 is in `Ontology.dropped`. Data ranges over several
-    properties are refused. Raises InputError with every file that can't be used.
+    The syntax (Turtle, N-Triples, RDF/XML, JSON-LD, OWL/XML, functional, Manchester) is told by the content. An import
+    is a relative path, a file beside the importing one that is named like the last part of the IRI or declares it, or
+    one of `paths`. `imports` comes first: it maps an IRI to its file, or to None where the import is ignored, and "" to
+    None where every import is ignored that can't be found. `ignores_rules` leaves all rules out. Of the syntaxes that
+    are no RDF everything is read but annotations; what RDF says beyond axioms of OWL 2 is in `Ontology.dropped`. Data
+    ranges over several properties are refused. Raises InputError with every file that can't be used.
     """
     if not paths:
         return Ontology(is_open=True)
@@ -134,7 +137,20 @@ def load_ontology(paths: Sequence[Path], imports: Mapping[str, Path | None] | No
         for number, document in enumerate(documents.values())
         for text, rule in document.lost_rules
     ]
-    return Ontology(axioms, prefixes, files=documents, dropped=dropped, ignored=ignored, lost_rules=lost_rules)
+    rules = {axiom for axiom in axioms if axiom.startswith(_RULE)} | {rule for _, rule in lost_rules}
+    if ignores_rules and rules:
+        axioms = [axiom for axiom in axioms if axiom not in rules]
+        dropped = {text: why for text, why in dropped.items() if text not in dict(lost_rules)}
+        lost_rules = []
+    return Ontology(
+        axioms,
+        prefixes,
+        files=documents,
+        dropped=dropped,
+        ignored=ignored,
+        ignored_rules=len(rules) if ignores_rules else 0,
+        lost_rules=lost_rules,
+    )
 
 
 def read_owlready(onto: Any) -> Ontology:

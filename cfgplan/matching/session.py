@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Final
 
@@ -85,6 +86,10 @@ class TagRegistry:
                 del self._texts[concept]
 
 
+_FEW_PAIRS: Final = 8
+"""The number of undecided pairs that are looked at for what stands in the way of a decision."""
+_FEW_LOSSES: Final = 3
+"""The most of what was dropped that one warning names."""
 REFUTING: Final = 0.25
 """The share of a time limit that models may take, in CPU time, before the reference is asked."""
 
@@ -346,11 +351,12 @@ class Matcher:
             undecided |= dict.fromkeys(texts if left else (), left)
         similarity = Similarity(offers, undecided)
         if is_asked or self._reference is None:
-            warnings.extend(self._about_open(sum(map(len, undecided.values())), time_limit_s))
+            warnings.extend(self._about_open(undecided, time_limit_s))
         return Matching(similarity, tuple(warnings), self._answered_by(rows, open_rows), self._asked)
 
-    def _about_open(self, count: int, time_limit_s: float | None) -> Iterable[str]:
+    def _about_open(self, undecided: Mapping[str, frozenset[str]], time_limit_s: float | None) -> Iterable[str]:
         """The warning about pairs that are not decided."""
+        count = sum(map(len, undecided.values()))
         if not count:
             return
         if time_limit_s is not None and self._reference is not None and not self._ontology.dropped:
@@ -360,8 +366,23 @@ class Matcher:
             axiom, reason = next(iter(self.outside().items()))
             told = self._ontology.shortened(axiom)
             why = f"; the ontology is outside the fast engine's fragment: {told} ({reason})"
+        for text, reason in self._in_the_way(undecided).items():
+            why += f"; {self._ontology.shortened(text)} may make them match ({self._ontology.shortened(reason)})"
         pairs = "1 pair" if count == 1 else f"{count} pairs"
         yield f"{pairs} of tags could not be decided and do not match{why}"
+
+    def _in_the_way(self, undecided: Mapping[str, frozenset[str]]) -> Mapping[str, str]:
+        """Some of what was dropped that may make undecided pairs match, with the reason."""
+        if not self._ontology.dropped:
+            return {}
+        offered, demanded = self._offered.concepts, self._demanded.concepts
+        pairs = (
+            (offered[text], demanded[demand]) for demand in sorted(undecided) for text in sorted(undecided[demand])
+        )
+        found: dict[str, str] = {}
+        for pair in islice(pairs, _FEW_PAIRS):
+            found |= self._losses.about(pair)
+        return dict(islice(sorted(found.items()), _FEW_LOSSES))
 
     def _answered_by(self, rows: MatchedRows | None, open_rows: Mapping[Concept, frozenset[Concept]]) -> dict[str, int]:
         """How many pairs of distinct tags each reasoner decided."""

@@ -45,3 +45,12 @@ def test_imports_are_written_as_they_were_named_or_ignored(imports: dict[str, st
     text = dump_yaml(plain_environment(Environment(), horizon_s=60, ontology=["o.ttl"], imports=imports))
     expected = tuple((iri, None if path is None else tmp_path / path) for iri, path in imports.items())
     assert load_text(tmp_path, text).imports == expected
+
+
+def test_that_rules_are_ignored_is_written_and_makes_another_plan_due(tmp_path: Path) -> None:
+    loaded = [
+        load_text(tmp_path, dump_yaml(plain_environment(Environment(), horizon_s=60, ignores_rules=ignored)))
+        for ignored in (False, True)
+    ]
+    assert [file.ignores_rules for file in loaded] == [False, True]
+    assert loaded[0].digest != loaded[1].digest

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_worlds import World, small_world
 
+from cfgplan import api
 from cfgplan.errors import InputError
 from cfgplan.matching import Matcher, Ontology, hermit, match
 from cfgplan.matching.engine import FastEngine
 from cfgplan.matching.modules import Modules, names_in
 from cfgplan.matching.reference import classify
 from cfgplan.matching.syntax import parse_tag
+from cfgplan.planning import Plan, Status
 
 worlds = st.builds(
     lambda seed, outside, far: small_world(seed, 16, outside=outside, far=far),
@@ -85,6 +88,82 @@ def rule(body: str, head: str) -> str:
 def test_a_lost_rule_bears_on_what_it_may_make_match(names: str, axioms: list[str], bears: bool) -> None:
     ontology = Ontology(axioms, dropped={"a rule": "lost"}, lost_rules=[("a rule", rule("A.x", "B.x"))])
     assert bool(Modules(ontology).of(f"w#{name}" for name in names.split()).rules) is bears
+
+
+MISSION = """
+@prefix : <http://tomasys.example/#> . @prefix owl: <http://www.w3.org/2002/07/owl#> .
+@prefix rdfs: <http://www.w3.org/2000/01/rdf-schema#> . @prefix swrl: <http://www.w3.org/2003/11/swrl#> .
+@prefix xsd: <http://www.w3.org/2001/XMLSchema#> .
+: a owl:Ontology . :x a swrl:Variable . :y a swrl:Variable .
+:Objective a owl:Class . :Grounding a owl:Class . :Component a owl:Class ; owl:disjointWith :Objective .
+:Camera a owl:Class ; rdfs:subClassOf :Component . :Sensing a owl:Class ; rdfs:subClassOf :Objective .
+:Failed a owl:Class .
+:solves a owl:ObjectProperty ; rdfs:domain :Grounding ; rdfs:range :Objective .
+:status a owl:DatatypeProperty , owl:FunctionalProperty ; rdfs:domain :Grounding ; rdfs:range xsd:string .
+:objective_status a owl:DatatypeProperty , owl:FunctionalProperty ; rdfs:domain :Objective .
+:sense a :Sensing . :grounding a :Grounding ; :solves :sense .
+[] a swrl:Imp ; swrl:body ( [ a swrl:IndividualPropertyAtom ; swrl:propertyPredicate :solves ;
+    swrl:argument1 :x ; swrl:argument2 :y ] [ a swrl:DatavaluedPropertyAtom ; swrl:propertyPredicate :status ;
+    swrl:argument1 :x ; swrl:argument2 "ERROR" ] ) ;
+  swrl:head ( [ a swrl:DatavaluedPropertyAtom ; swrl:propertyPredicate :objective_status ;
+    swrl:argument1 :y ; swrl:argument2 "ERROR" ] ) .
+"""
+"""An ontology of the shape of TOMASys: rules make statuses, data properties with a domain, of statuses."""
+FAILING = """
+[] a swrl:Imp ; swrl:body ( [ a swrl:IndividualPropertyAtom ; swrl:propertyPredicate :solves ;
+    swrl:argument1 :x ; swrl:argument2 :y ] ) ;
+  swrl:head ( [ a swrl:ClassAtom ; swrl:classPredicate :Failed ; swrl:argument1 :y ] ) .
+"""
+
+
+@pytest.fixture
+def solve(tmp_path: Path) -> Callable[..., api.World]:
+    """An environment of tags from a mission's ontology."""
+
+    def world(ontology: str, *, offered: str, demanded: str, rules: str = "") -> api.World:
+        (tmp_path / "mission.ttl").write_text(ontology)
+        (tmp_path / "env.yaml").write_text(
+            "format: cfgplan/1\nontology: mission.ttl\n"
+            f"{rules}"
+            f"transformations:\n  - {{label: cheap, labor: 1, outputs: {{o: '{offered}'}}}}\n"
+            f"  - {{label: sure, labor: 2, outputs: {{o: '{demanded}'}}}}\n"
+            f"targets: [{{label: t, topic: /t, tag: '{demanded}'}}]\n"
+        )
+        return api.load(tmp_path / "env.yaml")
+
+    return world
+
+
+def planned(world: api.World) -> tuple[Plan, tuple[str, ...]]:
+    """The plan, and the warnings about matching."""
+    matches = api.matches(world, use_cache=False)
+    warnings = matches.matching.warnings
+    _, plan = api.solved(api.problem(world, matches.similarity), matches)
+    return plan, warnings
+
+
+@pytest.mark.parametrize(
+    ("offered", "demanded"), [("Camera", "Sensing"), ("Objective", "Sensing"), ("{sense}", "∃solves.Sensing")]
+)
+def test_a_plan_is_optimal_where_no_lost_rule_can_make_a_match(
+    solve: Callable[..., api.World], offered: str, demanded: str
+) -> None:
+    world = solve(MISSION, offered=offered, demanded=demanded)
+    assert any("rule" in text for text in world.ontology.dropped)
+    plan, _ = planned(world)
+    assert (plan.status, plan.cost_us) == (Status.OPTIMAL, 2_000_000)
+
+
+def test_the_rule_that_stands_in_the_way_is_named_and_can_be_ignored(solve: Callable[..., api.World]) -> None:
+    world = solve(MISSION + FAILING, offered="Sensing", demanded="Failed")
+    plan, told = planned(world)
+    assert (plan.status, plan.cost_us) == (Status.FEASIBLE, 2_000_000)
+    assert any("the rule solves(x, y) → Failed(y) in mission.ttl may make them match" in text for text in told)
+    assert not any("ERROR" in text for text in told if "may make them match" in text)
+    world = solve(MISSION + FAILING, offered="Sensing", demanded="Failed", rules="rules: ignore\n")
+    plan, told = planned(world)
+    assert (plan.status, plan.cost_us) == (Status.OPTIMAL, 2_000_000)
+    assert "2 rules are ignored: what matches only by what they say does not match" in told
 
 
 @settings(max_examples=60, deadline=None)
