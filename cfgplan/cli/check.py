@@ -55,6 +55,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
             "violations": [_as_json(world, fault) for fault in broken],
             "unfed": [_as_json(world, fault) for fault in found if fault.suspicion is Suspicion.PERHAPS],
             "untaken": untaken,
+            "remaps": [_as_json(world, fault) for fault in found if fault.suspicion is Suspicion.REMAP],
         }
         screen.show_json(told if options.against is None else {**told, "against": options.against, "gone": gone})
     else:
@@ -72,7 +73,9 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 def _faults(options: argparse.Namespace, screen: Screen) -> tuple[World, tuple[WiringFault, ...]]:
     """The world that the options name, and what is wrong or odd there."""
     from cfgplan import answers, api
+    from cfgplan.explaining import probable_first
     from cfgplan.planners.undecided import used_pairs
+    from cfgplan.ros.remaps import idle_remaps
 
     world = shared.load(options, screen)
     matches = shared.matches(options, screen, world, api.FEW_PAIRS)
@@ -81,7 +84,8 @@ def _faults(options: argparse.Namespace, screen: Screen) -> tuple[World, tuple[W
     problem = shared.problem(options, screen, world, matches)
     with screen.phase("judge"):
         reasoning = {"reasoner": options.reasoner, "reasoner_limit_s": options.reasoner_timeout}
-        return world, answers.wiring_faults(world, problem, **reasoning)
+        found = answers.wiring_faults(world, problem, **reasoning)
+        return world, tuple(sorted([*idle_remaps(world.environment), *found], key=probable_first))
 
 
 def _text(world: World, fault: WiringFault) -> Text:

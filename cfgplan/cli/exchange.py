@@ -114,6 +114,8 @@ def _import_ros(options: argparse.Namespace, screen: Screen) -> Exit:
         screen.show(shown)
     for note in found.graph.notes:
         screen.warn(f"not known: {note}")
+    for each in found.graph.dropped:
+        screen.warn(f"not taken over: {each}")
     screen.note(f"{found.size}. `cfgplan check {options.out}` tells what is wrong with it.")
     return Exit.OK
 

@@ -29,5 +29,6 @@ from cfgplan.explaining.why_this import why_transformation as why_transformation
 from cfgplan.explaining.why_this import why_unit as why_unit
 from cfgplan.explaining.wiring import Suspicion as Suspicion
 from cfgplan.explaining.wiring import WiringFault as WiringFault
+from cfgplan.explaining.wiring import probable_first as probable_first
 from cfgplan.explaining.wiring import wiring_demands as wiring_demands
 from cfgplan.explaining.wiring import wiring_faults as wiring_faults

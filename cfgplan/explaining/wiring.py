@@ -29,28 +29,34 @@ _SERVICE = re.compile(r"\b(srv|action)\b")
 class Suspicion(IntEnum):
     """How probable it is that a fault is the one to mend first: the smaller the more."""
 
-    STOPPED = 0
+    REMAP = 0
+    """A node is told to rename a topic that it does not have."""
+    STOPPED = 1
     """An input is not fed, and what would feed it does not run."""
-    CLASH = 1
+    CLASH = 2
     """A stream comes to an input that does not match it."""
-    PAIR = 2
+    PAIR = 3
     """An input is not fed, and nobody takes a stream that comes near."""
-    NUMBER = 3
+    NUMBER = 4
     """An input takes too many streams or too few."""
-    PERHAPS = 4
+    PERHAPS = 5
     """An input that may stay unfed is one of a pair."""
-    TAKEN = 5
+    TAKEN = 6
     """An input is not fed, and others take what comes near."""
-    NAMESAKE = 6
+    NAMESAKE = 7
     """An input is not fed, and what comes near does so by name only."""
-    OTHER = 7
+    OTHER = 8
     """Another rule is broken."""
-    ALONE = 8
+    ALONE = 9
     """An input is not fed, and nothing comes near."""
-    NEEDLESS = 9
+    NEEDLESS = 10
     """A unit runs that no target needs, mostly because it feeds an input no more."""
-    UNTAKEN = 10
+    UNTAKEN = 11
     """Nobody takes a stream."""
+
+
+_ODD: Mapping[Suspicion, str] = {Suspicion.REMAP: "remap", Suspicion.UNTAKEN: "untaken"}
+"""What is odd where no rule is broken; an input that is not fed if a suspicion is not here."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +97,7 @@ class WiringFault:
         """The name of the broken rule, or what is odd."""
         if self.violation is not None:
             return self.violation.rule.name.lower()
-        return "untaken" if self.suspicion is Suspicion.UNTAKEN else "unfed"
+        return _ODD.get(self.suspicion, "unfed")
 
     @property
     def key(self) -> tuple[str, str]:
@@ -108,10 +114,11 @@ def wiring_faults(
     environment: Environment, violations: Sequence[Violation], near: Mapping[str, Sequence[Nearest]]
 ) -> tuple[WiringFault, ...]:
     """All that is wrong or odd with what runs, the probable fault first. `near` has the offers near to each demand."""
-    return tuple(sorted(_Wiring(environment, near).faults(violations), key=_order))
+    return tuple(sorted(_Wiring(environment, near).faults(violations), key=probable_first))
 
 
-def _order(fault: WiringFault) -> tuple[int, float, str]:
+def probable_first(fault: WiringFault) -> tuple[int, float, str]:
+    """The key that sorts faults: by suspicion, then by how near a stream comes, then by text."""
     return fault.suspicion, -fault.near[0].likeness if fault.near else 0.0, fault.text
 
 

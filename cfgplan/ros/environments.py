@@ -15,6 +15,7 @@ from cfgplan.domain import (
     ALL,
     ComputationUnit,
     Environment,
+    Host,
     InputPort,
     OutputPort,
     Stream,
@@ -27,11 +28,13 @@ from cfgplan.formats.fields import DEFAULT_HORIZON_S
 from cfgplan.qualities import MICRO
 from cfgplan.ros.graph import RosGraph, RosNode, RosPort
 from cfgplan.ros.guesses import GuessTable
-from cfgplan.ros.sources import NodeKind, NodeSource
+from cfgplan.ros.sources import REMAPS, NodeKind, NodeSource
 from cfgplan.ros.types import MessageType
 from cfgplan.ros.vocabulary import RosVocabulary
 from cfgplan.summary import counted, some
 
+LOCAL = "local"
+"""The host of nodes that run where the launch file is started, as roslaunch calls it."""
 _COSTS = ("labor", "upkeep")
 _APART: tuple[Callable[[RosPort], str], ...] = (
     lambda port: ".out" if port.role.gives else "",
@@ -71,6 +74,8 @@ class Imported:
         yield f"Imported from {', '.join(self.graph.sources)}: {self.size}."
         for note in self.graph.notes:
             yield f"Not known: {note}."
+        for each in self.graph.dropped:
+            yield f"Not taken over: {each}."
         if self.guesses:
             yield "Guessed, so look at it; `--guesses FILE` knows better:"
         for guess in self.guesses:
@@ -106,7 +111,9 @@ class _Making:
         self._table = table
         self._works = works
         self._guesses: list[Guessed] = []
-        self._graph = self._typed(self._without_noise(self._ported(graph)))
+        ported = self._ported(graph)
+        self._idle = {node.name: tuple(_idle_remaps(node)) for node in ported.nodes}
+        self._graph = self._typed(self._without_noise(ported))
         self._words = RosVocabulary(self._graph)
         self._labels = {node.name: node.name.strip("/") or "node" for node in self._graph.nodes}
         self._stopped = {self._labels[node.name] for node in self._graph.nodes if node.runs is False}
@@ -128,8 +135,18 @@ class _Making:
             units=tuple(self._unit(node, feeds) for node in self._graph.nodes if node.runs is not False),
             library=tuple(self._transformation(node, ports) for node in self._graph.nodes),
             targets=tuple(self._targets(ports, feeds)),
+            hosts=tuple(map(Host, self._machines)),
         )
         return Imported(self._graph, environment, self._words.text, tuple(self._guesses))
+
+    @cached_property
+    def _machines(self) -> tuple[str, ...]:
+        """The computers of the graph, by name; none where all nodes run on one."""
+        named = {node.machine for node in self._graph.nodes if node.machine}
+        return tuple(sorted(named | {LOCAL})) if named else ()
+
+    def _machine_of(self, node: RosNode) -> str | None:
+        return (node.machine or LOCAL) if self._machines else None
 
     def _guess(self, about: str, guess: str, why: str) -> None:
         self._guesses.append(Guessed(about, guess, why))
@@ -292,6 +309,7 @@ class _Making:
 
     def _unit(self, node: RosNode, feeds: Mapping[_End, list[_End]]) -> ComputationUnit:
         label = self._labels[node.name]
+        machine = self._machine_of(node)
         wires = (
             Subscription(end.port, Stream(_unit_of(stream.node), stream.port))
             for end, streams in feeds.items()
@@ -299,7 +317,7 @@ class _Making:
             for stream in streams
             if stream.node not in self._stopped
         )
-        return ComputationUnit(_unit_of(label), label, tuple(wires))
+        return ComputationUnit(_unit_of(label), label, tuple(wires), host=machine)
 
     def _transformation(self, node: RosNode, ports: Mapping[_End, InputPort]) -> Transformation:
         label = self._labels[node.name]
@@ -318,8 +336,9 @@ class _Making:
                 for port in node.ports
                 if port.role.gives
             ),
-            source=str(_source(node)),
+            source=str(_source(node, self._idle.get(node.name, ()))),
             params=node.parameters,
+            host=self._machine_of(node),
         )
 
     def _targets(self, ports: Mapping[_End, InputPort], feeds: Mapping[_End, list[_End]]) -> Iterator[Target]:
@@ -348,21 +367,34 @@ def _own(node: RosNode, port: RosPort) -> str:
     """
     if port.own is not None:
         return port.own
-    full = next((own for own, name in node.remappings if name == port.name), port.name)
+    return _from_within(node, next((own for own, name in node.remappings if name == port.name), port.name))
+
+
+def _from_within(node: RosNode, full: str) -> str:
+    """A full name as the node itself writes it: private, relative to its namespace, or full."""
     for above, mark in ((f"{node.name}/", "~"), (f"{node.name.rpartition('/')[0]}/", "")):
         if full.startswith(above) and full != above:
             return mark + full.removeprefix(above)
     return full
 
 
-def _source(node: RosNode) -> NodeSource:
-    """How the node is started; where that is not known, somebody else runs it."""
+def _idle_remaps(node: RosNode) -> Iterator[str]:
+    """The remappings of a node that rename none of its ports, as arguments; none where its ports are not known."""
+    used = {port.name for port in node.ports}
+    for own, name in node.remappings if node.ports else ():
+        if name not in used and own not in node.shared:
+            yield f"{_from_within(node, own)}{REMAPS}{name}"
+
+
+def _source(node: RosNode, idle: tuple[str, ...]) -> NodeSource:
+    """How the node is started; where that is not known, somebody else runs it. `idle` are remappings of no port."""
+    arguments = (*node.arguments, *idle)
     if node.package and node.plugin:
         kind: NodeKind = "component" if "::" in node.plugin else "nodelet"
         name = node.plugin.removeprefix(f"{node.package}/")
-        return NodeSource(kind, node.package, name, node.arguments, node.container or "")
+        return NodeSource(kind, node.package, name, arguments, node.container or "")
     if node.package and node.executable:
-        return NodeSource("node", node.package, node.executable, node.arguments)
+        return NodeSource("node", node.package, node.executable, arguments)
     return NodeSource("external", "", node.name)
 
 

@@ -59,7 +59,9 @@ class RosNode:
     `package` and `executable` say how it is started, and `plugin` what a container or nodelet manager of the name
     `container` loads; each is None where no source tells it. `remappings` are full names, from the node's own to
     those used; `parameters` are as a launch file writes them. A `player` stands for the unknown
-    publishers of what was recorded. `runs` is None where no source looked whether the node runs.
+    publishers of what was recorded. `runs` is None where no source looked whether the node runs. `machine` is the
+    computer that it runs on; None: the one that starts the graph. `shared` are the own names in `remappings` that a
+    launch file renames for all nodes of a group, whether or not each has them.
     """
 
     name: str
@@ -73,6 +75,8 @@ class RosNode:
     parameters: Mapping[str, object] = field(default_factory=dict, hash=False)
     player: bool = False
     runs: bool | None = None
+    machine: str | None = None
+    shared: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         unique = {_port_key(port): port for port in reversed(self.ports)}
@@ -85,11 +89,15 @@ class RosNode:
 
 @dataclass(frozen=True)
 class RosGraph:
-    """The nodes of one or several sources, and `notes` on what the sources could not tell."""
+    """The nodes of one or several sources.
+
+    `notes` say what the sources could not tell, and `dropped` what they say that no environment has a word for.
+    """
 
     nodes: tuple[RosNode, ...] = ()
     sources: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    dropped: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         store_sorted(self, "nodes", self.nodes, attrgetter("name"))
@@ -126,6 +134,7 @@ def merged(graphs: Iterable[RosGraph]) -> RosGraph:
         tuple(_with_recorded([*nodes.values()])),
         tuple(source for graph in graphs for source in graph.sources),
         tuple(dict.fromkeys(note for graph in graphs for note in graph.notes)),
+        tuple(each for graph in graphs for each in graph.dropped),
     )
 
 
@@ -137,13 +146,14 @@ def _joined(one: RosNode, other: RosNode) -> RosNode:
             ports.append(port)
         else:
             ports[same] = _filled(ports[same], port)
-    names = ("package", "executable", "plugin", "container")
+    names = ("package", "executable", "plugin", "container", "machine")
     known = {name: getattr(one, name) or getattr(other, name) for name in names}
     return replace(
         one,
         ports=tuple(ports),
         arguments=one.arguments or other.arguments,
         remappings=one.remappings or other.remappings,
+        shared=one.shared if one.remappings else other.shared,
         parameters={**other.parameters, **one.parameters},
         player=one.player and other.player,
         runs=one.runs if one.runs or other.runs is None else other.runs,

@@ -22,6 +22,14 @@ from cfgplan.summary import some
 _MOST_INCLUDES = 50
 _TRUE, _FALSE = ("true", "1"), ("false", "0")
 _NODELETS = "nodelet"
+_LOCAL = ("localhost", "127.0.0.1", "::1")
+"""Addresses of the computer that roslaunch itself runs on."""
+_DROPPED: Mapping[str, str] = {
+    "respawn": "a run replaces every unit that dies",
+    "required": "a run goes on when the node dies, and replaces it",
+    "launch-prefix": "the node is started without it",
+}
+"""Attributes of nodes that are not carried over, and what happens instead."""
 _TYPES: Mapping[str, Callable[[str], object]] = {
     "auto": valued,
     "str": str,
@@ -40,7 +48,9 @@ def launch_graph(path: Path, arguments: Mapping[str, str] | None = None) -> RosG
     Raises InputError with file and line. What lies in packages that are not here is left out; a note says so.
     """
     walk = _Walk()
-    walk.file(path, _Scope(path, given=dict(arguments or {})))
+    given = dict(arguments or {})
+    # roslaunch knows what was passed to the first file, whether or not the file declares it.
+    walk.file(path, _Scope(path, given=given, arguments=given))
     return walk.graph(path)
 
 
@@ -69,15 +79,20 @@ class _Walk:
 
     def __init__(self) -> None:
         self._nodes: list[RosNode] = []
+        self._places: dict[str, str] = {}
+        self._machines: dict[str, str] = {}
         self._parameters: dict[str, object] = {}
         self._notes: list[str] = []
+        self._dropped: list[str] = []
 
     def graph(self, path: Path) -> RosGraph:
         nodes = [replace(node, parameters={**self._own(node), **node.parameters}) for node in self._nodes]
         left = sorted(self._parameters)
         if left:
             self._notes.append(f"who reads the parameters that {path} sets outside nodes: {some(left, 3)}")
-        return RosGraph(tuple(nodes), (f"the launch file {path}",), tuple(dict.fromkeys(self._notes)))
+        return RosGraph(
+            tuple(nodes), (f"the launch file {path}",), tuple(dict.fromkeys(self._notes)), tuple(self._dropped)
+        )
 
     def _own(self, node: RosNode) -> dict[str, object]:
         """The parameters that were set from outside where a node has its private ones."""
@@ -117,6 +132,11 @@ class _Walk:
                 self._include(element, scope)
             case "node":
                 self._node(element, scope)
+            case "machine":
+                name = self._needed(element, "name", scope)
+                self._machines[name] = self._needed(element, "address", scope)
+            case "test":
+                self._dropped.append(f"the test at {scope.file}:{element.line}")
             case "param" | "rosparam":
                 values = self._values(element, scope)
                 private = {name[1:].lstrip("/"): value for name, value in values.items() if name.startswith("~")}
@@ -159,8 +179,13 @@ class _Walk:
         scope = scope.below(self._value(element, "ns", scope))
         package, kind = self._needed(element, "pkg", scope), self._needed(element, "type", scope)
         name = resolved(self._needed(element, "name", scope), scope.namespace, "")
+        place = f"{scope.file}:{element.line}"
+        if name in self._places:
+            mend = "give one of them another name, or a namespace: roslaunch starts neither"
+            raise _fault(scope.file, element, f"{self._places[name]} starts a node {name} too", mend)
+        self._places[name] = place
         parameters = dict(scope.private)
-        remaps = [*scope.remaps]
+        remaps: list[tuple[str, str]] = []
         for each in element.children:
             if not self._holds(each, scope):
                 continue
@@ -172,20 +197,42 @@ class _Walk:
         words = self._words(element, scope)
         remaps += [(a, b) for a, b in (word.split(":=", 1) for word in words if ":=" in word) if not a.startswith("_")]
         arguments = tuple(word for word in words if ":=" not in word)
-        full = {resolved(a, scope.namespace, name): resolved(b, scope.namespace, name) for a, b in remaps}
+        full = {
+            resolved(a, scope.namespace, name): resolved(b, scope.namespace, name) for a, b in (*scope.remaps, *remaps)
+        }
+        said_here = {resolved(a, scope.namespace, name) for a, _ in remaps}
         renamed = tuple((a, b) for a, b in full.items() if a != b)
-        node = RosNode(name, (), package, kind, arguments=arguments, remappings=renamed, parameters=parameters)
-        if (package, kind) == (_NODELETS, _NODELETS) and arguments[:1] == ("load",) and len(arguments) > 2:
-            plugin, manager = arguments[1], resolved(arguments[2], scope.namespace, name)
-            node = replace(
-                node,
-                package=plugin.partition("/")[0],
-                executable=None,
-                plugin=plugin,
-                container=manager,
-                arguments=arguments[3:],
-            )
+        node = RosNode(
+            name,
+            (),
+            package,
+            kind,
+            arguments=arguments,
+            remappings=renamed,
+            parameters=parameters,
+            machine=self._machine(element, scope),
+            shared=frozenset(own for own, _ in renamed if own not in said_here),
+        )
+        if (package, kind) == (_NODELETS, _NODELETS):
+            node = _nodelet(node, scope.namespace)
         self._nodes.append(node)
+        self._tell_of_ways_to_start(element, scope, name)
+
+    def _machine(self, element: XmlElement, scope: _Scope) -> str | None:
+        """The machine on which a node runs; None if it runs where roslaunch does."""
+        name = self._value(element, "machine", scope)
+        if not name:
+            return None
+        if name not in self._machines:
+            self._notes.append(f"where the machine `{name}` is, which {scope.file}:{element.line} names")
+        return None if self._machines.get(name) in _LOCAL else name
+
+    def _tell_of_ways_to_start(self, element: XmlElement, scope: _Scope, name: str) -> None:
+        """Note each attribute of a node that an environment has no word for."""
+        for attribute, reason in _DROPPED.items():
+            value = self._value(element, attribute, scope)
+            if value and value.strip().lower() not in _FALSE:
+                self._dropped.append(f'{attribute}="{value}" of {name}: {reason}')
 
     def _words(self, element: XmlElement, scope: _Scope) -> list[str]:
         try:
@@ -278,6 +325,19 @@ class _Walk:
         except SubstitutionError as error:
             mend = "pass arguments as NAME:=VALUE behind the file, or mend it"
             raise _fault(scope.file, element, str(error), mend) from None
+
+
+def _nodelet(node: RosNode, namespace: str) -> RosNode:
+    """The plugin that a node of the package `nodelet` is: in the manager that it names, or in a process of its own."""
+    match node.arguments:
+        case ("load", plugin, manager, *rest):
+            container: str | None = resolved(manager, namespace, node.name)
+        case ("standalone", plugin, *rest):
+            container = None
+        case _:
+            return node
+    package = plugin.partition("/")[0]
+    return replace(node, package=package, executable=None, plugin=plugin, container=container, arguments=tuple(rest))
 
 
 def _leaves(values: Mapping[Any, object], above: str = "") -> Iterator[tuple[str, object]]:

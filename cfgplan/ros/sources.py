@@ -11,6 +11,9 @@ from cfgplan.errors import InputError
 NodeKind = Literal["node", "nodelet", "component", "external"]
 _FORMS = "node:PACKAGE/EXECUTABLE, node:./FILE, nodelet:PACKAGE/CLASS, component:PACKAGE/PLUGIN or external:/NAME"
 
+REMAPS = ":="
+"""What stands between the two names of a remapping among a node's arguments."""
+
 
 @dataclass(frozen=True, slots=True)
 class NodeSource:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -214,7 +215,8 @@ def test_very_deep_nesting_is_told_as_that_wherever_libyaml_gives_up(tmp_path: P
     ("text", "place", "message"),
     [
         ("", (None, None), "the file is empty"),
-        ('{"format": "cfgplan/1",}', (1, 24), "this is not JSON"),
+        # Python names the comma since 3.13, and before what stands behind it.
+        ('{"format": "cfgplan/1",}', (1, 23 if sys.version_info >= (3, 13) else 24), "this is not JSON"),
         ('{"format": "cfgplan/1",\n "horizon": 1, "horizon": 2}', (2, 16), "the key `horizon` stands here twice"),
         ('{"format": "cfgplan/1", "max_cost": NaN}', (1, 37), "NaN is not a finite number"),
         ('{"format": "cfgplan/1",\n "max_cost": "1"}', (2, 14), "is the text '1'"),

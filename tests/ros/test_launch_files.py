@@ -301,3 +301,93 @@ def test_a_node_whose_ports_are_known_keeps_them(tmp_path: Path) -> None:
     amcl = RosNode("/amcl", (RosPort(Role.SUBSCRIBES, "/scan"),), "amcl", "amcl")
     (port,) = read_back(graph(amcl), tmp_path).environment.transformation["amcl"].inputs
     assert port.remap == "scan"
+
+
+def test_an_argument_that_is_passed_but_not_declared_is_known_in_the_first_file_only(tmp_path: Path) -> None:
+    (tmp_path / "inner.launch").write_text("<launch><node pkg='p' type='t' name='n' args='$(arg bag)'/></launch>")
+    file = tmp_path / "play.launch"
+    file.write_text("<launch><node pkg='rosbag' type='play' name='play' args='--clock $(arg bag)'/></launch>")
+    (play,) = launch_graph(file, {"bag": "/x.bag"}).nodes
+    assert play.arguments == ("--clock", "/x.bag")
+    file.write_text(f"<launch><include file='{tmp_path}/inner.launch'/></launch>")
+    with pytest.raises(InputError, match="the argument `bag` has no value"):
+        launch_graph(file, {"bag": "/x.bag"})
+
+
+def test_two_nodes_of_one_name_are_refused_with_both_places_as_roslaunch_does(tmp_path: Path) -> None:
+    file = tmp_path / "x.launch"
+    file.write_text("<launch>\n<node pkg='p' type='t' name='cam'/>\n<node pkg='q' type='u' name='cam'/></launch>")
+    with pytest.raises(InputError) as raised:
+        launch_graph(file)
+    (fault,) = raised.value.faults
+    assert fault.line == 3
+    assert f"{file}:2 starts a node /cam too" in fault.message
+
+
+def test_a_machine_is_a_host_and_how_else_a_node_is_started_is_told(tmp_path: Path) -> None:
+    file = tmp_path / "x.launch"
+    file.write_text(
+        "<launch><machine name='far' address='10.0.0.2'/><machine name='near' address='localhost'/>"
+        "<node pkg='p' type='t' name='a' machine='far' respawn='true' required='false'/>"
+        "<node pkg='p' type='t' name='b' machine='near' required='true' launch-prefix='nice -n 5'/>"
+        "<node pkg='p' type='t' name='c'/><test test-name='x' pkg='a' type='b'/></launch>"
+    )
+    found = launch_graph(file)
+    assert [text.partition(":")[0] for text in found.dropped] == [
+        'respawn="true" of /a',
+        'required="true" of /b',
+        'launch-prefix="nice -n 5" of /b',
+        f"the test at {file}",
+    ]
+    environment = read_back(found, tmp_path).environment
+    assert [host.name for host in environment.hosts] == ["far", "local"]
+    assert {unit.id: unit.host for unit in environment.units} == {"a.1": "far", "b.1": "local", "c.1": "local"}
+
+
+def test_a_standalone_nodelet_has_the_ports_of_its_plugin(tmp_path: Path) -> None:
+    file, env = tmp_path / "x.launch", tmp_path / "x.yaml"
+    file.write_text(
+        "<launch><node pkg='nodelet' type='nodelet' name='rect' args='standalone image_proc/rectify -x'/></launch>"
+    )
+    assert main(["import", "ros1", str(file), "--out", str(env)]) == 0
+    rect = api.load(env).environment.transformation["rect"]
+    assert rect.source == "nodelet:image_proc/rectify -x"
+    assert [port.remap for port in rect.inputs] == ["camera_info", "image_mono"]
+
+
+REMAPPED = """\
+<launch>
+  <remap from="nobody" to="/cares"/>
+  <node name="rect" pkg="nodelet" type="nodelet" args="standalone image_proc/rectify">
+    <remap from="{said}" to="/cam/image_raw"/>
+  </node>
+  <node name="cam" pkg="usb_cam" type="usb_cam_node"/>
+</launch>
+"""
+
+
+@pytest.mark.parametrize(
+    ("said", "first"),
+    [
+        (
+            "image",
+            "rect.1 is to call `image` `/cam/image_raw`, but its code has no `image`: did you mean `image_mono`?",
+        ),
+        ("foo", "but its code has no `foo`: it has camera_info, image_mono, image_rect"),
+        ("image_mono", None),
+    ],
+)
+def test_a_remapping_of_no_topic_of_the_node_is_what_check_names_first(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], said: str, first: str | None
+) -> None:
+    file, env = tmp_path / "x.launch", tmp_path / "x.yaml"
+    file.write_text(REMAPPED.format(said=said))
+    assert main(["import", "ros1", str(file), "--out", str(env)]) == 0
+    capsys.readouterr()
+    assert main(["check", str(env)]) == 1
+    lines = capsys.readouterr().out.splitlines()
+    if first is None:
+        assert not any(": remap: " in line for line in lines)
+    else:
+        assert first in lines[0]
+        assert sum(": remap: " in line for line in lines) == 1

@@ -1,0 +1,41 @@
+"""Remappings that rename nothing: the most frequent reason why a node of a launch file hears nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from difflib import get_close_matches
+
+from cfgplan.domain import Environment
+from cfgplan.explaining import Suspicion, WiringFault
+from cfgplan.ros.sources import REMAPS, NodeSource
+from cfgplan.summary import some
+from cfgplan.transformations import InputPort, OutputPort
+
+_LIKE = 0.5
+"""How similar a name is, at least, to be proposed instead of another (difflib's ratio)."""
+
+
+def idle_remaps(environment: Environment) -> Iterator[WiringFault]:
+    """The remappings among the arguments of running nodes: each renames a topic or service that the node lacks.
+
+    An import writes a remapping of a port to that port's `remap`; it leaves in `source` only remappings of no port.
+    """
+    for unit in environment.units:
+        transformation = environment.transformation.get(unit.transformation)
+        source = NodeSource.read(transformation.source) if transformation and not unit.standby else None
+        if transformation is None or source is None:
+            continue
+        unfed = _own_names([port for port in transformation.inputs if port.name not in unit.feeds])
+        own = sorted({*_own_names(transformation.inputs), *_own_names(transformation.outputs)})
+        for argument in source.arguments:
+            before, is_remap, after = argument.partition(REMAPS)
+            if is_remap and own and before not in own:
+                near = get_close_matches(before, unfed, 1, _LIKE) or get_close_matches(before, own, 1, _LIKE)
+                mend = f"did you mean `{near[0]}`?" if near else f"it has {some(own)}"
+                text = f"{unit.id} is to call `{before}` `{after}`, but its code has no `{before}`: {mend}"
+                yield WiringFault(Suspicion.REMAP, text, None, unit.id)
+
+
+def _own_names(ports: Sequence[InputPort] | Sequence[OutputPort]) -> list[str]:
+    """The names that the node's code has for its ports."""
+    return [port.remap or port.name for port in ports]
