@@ -16,6 +16,7 @@ from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
+from cfgplan.cache_folder import cache_folder
 from cfgplan.domain import ENVIRONMENT_HEADS, Environment, Similarity, environment_rows
 from cfgplan.errors import Fault, InputError
 from cfgplan.extras import is_there
@@ -180,7 +181,7 @@ def matches(
 
     If there are more, pass the result as `decider` to whatever plans: it decides the pairs that matter to the plan.
     """
-    cache = _cache_folder() if use_cache else None
+    cache = cache_folder() if use_cache else None
     return Matches(
         *_tags(world.environment), world.ontology, reasoner=reasoner, time_limit_s=time_limit_s, cache=cache, most=most
     )
@@ -402,12 +403,6 @@ def _as_ontology(ontology: object) -> Ontology:
         return ontology
     paths = [ontology] if isinstance(ontology, (str, os.PathLike)) else ontology
     return load_ontology([*map(Path, paths)]) if isinstance(paths, (list, tuple)) else read_owlready(ontology)
-
-
-def _cache_folder() -> Path:
-    """Where matches are kept between runs: `$XDG_CACHE_HOME/cfgplan`, or `~/.cache/cfgplan`."""
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "cfgplan"
 
 
 def write_file(path: Path, content: bytes) -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from cfgplan.extras import install, is_there
+from cfgplan.matching.class_archive import archive_for
 from cfgplan.matching.faults import InconsistentOntologyError, ReasonerError, ReasonerTimeoutError
 
 if TYPE_CHECKING:
@@ -80,7 +81,10 @@ def _run(
 
     question, said, errors = (Path(folder, name) for name in ("ontology.ofn", "said.txt", "errors.txt"))
     question.write_text(document, encoding="ascii")
-    command = [*_java(), _MAIN, *arguments, question.as_uri()]
+    java, jar = _java_command(), _jar()
+    archive = archive_for(java, _OPTIONS, jar, _MAIN)
+    flags = () if archive is None else archive.flags
+    command = [java, *_OPTIONS, *flags, "-cp", str(jar), _MAIN, *arguments, question.as_uri()]
     with said.open("wb") as output, errors.open("wb") as faults:
         try:
             process = subprocess.Popen(command, stdout=output, stderr=faults, stdin=subprocess.DEVNULL)
@@ -95,6 +99,8 @@ def _run(
     told = errors.read_text(errors="replace")
     if process.returncode or _EXCEPTION.search(told):
         raise _error_of(told, process.returncode)
+    if archive is not None and not flags:
+        archive.count(time_limit_s)
     return True
 
 
@@ -115,14 +121,15 @@ def _ends(process: Popen[bytes], said: Path, time_limit_s: float | None, patienc
                 return False
 
 
-def _java() -> Sequence[str]:
+# One JIT tier and one collecting thread: most questions are answered before more of them would pay.
+_OPTIONS: Final = ("-XX:TieredStopAtLevel=1", "-XX:+UseSerialGC", "-Xss64m", "-Dfile.encoding=UTF-8")
+
+
+def _jar() -> Path:
     spec = find_spec("owlready2")
     if spec is None or spec.origin is None:
         raise ReasonerError("HermiT's jar is missing", install("owlready2"))
-    folder = Path(spec.origin).parent / "hermit"
-    # One JIT tier and one collecting thread: most questions are answered before more of them would pay.
-    options = ("-XX:TieredStopAtLevel=1", "-XX:+UseSerialGC", "-Xss64m", "-Dfile.encoding=UTF-8")
-    return (_java_command(), *options, "-cp", f"{folder}:{folder / 'HermiT.jar'}")
+    return Path(spec.origin).parent / "hermit" / "HermiT.jar"
 
 
 def _java_command() -> str:
