@@ -182,7 +182,7 @@ class Quality:
 class Tuning:
     """All tuning. With `is_solver_only` there are no bounds, no first plans and no search of the planner's own.
 
-    With `counts`, units are counted where names do not matter.
+    With `counts`, units are counted where names do not matter. With `reduces`, what can't matter is left out first.
     """
 
     decide: Decide = Decide()
@@ -197,11 +197,12 @@ class Tuning:
     seconds_per_step: float = said(1e-6, "s/step", "Work counts so long where it is set against a time limit.", TIMED)
     is_solver_only: bool = False
     counts: bool = True
+    reduces: bool = True
 
     @classmethod
     def solver_only(cls) -> Tuning:
         """A tuning with which the solver finds and proves every plan by itself: for tests of the model."""
-        return cls(is_solver_only=True, counts=False)
+        return cls(is_solver_only=True, counts=False, reduces=False)
 
     def without_search(self) -> Tuning:
         """The same without a search of the planner's own."""

@@ -8,11 +8,11 @@ from contextlib import suppress
 from ortools.sat.python.cp_model import CpSolver
 
 from cfgplan.planners.exact.candidates import Candidates
-from cfgplan.planners.exact.closure import Closure
 from cfgplan.planners.exact.model import ModelRule
 from cfgplan.planners.exact.rules import RULES
 from cfgplan.planners.exact.search import Search
 from cfgplan.planners.exact.standing import Standing
+from cfgplan.planners.reducing.closure import Closure
 from cfgplan.planners.solving.clock import Clock, OutOfTimeError
 from cfgplan.planning import Plan, Problem, Progress, Status, refuse_features
 from cfgplan.reasons import unmet_reasons

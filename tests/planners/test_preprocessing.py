@@ -13,10 +13,10 @@ from cfgplan.planners.bounding.bounds import Bound, chained_bound, cheapest_way
 from cfgplan.planners.closing.program import charged
 from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planners.exact.candidates import Candidates
-from cfgplan.planners.exact.closure import relevant
 from cfgplan.planners.exact.configuration import wire
 from cfgplan.planners.networks.greedy import first_plan, is_plan
 from cfgplan.planners.networks.network import Network, Weighing
+from cfgplan.planners.reducing.closure import relevant
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Plan, Problem, Status
 from cfgplan.reasons import Givers, startable
@@ -34,7 +34,7 @@ class Stage:
         self.used = {unit.transformation for unit in environment.update(plan.change_set).units}
         self.givers = Givers(environment.library, problem.similarity)
         self.possible = startable(environment, self.givers)
-        self.relevant = relevant(environment, self.givers, self.possible, Clock())
+        self.relevant = relevant(environment, self.givers, self.possible, iter)
         library = [t for t in environment.library if t.label in self.relevant]
         self.network = Network(library, [target.tag for target in environment.targets], [], self.givers)
         running = {unit.transformation for unit in environment.units}

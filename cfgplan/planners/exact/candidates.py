@@ -12,10 +12,11 @@ import numpy as np
 from cfgplan.costs import keep_cost_us, standby_cost_us, start_cost_us, taken, transfer_cost_us
 from cfgplan.domain import ComputationUnit, Environment, Host, Stream, Transformation
 from cfgplan.onward import grouped
-from cfgplan.planners.exact.closure import Closure
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.keys import may_stay
 from cfgplan.planners.networks.network import Network
+from cfgplan.planners.reducing.closure import Closure
+from cfgplan.planners.reducing.reduce import may_go_on
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Feature, Problem, fresh_units
 from cfgplan.qualities import QualityAttribute, worst_allowed
@@ -245,7 +246,7 @@ def _candidates(problem: Problem, labels: frozenset[str], clock: Clock) -> Itera
     """Running units, then new ones."""
     environment, horizon_s = problem.environment, problem.horizon_s
     for unit in clock.each(environment.units):
-        if unit.transformation in labels and _may_go_on(problem, unit):
+        if unit.transformation in labels and may_go_on(problem, unit):
             transformation = environment.transformation[unit.transformation]
             yield Candidate(
                 unit.id,
@@ -282,14 +283,6 @@ def _places(
         )
         for host in hosts
     }
-
-
-def _may_go_on(problem: Problem, unit: ComputationUnit) -> bool:
-    """Whether a unit is where it may be; a cold spare only where failures are to be survived."""
-    environment, transformation = problem.environment, problem.environment.transformation[unit.transformation]
-    if environment.hosts and unit.host not in environment.hosts_for(transformation):
-        return False
-    return not unit.standby or (problem.survive is not None and transformation.standby_us is not None)
 
 
 def _numbers_of_new(problem: Problem, labels: frozenset[str]) -> dict[str, int]:

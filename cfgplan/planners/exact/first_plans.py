@@ -13,7 +13,6 @@ import numpy as np
 from cfgplan.domain import ComputationUnit
 from cfgplan.figures import links_bear, qualities_of_targets
 from cfgplan.planners.exact.candidates import Candidates
-from cfgplan.planners.exact.closure import with_companions
 from cfgplan.planners.exact.configuration import Configuration, spare_prices
 from cfgplan.planners.exact.decode import have_company
 from cfgplan.planners.exact.places import Rooms
@@ -21,6 +20,7 @@ from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.exact.survivors import bears_all_failures
 from cfgplan.planners.networks.core import Floats
 from cfgplan.planners.networks.greedy import FREE, plan_at
+from cfgplan.planners.reducing.closure import with_companions
 from cfgplan.qualities import QualityAttribute, QualityRule, is_met
 
 

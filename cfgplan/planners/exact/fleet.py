@@ -29,6 +29,8 @@ def plan_fleet(candidates: Candidates, standing: Standing, last: Collection[str]
     standing.counts |= {"candidates": len(candidates.all), "conflicts": 0}
     standing.fewest_unused = sum(not candidates.of(label) for label in problem.environment.required)
     if clock.tuning.is_solver_only:
+        if standing.is_cost_proven:
+            candidates = candidates.among(left_by_bounds(candidates, standing).labels)
         _solve(candidates, standing)
         return
     least_us, rewired, started = least_of_all(candidates)

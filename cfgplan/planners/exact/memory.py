@@ -13,11 +13,11 @@ from cfgplan.domain import Environment, Similarity, Transformation
 from cfgplan.planners.bounding.bounds import Bound, tightened
 from cfgplan.planners.bounding.landmarks import Landmark
 from cfgplan.planners.exact.candidates import Candidates
-from cfgplan.planners.exact.closure import Closure
 from cfgplan.planners.exact.rest import Rest
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.network import Network, costs
+from cfgplan.planners.reducing.closure import Closure
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Problem
 

@@ -14,7 +14,6 @@ from typing import Final
 
 from cfgplan.domain import Environment
 from cfgplan.planners.exact.candidates import ONLY_IN_THE_MODEL, Candidates
-from cfgplan.planners.exact.closure import Closure
 from cfgplan.planners.exact.configuration import wire
 from cfgplan.planners.exact.decode import lean
 from cfgplan.planners.exact.first_plans import FirstPlans
@@ -22,7 +21,9 @@ from cfgplan.planners.exact.memory import Memory
 from cfgplan.planners.exact.stages import STAGES
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.exact.work import Work
-from cfgplan.planners.solving.clock import Clock
+from cfgplan.planners.reducing.closure import Closure
+from cfgplan.planners.reducing.reduce import Reduced, reduce
+from cfgplan.planners.solving.clock import Clock, OutOfTimeError
 from cfgplan.planners.tuning import USUAL, Tuning
 from cfgplan.planners.undecided import Deciding
 from cfgplan.planning import Feature, OnProgress, Plan, Problem, Status
@@ -30,6 +31,8 @@ from cfgplan.reasons import Givers, startable
 
 SOLVED_AT_ONCE: Final = ONLY_IN_THE_MODEL | {Feature.ORDER, Feature.LATENCY}
 """A problem with one of these goes to the solver without bounds and first plans."""
+ROOM_SHARE: Final = 0.5
+"""The share of the time in which a plan is looked for as if one host had room for all."""
 
 
 class PlannerSession:
@@ -54,20 +57,32 @@ class PlannerSession:
         """The optimal update. Stopped by the clock, by `stop` or by Ctrl-C it is the best one so far."""
         if problem.similarity.open:
             return Deciding(partial(self.plan, stop=stop))(problem, time_limit_s=time_limit_s, report=report)
-        is_solver_only = self._tuning.is_solver_only or bool(SOLVED_AT_ONCE & problem.features)
-        clock = Clock(time_limit_s, stop, replace(self._tuning, is_solver_only=is_solver_only))
-        standing = Standing(problem, clock, report)
-        clock.run(lambda: self._go_through_stages(standing), standing.plan)
+        clock = Clock(time_limit_s, stop, self._tuning)
+        part = _reduced(problem, clock)
+        if not part.is_roomy and time_limit_s is not None:
+            clock = Clock(time_limit_s * ROOM_SHARE, stop, self._tuning)
+        standing = Standing(part.problem, clock, part.reporting(report), problem)
+        answer = self._planned(part, standing)
+        if answer is not None and (answer.ties_proven or not standing.are_ties_proven):
+            return answer
+        return self._planned_again(part, standing, answer, time_limit_s, report)
+
+    def _planned(self, part: Reduced, standing: Standing) -> Plan | None:
+        """The answer to the whole problem by a plan of the part; None if it gives none."""
+        clock, problem = standing.clock, part.problem
+        _choose_stages(standing)
+        clock.run(lambda: self._go_through_stages(standing), lambda: _so_far(part, standing))
         clock.end("search")
         found, memory = standing.plan(), self._memory
+        answer = part.answer(found)
         if memory is not None:
             memory.keep_plan(standing)
             is_at_rest = (
                 not self._is_asked_once and problem.is_plain and found.status is Status.OPTIMAL and not found.change_set
             )
             if is_at_rest and not memory.structure.has_required and not clock.is_over():
-                clock.run(lambda: memory.settle(problem, clock), lambda: found)
-        return found
+                clock.run(lambda: memory.settle(problem, clock), lambda: _so_far(part, standing))
+        return answer
 
     def _go_through_stages(self, standing: Standing) -> None:
         offer_what_runs(standing)
@@ -77,6 +92,55 @@ class PlannerSession:
         for stage in standing.clock.each(STAGES, 1):
             if stage(work):
                 break
+
+    def _planned_again(
+        self,
+        before: Reduced,
+        known: Standing,
+        answer: Plan | None,
+        time_limit_s: float | None,
+        report: OnProgress | None,
+    ) -> Plan:
+        """Plan a problem of which a part gave no answer, or one whose ties may not be the best."""
+        problem = before.whole
+        left_s = None if time_limit_s is None else time_limit_s - known.clock.elapsed_s()
+        clock = Clock(left_s, known.clock.stop, self._tuning)
+        clock.seconds |= known.clock.seconds
+        part = _reduced(problem, clock, is_certain=True)
+        standing = Standing(part.problem, clock, part.reporting(report), problem)
+        if answer is not None and answer.change_set is not None:
+            standing.offer(part.part_of(problem.after(answer).units))
+        if not (problem.environment.required or Feature.ORDER in problem.features):
+            standing.raise_bound(known.bound_us + before.rent_us - part.rent_us)
+            if standing.is_at_bound:
+                standing.prove_cost()
+        found = PlannerSession(self._tuning, is_asked_once=True)._planned(part, standing)
+        assert found is not None
+        return found
+
+
+def _reduced(problem: Problem, clock: Clock, *, is_certain: bool = False) -> Reduced:
+    """What is left to be planned; the whole problem if the time ends before that is known."""
+    if not clock.tuning.reduces:
+        return Reduced(problem, problem)
+    try:
+        return reduce(problem, clock, is_certain=is_certain)
+    except OutOfTimeError:
+        pass
+    except KeyboardInterrupt:  # the best plan so far is wanted now
+        clock.stop.set()
+    return Reduced(problem, problem)
+
+
+def _choose_stages(standing: Standing) -> None:
+    clock = standing.clock
+    is_solver_only = clock.tuning.is_solver_only or bool(SOLVED_AT_ONCE & standing.problem.features)
+    clock.tuning = replace(clock.tuning, is_solver_only=is_solver_only)
+
+
+def _so_far(part: Reduced, standing: Standing) -> Plan:
+    found = standing.plan()
+    return part.answer(found) or Plan(found.planner, Status.UNKNOWN)
 
 
 def plan(

@@ -26,8 +26,10 @@ class Incumbent(NamedTuple):
 class Standing:
     """The incumbent, and what is proven about the optimum."""
 
-    def __init__(self, problem: Problem, clock: Clock, report: OnProgress | None) -> None:
+    def __init__(self, problem: Problem, clock: Clock, report: OnProgress | None, whole: Problem | None = None) -> None:
+        """Reasons are those of the `whole` problem, of which this one is what is left."""
         self.problem = problem
+        self._whole = problem if whole is None else whole
         self.clock = clock
         self.report = report
         self.best: Incumbent | None = None
@@ -125,7 +127,7 @@ class Standing:
         problem, bound_us = self.problem, self.valid_bound_us
         plan = partial(Plan, "cpsat", seconds=self.clock.seconds, counts=self.counts)
         if self.is_infeasible:
-            return plan(Status.INFEASIBLE, reasons=self.reasons or joint_reasons(problem))
+            return plan(Status.INFEASIBLE, reasons=self.reasons or joint_reasons(self._whole))
         largest = problem.max_cost_us
         if largest is not None and bound_us > largest:
             cost_us = self.best.key.cost_us if self.best is not None and self.is_cost_proven else None

@@ -9,7 +9,7 @@ from cfgplan.domain import Environment
 from cfgplan.onward import reached
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Problem
-from cfgplan.reasons import Givers, startable
+from cfgplan.reasons import Each, Givers, startable
 
 
 @dataclass(frozen=True)
@@ -27,28 +27,31 @@ class Closure:
         """The closure of a problem; `old` is one of the same library and matching. Raises OutOfTimeError."""
         environment = problem.environment
         if old is not None:
-            return cls(old.givers, old.possible, relevant(environment, old.givers, old.possible, clock))
+            return cls(old.givers, old.possible, relevant(environment, old.givers, old.possible, clock.each))
         givers = Givers(environment.library, problem.similarity)
         possible = startable(environment, givers, clock.each)
         givers = givers.among(possible)
-        return cls(givers, possible, relevant(environment, givers, possible, clock))
+        return cls(givers, possible, relevant(environment, givers, possible, clock.each))
 
 
-def relevant(environment: Environment, givers: Givers, possible: frozenset[str], clock: Clock) -> frozenset[str]:
-    """The labels out of `possible` that a target, a pinned unit or a number asks for, directly or through others."""
+def relevant(environment: Environment, givers: Givers, possible: frozenset[str], each: Each) -> frozenset[str]:
+    """The labels out of `possible` that a target, a pinned unit or a number asks for, directly or through others.
+
+    An input that starts nothing asks for none.
+    """
     library = environment.transformation
     running = {unit.transformation for unit in environment.units}
     asked = [t.label for t in environment.library if t.min_instances or (t.pinned and t.label in running)]
     found = set(with_companions(environment, possible.intersection(asked)))
     ahead = [target.tag for target in environment.targets]
-    ahead += [port.tag for label in sorted(found) for port in library[label].inputs]
+    ahead += [port.tag for label in sorted(found) for port in library[label].inputs if not port.starts_nothing]
     seen = set(ahead)
-    for tag in clock.each(ahead):
+    for tag in each(ahead):
         new = [label for label in givers.of(tag) if label in possible and label not in found]
         for label in with_companions(environment, new):
             found.add(label)
             for port in library[label].inputs:
-                if port.tag not in seen:
+                if port.tag not in seen and not port.starts_nothing:
                     seen.add(port.tag)
                     ahead.append(port.tag)
     return frozenset(found & possible)

@@ -1,0 +1,1 @@
+"""The problem less what no plan can use, and less the words that can't matter."""

@@ -1,0 +1,556 @@
+"""`reduce` gives the problem that is left to be planned: less what no plan can use, and less words that can't bind.
+
+A transformation that can't be started, or that nothing wanted can need, leaves the library, and so does what it says. A
+`serves`, `max_instances`, `count: all`, quality or host that no configuration can feel leaves too. Optional inputs
+without worth cost and start nothing: they are fed once the plan is known. A plan of what is left is one of the whole
+problem, which `Reduced.answer` makes of it; where it may not be the best in changes, or where the host of all units
+may lack room, `Reduced.answer` says so, and the problem is planned again without these two steps.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from cfgplan.costs import labor_us, start_cost_us, taken, transfer_cost_us, upkeep_us
+from cfgplan.domain import (
+    ALL,
+    ComputationUnit,
+    Environment,
+    Host,
+    InputPort,
+    Objective,
+    Stream,
+    Subscription,
+    Transformation,
+)
+from cfgplan.onward import reached
+from cfgplan.planners.reducing.closure import relevant
+from cfgplan.planners.solving.clock import Clock
+from cfgplan.planning import Feature, Measured, OnProgress, Plan, Problem, Progress, Status
+from cfgplan.reasons import Each, Givers, startable
+
+GONE = "\0"
+"""The transformation of a unit that no plan can keep: none is called so."""
+OF_HOSTS = (Objective.HOSTS, Objective.RENT)
+"""The objectives that are the same for all plans where no hosts are left."""
+
+
+@dataclass(frozen=True)
+class Numbered(Problem):
+    """A part of a problem. A plan starts `most` units of each transformation, as many as in the whole problem."""
+
+    most: Mapping[str, int] = field(default_factory=dict, hash=False)
+
+    def most_new(self, transformation: Transformation) -> int:
+        return self.most[transformation.label]
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """A `whole` problem, and the `problem` that is left of it.
+
+    If hosts were left out, all units are at `home`, which `is_roomy` if it has room for all that a plan may have.
+    """
+
+    whole: Problem
+    problem: Problem
+    home: Host | None = None
+    is_roomy: bool = True
+
+    @property
+    def rent_us(self) -> int:
+        """What every plan costs more than the reduced one says."""
+        return 0 if self.home is None else self.home.rent_us * self.whole.horizon_s
+
+    def reporting(self, report: OnProgress | None) -> OnProgress | None:
+        """A reporter of the part's progress as that of the whole problem, without costs that may not hold."""
+        if report is None or self.problem is self.whole:
+            return report
+
+        def tell(progress: Progress) -> None:
+            cost_us = None if progress.cost_us is None or not self.is_roomy else progress.cost_us + self.rent_us
+            report(replace(progress, cost_us=cost_us, bound_us=progress.bound_us + self.rent_us))
+
+        return tell
+
+    def part_of(self, units: Sequence[ComputationUnit]) -> list[ComputationUnit]:
+        """Units of the whole problem as units of the part."""
+        library = self.problem.environment.transformation
+        return [
+            replace(
+                unit,
+                host=unit.host if self.home is None else None,
+                subscriptions=tuple(s for s in unit.subscriptions if s.port in library[unit.transformation].input),
+            )
+            for unit in units
+        ]
+
+    def answer(self, found: Plan) -> Plan | None:
+        """The answer to the whole problem that a plan of the reduced one gives; None if home lacks room for it.
+
+        Its ties are not proven where an input that is fed afterwards has rewired a unit.
+        """
+        if self.problem is self.whole:
+            return found
+        counts = {**found.counts, "transformations": len(self.whole.environment.library)}
+        cost_us = None if found.cost_us is None else found.cost_us + self.rent_us
+        found = replace(found, counts=counts, cost_us=cost_us, bound_us=found.bound_us + self.rent_us)
+        if found.change_set is None:
+            return found if self.is_roomy or found.status is Status.INFEASIBLE else None
+        units = self._units(found)
+        return self._told(found, units) if self._fit(units) else None
+
+    def _units(self, found: Plan) -> list[ComputationUnit]:
+        """The units after a plan, at home, with the inputs fed that start nothing."""
+        after = self.problem.after(found).units
+        if self.home is not None:
+            after = tuple(replace(unit, host=self.home.name) for unit in after)
+        return fed_afterwards(self.whole, self.problem, after)
+
+    def _fit(self, units: Collection[ComputationUnit]) -> bool:
+        if self.home is None or self.is_roomy:
+            return True
+        return _bears(self.whole, self.home, Counter([unit.transformation for unit in units]))
+
+    def _told(self, found: Plan, units: Sequence[ComputationUnit]) -> Plan:
+        """The plan with its change set, objectives and unused transformations as they are of the whole problem."""
+        environment, old = self.whole.environment, found.change_set
+        changes = environment.change_to(units)
+        hopeless = set(environment.required).difference(self.problem.environment.required)
+        unused = hopeless.union(found.unused_required)
+        return replace(
+            found,
+            change_set=changes,
+            unused_required=tuple(label for label in environment.required if label in unused),
+            ties_proven=found.ties_proven and old is not None and len(changes.rewired) == len(old.rewired),
+            objectives=tuple(self._objectives(found, is_used=bool(units))),
+        )
+
+    def _objectives(self, found: Plan, *, is_used: bool) -> Iterator[Measured]:
+        """What is minimised, with the objectives that are the same for all plans."""
+        known = {one.objective: one for one in found.objectives}
+        for each in self.whole.environment.minimise if Feature.ORDER in self.whole.features else ():
+            if each is Objective.COST:
+                yield Measured(each, found.cost_us or 0, found.bound_us)
+            elif each in known:
+                yield known[each]
+            else:
+                value = 0 if self.home is None or not is_used else 1 if each is Objective.HOSTS else self.rent_us
+                yield Measured(each, value, value)
+
+
+@dataclass(frozen=True)
+class _Use:
+    """What plans may have: the `labels` of transformations, so many `units` of each, some of which are `running`."""
+
+    labels: frozenset[str]
+    givers: Givers
+    units: Mapping[str, int]
+    running: Mapping[str, int]
+
+
+def reduce(problem: Problem, clock: Clock, *, is_certain: bool = False) -> Reduced:
+    """What is left of a problem to be planned; the same where nothing is asked beyond the paper. Raises OutOfTimeError.
+
+    If it `is_certain`, each answer to what is left is one to the whole problem, with its ties.
+    """
+    use = None if problem.is_plain else _use(problem, clock.each)
+    if use is None:
+        return Reduced(problem, problem)
+    left = _without_easy_wishes(_with_what_is_used(problem, use))
+    left = _without_lone_streams(_without_wide_limits(left, use), use)
+    home = _home(left)
+    is_roomy = home is not None and _bears(left, home, {t.label: _most(t, use) for t in left.environment.library})
+    if home is not None and (is_roomy or not is_certain):
+        left = _at_home(left, home)
+    else:
+        home, is_roomy = None, True
+    left = _without_inputs_that_start_nothing(left, use, is_certain=is_certain)
+    left = _without_numbers(_without_what_all_have(left), use)
+    return Reduced(problem, left, home, is_roomy)
+
+
+def may_go_on(problem: Problem, unit: ComputationUnit) -> bool:
+    """Whether a unit is where it may be; a cold spare only where failures are to be survived."""
+    environment, transformation = problem.environment, problem.environment.transformation[unit.transformation]
+    if environment.hosts and unit.host not in environment.hosts_for(transformation):
+        return False
+    return not unit.standby or (problem.survive is not None and transformation.standby_us is not None)
+
+
+def _use(problem: Problem, each: Each) -> _Use | None:
+    """What plans may have; None if what is asked for can't run: its reasons need the whole library."""
+    environment, similarity = problem.environment, problem.similarity
+    library = environment.library
+    hopeful = possible = startable(environment, Givers(library, similarity), each)
+    while True:
+        library = tuple(t for t in library if t.label in possible and _may_be_somewhere(environment, t, possible))
+        if len(library) == len(possible):
+            break
+        possible = startable(Environment((), library), Givers(library, similarity), each)
+    givers = Givers(library, similarity)
+    going_on = [
+        u for u in environment.units if u.transformation in environment.transformation and may_go_on(problem, u)
+    ]
+    kept = {u.transformation for u in going_on if environment.transformation[u.transformation].pinned and not u.standby}
+    asked = kept & hopeful | {t.label for t in environment.library if t.min_instances}
+    if not asked <= possible or any(possible.isdisjoint(givers.of(target.tag)) for target in environment.targets):
+        return None
+    labels = relevant(replace(environment, library=library), givers, possible, each)
+    running = Counter(unit.transformation for unit in going_on if unit.transformation in labels)
+    units = {label: running[label] + problem.most_new(environment.transformation[label]) for label in sorted(labels)}
+    return _Use(labels, givers.among(labels), units, running)
+
+
+def _may_be_somewhere(environment: Environment, t: Transformation, possible: Collection[str]) -> bool:
+    is_allowed = t.max_instances != 0 and all(other in possible for other in t.beside)
+    return is_allowed and bool(environment.hosts_for(t))
+
+
+def _with_what_is_used(problem: Problem, use: _Use) -> Problem:
+    """Leave out transformations, conflicts with them, and what units say that no plan keeps."""
+    environment = problem.environment
+    library = tuple(_without_conflicts_but(use, t) for t in environment.library if t.label in use.labels)
+    units = tuple(
+        unit
+        if unit.transformation in use.labels and may_go_on(problem, unit)
+        else ComputationUnit(unit.id, GONE, unit.subscriptions)
+        for unit in environment.units
+    )
+    most = {t.label: problem.most_new(environment.transformation[t.label]) for t in library}
+    left = replace(environment, library=library, units=units)
+    return Numbered(left, problem.similarity, problem.horizon_s, problem.max_cost_us, problem.survive, most)
+
+
+def _without_conflicts_but(use: _Use, t: Transformation) -> Transformation:
+    """The transformation less its conflicts with itself and with what no plan uses."""
+    if not (t.conflicts or t.conflicts_on_host):
+        return t
+    others = use.labels - {t.label}
+    left, on_host = (tuple(label for label in these if label in others) for these in (t.conflicts, t.conflicts_on_host))
+    return replace(t, conflicts=left, conflicts_on_host=on_host)
+
+
+def _without_easy_wishes(problem: Problem) -> Problem:
+    """Leave out the qualities that targets ask for and every stream has."""
+    quality = problem.environment.quality
+    targets = []
+    for target in problem.environment.targets:
+        kept = tuple(
+            wish
+            for wish in target.quality
+            if wish.weight_us
+            or (wish.bound is not None and quality[wish.attribute].is_better(wish.bound, quality[wish.attribute].worst))
+        )
+        targets.append(target if kept == target.quality else replace(target, quality=kept))
+    return problem.with_parts(targets=tuple(targets))
+
+
+def _without_wide_limits(problem: Problem, use: _Use) -> Problem:
+    """Leave out limits on instances and on who takes a stream that no configuration can reach."""
+    takers = _takers(problem, use)
+
+    def freed(t: Transformation) -> Transformation:
+        most, here = (t.max_instances, t.per_host)
+        outputs = tuple(
+            port if port.serves is None or takers[port.tag] > port.serves else replace(port, serves=None)
+            for port in t.outputs
+        )
+        most = None if most is not None and use.units[t.label] <= most else most
+        here = None if here is not None and use.units[t.label] <= here else here
+        if (most, here, outputs) == (t.max_instances, t.per_host, t.outputs):
+            return t
+        return replace(t, outputs=outputs, max_instances=most, per_host=here)
+
+    return problem.with_parts(library=tuple(map(freed, problem.environment.library)))
+
+
+def _takers(problem: Problem, use: _Use) -> Counter[str]:
+    """How many inputs and topics may take a stream, by its tag, where some stream serves only so many."""
+    environment, takers = problem.environment, Counter[str]()
+    if Feature.LIMITS not in problem.features:
+        return takers
+    demanded = Counter(target.tag for target in environment.stream_targets)
+    for t in environment.library:
+        for port in t.inputs:
+            demanded[port.tag] += _most(t, use)
+    for tag, number in demanded.items():
+        for offered in use.givers.accepted(tag):
+            takers[offered] += number
+    return takers
+
+
+def _most(t: Transformation, use: _Use) -> int:
+    """How many units of a transformation may be there."""
+    units = use.units[t.label]
+    return units if t.max_instances is None else min(units, t.max_instances)
+
+
+def _without_lone_streams(problem: Problem, use: _Use) -> Problem:
+    """An input that takes all streams takes one where no more than one can be there for it."""
+    library = problem.environment.transformation
+
+    def number_for(t: Transformation, port: InputPort) -> int:
+        givers = [library[label] for label in use.givers.of(port.tag)]
+        accepted = use.givers.accepted(port.tag)
+        streams = sum(_most(giver, use) * sum(out.tag in accepted for out in giver.outputs) for giver in givers)
+        return 1 if streams == 1 and t not in givers else ALL
+
+    return _with_inputs(
+        problem, lambda t, p: replace(p, count=number_for(t, p)) if p.count == ALL and number_for(t, p) == 1 else p
+    )
+
+
+def _with_inputs(problem: Problem, of: Callable[[Transformation, InputPort], InputPort | None]) -> Problem:
+    """The problem with other inputs, or without those for which there is None."""
+
+    def changed(t: Transformation) -> Transformation:
+        found = tuple(port for port in (of(t, port) for port in t.inputs) if port is not None)
+        return t if found == t.inputs else replace(t, inputs=found)
+
+    return problem.with_parts(library=tuple(map(changed, problem.environment.library)))
+
+
+def _home(problem: Problem) -> Host | None:
+    """A host where all units may be, at the least cost, and where it is best that they are: nothing is carried then.
+
+    None if there is no such host, or if there is something that can be so on several hosts only.
+    """
+    environment = problem.environment
+    if not environment.hosts or problem.survive is not None or Feature.LATENCY in problem.features:
+        return None
+    if len(environment.hosts) > 1 and any(t.per_host is not None or t.conflicts_on_host for t in environment.library):
+        return None
+    at = {unit.host for unit in environment.units if unit.transformation != GONE}
+    at.update(target.host for target in environment.targets if target.host is not None)
+    least_us = min(host.rent_us for host in environment.hosts)
+    if least_us and not (environment.targets and problem.max_cost_us is None):
+        return None
+    if Feature.ORDER in problem.features and problem.max_cost_us is not None:
+        return None
+    left = {h.name: h for h in environment.hosts if h.rent_us == least_us and at <= {h.name}}
+    for t in environment.library:
+        costs_us = {
+            name: start_cost_us(t, problem.horizon_s, environment.host[name or ""]) for name in environment.hosts_for(t)
+        }
+        cheapest_us = min(costs_us.values())
+        left = {name: host for name, host in left.items() if costs_us.get(name) == cheapest_us}
+        if not left:
+            return None
+    return next(iter(left.values()), None)
+
+
+def _bears(problem: Problem, host: Host, units: Mapping[str, int]) -> bool:
+    """Whether a host has room for so many units of each transformation."""
+    library, loads = problem.environment.transformation, Counter[str]()
+    for label, number in units.items():
+        for resource, amount in taken(library[label], host).items():
+            loads[resource] += number * amount
+    rooms = {resource: host.room(resource, problem.horizon_s) for resource in loads}
+    return all(room is None or loads[resource] <= room for resource, room in rooms.items())
+
+
+def _at_home(problem: Problem, home: Host) -> Problem:
+    """The problem without hosts, with what units cost at home."""
+    library = tuple(
+        replace(t, labor_us=labor_us(t, home), upkeep_us=upkeep_us(t, home), seen_us={}, host=None, hosts=(), on=None)
+        for t in problem.environment.library
+    )
+    units = tuple(replace(unit, host=None) for unit in problem.environment.units)
+    targets = tuple(replace(target, host=None) for target in problem.environment.targets)
+    return problem.with_parts(library=library, units=units, targets=targets, hosts=(), links=(), transfer_us=0)
+
+
+def _without_inputs_that_start_nothing(problem: Problem, use: _Use, *, is_certain: bool) -> Problem:
+    """Leave out optional inputs without worth, but for those that make a stream worse, dear to carry, or forbid it.
+
+    A unit that runs is rewired when such an input is fed: if it `is_certain` that ties count, it keeps them.
+    """
+    environment = problem.environment
+    largest_us = environment.prices_us[-1]
+    is_limited = any(link.bandwidth is not None for link in environment.links)
+    outputs = [port for t in environment.library for port in t.outputs]
+    offered = {port.tag for port in outputs}
+    carried = {
+        port.tag
+        for port in (outputs if environment.hosts else ())
+        if transfer_cost_us(port, problem.horizon_s, largest_us) or (is_limited and port.bytes_per_s)
+    }
+    counts_for_quality = Feature.QUALITY in problem.features
+    counts_rewired = is_certain or Objective.REWIRED in environment.minimise
+
+    def kept(t: Transformation, port: InputPort) -> InputPort | None:
+        if not port.starts_nothing:
+            return port
+        feeding = use.givers.accepted(port.tag) & offered
+        is_kept = feeding and (
+            port.count == ALL
+            or (counts_for_quality and not port.feedback)
+            or feeding & carried
+            or (counts_rewired and use.running.get(t.label))
+        )
+        return port if is_kept else None
+
+    left = _with_inputs(problem, kept)
+    units = tuple(_without_gone_inputs(problem, left, unit) for unit in environment.units)
+    return left.with_parts(units=units)
+
+
+def _without_gone_inputs(before: Problem, left: Problem, unit: ComputationUnit) -> ComputationUnit:
+    """A unit without what it takes at inputs that are gone; what is not valid it keeps, since it can't stay so."""
+    if unit.transformation == GONE:
+        return unit
+    ports = left.environment.transformation[unit.transformation].input
+    inputs = before.environment.transformation[unit.transformation].input
+    gone = {
+        name
+        for name, streams in unit.feeds.items()
+        if name in inputs and name not in ports and _is_valid(before, unit, inputs[name], streams)
+    }
+    if not gone:
+        return unit
+    return replace(unit, subscriptions=tuple(s for s in unit.subscriptions if s.port not in gone))
+
+
+def _is_valid(problem: Problem, unit: ComputationUnit, port: InputPort, streams: Sequence[Stream]) -> bool:
+    """Whether streams may feed an input, looked at by itself."""
+    environment = problem.environment
+    if not port.takes(len(streams)) or len({stream.unit for stream in streams}) < len(streams):
+        return False
+    for stream in streams:
+        feeder = environment.unit.get(stream.unit)
+        kind = None if feeder is None else environment.transformation.get(feeder.transformation)
+        output = None if kind is None else kind.output.get(stream.port)
+        if output is None or not problem.similarity.holds(output.tag, port.tag):
+            return False
+        if stream.unit == unit.id and not port.feedback:
+            return False
+    return True
+
+
+def _without_what_all_have(problem: Problem) -> Problem:
+    """Leave out objectives that are the same for all plans, as there are no hosts."""
+    environment = problem.environment
+    if environment.hosts or problem.max_cost_us is not None:
+        return problem
+    return problem.with_parts(minimise=tuple(each for each in environment.minimise if each not in OF_HOSTS))
+
+
+def _without_numbers(problem: Problem, use: _Use) -> Problem:
+    """The problem as one that asks nothing beyond the paper, if that is so.
+
+    A plan then has no more units of a transformation than run already, and a new one only where none runs, or where it
+    costs no labor.
+    """
+    environment = problem.environment
+    if (
+        problem.features - {Feature.INSTANCES}
+        or environment.required
+        or any(t.min_instances for t in environment.library)
+    ):
+        return problem
+    library = []
+    for t in environment.library:
+        running = use.running.get(t.label, 0)
+        most = running + (not running or not t.labor_us)
+        if any(limit is not None and limit < most for limit in (t.max_instances, t.per_host)):
+            return problem
+        library.append(
+            replace(t, max_instances=None, per_host=None) if (t.max_instances, t.per_host) != (None, None) else t
+        )
+    plain = replace(environment, library=tuple(library))
+    return Problem(plain, problem.similarity, problem.horizon_s, problem.max_cost_us)
+
+
+def fed_afterwards(whole: Problem, part: Problem, units: Sequence[ComputationUnit]) -> list[ComputationUnit]:
+    """The units of a plan of a part, with the inputs fed that the part has not, wherever streams are there for them.
+
+    An input keeps the streams that it has.
+    """
+    library, others = whole.environment.transformation, part.environment.transformation
+    gone = {
+        label: [port for port in library[label].inputs if port.name not in others[label].input]
+        for label in {unit.transformation for unit in units}
+    }
+    open_inputs = [(unit, port) for unit in units if not unit.standby for port in gone[unit.transformation]]
+    if not open_inputs:
+        return list(units)
+    wiring = _Wiring(whole, units)
+    for keeps in (True, False):
+        for unit, port in open_inputs:
+            wiring.feed(unit, port, keeps=keeps)
+    return wiring.units()
+
+
+class _Wiring:
+    """Units, and more and more streams that feed their inputs."""
+
+    def __init__(self, problem: Problem, units: Sequence[ComputationUnit]) -> None:
+        self._problem, self._units = problem, {unit.id: unit for unit in units}
+        self._feeds = {unit.id: dict(unit.feeds) for unit in units}
+        self._taken = Counter(s.stream for unit in units for s in unit.subscriptions)
+        self._taken.update(Stream(unit.id, p.port) for unit in units for p in unit.publications)
+        self._readers: dict[str, set[str]] = defaultdict(set)
+        self._offers: dict[str, list[Stream]] = defaultdict(list)
+        for unit in units:
+            inputs = self._kind(unit.id).input
+            for s in unit.subscriptions:
+                if not inputs[s.port].feedback:
+                    self._readers[s.stream.unit].add(unit.id)
+            for output in self._kind(unit.id).outputs if not unit.standby else ():
+                self._offers[output.tag].append(Stream(unit.id, output.name))
+
+    def _kind(self, unit_id: str) -> Transformation:
+        return self._problem.environment.transformation[self._units[unit_id].transformation]
+
+    def units(self) -> list[ComputationUnit]:
+        return [
+            replace(
+                unit,
+                subscriptions=tuple(
+                    Subscription(name, stream) for name, streams in self._feeds[unit.id].items() for stream in streams
+                ),
+            )
+            for unit in self._units.values()
+        ]
+
+    def feed(self, unit: ComputationUnit, port: InputPort, *, keeps: bool) -> None:
+        """Feed an input that nothing feeds yet, if enough streams are there for it; by those it has if it `keeps`."""
+        if port.name in self._feeds[unit.id]:
+            return
+        free = list(self._free(unit, port))
+        was = self._problem.environment.unit.get(unit.id)
+        old = () if was is None else was.feeds.get(port.name, ())
+        choices = [stream for stream in old if stream in free] if keeps else free
+        by_feeder: dict[str, Stream] = {}
+        for stream in choices:
+            by_feeder.setdefault(stream.unit if port.distinct is None else self._kind(stream.unit).label, stream)
+        if len(by_feeder) < max(port.count, 1) or (keeps and len(by_feeder) < len(old)):
+            return
+        taken = tuple(by_feeder.values())[: port.count]
+        self._feeds[unit.id][port.name] = taken
+        self._taken.update(taken)
+        for stream in taken if not port.feedback else ():
+            self._readers[stream.unit].add(unit.id)
+
+    def _free(self, unit: ComputationUnit, port: InputPort) -> Iterator[Stream]:
+        """The streams that may feed an input beside all that is fed already."""
+        below = set() if port.feedback else set(reached([unit.id], lambda here: sorted(self._readers[here])))
+        there = self._feeding_the_group(unit, port)
+        for tag in sorted(self._offers.keys() & self._problem.similarity.offers.get(port.tag, frozenset())):
+            for stream in self._offers[tag]:
+                kind = self._kind(stream.unit)
+                serves = kind.output[stream.port].serves
+                is_left = serves is None or self._taken[stream] < serves
+                if is_left and stream.unit not in below and kind.label not in there:
+                    yield stream
+
+    def _feeding_the_group(self, unit: ComputationUnit, port: InputPort) -> set[str]:
+        """The transformations that feed the group of a distinct input."""
+        if port.distinct is None:
+            return set()
+        group = [other.name for other in self._kind(unit.id).inputs if other.distinct == port.distinct]
+        streams = (stream for name in group for stream in self._feeds[unit.id].get(name, ()))
+        return {self._kind(stream.unit).label for stream in streams}
