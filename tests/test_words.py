@@ -9,9 +9,10 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import pytest
 import yaml
@@ -20,19 +21,25 @@ from hypothesis.errors import NoSuchExample
 
 import cfgplan
 from cfgplan import api
-from cfgplan.domain import ALL, Environment
+from cfgplan.domain import ALL, Environment, Similarity
 from cfgplan.drawing import picture
 from cfgplan.errors import InputError
 from cfgplan.explaining.why_not import why_not
 from cfgplan.planners import PLANNERS
-from cfgplan.planning import Feature, Problem
+from cfgplan.planners.exact import session
+from cfgplan.planners.exact.stages import STAGES, Stage
+from cfgplan.planners.exact.work import Work
+from cfgplan.planning import Feature, Plan, Problem
 from cfgplan.validity.plans import kept_us
+from experiments.families.random_library import random_library
 
 sys.path.append(str(Path(__file__).parent / "planners"))
 
 from fleets import fleets
 
 Said = Mapping[str, Any]
+ALWAYS_ASKED = {"min_instances", "pinned"}
+"""What a transformation says that no plan can do without."""
 MANY = settings(
     max_examples=2000, database=None, derandomize=True, phases=[Phase.generate], suppress_health_check=[*HealthCheck]
 )
@@ -61,6 +68,8 @@ class Word:
     """With what of the source no plan keeps to the word's limit."""
     shown: str | None = None
     """What a picture shows of it."""
+    beside: Said | None = field(default_factory=dict)
+    """What else to say so that the word does nothing where no plan can use source and sink; None: it always does."""
 
     def problem(self, folder: Path, *, is_asked_too_much: bool = False) -> Problem:
         source = {"label": "source", "upkeep": 1, **self.source, "outputs": {"a": {"tag": "A", **self.gives}}}
@@ -81,9 +90,42 @@ class Word:
             "targets": [self.target or {"label": "t", "topic": "/t", "tag": "B"}],
             **self.top,
         }
-        file = folder / "env.yaml"
-        file.write_text(yaml.safe_dump({key: value for key, value in document.items() if value}))
-        return cfgplan.match(cfgplan.load(file))
+        return problem_of(document, folder)
+
+    def where_it_does_nothing(self, plain: Problem, folder: Path, *, is_startable: bool) -> Problem:
+        """A problem in whose library source and sink are too, which nothing wants; some input of them is never fed
+        unless they are startable.
+        """
+        assert self.beside is not None
+        said = {
+            "format": "cfgplan/1",
+            "hosts": [*self.hosts],
+            "transformations": [
+                {"label": "source", **self.source, "outputs": {"a": {"tag": "A", **self.gives}}},
+                {"label": "sink", **self.sink, "inputs": {"a": {"tag": "A", **self.takes}}, "outputs": {"b": "B"}},
+            ],
+            **self.top,
+        }
+        said |= {key: [*said.get(key, ()), *more] for key, more in self.beside.items()}
+        for transformation in said["transformations"]:
+            if not is_startable:
+                transformation["inputs"] = {**transformation.get("inputs", {}), "gap": "NothingGivesThis"}
+            for key in ALWAYS_ASKED & transformation.keys():
+                del transformation[key]
+        small = problem_of(said, folder)
+        environment = replace(
+            small.environment,
+            library=(*plain.environment.library, *small.environment.library),
+            targets=plain.environment.targets,
+        )
+        similarity = Similarity({**plain.similarity.offers, **small.similarity.offers})
+        return replace(plain, environment=environment, similarity=similarity, survive=small.survive)
+
+
+def problem_of(document: Mapping[str, Any], folder: Path) -> Problem:
+    file = folder / "env.yaml"
+    file.write_text(yaml.safe_dump({key: value for key, value in document.items() if value}))
+    return cfgplan.match(cfgplan.load(file))
 
 
 def ports(environment: Environment) -> list[Any]:
@@ -170,6 +212,7 @@ WORDS: Mapping[str, Word] = {
         feature=Feature.RUNS,
         broken="no unit of sink runs, which target shown wants",
         shown="shown",
+        beside=None,
     ),
     "needs": Word(
         lambda e: any(t.needs for t in e.library) and any(host.offers for host in e.hosts),
@@ -237,6 +280,7 @@ WORDS: Mapping[str, Word] = {
         feature=Feature.HOSTS,
         costs_us=12_500_000,
         shown="h, rent 0.25 s/s",
+        beside={"hosts": [{"name": "free"}]},
     ),
     "speed": Word(
         lambda e: any(host.speed != 1_000_000 for host in e.hosts),
@@ -244,6 +288,7 @@ WORDS: Mapping[str, Word] = {
         feature=Feature.HOSTS,
         costs_us=20_000_000,
         shown="h, speed 0.5",
+        beside={"hosts": [{"name": "fast"}]},
     ),
     "energy": Word(
         lambda e: any(host.energy is not None for host in e.hosts),
@@ -316,6 +361,7 @@ WORDS: Mapping[str, Word] = {
         broken="if unit source.1 fails, nothing else can meet target t",
         never={"max_instances": 1},
         limit="`survive` of the environment",
+        beside=None,
     ),
 }
 
@@ -398,3 +444,56 @@ def test_the_oracle_s_generators_draw_the_word(word: Word) -> None:
         find(fleets(features, most=2), lambda problem: is_drawn(problem.environment), settings=MANY)
     except NoSuchExample:
         pytest.fail("no generator draws it")
+
+
+def entered(problem: Problem) -> tuple[Plan, list[str]]:
+    """A plan, and the stages that it took."""
+    names: list[str] = []
+
+    def noted(stage: Stage) -> Stage:
+        def enter(work: Work) -> bool:
+            names.append(stage.__name__)
+            return stage(work)
+
+        return enter
+
+    with patch.object(session, "STAGES", tuple(map(noted, STAGES))):
+        return session.PlannerSession(is_asked_once=True).plan(problem), names
+
+
+LIBRARIES = {
+    "of what can't start": (random_library(3, transformations=500), False),
+    "of what nothing wants": (random_library(3, transformations=100), True),
+}
+
+
+@pytest.fixture(scope="module", params=LIBRARIES)
+def usual(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Plan, list[str]]:
+    """The plan for a library with the transformations of a row that say no word."""
+    plain, is_startable = LIBRARIES[request.param]
+    problem = Word(None).where_it_does_nothing(plain, tmp_path_factory.mktemp("usual"), is_startable=is_startable)
+    assert problem.is_plain
+    return request.param, *entered(problem)
+
+
+@of_word(lambda word: word.beside is not None)
+def test_the_word_costs_nothing_where_it_does_nothing(
+    word: Word, usual: tuple[str, Plan, list[str]], tmp_path: Path
+) -> None:
+    """It changes neither cost nor proof nor the stages that are entered, nor how many booleans the model has."""
+    name, before, usual_stages = usual
+    plain, is_startable = LIBRARIES[name]
+    said = word.where_it_does_nothing(plain, tmp_path, is_startable=is_startable)
+    assert said.features or word.feature is None
+    plan, stages = entered(said)
+    assert cfgplan.plan_violations(said, plan) == []
+    assert plan.change_set is not None
+    assert before.change_set is not None
+    assert [unit.id for unit in plan.change_set.started] == [unit.id for unit in before.change_set.started]
+    assert (plan.status, plan.cost_us, plan.bound_us, plan.ties_proven) == (
+        before.status,
+        before.cost_us,
+        before.bound_us,
+        before.ties_proven,
+    )
+    assert (stages, plan.counts) == (usual_stages, before.counts)

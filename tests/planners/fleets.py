@@ -236,3 +236,68 @@ def reordered(problem: Problem, draw: st.DrawFn) -> Problem:
             qualities=tuple(draw(st.permutations(environment.qualities))),
         ),
     )
+
+
+@st.composite
+def nearly_plain(draw: st.DrawFn, *, most: int = 3) -> Problem:
+    """A problem whose words do little or nothing: hosts with room, wide limits, inputs that start nothing, and all that
+    is said of a transformation that can't be started.
+    """
+    plain = draw(problems(most=most, special=draw(st.booleans())))
+    environment, labels = plain.environment, [t.label for t in plain.environment.library]
+    room, rent = st.sampled_from([None, None, 5, 40]), st.sampled_from([0, 0, 1])
+    speed = st.sampled_from([MICRO, MICRO, 2 * MICRO])
+    hosts = tuple(
+        Host(f"h{i}", draw(room), draw(room), rent_us=draw(rent), speed=draw(speed))
+        for i in range(draw(st.sampled_from([0, 1, 1, 2])))
+    )
+    unusable = Transformation(
+        "unusable",
+        (InputPort("gap", "Nothing"), InputPort("i", "A", count=draw(st.sampled_from([1, 2, ALL])))),
+        (OutputPort("x", "A", serves=1),),
+        conflicts=(labels[0],),
+        beside=(labels[-1],),
+        max_instances=2,
+        per_host=1,
+    )
+    library = [draw(with_little_said(t, hosts)) for t in environment.library]
+    at = st.sampled_from([host.name for host in (*hosts[:1], *hosts)]) if hosts else st.none()
+    units = [replace(unit, host=draw(at)) for unit in environment.units]
+    units = [draw(fed_by_several(unit, units, {t.label: t for t in library})) for unit in units]
+    minimise = draw(
+        st.sampled_from([(), (), (Objective.HOSTS,), (Objective.HOSTS, Objective.REWIRED), (Objective.RENT,)])
+    )
+    links = (Link(("h0", "h1"), bandwidth=draw(st.sampled_from([None, 1]))),) if draw(st.booleans()) else ()
+    return Problem(
+        Environment(
+            tuple(units),
+            (*library, unusable),
+            environment.targets,
+            hosts,
+            links=links,
+            minimise=minimise,
+            transfer_us=draw(st.sampled_from([0, 700_000])),
+        ),
+        plain.similarity,
+        plain.horizon_s,
+        plain.max_cost_us,
+    )
+
+
+@st.composite
+def with_little_said(draw: st.DrawFn, plain: Transformation, hosts: tuple[Host, ...]) -> Transformation:
+    """A transformation with a limit, or an input that starts nothing."""
+    idle = ()
+    if draw(st.booleans()):
+        count = draw(st.sampled_from([1, 1, 2, ALL]))
+        tag, feedback = draw(st.sampled_from("ABCD")), draw(st.booleans())
+        idle = (InputPort("idle", tag, optional=True, count=count, feedback=feedback),)
+    serves = draw(st.sampled_from([None, None, 1, 9]))
+    rate_uhz = draw(st.sampled_from([0, MICRO])) if hosts else 0
+    return replace(
+        plain,
+        inputs=(*plain.inputs, *idle),
+        outputs=tuple(replace(port, serves=serves, rate_uhz=rate_uhz, size_bytes=1) for port in plain.outputs),
+        max_instances=draw(st.sampled_from([None, None, 1, 2])),
+        memory_mb=draw(st.sampled_from([None, 1, 3])) if hosts else None,
+    )

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Any
 
 import undecided
-from fleets import TOGETHER, fleets
+from fleets import TOGETHER, fleets, nearly_plain
 from hypothesis import strategies as st
 from worlds import fusions, histories, oracle_of, problems
 
@@ -89,6 +89,9 @@ COUNTABLE = st.one_of(
 KINDS: Mapping[str, Kind] = MappingProxyType(
     {
         "plain": Kind(st.one_of(problems(special=False), problems(most=5), fusions()), of_one),
+        "nearly plain": Kind(
+            nearly_plain().filter(lambda problem: bool(problem.features) and sets_of_units(problem) < 2000), of_one
+        ),
         "replanning": Kind(histories(), of_a_history),
         "hosts": Kind(st.one_of(fleets(HOSTS), fleets(HOSTS | NUMBERS)), of_one),
         "company": Kind(

@@ -52,12 +52,14 @@ class Reduced:
     """A `whole` problem, and the `problem` that is left of it.
 
     If hosts were left out, all units are at `home`, which `is_roomy` if it has room for all that a plan may have.
+    So many transformations are `startable` in the whole problem.
     """
 
     whole: Problem
     problem: Problem
     home: Host | None = None
     is_roomy: bool = True
+    startable: int = 0
 
     @property
     def rent_us(self) -> int:
@@ -94,7 +96,8 @@ class Reduced:
         """
         if self.problem is self.whole:
             return found
-        counts = {**found.counts, "transformations": len(self.whole.environment.library)}
+        sizes = {"transformations": len(self.whole.environment.library), "startable": self.startable}
+        counts = {**found.counts, **(sizes if sizes.keys() <= found.counts.keys() else {})}
         cost_us = None if found.cost_us is None else found.cost_us + self.rent_us
         found = replace(found, counts=counts, cost_us=cost_us, bound_us=found.bound_us + self.rent_us)
         if found.change_set is None:
@@ -143,8 +146,12 @@ class Reduced:
 
 @dataclass(frozen=True)
 class _Use:
-    """What plans may have: the `labels` of transformations, so many `units` of each, some of which are `running`."""
+    """What plans may have: the `labels` of transformations, so many `units` of each, some of which are `running`.
 
+    So many transformations are `startable`.
+    """
+
+    startable: int
     labels: frozenset[str]
     givers: Givers
     units: Mapping[str, int]
@@ -169,7 +176,7 @@ def reduce(problem: Problem, clock: Clock, *, is_certain: bool = False) -> Reduc
         home, is_roomy = None, True
     left = _without_inputs_that_start_nothing(left, use, is_certain=is_certain)
     left = _without_numbers(_without_what_all_have(left), use)
-    return Reduced(problem, left, home, is_roomy)
+    return Reduced(problem, left, home, is_roomy, use.startable)
 
 
 def may_go_on(problem: Problem, unit: ComputationUnit) -> bool:
@@ -201,7 +208,7 @@ def _use(problem: Problem, each: Each) -> _Use | None:
     labels = relevant(replace(environment, library=library), givers, possible, each)
     running = Counter(unit.transformation for unit in going_on if unit.transformation in labels)
     units = {label: running[label] + problem.most_new(environment.transformation[label]) for label in sorted(labels)}
-    return _Use(labels, givers.among(labels), units, running)
+    return _Use(len(hopeful), labels, givers.among(labels), units, running)
 
 
 def _may_be_somewhere(environment: Environment, t: Transformation, possible: Collection[str]) -> bool:
@@ -289,18 +296,21 @@ def _most(t: Transformation, use: _Use) -> int:
 
 
 def _without_lone_streams(problem: Problem, use: _Use) -> Problem:
-    """An input that takes all streams takes one where no more than one can be there for it."""
+    """An input that takes all streams takes one where no more than one can be there for it.
+
+    An optional one stays: it must take that stream even if this closes a ring.
+    """
     library = problem.environment.transformation
 
-    def number_for(t: Transformation, port: InputPort) -> int:
+    def one_for(t: Transformation, port: InputPort) -> InputPort:
+        if port.count != ALL or port.optional:
+            return port
         givers = [library[label] for label in use.givers.of(port.tag)]
         accepted = use.givers.accepted(port.tag)
         streams = sum(_most(giver, use) * sum(out.tag in accepted for out in giver.outputs) for giver in givers)
-        return 1 if streams == 1 and t not in givers else ALL
+        return replace(port, count=1) if streams == 1 and t not in givers else port
 
-    return _with_inputs(
-        problem, lambda t, p: replace(p, count=number_for(t, p)) if p.count == ALL and number_for(t, p) == 1 else p
-    )
+    return _with_inputs(problem, one_for)
 
 
 def _with_inputs(problem: Problem, of: Callable[[Transformation, InputPort], InputPort | None]) -> Problem:
