@@ -17,16 +17,16 @@ from dataclasses import replace
 from pathlib import Path
 from statistics import median
 
-sys.path.append(str(Path(__file__).parents[2]))
-sys.path.append(str(Path(__file__).parents[2] / "tests"))
+ROOT = Path(__file__).parents[2]
+sys.path[:0] = [str(ROOT / "tests" / "planners"), str(ROOT / "tests"), str(ROOT)]
 
-from test_words import WORDS, Word
+from test_words import WORDS, Word  # noqa: E402
 
-from cfgplan.domain import Environment, Host, InputPort, Link, Objective, Transformation
-from cfgplan.planners.exact.session import PlannerSession
-from cfgplan.planning import Plan, Problem
-from cfgplan.qualities import MICRO
-from experiments.families.random_library import random_library
+from cfgplan.domain import Environment, Host, InputPort, Link, Objective, Transformation  # noqa: E402
+from cfgplan.planners.exact.session import PlannerSession  # noqa: E402
+from cfgplan.planning import Plan, Problem  # noqa: E402
+from cfgplan.qualities import MICRO  # noqa: E402
+from experiments.families.random_library import random_library  # noqa: E402
 
 Said = Callable[[Environment], Environment]
 HOSTS = (Host("h"), Host("k"))

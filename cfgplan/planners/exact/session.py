@@ -106,6 +106,7 @@ class PlannerSession:
         left_s = None if time_limit_s is None else time_limit_s - known.clock.elapsed_s()
         clock = Clock(left_s, known.clock.stop, self._tuning)
         clock.seconds |= known.clock.seconds
+        clock.is_interrupted = known.clock.is_interrupted
         part = _reduced(problem, clock, is_certain=True)
         standing = Standing(part.problem, clock, part.reporting(report), problem)
         if answer is not None and answer.change_set is not None:
@@ -128,7 +129,7 @@ def _reduced(problem: Problem, clock: Clock, *, is_certain: bool = False) -> Red
     except OutOfTimeError:
         pass
     except KeyboardInterrupt:  # the best plan so far is wanted now
-        clock.stop.set()
+        clock.interrupt()
     return Reduced(problem, problem)
 
 

@@ -39,6 +39,8 @@ class Clock:
         self.has_plan = False
         """Whether there is a plan already: if so, `stop` ends the search at once."""
         self.seconds: dict[str, float] = {}
+        self.is_interrupted = False
+        """Whether Ctrl-C was pressed: the next one ends the plan."""
 
     def elapsed_s(self) -> float:
         return time.monotonic() - self._began
@@ -74,6 +76,13 @@ class Clock:
             if self.has_plan or time.monotonic() - self._stopped >= STOPPING_S:
                 raise OutOfTimeError
 
+    def interrupt(self) -> None:
+        """Take note of Ctrl-C in the handler of a KeyboardInterrupt, which is raised again if it is the second one."""
+        if self.is_interrupted:
+            raise
+        self.is_interrupted = True
+        self.stop.set()
+
     def end(self, phase: str) -> dict[str, float]:
         """Note that a phase ends now; returns the seconds of all phases so far."""
         now = time.monotonic()
@@ -91,7 +100,7 @@ class Clock:
             try:
                 work()
             except KeyboardInterrupt:
-                self.stop.set()
+                self.interrupt()
                 if not self.has_plan:
                     work()
         except OutOfTimeError:
