@@ -27,8 +27,9 @@ def add_import(parser: argparse.ArgumentParser) -> None:
         metavar="PATH",
         nargs="+",
         help="xml: file or folder of them. wsc: folder of a test set. ros1: `live` (the master of ROS_MASTER_URI), "
-        "a master's address, or a launch file and its arguments (NAME:=VALUE). ros2: `live`, or a Zenoh router's "
-        "endpoint. Both: recordings (bags, MCAP); several are put together",
+        "a master's address, or a launch file and its arguments (NAME:=VALUE). ros2: `live`, a Zenoh router's "
+        "endpoint, or a launch file in XML or YAML and its arguments. Both: recordings (bags, MCAP); several are put "
+        "together",
     )
     parser.add_argument(
         "--objective",

@@ -5,7 +5,6 @@ A launch file names nodes, how they are started, their parameters and remappings
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,14 +12,23 @@ from typing import Any
 
 import yaml
 
-from cfgplan.errors import Fault, InputError
+from cfgplan.errors import InputError
 from cfgplan.formats.xml_elements import XmlElement, parse_xml
 from cfgplan.ros.graph import RosGraph, RosNode, resolved
+from cfgplan.ros.launch_elements import (
+    FALSE,
+    TRUE,
+    NodePlaces,
+    declared,
+    given,
+    included,
+    is_met,
+    launch_fault,
+    words,
+)
 from cfgplan.ros.substitutions import PackageMissingError, SubstitutionError, Substitutions, valued
 from cfgplan.summary import some
 
-_MOST_INCLUDES = 50
-_TRUE, _FALSE = ("true", "1"), ("false", "0")
 _NODELETS = "nodelet"
 _LOCAL = ("localhost", "127.0.0.1", "::1")
 """Addresses of the computer that roslaunch itself runs on."""
@@ -36,8 +44,8 @@ _TYPES: Mapping[str, Callable[[str], object]] = {
     "string": str,
     "int": int,
     "double": float,
-    "bool": lambda text: text.strip().lower() in _TRUE,
-    "boolean": lambda text: text.strip().lower() in _TRUE,
+    "bool": lambda text: text.strip().lower() in TRUE,
+    "boolean": lambda text: text.strip().lower() in TRUE,
     "yaml": yaml.safe_load,
 }
 
@@ -48,9 +56,9 @@ def launch_graph(path: Path, arguments: Mapping[str, str] | None = None) -> RosG
     Raises InputError with file and line. What lies in packages that are not here is left out; a note says so.
     """
     walk = _Walk()
-    given = dict(arguments or {})
+    passed = dict(arguments or {})
     # roslaunch knows what was passed to the first file, whether or not the file declares it.
-    walk.file(path, _Scope(path, given=given, arguments=given))
+    walk.file(path, _Scope(path, given=passed, arguments=passed))
     return walk.graph(path)
 
 
@@ -79,7 +87,7 @@ class _Walk:
 
     def __init__(self) -> None:
         self._nodes: list[RosNode] = []
-        self._places: dict[str, str] = {}
+        self._places = NodePlaces()
         self._machines: dict[str, str] = {}
         self._parameters: dict[str, object] = {}
         self._notes: list[str] = []
@@ -109,7 +117,7 @@ class _Walk:
             raise InputError.of(f"can't be read: {error.strerror}", file=str(path), mend=mend) from None
         if root.name != "launch":
             mend = "launch files of ROS 1 are XML with <launch>; import a live graph of others"
-            raise _fault(path, root, f"this is no launch file of ROS 1: it begins with <{root.name}>", mend)
+            raise launch_fault(path, root, f"this is no launch file of ROS 1: it begins with <{root.name}>", mend)
         self._inside(root, replace(scope, file=path))
 
     def _inside(self, parent: XmlElement, scope: _Scope) -> _Scope:
@@ -148,10 +156,8 @@ class _Walk:
     def _argument(self, element: XmlElement, scope: _Scope) -> _Scope:
         name = self._needed(element, "name", scope)
         fixed, default = self._value(element, "value", scope), self._value(element, "default", scope)
-        if fixed is None and name not in scope.given and default is None:
-            mend = f"pass it: write {name}:=VALUE behind the file"
-            raise _fault(scope.file, element, f"the argument `{name}` has no value", mend)
-        value = fixed if fixed is not None else scope.given.get(name, default or "")
+        value = fixed if fixed is not None else scope.given.get(name)
+        value = declared(scope.file, element, name, default) if value is None else value
         return replace(scope, arguments={**scope.arguments, name: value})
 
     def _include(self, element: XmlElement, scope: _Scope) -> None:
@@ -160,30 +166,22 @@ class _Walk:
         except PackageMissingError as error:
             self._notes.append(f"what {scope.file}:{element.line} includes, since {error}: see ROS_PACKAGE_PATH")
             return
-        if scope.depth >= _MOST_INCLUDES:
-            mend = "break the circle of includes"
-            raise _fault(scope.file, element, f"files are included more than {_MOST_INCLUDES} deep", mend)
-        if not path.is_file():
-            raise _fault(scope.file, element, f"the file {path} is not there", "mend its name")
-        given = dict(scope.arguments) if self._value(element, "pass_all_args", scope) in _TRUE else {}
+        included(scope.file, element, path, scope.depth)
+        passed = dict(scope.arguments) if self._value(element, "pass_all_args", scope) in TRUE else {}
         inner = scope.below(self._value(element, "ns", scope))
         for each in element.children:
             if each.name == "arg" and self._holds(each, scope):
                 name = self._needed(each, "name", scope)
                 value = self._value(each, "value", scope)
                 default = self._value(each, "default", scope)
-                given[name] = value if value is not None else default or ""
-        self.file(path, replace(inner, given=given, arguments={}, depth=scope.depth + 1))
+                passed[name] = value if value is not None else default or ""
+        self.file(path, replace(inner, given=passed, arguments={}, depth=scope.depth + 1))
 
     def _node(self, element: XmlElement, scope: _Scope) -> None:
         scope = scope.below(self._value(element, "ns", scope))
         package, kind = self._needed(element, "pkg", scope), self._needed(element, "type", scope)
         name = resolved(self._needed(element, "name", scope), scope.namespace, "")
-        place = f"{scope.file}:{element.line}"
-        if name in self._places:
-            mend = "give one of them another name, or a namespace: roslaunch starts neither"
-            raise _fault(scope.file, element, f"{self._places[name]} starts a node {name} too", mend)
-        self._places[name] = place
+        self._places.note(scope.file, element, name)
         parameters = dict(scope.private)
         remaps: list[tuple[str, str]] = []
         for each in element.children:
@@ -194,9 +192,9 @@ class _Walk:
             elif each.name in ("param", "rosparam"):
                 values = self._values(each, scope)
                 parameters |= {key.lstrip("~"): value for key, value in values.items()}
-        words = self._words(element, scope)
-        remaps += [(a, b) for a, b in (word.split(":=", 1) for word in words if ":=" in word) if not a.startswith("_")]
-        arguments = tuple(word for word in words if ":=" not in word)
+        said = words(scope.file, element, "args", self._value(element, "args", scope))
+        remaps += [(a, b) for a, b in (word.split(":=", 1) for word in said if ":=" in word) if not a.startswith("_")]
+        arguments = tuple(word for word in said if ":=" not in word)
         full = {
             resolved(a, scope.namespace, name): resolved(b, scope.namespace, name) for a, b in (*scope.remaps, *remaps)
         }
@@ -231,14 +229,8 @@ class _Walk:
         """Note each attribute of a node that an environment has no word for."""
         for attribute, reason in _DROPPED.items():
             value = self._value(element, attribute, scope)
-            if value and value.strip().lower() not in _FALSE:
+            if value and value.strip().lower() not in FALSE:
                 self._dropped.append(f'{attribute}="{value}" of {name}: {reason}')
-
-    def _words(self, element: XmlElement, scope: _Scope) -> list[str]:
-        try:
-            return shlex.split(self._value(element, "args", scope) or "")
-        except ValueError as error:
-            raise _fault(scope.file, element, f"args: {error}", "close what is quoted") from None
 
     def _values(self, element: XmlElement, scope: _Scope) -> dict[str, object]:
         """The parameters that an element sets, by their names."""
@@ -255,11 +247,13 @@ class _Walk:
             self._notes.append(f"the value of {name}, which {scope.file}:{element.line} makes {how}")
             return {}
         if read is None:
-            raise _fault(scope.file, element, f"`{kind}` is no type of a parameter", f"one of {', '.join(_TYPES)}")
+            raise launch_fault(
+                scope.file, element, f"`{kind}` is no type of a parameter", f"one of {', '.join(_TYPES)}"
+            )
         try:
             return dict(_leaves({name: read(text)}))
         except (ValueError, yaml.YAMLError):
-            raise _fault(scope.file, element, f"`{text}` is no {kind}", "mend the value or its type") from None
+            raise launch_fault(scope.file, element, f"`{text}` is no {kind}", "mend the value or its type") from None
 
     def _of_rosparam(self, element: XmlElement, scope: _Scope) -> dict[str, object]:
         if (self._value(element, "command", scope) or "load") != "load":
@@ -269,14 +263,14 @@ class _Walk:
             text = self._text_of(element, "file", scope)
         if text is None:
             return {}
-        if self._value(element, "subst_value", scope) in _TRUE:
+        if self._value(element, "subst_value", scope) in TRUE:
             text = self._meant(element, text, scope)
         names = [self._value(element, key, scope) or "" for key in ("ns", "param")]
         name = "/".join(each.strip("/") if at else each.rstrip("/") for at, each in enumerate(names) if each)
         try:
             value: Any = yaml.safe_load(text)
         except yaml.YAMLError:
-            raise _fault(scope.file, element, "what it loads is no YAML", "mend what it loads") from None
+            raise launch_fault(scope.file, element, "what it loads is no YAML", "mend what it loads") from None
         if value is None or not (name or isinstance(value, dict)):
             return {}
         return dict(_leaves({name: value} if name else value))
@@ -293,20 +287,11 @@ class _Walk:
 
     def _holds(self, element: XmlElement, scope: _Scope) -> bool:
         """Whether the conditions of an element let it be."""
-        for key, wanted in (("if", _TRUE), ("unless", _FALSE)):
-            value = self._value(element, key, scope)
-            if value is not None:
-                if value.strip().lower() not in (*_TRUE, *_FALSE):
-                    raise _fault(scope.file, element, f"`{key}` is `{value}`", "make it true or false")
-                if value.strip().lower() not in wanted:
-                    return False
-        return True
+        conditions = ((key, self._value(element, key, scope)) for key in ("if", "unless"))
+        return all(is_met(scope.file, element, key, value) for key, value in conditions)
 
     def _needed(self, element: XmlElement, attribute: str, scope: _Scope, *, missing: bool = False) -> str:
-        value = self._value(element, attribute, scope, missing=missing)
-        if value is None:
-            raise _fault(scope.file, element, f"<{element.name}> has no `{attribute}`", "add it")
-        return value
+        return given(scope.file, element, attribute, self._value(element, attribute, scope, missing=missing))
 
     def _value(self, element: XmlElement, attribute: str, scope: _Scope, *, missing: bool = False) -> str | None:
         """The value of an attribute; None if it has none."""
@@ -324,7 +309,7 @@ class _Walk:
             return text
         except SubstitutionError as error:
             mend = "pass arguments as NAME:=VALUE behind the file, or mend it"
-            raise _fault(scope.file, element, str(error), mend) from None
+            raise launch_fault(scope.file, element, str(error), mend) from None
 
 
 def _nodelet(node: RosNode, namespace: str) -> RosNode:
@@ -348,7 +333,3 @@ def _leaves(values: Mapping[Any, object], above: str = "") -> Iterator[tuple[str
             yield from _leaves(value, name)
         else:
             yield name, value
-
-
-def _fault(file: Path, element: XmlElement, message: str, mend: str) -> InputError:
-    return InputError([Fault(message, str(file), element.line, element.column, mend=mend)])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from cfgplan.errors import InputError
@@ -11,15 +11,17 @@ from cfgplan.ros.graph import RosGraph, merged
 from cfgplan.ros.launch_files import launch_graph
 from cfgplan.ros.master import master_graph
 from cfgplan.ros.recordings import is_recording, recorded_graph
+from cfgplan.ros.ros2_launch_files import XML_FILES, YAML_FILES, ros2_launch_graph
 from cfgplan.ros.router import router_graph
+from cfgplan.ros.sources import REMAPS
 
 LIVE = "live"
 ROS1_SOURCES = "`live`, the address of a master such as http://localhost:11311, a bag, or a launch file"
 ROS2_SOURCES = (
-    "`live`, the endpoint of a Zenoh router such as tcp/localhost:7447, or a bag; "
-    "launch files of ROS 2 are programs: start them, and name `live`"
+    "`live`, the endpoint of a Zenoh router such as tcp/localhost:7447, a bag, or a launch file in XML or YAML; "
+    "launch files in Python are programs: start them, and name `live`"
 )
-_LAUNCH_FILES, _ASSIGNS = (".launch", ".xml", ".test"), ":="
+_LAUNCH_FILES = (".launch", ".xml", ".test")
 _ENDPOINT = re.compile(r"(tcp|udp|tls|quic|ws|unixsock-stream)/\S+")
 
 
@@ -28,15 +30,24 @@ def ros1_graph(sources: Sequence[str]) -> RosGraph:
 
     Raises InputError for what is no source of ROS 1.
     """
-    pairs = [source.partition(_ASSIGNS)[::2] for source in sources if _ASSIGNS in source]
-    if len(pairs) == len(sources):
-        raise InputError.of("there are arguments, but no launch file", mend=f"name {ROS1_SOURCES}")
-    return merged([_ros1(source, dict(pairs)) for source in sources if _ASSIGNS not in source])
+    return _merged(sources, _ros1, ROS1_SOURCES)
 
 
 def ros2_graph(sources: Sequence[str]) -> RosGraph:
-    """The graph that all sources together tell. Raises InputError for what is no source of ROS 2."""
-    return merged([_ros2(source) for source in sources])
+    """The graph that all sources together tell; NAME:=VALUE among them are arguments of launch files.
+
+    Raises InputError for what is no source of ROS 2.
+    """
+    return _merged(sources, _ros2, ROS2_SOURCES)
+
+
+def _merged(
+    sources: Sequence[str], read: Callable[[str, Mapping[str, str]], RosGraph], those_that_are: str
+) -> RosGraph:
+    pairs = [source.partition(REMAPS)[::2] for source in sources if REMAPS in source]
+    if len(pairs) == len(sources):
+        raise InputError.of("there are arguments, but no launch file", mend=f"name {those_that_are}")
+    return merged([read(source, dict(pairs)) for source in sources if REMAPS not in source])
 
 
 def _ros1(source: str, arguments: Mapping[str, str]) -> RosGraph:
@@ -47,10 +58,16 @@ def _ros1(source: str, arguments: Mapping[str, str]) -> RosGraph:
     return _file(Path(source), ROS1_SOURCES)
 
 
-def _ros2(source: str) -> RosGraph:
+def _ros2(source: str, arguments: Mapping[str, str]) -> RosGraph:
     if source == LIVE or _ENDPOINT.fullmatch(source):
         return router_graph(None if source == LIVE else source)
-    return _file(Path(source), ROS2_SOURCES)
+    path = Path(source)
+    if path.suffix == ".py":
+        mend = "start it, and name `live`: it is a program, and only running it tells what it starts"
+        raise InputError.of("launch files in Python can't be read", file=source, mend=mend)
+    if path.suffix in (*XML_FILES, *YAML_FILES) and path.is_file() and not is_recording(path):
+        return ros2_launch_graph(path, arguments)
+    return _file(path, ROS2_SOURCES)
 
 
 def _file(path: Path, sources: str) -> RosGraph:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -49,7 +49,7 @@ class Substitutions:
             case ("arg", [name]):
                 return self._argument(name)
             case ("env", [name]):
-                return _variable(name)
+                return variable(name)
             case ("optenv", [name, *default]):
                 return os.environ.get(name, " ".join(default))
             case ("find", [package]):
@@ -72,27 +72,36 @@ class Substitutions:
         return found
 
     def _evaluated(self, expression: str) -> object:
-        needed("launch files with `$(eval ...)`", "simpleeval")
-        from simpleeval import EvalWithCompoundTypes, InvalidExpression
-
-        functions: dict[str, Any] = {
-            **{name: each for name, each in vars(math).items() if callable(each) and not name.startswith("_")},
-            "int": int,
-            "float": float,
-            "str": str,
-            "env": _variable,
-            "optenv": os.environ.get,
-            "anon": str,
+        functions: dict[str, Callable[..., object]] = {
             "arg": lambda name: valued(self._argument(name)),
             "find": lambda name: str(self._package(name)),
             "dirname": lambda: str(self.file.parent),
         }
-        names = {**{name: valued(text) for name, text in self.arguments.items()}, "true": True, "false": False}
-        names |= {"True": True, "False": False, "pi": math.pi, "e": math.e}
-        try:
-            return EvalWithCompoundTypes(functions=functions, names=names).eval(expression)
-        except (InvalidExpression, SyntaxError, TypeError, ValueError, ArithmeticError, LookupError) as error:
-            raise SubstitutionError(f"`{expression}` can't be evaluated: {error}") from None
+        return evaluated(expression, {name: valued(text) for name, text in self.arguments.items()}, functions)
+
+
+def evaluated(
+    expression: str, names: Mapping[str, object], functions: Mapping[str, Callable[..., object]] | None = None
+) -> object:
+    """The value of an expression of `$(eval ...)`, which can use these names. Raises SubstitutionError."""
+    needed("launch files with `$(eval ...)`", "simpleeval")
+    from simpleeval import EvalWithCompoundTypes, InvalidExpression
+
+    known: dict[str, Any] = {
+        **{name: each for name, each in vars(math).items() if callable(each) and not name.startswith("_")},
+        "int": int,
+        "float": float,
+        "str": str,
+        "env": variable,
+        "optenv": os.environ.get,
+        "anon": str,
+        **(functions or {}),
+    }
+    constants = {"true": True, "false": False, "True": True, "False": False, "pi": math.pi, "e": math.e}
+    try:
+        return EvalWithCompoundTypes(functions=known, names={**names, **constants}).eval(expression)
+    except (InvalidExpression, SyntaxError, TypeError, ValueError, ArithmeticError, LookupError) as error:
+        raise SubstitutionError(f"`{expression}` can't be evaluated: {error}") from None
 
 
 def valued(text: str) -> object:
@@ -107,7 +116,8 @@ def valued(text: str) -> object:
     return {"true": True, "false": False}.get(text.lower(), text)
 
 
-def _variable(name: str) -> str:
+def variable(name: str) -> str:
+    """The value of an environment variable. Raises SubstitutionError if it is not set."""
     if name not in os.environ:
         raise SubstitutionError(f"the environment variable `{name}` is not set")
     return os.environ[name]
