@@ -35,7 +35,8 @@ if TYPE_CHECKING:
     from cfgplan.matching import Matches
 
 _LIVE_LOOK_S = 0.1
-ROS1 = "ros1"
+ROS1, ROS2 = "ros1", "ros2"
+_ROS = {ROS1: "ROS 1", ROS2: "ROS 2"}
 _HOSTS_S = 5.0
 """So many seconds after the start a fleet's backend must have told of each host."""
 _MOST_NAMED = 4
@@ -90,8 +91,10 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         "--ros2", action="store_true", help="publish targets that say their message type as ROS 2 topics (rmw_zenoh)"
     )
     parser.add_argument("--local", action="store_true", help="run all of the file's hosts on this computer")
-    runs = "what units are: processes of ours, or nodes of ROS 1 (processes)"
-    parser.add_argument("--middleware", choices=("processes", ROS1), default="processes", help=runs)
+    runs = "what units are: processes of ours, or nodes of ROS 1 or ROS 2 (processes)"
+    parser.add_argument("--middleware", choices=("processes", *_ROS), default="processes", help=runs)
+    python = "the Python that has rclpy (CFGPLAN_ROS_PYTHON, or that of a sourced setup.bash, or python3)"
+    parser.add_argument("--ros-python", metavar="PYTHON", help=python)
     add_links(parser)
     parser.add_argument(
         "--take-over", action="store_true", help="take the hosts from a run that goes on elsewhere, with what they run"
@@ -128,7 +131,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         mend = "name them under `hosts:`, or leave out --local and --connect"
         raise InputError.of("the file has no hosts", file=options.env, mend=mend)
     _check_can_start(loaded)
-    if not options.dry_run and options.middleware == ROS1:
+    if not options.dry_run and options.middleware in _ROS:
         _check_nodes(options, loaded)
     else:
         if not options.dry_run:
@@ -173,23 +176,28 @@ def _refuse_nodes(options: argparse.Namespace, world: World) -> None:
 
     nodes = [one for one in world.environment.library if NodeSource.read(one.source) is not None]
     if nodes:
-        mend = "add --middleware ros1; for ROS 2 there is `cfgplan export launch`"
+        mend = "add --middleware ros1 or --middleware ros2"
         what = f"{nodes[0].label} is a node of ROS (`{nodes[0].source}`)"
         raise InputError.of(what, file=options.env, mend=mend)
 
 
 def _check_nodes(options: argparse.Namespace, world: World) -> None:
-    """Have all that is wrong with nodes of ROS 1 told before anything is started."""
-    from cfgplan_runtime.ros1.ros_unit import check_nodes
+    """Have all that is wrong with nodes of ROS told before anything is started."""
+    from cfgplan_runtime.nodes.unit_checks import check_nodes
 
+    ros, bag = _ROS[options.middleware], "rosbag record" if options.middleware == ROS1 else "ros2 bag record"
     if options.record is not None:
-        mend = "use `rosbag record` on the targets' topics"
-        raise InputError.of("--record knows no messages of ROS 1", mend=mend)
+        raise InputError.of(f"--record knows no messages of {ros}", mend=f"use `{bag}` on the targets' topics")
     if options.ros2:
-        raise InputError.of("--ros2 does not know what nodes of ROS 1 publish", mend="leave it out, and use a bridge")
+        mend = "leave it out" if options.middleware == ROS2 else "leave it out, and use a bridge"
+        raise InputError.of(f"--ros2 does not know what nodes of {ros} publish", mend=mend)
     if _fleet(options) is not None:
-        raise InputError.of("ROS 1 nodes are started on this computer only", mend="leave out --local and --connect")
-    check_nodes(world.environment, options.env)
+        raise InputError.of(f"{ros} nodes are started on this computer only", mend="leave out --local and --connect")
+    if options.middleware == ROS1:
+        from cfgplan_runtime.ros1.ros_unit import node_source
+    else:
+        from cfgplan_runtime.ros2.ros2_unit import node_source
+    check_nodes(world.environment, options.env, node_source, ros)
 
 
 def _check_ros2(options: argparse.Namespace, world: World) -> None:
@@ -409,6 +417,13 @@ def _runtime(
         from cfgplan_runtime.runtime import Runtime
 
         return lambda _, folder: Runtime(backend=lambda: Ros1Backend(folder=folder))
+    if options.middleware == ROS2:
+        from cfgplan_runtime.ros2.ros2_backend import Ros2Backend
+        from cfgplan_runtime.ros2.ros_python import ros_python
+        from cfgplan_runtime.runtime import Runtime
+
+        python = ros_python(options.ros_python)
+        return lambda _, folder: Runtime(backend=lambda: Ros2Backend(folder=folder, python=python))
     if fleet is None:
         return None
     from cfgplan_runtime.fleet.fleet_runtime import fleet_runtime

@@ -6,29 +6,17 @@ CFGPLAN_TEST_ROS2 is a venv with the Jazzy wheels; `.ci/run` makes one in the ca
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from ros2_venv import PYTHON, lacks_ros
 
 sys.path.append(str(Path(__file__).parents[1] / "operating"))
-_CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-VENV = Path(os.environ.get("CFGPLAN_TEST_ROS2") or _CACHE / "cfgplan" / "ros2-jazzy")
-PYTHON = VENV / "bin" / "python"
 _FIRST_DOMAIN = 40
 
 
-def _lacks_ros() -> str:
-    """Why nodes of ROS 2 can't be run here; empty if they can."""
-    if not PYTHON.exists():
-        return f"ROS 2 is not installed at {VENV} (CFGPLAN_TEST_ROS2; .ci/run makes it)"
-    code = "import rclpy, std_msgs.msg, sensor_msgs.msg, std_srvs.srv, nav_msgs.msg"
-    found = subprocess.run([PYTHON, "-c", code], capture_output=True, text=True, check=False)
-    return f"rclpy can't be used here: {found.stderr.strip().rpartition(chr(10))[2]}" if found.returncode else ""
-
-
-LACKS_ROS = _lacks_ros()
+LACKS_ROS = lacks_ros()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

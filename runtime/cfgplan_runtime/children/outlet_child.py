@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import socket
 import time
-from collections import deque
 
 from cfgplan_runtime.children import messages
 from cfgplan_runtime.children.control import ControlConnection
@@ -12,39 +11,10 @@ from cfgplan_runtime.children.ports import Ports, UnitInput, UnitOutput
 from cfgplan_runtime.streams.channel import Sender, widen
 from cfgplan_runtime.streams.element import Element, Outgoing
 from cfgplan_runtime.streams.inlet import InputQueue
+from cfgplan_runtime.streams.meter import Meter
 
-OVER_S = 3.0
-"""The seconds over which rate and age are taken."""
 _STATUS_PERIOD_S = 1.0
-_MOST_STAMPS = 4096
 NO_DESCRIPTOR = "no file descriptor is left: raise the limit of open files (ulimit -n)"
-
-
-class Meter:
-    """Counts a topic's elements, and how old they are when they come; times in seconds."""
-
-    def __init__(self, since_s: float) -> None:
-        self._since_s = since_s
-        self._elements = 0
-        self._stamps: deque[tuple[float, float]] = deque(maxlen=_MOST_STAMPS)
-
-    def note(self, age_s: float, now_s: float) -> None:
-        """Count an element."""
-        self._elements += 1
-        self._stamps.append((now_s, age_s))
-
-    def flow(self, dropped: int, now_s: float) -> messages.Flow:
-        """Rate, age and counts at `now_s`; `dropped` is the caller's count."""
-        first_s = self._stamps[0][0] if len(self._stamps) == _MOST_STAMPS else 0.0
-        begin_s = max(now_s - OVER_S, self._since_s, first_s)
-        ages = sorted(age for at, age in self._stamps if at >= begin_s)
-        return messages.Flow(
-            rate_hz=round(len(ages) / (now_s - begin_s), 2) if now_s > begin_s else 0.0,
-            latency_ms=round(ages[len(ages) // 2] * 1e3, 3) if ages else None,
-            elements=self._elements,
-            dropped=dropped,
-            silent_s=round(now_s - self._stamps[-1][0], 3) if self._stamps else None,
-        )
 
 
 class OutletChild:
@@ -74,7 +44,7 @@ class OutletChild:
     def _flows(self) -> dict[str, messages.Flow]:
         now_s, taken, given = time.monotonic(), self._ports.input_counts(), self._ports.output_counts()
         return {
-            topic: meter.flow(taken[topic].dropped + given[topic].dropped, now_s)
+            topic: messages.Flow(**meter.figures(taken[topic].dropped + given[topic].dropped, now_s))
             for topic, meter in self._meters.items()
         }
 

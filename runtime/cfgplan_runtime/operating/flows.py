@@ -10,10 +10,10 @@ from contextlib import suppress
 import msgspec
 
 from cfgplan_runtime.children.messages import CrossingCounts, Flow
-from cfgplan_runtime.children.outlet_child import OVER_S
 from cfgplan_runtime.errors import EncodingError, NoSuchTopicError
 from cfgplan_runtime.operating.protocol import Record
 from cfgplan_runtime.streams.element import Element
+from cfgplan_runtime.streams.meter import OVER_S
 from cfgplan_runtime.streams.subscription import SubscriptionToTopic, subscribe
 from cfgplan_runtime.supervision.events import CrossingsStatus, Event, TopicsStatus
 

@@ -9,8 +9,8 @@ from collections.abc import Callable, Sequence
 
 from cfgplan.ros.graph import resolved
 from cfgplan.ros.node_api import SilentError
+from cfgplan_runtime.nodes.node_process import NodeProcess
 from cfgplan_runtime.processes.child_process import cpu_us, memory_bytes
-from cfgplan_runtime.ros1.node_process import NodeProcess
 from cfgplan_runtime.ros1.node_watch import NodeWatch
 from cfgplan_runtime.ros1.ros_unit import RosUnit
 from cfgplan_runtime.ros1.tcpros import answered, service_end

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
-from math import inf
 from pathlib import Path
 
 import msgspec
@@ -18,35 +17,25 @@ from cfgplan.ros.node_api import SilentError
 from cfgplan.ros.topic_names import word
 from cfgplan_runtime.children import messages
 from cfgplan_runtime.children.control import ControlConnection
-from cfgplan_runtime.processes.child_process import cpu_us, end_of_process, memory_bytes
+from cfgplan_runtime.nodes.node_process import NodeProcess
+from cfgplan_runtime.nodes.relay_messages import Lead
+from cfgplan_runtime.nodes.relayed_wires import RelayedWires
+from cfgplan_runtime.nodes.watched_processes import WatchedProcesses
+from cfgplan_runtime.processes.child_process import cpu_us, memory_bytes
 from cfgplan_runtime.processes.nursery_link import start_helper
-from cfgplan_runtime.ros1.node_process import NodeProcess
 from cfgplan_runtime.ros1.node_watch import NodeWatch
 from cfgplan_runtime.ros1.nodelet_group import NodeletGroup
-from cfgplan_runtime.ros1.relay_messages import (
-    CloseInlets,
-    FromTopicRelay,
-    Lead,
-    Listening,
-    Passed,
-    Refused,
-    RelayOrder,
-    ToTopicRelay,
-)
+from cfgplan_runtime.ros1.relay_messages import FromTopicRelay, Listening, RelayOrder
 from cfgplan_runtime.ros1.ros_master import RosMaster, forget_node
 from cfgplan_runtime.ros1.ros_unit import RosUnit, executable, node_source
 from cfgplan_runtime.streams.ends import Ends, Posted
 from cfgplan_runtime.streams.run_folder import RunFolder
 from cfgplan_runtime.supervision import events
 from cfgplan_runtime.supervision.backend import Inlet, Usage
-from cfgplan_runtime.supervision.delays import doubling_s
 
 _RELAY_CODE = "from cfgplan_runtime.ros1.topic_relay import main; main()"
-_RELAY_HELPER = "relay of topics"
-_RELAY_S, _RELAY_START_S, _RELAY_END_S = 10.0, 60.0, 5.0
-"""Seconds that the relay may be silent, and that its start and its end may take."""
-_RELAY_AGAIN_S, _MOST_RELAY_AGAIN_S = 0.05, 5.0
-"""Seconds until a relay that was lost twice in a row is made anew, doubled for each further loss."""
+_RELAY_END_S = 5.0
+"""Seconds that the relay's end may take."""
 
 
 @dataclass(slots=True, eq=False)
@@ -71,20 +60,28 @@ class _Relay:
     """The process of the relay, and the connection to it. It ends with the thread that made it. Raises OSError."""
 
     def __init__(self, order: RelayOrder) -> None:
-        self._process, ours = start_helper(_RELAY_CODE, msgspec.json.encode(order).decode(), in_own_session=True)
-        self.control: ControlConnection[FromTopicRelay] = ControlConnection(ours, FromTopicRelay)
+        self._process, self.socket = start_helper(_RELAY_CODE, msgspec.json.encode(order).decode(), in_own_session=True)
+        self._control: ControlConnection[FromTopicRelay] = ControlConnection(self.socket, FromTopicRelay)
+        self.has_ended = False
+        self.last_words = ""
+
+    @property
+    def is_waiting(self) -> bool:
+        return self._control.is_waiting
+
+    def send(self, message: msgspec.Struct) -> None:
+        self._control.send(message)
 
     def hear(self) -> Iterator[FromTopicRelay]:
-        """What it has said."""
-        self.control.flush()
-        for message, _ in self.control.receive():
+        self._control.flush()
+        for message, _ in self._control.receive():
             yield message
+        self.has_ended = self._control.has_ended
 
     def close(self) -> int:
-        """End it. Returns its exit status."""
         self._process.kill()
         status = self._process.wait(_RELAY_END_S)
-        self.control.close()
+        self._control.close()
         return status
 
 
@@ -106,19 +103,16 @@ class Ros1Backend:
         self._units: dict[str, str] = {}
         """The unit of each node by the node's name."""
         self._groups: dict[str, NodeletGroup] = {}
-        self._leads: dict[int, tuple[Inlet, Lead]] = {}
-        """The wires that the relay leads, or will once it is there."""
-        self._topics: list[str] = []
-        self._passed = Passed({}, {}, {})
-        self._relay: _Relay | None = None
+        self._processes = WatchedProcesses(self._ends, self._events)
         self._relay_node = f"/cfgplan_relay_{self.id}"
         self._relay_address = ""
-        self._relay_losses = 0
-        self._relay_due_s: float | None = None
-        """When the relay is to be made anew; None if there is one."""
+        order = RelayOrder(self._relay_node, self.master.address, self.master.host)
+        self._wires = RelayedWires(
+            self._ends, self._events, lambda: _Relay(order), lambda: None, self._note_relay_address
+        )
         self._to_master = ThreadPoolExecutor(1, "to-master")
         self._watch_master()
-        self._start_relay()
+        self._wires.start()
 
     @property
     def id(self) -> str:
@@ -134,14 +128,11 @@ class Ros1Backend:
         self._posted.wake()
 
     def wait(self, timeout_s: float | None) -> Sequence[events.Event]:
-        if self._relay_due_s is not None:
-            left_s = max(0.0, self._relay_due_s - self.now())
-            timeout_s = left_s if timeout_s is None else min(timeout_s, left_s)
-        self._ends.wait(0.0 if self._events or self._posted else timeout_s)
+        self._ends.wait(0.0 if self._events or self._posted else self._wires.left_s(timeout_s))
         self._posted.do()
-        if self._relay_due_s is not None and self._relay_due_s <= self.now():
-            self._start_relay()
-        happened, self._events = self._events, []
+        self._wires.start_if_due()
+        happened = list(self._events)
+        self._events.clear()
         return happened
 
     def start(
@@ -186,32 +177,27 @@ class Ros1Backend:
         source = producer.ros.publishes_at(stream.port)
         is_service = consumer is not None and consumer.ros.transformation.input[inlet.input].service
         lead = Lead(wire, inlet.unit, str(inlet), source, target, queue, publisher, is_service)
-        self._leads[wire] = inlet, lead
-        self._tell(lead)
+        self._wires.lead(inlet, lead)
 
     def disconnect(self, wire: int, inlet: Inlet) -> None:
-        self._leads.pop(wire, None)
-        self._tell(messages.Cut(str(inlet), wire))
+        self._wires.disconnect(wire, inlet)
 
     def end_wire(self, wire: int, stream: Stream, inlet: Inlet) -> None:  # noqa: ARG002
-        self._leads.pop(wire, None)
-        self._tell(messages.End(str(inlet), wire))
+        self._wires.end_wire(wire, inlet)
 
     def switch_now(self, inlet: Inlet) -> None:
-        self._tell(messages.SwitchNow(str(inlet)))
+        self._wires.switch_now(inlet)
 
     def open_outlet(self, topic: str, host: str | None) -> None:  # noqa: ARG002
-        self._topics.append(topic)
-        self._tell(messages.OpenOutlet(topic))
+        self._wires.open_outlet(topic)
 
     def close_outlet(self, topic: str) -> None:
-        self._topics.remove(topic)
-        self._tell(messages.CloseOutlet(topic))
+        self._wires.close_outlet(topic)
         with suppress(SilentError):  # who asks for topics from now on does not find it
             self.master.unpublish(self._relay_node, topic, self._relay_address)
 
     def renew(self, helper: str) -> None:  # noqa: ARG002
-        self._lose_relay()
+        self._wires.lose()
 
     def usage(self, unit: str) -> Usage | None:
         """What a node has used; zero if somebody else runs it."""
@@ -235,10 +221,9 @@ class Ros1Backend:
             self._end_group(group)
         for node in list(self._nodes.values()):
             if node.process is not None:
-                self._last_words(node.process, node.unit)
+                self._processes.last_words(node.process, node.unit)
             self._bury(node, "")
-        if self._relay is not None:
-            self._relay.close()
+        self._wires.close()
         is_own = self.master.ended is not None
         if not is_own and self._relay_address:
             self._to_master.submit(forget_node, self.master.address, self._relay_node, self._relay_address)
@@ -284,13 +269,10 @@ class Ros1Backend:
     def _status(self, node: _UnitNode) -> events.UnitStatus:
         """A sign of life, with what the relay has seen of a unit's streams."""
         outputs = {
-            port.name: messages.PortCounts(self._passed.sources.get(node.ros.publishes_at(port.name), 0))
+            port.name: messages.PortCounts(self._wires.passed_from(node.ros.publishes_at(port.name)))
             for port in node.ros.transformation.outputs
         }
-        inputs = {}
-        for inlet, lead in self._leads.values():
-            if inlet.unit == node.unit and lead.inlet in self._passed.inlets:
-                inputs[inlet.port] = self._passed.inlets[lead.inlet]
+        inputs = self._wires.taken_by(node.unit)
         return events.UnitStatus(node.unit, sum(counts.elements for counts in outputs.values()), 0, inputs, outputs)
 
     def _note_silence(self, node: _UnitNode) -> None:
@@ -322,7 +304,7 @@ class Ros1Backend:
         else:
             self.master.set_parameters(ros.name, ros.parameters)
             process = node.process = NodeProcess(ros.command(self._folder), self.master.environment, self._folder)
-            self._attend(process, lambda: self._end_of(node, process), lambda: node.unit)
+            self._processes.attend(process, lambda: self._end_of(node, process), lambda: node.unit)
         self._nodes[node.unit] = node
         self._units[ros.name] = node.unit
         node.watch = NodeWatch(
@@ -334,30 +316,9 @@ class Ros1Backend:
             [ros.listens_at(port.name) for port in transformation.inputs if not port.service],
         )
 
-    def _attend(self, process: NodeProcess, end: Callable[[], None], unit: Callable[[], str]) -> None:
-        """Report what a process prints as printed by a unit, and call `end` when it has ended."""
-        self._ends.watch(process.ended, end)
-        self._ends.watch(process.printed.socket, lambda: self._hear_print(process, unit()))
-
-    def _hear_print(self, process: NodeProcess, unit: str) -> bool:
-        lines, is_open = process.printed.read()
-        self._events.extend(events.UnitPrinted(unit, line) for line in lines)
-        if not is_open:
-            self._ends.unwatch(process.printed.socket)
-        return bool(lines) and is_open
-
     def _end_of(self, node: _UnitNode, process: NodeProcess) -> None:
         """Read the last lines of a process that has ended, then report its end."""
-        self._bury(node, self._last_words(process, node.unit))
-
-    def _last_words(self, process: NodeProcess, unit: str) -> str:
-        """Read what a process that has ended has still printed. Returns how it has ended."""
-        process.kill()
-        while self._hear_print(process, unit):
-            pass
-        self._ends.unwatch(process.ended)
-        self._ends.unwatch(process.printed.socket)
-        return end_of_process(process.reap())
+        self._bury(node, self._processes.last_words(process, node.unit))
 
     def _bury(self, node: _UnitNode, cause: str) -> None:
         """Forget a node that is gone, or given up."""
@@ -368,7 +329,7 @@ class Ros1Backend:
             node.group.forget(node.unit)
         if node.process is not None and node.address is not None:
             self._to_master.submit(forget_node, self.master.address, node.ros.name, node.address)
-        self._tell(CloseInlets(node.unit))
+        self._wires.close_inlets(node.unit)
         self._events.append(events.UnitStopped(node.unit) if node.is_stopping else events.UnitDied(node.unit, cause))
 
     def _end(self, node: _UnitNode, end: Callable[[NodeProcess], None]) -> None:
@@ -395,7 +356,7 @@ class Ros1Backend:
             process = NodeProcess(command, self.master.environment, self._folder)
         group = self._groups[full] = NodeletGroup(full, self.master.address, process)
         if process is not None:
-            self._attend(process, lambda: self._lose_group(group), lambda: next(reversed(group.used_us), ""))
+            self._processes.attend(process, lambda: self._lose_group(group), lambda: next(reversed(group.used_us), ""))
         group.watch = NodeWatch(self, self.master.address, full, process.has if process else lambda _: True, (), ())
         return group
 
@@ -449,7 +410,7 @@ class Ros1Backend:
             group.watch.end()
         end = "is given up"
         if group.process is not None:
-            end = self._last_words(group.process, next(reversed(group.used_us), ""))
+            end = self._processes.last_words(group.process, next(reversed(group.used_us), ""))
             if group.address is not None:
                 self._to_master.submit(forget_node, self.master.address, group.name, group.address)
         for node in [self._nodes[unit] for unit in list(group.used_us) if unit in self._nodes]:
@@ -469,88 +430,12 @@ class Ros1Backend:
             self._end_group(group)
         for node in list(self._nodes.values()):
             if node.process is not None:
-                self._last_words(node.process, node.unit)
+                self._processes.last_words(node.process, node.unit)
             self._bury(node, "is ended, since the ROS master has died, to which it tells of itself only once")
-        self._lose_relay()
+        self._wires.lose()
         self.master.restart()
         self._watch_master()
 
-    # The relay.
-
-    def _tell(self, message: ToTopicRelay) -> None:
-        if self._relay is not None:
-            self._relay.control.send(message)
-            self._wait_to_tell(self._relay)
-
-    def _start_relay(self) -> None:
-        self._relay_due_s = None
-        order = RelayOrder(self._relay_node, self.master.address, self.master.host)
-        try:
-            relay = self._relay = _Relay(order)
-        except OSError as error:
-            self._events.append(events.OutOfDescriptors(f"the relay of topics can't be started: {error.strerror}"))
-            self._plan_relay()
-            return
-        self._ends.watch(relay.control.socket, lambda: self._hear_relay(relay))
-        self._events.append(events.HelperAlive(_RELAY_HELPER, _RELAY_START_S))
-        for topic in self._topics:
-            self._tell(messages.OpenOutlet(topic))
-        if self._relay_losses:
-            self._leads = {wire: one for wire, one in self._leads.items() if not one[0].is_outlet}
-            for _, lead in self._leads.values():
-                self._tell(lead)
-            self._events.append(events.OutletsOpened())
-
-    def _hear_relay(self, relay: _Relay) -> None:
-        for message in relay.hear():
-            match message:
-                case Listening(address):
-                    self._relay_address = address
-                case messages.Switched(_, wire):
-                    self._note_switch(wire)
-                case messages.Lost(_, wire) if wire in self._leads:
-                    inlet, _ = self._leads.pop(wire)
-                    self._events.append(events.InputLost(inlet.unit or None, inlet.port, wire))
-                case Passed(_, _, flows):
-                    self._passed = message
-                    self._events += [events.HelperAlive(_RELAY_HELPER, _RELAY_S), events.TopicsStatus(flows)]
-                    self._relay_losses = 0
-                case Refused(topic, cause):
-                    self._tell_refusal(topic, cause)
-        if relay.control.has_ended:
-            self._lose_relay()
-        else:
-            self._wait_to_tell(relay)
-
-    def _wait_to_tell(self, relay: _Relay) -> None:
-        self._ends.write(relay.control.socket, is_waiting=relay.control.is_waiting)
-
-    def _note_switch(self, wire: int) -> None:
-        if wire in self._leads:
-            inlet, _ = self._leads[wire]
-            self._leads = {
-                other: one for other, one in self._leads.items() if other >= wire or one[0] != inlet
-            }  # those that it has replaced are gone
-        self._events.append(events.WireSwitched(wire))
-
-    def _tell_refusal(self, topic: str, cause: str) -> None:
-        unit = next((inlet.unit for inlet, lead in self._leads.values() if lead.target == topic), "")
-        if unit:
-            self._events.append(events.UnitPrinted(unit, f"cfgplan: {topic}: {cause}"))
-
-    def _lose_relay(self) -> None:
-        """End the relay and report that. It is made anew at once the first time, later after losses in a row."""
-        if self._relay is None:
-            return
-        self._ends.unwatch(self._relay.control.socket)
-        status = self._relay.close()
-        self._relay = None
-        self._plan_relay()
-        self._events += [
-            events.HelperAlive(_RELAY_HELPER, inf),
-            events.OutletsLost(f"the relay was {end_of_process(status)}"),
-        ]
-
-    def _plan_relay(self) -> None:
-        self._relay_losses += 1
-        self._relay_due_s = self.now() + doubling_s(self._relay_losses, _RELAY_AGAIN_S, _MOST_RELAY_AGAIN_S)
+    def _note_relay_address(self, message: object) -> None:
+        if isinstance(message, Listening):
+            self._relay_address = message.address

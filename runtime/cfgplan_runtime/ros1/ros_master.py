@@ -17,17 +17,12 @@ from cfgplan.errors import InputError
 from cfgplan.ros.master import MASTER_VARIABLE, USUAL_MASTER
 from cfgplan.ros.node_api import SilentError, asked, peer
 from cfgplan_runtime.errors import RuntimeFaultError
+from cfgplan_runtime.nodes.node_process import with_parent
 
 _CALLED_BY = "/cfgplan"
 _MASTER_START_S = 30.0
 _MASTER_LOOK_S = 0.02
 _HOST_VARIABLES = ("ROS_IP", "ROS_HOSTNAME")
-
-
-def with_parent(command: list[str]) -> list[str]:
-    """A command that ends when the thread that starts it ends, where the system can do that."""
-    setpriv = shutil.which("setpriv")
-    return command if setpriv is None else [setpriv, "--pdeathsig", "KILL", "--", *command]
 
 
 class RosMaster:

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import os
-import re
-from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-from cfgplan.domain import Environment
-from cfgplan.errors import Fault, InputError
+from cfgplan.errors import InputError
 from cfgplan.ros.graph import resolved
 from cfgplan.ros.sources import NodeSource
 from cfgplan.ros.topic_names import word
 from cfgplan.ros.types import MessageType
 from cfgplan.transformations import InputPort, OutputPort, Transformation
+from cfgplan_runtime.nodes.unit_checks import check_names, node_file
 
-_TOPIC = re.compile(r"(/[A-Za-z]\w*)+", re.ASCII)
 _SYSTEM_PREFIXES = ("/usr/local", "/usr")
 
 
@@ -58,7 +55,7 @@ class RosUnit:
     def command(self, folder: Path) -> list[str]:
         """The command that starts a node; files are relative to `folder`. Raises InputError if it can't be found."""
         source = self.source
-        program = _file(folder, source.name) if not source.package else executable(source.package, source.name)
+        program = node_file(folder, source.name) if not source.package else executable(source.package, source.name)
         remaps = [f"{own}:={topic}" for own, topic in self.remappings.items()]
         return [str(program), *source.arguments, f"__name:={self.name.removeprefix('/')}", *remaps]
 
@@ -77,32 +74,11 @@ def node_source(transformation: Transformation) -> NodeSource:
         raise InputError.of(f"{label}: `{transformation.source}` is no node of ROS 1", mend=mend)
     ports: tuple[InputPort | OutputPort, ...] = (*transformation.inputs, *transformation.outputs)
     if source.kind != "external":
-        names = Counter(port.remap or port.name for port in ports)
-        twice = sorted(name for name, count in names.items() if count > 1)
-        if twice:
-            what = f"two ports are {twice[0]!r} to the node, which can't be led to two topics"
-            raise InputError.of(f"{label}: {what}", mend="leave one of them out of the file")
+        check_names(transformation, lambda port: port.remap or port.name)
     for port in ports:
         if port.type is not None:
             MessageType.read(port.type)
     return source
-
-
-def check_nodes(environment: Environment, file: str) -> None:
-    """Raises InputError with all that is wrong with an environment's transformations as nodes, and with its topics."""
-    faults = list[Fault]()
-    for transformation in environment.library:
-        try:
-            node_source(transformation)
-        except InputError as error:
-            faults += error.faults
-    for target in environment.stream_targets:
-        if not _TOPIC.fullmatch(target.topic):
-            mend = "use letters, digits and underscores between slashes, such as /front/image"
-            what = f"{target.label}: `{target.topic}` can't be the name of a ROS 1 topic"
-            faults += InputError.of(what, mend=mend).faults
-    if faults:
-        raise InputError([replace(fault, file=fault.file or file) for fault in faults])
 
 
 def executable(package: str, name: str) -> Path:
@@ -125,13 +101,3 @@ def _candidates(package: str, name: str) -> Iterator[Path]:
 
 def _paths(variable: str) -> list[Path]:
     return [Path(path) for path in os.environ.get(variable, "").split(os.pathsep) if path]
-
-
-def _file(folder: Path, name: str) -> Path:
-    path = (folder / name).resolve()
-    if not path.is_file():
-        mend = "files are relative to the environment file"
-        raise InputError.of(f"there is no file {name}", file=str(path), mend=mend)
-    if not os.access(path, os.X_OK):
-        raise InputError.of("this node is not executable", file=str(path), mend=f"chmod +x {path.name}")
-    return path

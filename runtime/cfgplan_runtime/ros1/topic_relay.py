@@ -27,30 +27,23 @@ from cfgplan_runtime.children.messages import (
     Cut,
     End,
     Finish,
+    Flow,
     Lost,
     OpenOutlet,
     PortCounts,
     Switched,
     SwitchNow,
 )
-from cfgplan_runtime.children.outlet_child import Meter
+from cfgplan_runtime.nodes.relay_messages import CloseInlets, Lead, Passed, Refused
 from cfgplan_runtime.processes.nursery import die_with_parent
 from cfgplan_runtime.ros1.relay_api import RelayApi
-from cfgplan_runtime.ros1.relay_messages import (
-    CloseInlets,
-    FromTopicRelay,
-    Lead,
-    Listening,
-    Passed,
-    Refused,
-    RelayOrder,
-    ToTopicRelay,
-)
+from cfgplan_runtime.ros1.relay_messages import FromTopicRelay, Listening, RelayOrder, ToTopicRelay
 from cfgplan_runtime.ros1.service_relay import ServiceRelay
 from cfgplan_runtime.ros1.tcpros import Framed, Header, MessageReader, MessageWriter, read_header, subscribed
 from cfgplan_runtime.streams.element import Element, Moment
 from cfgplan_runtime.streams.ends import Ends, Posted
 from cfgplan_runtime.streams.inlet import InputQueue
+from cfgplan_runtime.streams.meter import Meter
 
 SIGN_S = 1.0
 """Seconds from one sign of life to the next."""
@@ -513,7 +506,7 @@ class TopicRelay:
         inlets = {name: self._counts(inlet) for name, inlet in self._inlets.items()}
         flows = {}
         for topic, meter in self._meters.items():
-            flows[topic] = meter.flow(inlets[topic].dropped if topic in inlets else 0, now_s)
+            flows[topic] = Flow(**meter.figures(inlets[topic].dropped if topic in inlets else 0, now_s))
         return Passed(sources, inlets, flows)
 
     def _counts(self, inlet: _LedInlet) -> PortCounts:

@@ -6,6 +6,7 @@ import os
 import selectors
 import socket
 import subprocess
+import tempfile
 import time
 from collections import deque
 from collections.abc import Iterator
@@ -34,22 +35,28 @@ class HostLink(Generic[Incoming]):
     def __init__(self, python: RosPython, name: str, incoming: object) -> None:
         self.socket, theirs = socket.socketpair()
         number = theirs.fileno()
+        self._printed = tempfile.TemporaryFile()  # noqa: SIM115
         try:
             self._process = subprocess.Popen(
                 [python.program, str(MAIN), str(number), str(os.getpid()), name],
                 pass_fds=[number],
                 stdin=subprocess.DEVNULL,
+                stdout=self._printed,
+                stderr=self._printed,
                 env=dict(python.environment),
                 start_new_session=True,
             )
         except OSError:
             self.socket.close()
+            self._printed.close()
             raise
         finally:
             theirs.close()
         self.socket.setblocking(False)
         self.pid = self._process.pid
         self.has_ended = False
+        self.last_words = ""
+        """The last line that it has printed, once it is closed."""
         self._decoder: msgspec.json.Decoder[Incoming] = msgspec.json.Decoder(incoming)
         self._received = bytearray()
         self._waiting: deque[bytes] = deque()
@@ -80,7 +87,7 @@ class HostLink(Generic[Incoming]):
             yield from map(self._decoder.decode, lines)
 
     def await_words(self, patience_s: float) -> Iterator[Incoming]:
-        """What it says until it ends, or until so many seconds are over; for callers that do nothing else."""
+        """Yield its messages until it ends, or `patience_s` is over; for callers that do nothing else."""
         until = time.monotonic() + patience_s
         with selectors.DefaultSelector() as selector:
             selector.register(self.socket, selectors.EVENT_READ)
@@ -98,6 +105,10 @@ class HostLink(Generic[Incoming]):
         except subprocess.TimeoutExpired:
             self._process.kill()
         self.socket.close()
+        self._printed.seek(0)
+        lines = self._printed.read().decode(errors="replace").split("\n")
+        self.last_words = next((line for line in reversed(lines) if line.strip()), "")
+        self._printed.close()
         return self._process.wait()
 
     def _flush(self) -> None:

@@ -16,7 +16,7 @@ from cfgplan.errors import InputError
 VARIABLE = "CFGPLAN_ROS_PYTHON"
 _EXTENSION = re.compile(r"_rclpy_pybind11\.cpython-(\d)(\d+)-")
 _CODE = "import rclpy, sys; print(sys.executable)"
-_LOOK_S = 20.0
+_IMPORT_S = 20.0
 """Seconds that a Python may take to import rclpy."""
 _MEND = (
     "source /opt/ros/DISTRO/setup.bash before; or activate an environment of RoboStack; or make one by `python3 -m venv"
@@ -91,10 +91,10 @@ def _why_not(python: RosPython) -> str | None:
             text=True,
             errors="replace",
             check=False,
-            timeout=_LOOK_S,
+            timeout=_IMPORT_S,
         )
     except OSError as error:
         return error.strerror or str(error)
     except subprocess.TimeoutExpired:
-        return f"imports rclpy for longer than {_LOOK_S:g} s"
+        return f"imports rclpy for longer than {_IMPORT_S:g} s"
     return (tried.stderr.strip().rpartition("\n")[2] or "fails") if tried.returncode else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import os
 import platform
@@ -16,12 +17,14 @@ from contextlib import suppress
 from typing import Any
 
 import rclpy
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from cfgplan_runtime.ros2.host.waiting import Waiting
 
 _PR_SET_PDEATHSIG = 1
+_HAS_MATCHED = "matched" in inspect.signature(SubscriptionEventCallbacks.__init__).parameters
 
 
 def die_with_parent(parent: int) -> None:
@@ -36,7 +39,7 @@ def die_with_parent(parent: int) -> None:
 
 
 class Host:
-    """What all parts of the helper share. `handlers` has what is done with an order, by the order's `type`.
+    """State that all parts of the helper share. `handlers` maps an order's `type` to the function that carries it out.
 
     All but the reading and writing of the socket is done by the thread of `run`.
     """
@@ -46,6 +49,8 @@ class Host:
         self._orders: deque[dict[str, Any]] = deque()
         self._words: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         self._is_over = False
+        self.on_match: Callable[[], None] = lambda: None
+        self._is_match_due = False
         self.handlers: dict[str, Callable[[dict[str, Any]], None]] = {"Finish": lambda _: self._finish()}
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self.node: Any = Node(name, enable_rosout=False, start_parameter_services=False)
@@ -66,8 +71,26 @@ class Host:
         """Send a message. Never waits."""
         self._words.put(json.dumps({"type": kind, **fields}).encode() + b"\n")
 
+    def is_own(self, endpoint: Any) -> bool:
+        """Whether an end of a topic, as rclpy tells of it, is the helper's."""
+        return bool(endpoint.node_name == self.node.get_name())
+
+    def matched(self) -> dict[str, Callable[[Any], None]]:
+        """Return the argument that asks for matched events, where rclpy has them (Iron or newer)."""
+        return {"matched": lambda _: None} if _HAS_MATCHED else {}
+
+    def note_match(self) -> None:
+        """Call `on_match` soon, once for all endpoints that have matched by then."""
+        if not self._is_match_due:
+            self._is_match_due = True
+            self.waiting.later(0.0, self._tell_match)
+
+    def _tell_match(self) -> None:
+        self._is_match_due = False
+        self.on_match()
+
     def run(self) -> None:
-        """Carry out orders until told to finish, or until nobody is there to give any."""
+        """Carry out orders until one says to finish, or the other end of the socket closes."""
         while not self._is_over:
             self.waiting.wait()
 

@@ -1,4 +1,4 @@
-"""What the helper waits for: messages, replies, requests, events of endpoints, and times that come."""
+"""The helper's one wait: for messages, replies, requests, events of endpoints, and timers."""
 
 from __future__ import annotations
 

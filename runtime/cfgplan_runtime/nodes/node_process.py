@@ -1,8 +1,9 @@
-"""A ROS 1 node that was started here: its process, what it prints, and how it is ended."""
+"""A node that was started here: its process, what it prints, and how it is ended."""
 
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -11,7 +12,12 @@ from contextlib import suppress
 from pathlib import Path
 
 from cfgplan_runtime.processes.child_process import PrintedLines
-from cfgplan_runtime.ros1.ros_master import with_parent
+
+
+def with_parent(command: list[str]) -> list[str]:
+    """A command that ends when the thread that starts it ends, where the system can do that."""
+    setpriv = shutil.which("setpriv")
+    return command if setpriv is None else [setpriv, "--pdeathsig", "KILL", "--", *command]
 
 
 class NodeProcess:

@@ -1,0 +1,211 @@
+"""The wires of a run that a relay leads, and the life of the relay, which is made anew if it dies."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Callable, Iterator
+from math import inf
+from typing import Protocol
+
+import msgspec
+
+from cfgplan_runtime.children import messages
+from cfgplan_runtime.nodes.relay_messages import CloseInlets, Lead, Passed, Refused
+from cfgplan_runtime.processes.child_process import end_of_process
+from cfgplan_runtime.streams.ends import Ends
+from cfgplan_runtime.supervision import events
+from cfgplan_runtime.supervision.backend import Inlet
+from cfgplan_runtime.supervision.delays import doubling_s
+
+_HELPER = "relay of topics"
+_RELAY_S, _START_S = 10.0, 60.0
+"""Seconds that the relay may be silent, and that its start may take."""
+_AGAIN_S, _MOST_AGAIN_S = 0.05, 5.0
+"""Seconds until a relay that was lost twice in a row is made anew, doubled for each further loss."""
+
+
+class Relay(Protocol):
+    """A relay's process, and the connection to it."""
+
+    socket: socket.socket
+    has_ended: bool
+    last_words: str
+    """The last line that it has printed, if that is known, once it is closed."""
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether something waits to be sent until the socket can take it."""
+
+    def send(self, message: msgspec.Struct) -> None: ...
+    def hear(self) -> Iterator[object]:
+        """What it has said, after sending what waits."""
+
+    def close(self) -> int:
+        """End it. Returns its exit status."""
+
+
+class RelayedWires:
+    """Leads wires through a relay that `start` makes (raises OSError), and adds to `happened` what becomes of them.
+
+    `begin` is called with each new relay before it is told of wires, `hear` with what only this kind of relay says.
+    """
+
+    def __init__(
+        self,
+        ends: Ends,
+        happened: list[events.Event],
+        start: Callable[[], Relay],
+        begin: Callable[[], None],
+        hear: Callable[[object], None],
+    ) -> None:
+        self._ends, self._happened, self._start_process, self._begin = ends, happened, start, begin
+        self._hear_other = hear
+        self._leads: dict[int, tuple[Inlet, Lead]] = {}
+        """The wires that the relay leads, or will once it is there."""
+        self._topics: list[str] = []
+        self._passed = Passed({}, {}, {})
+        self._relay: Relay | None = None
+        self._losses = 0
+        self._due_s: float | None = None
+        """When the relay is to be made anew; None if there is one."""
+
+    def start(self) -> None:
+        """Make a relay, and tell it of everything."""
+        self._due_s = None
+        try:
+            relay = self._relay = self._start_process()
+        except OSError as error:
+            self._happened.append(events.OutOfDescriptors(f"the relay of topics can't be started: {error.strerror}"))
+            self._plan()
+            return
+        self._ends.watch(relay.socket, lambda: self._hear(relay))
+        self._happened.append(events.HelperAlive(_HELPER, _START_S))
+        self._begin()
+        for topic in self._topics:
+            self.tell(messages.OpenOutlet(topic))
+        if self._losses:
+            self._leads = {wire: one for wire, one in self._leads.items() if not one[0].is_outlet}
+            for _, lead in self._leads.values():
+                self.tell(lead)
+            self._happened.append(events.OutletsOpened())
+
+    def left_s(self, timeout_s: float | None) -> float | None:
+        """The part of a time to wait until the relay has to be made anew."""
+        if self._due_s is None:
+            return timeout_s
+        left_s = max(0.0, self._due_s - time.monotonic())
+        return left_s if timeout_s is None else min(timeout_s, left_s)
+
+    def start_if_due(self) -> None:
+        if self._due_s is not None and self._due_s <= time.monotonic():
+            self.start()
+
+    def tell(self, message: msgspec.Struct) -> None:
+        """Send a message, if there is a relay."""
+        if self._relay is not None:
+            self._relay.send(message)
+            self._wait_to_tell(self._relay)
+
+    def lead(self, inlet: Inlet, lead: Lead) -> None:
+        """Have a wire led."""
+        self._leads[lead.wire] = inlet, lead
+        self.tell(lead)
+
+    def disconnect(self, wire: int, inlet: Inlet) -> None:
+        self._leads.pop(wire, None)
+        self.tell(messages.Cut(str(inlet), wire))
+
+    def end_wire(self, wire: int, inlet: Inlet) -> None:
+        self._leads.pop(wire, None)
+        self.tell(messages.End(str(inlet), wire))
+
+    def switch_now(self, inlet: Inlet) -> None:
+        self.tell(messages.SwitchNow(str(inlet)))
+
+    def close_inlets(self, unit: str) -> None:
+        """Close all that feeds a unit that is gone."""
+        self.tell(CloseInlets(unit))
+
+    def open_outlet(self, topic: str) -> None:
+        self._topics.append(topic)
+        self.tell(messages.OpenOutlet(topic))
+
+    def close_outlet(self, topic: str) -> None:
+        self._topics.remove(topic)
+        self.tell(messages.CloseOutlet(topic))
+
+    def passed_from(self, source: str) -> int:
+        """How many messages the relay has seen on a topic."""
+        return self._passed.sources.get(source, 0)
+
+    def taken_by(self, unit: str) -> dict[str, messages.PortCounts]:
+        """What the inlets of a unit have got."""
+        return {
+            inlet.port: self._passed.inlets[lead.inlet]
+            for inlet, lead in self._leads.values()
+            if inlet.unit == unit and lead.inlet in self._passed.inlets
+        }
+
+    def unit_at(self, target: str) -> str:
+        """The unit that is fed by a topic; "" if none is."""
+        return next((inlet.unit for inlet, lead in self._leads.values() if lead.target == target), "")
+
+    def lose(self) -> None:
+        """End the relay and report that. It is made anew at once the first time, later after losses in a row."""
+        if self._relay is None:
+            return
+        self._ends.unwatch(self._relay.socket)
+        end = end_of_process(self._relay.close())
+        said = f": {self._relay.last_words}" if self._relay.last_words else ""
+        self._relay = None
+        self._plan()
+        self._happened += [
+            events.HelperAlive(_HELPER, inf),
+            events.OutletsLost(f"the relay {end if end.startswith('ended') else f'was {end}'}{said}"),
+        ]
+
+    def close(self) -> None:
+        """End the relay for good."""
+        if self._relay is not None:
+            self._ends.unwatch(self._relay.socket)
+            self._relay.close()
+            self._relay = None
+
+    def _hear(self, relay: Relay) -> None:
+        for message in relay.hear():
+            match message:
+                case messages.Switched(_, wire):
+                    self._note_switch(wire)
+                case messages.Lost(_, wire) if wire in self._leads:
+                    inlet, _ = self._leads.pop(wire)
+                    self._happened.append(events.InputLost(inlet.unit or None, inlet.port, wire))
+                case Passed(_, _, flows):
+                    self._passed = message
+                    self._happened += [events.HelperAlive(_HELPER, _RELAY_S), events.TopicsStatus(flows)]
+                    self._losses = 0
+                case Refused(topic, cause):
+                    unit = self.unit_at(topic)
+                    if unit:
+                        self._happened.append(events.UnitPrinted(unit, f"cfgplan: {topic}: {cause}"))
+                case _:
+                    self._hear_other(message)
+        if relay.has_ended:
+            self.lose()
+        else:
+            self._wait_to_tell(relay)
+
+    def _wait_to_tell(self, relay: Relay) -> None:
+        self._ends.write(relay.socket, is_waiting=relay.is_waiting)
+
+    def _note_switch(self, wire: int) -> None:
+        if wire in self._leads:
+            inlet, _ = self._leads[wire]
+            self._leads = {
+                other: one for other, one in self._leads.items() if other >= wire or one[0] != inlet
+            }  # those that it has replaced are gone
+        self._happened.append(events.WireSwitched(wire))
+
+    def _plan(self) -> None:
+        self._losses += 1
+        self._due_s = time.monotonic() + doubling_s(self._losses, _AGAIN_S, _MOST_AGAIN_S)

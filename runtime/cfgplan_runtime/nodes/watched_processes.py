@@ -1,0 +1,38 @@
+"""Processes of nodes that a backend waits for: their lines are told as events, their ends by a call."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from cfgplan_runtime.nodes.node_process import NodeProcess
+from cfgplan_runtime.processes.child_process import end_of_process
+from cfgplan_runtime.streams.ends import Ends
+from cfgplan_runtime.supervision import events
+
+
+class WatchedProcesses:
+    """Adds to `happened` what the processes print."""
+
+    def __init__(self, ends: Ends, happened: list[events.Event]) -> None:
+        self._ends, self._happened = ends, happened
+
+    def attend(self, process: NodeProcess, end: Callable[[], None], unit: Callable[[], str]) -> None:
+        """Report what a process prints as printed by a unit, and call `end` when it has ended."""
+        self._ends.watch(process.ended, end)
+        self._ends.watch(process.printed.socket, lambda: self._hear_print(process, unit()))
+
+    def last_words(self, process: NodeProcess, unit: str) -> str:
+        """End a process, and report what it has still printed. Returns how it has ended."""
+        process.kill()
+        while self._hear_print(process, unit):
+            pass
+        self._ends.unwatch(process.ended)
+        self._ends.unwatch(process.printed.socket)
+        return end_of_process(process.reap())
+
+    def _hear_print(self, process: NodeProcess, unit: str) -> bool:
+        lines, is_open = process.printed.read()
+        self._happened.extend(events.UnitPrinted(unit, line) for line in lines)
+        if not is_open:
+            self._ends.unwatch(process.printed.socket)
+        return bool(lines) and is_open

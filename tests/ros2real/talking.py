@@ -1,0 +1,108 @@
+#!/usr/bin/env python3
+"""Nodes that tests run, by the Python that has rclpy: `talking.py NODE`."""
+
+from __future__ import annotations
+
+import sys
+import time
+from contextlib import suppress
+
+import rclpy
+from geometry_msgs.msg import PointStamped
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import String
+
+TICKS_PER_S = 100
+DEEP = QoSProfile(depth=1000)
+
+
+class Talker(Node):
+    """Counts aloud, from `first` on."""
+
+    quality = DEEP
+
+    def __init__(self) -> None:
+        super().__init__("talker")
+        self.number = self.declare_parameter("first", 0).value
+        self.words = self.create_publisher(String, "chatter", self.quality)
+        self.create_timer(1 / self.declare_parameter("rate", 100).value, self.talk)
+
+    def talk(self) -> None:
+        self.words.publish(String(data=str(self.number)))
+        self.number += 1
+
+
+class Whisperer(Talker):
+    """Counts, and does not care who hears it."""
+
+    quality = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+class Shouter(Node):
+    quality = DEEP
+
+    def __init__(self) -> None:
+        super().__init__("shouter")
+        self.loud = self.create_publisher(String, "~/loud", DEEP)
+        self.create_subscription(String, "quiet", self.shout, self.quality)
+
+    def shout(self, word: String) -> None:
+        self.loud.publish(String(data=word.data + "!"))
+
+
+class Eager(Shouter):
+    """Wants to hear what was said before it came, too."""
+
+    quality = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class Clock(Node):
+    """Numbers the hundredths of a second, each with its time: all clocks tell the same.
+
+    If it is `simulated`, stamps begin at 0 in the present hour and go ten times as fast.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("clock")
+        self.ticks = self.create_publisher(PointStamped, "ticks", DEEP)
+        self.is_simulated = self.declare_parameter("simulated", False).value
+        self.number = int(time.time() * TICKS_PER_S)
+        self.create_timer(0.5 / TICKS_PER_S, self.tick)
+
+    def tick(self) -> None:
+        while time.time() * TICKS_PER_S >= self.number + 1:
+            self.number += 1
+            tick = PointStamped()
+            tick.header.frame_id = str(self.number)
+            stamp = self.number % (3600 * TICKS_PER_S) * 10 if self.is_simulated else self.number
+            tick.header.stamp.sec = stamp // TICKS_PER_S
+            tick.header.stamp.nanosec = stamp % TICKS_PER_S * (10**9 // TICKS_PER_S)
+            self.ticks.publish(tick)
+
+
+class Mapper(Node):
+    """Says one thing once, `first`, for whoever comes, however late."""
+
+    def __init__(self) -> None:
+        super().__init__("mapper")
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.maps = self.create_publisher(String, "chatter", latched)
+        self.maps.publish(String(data=str(self.declare_parameter("first", 0).value)))
+
+
+class Mute(Node):
+    def __init__(self) -> None:
+        sys.exit("has no voice")
+
+
+def main() -> None:
+    rclpy.init()
+    kinds = (Talker, Whisperer, Shouter, Eager, Clock, Mapper, Mute)
+    node = {each.__name__.lower(): each for each in kinds}[sys.argv[1]]()
+    with suppress(KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
+        rclpy.spin(node)
+
+
+if __name__ == "__main__":
+    main()

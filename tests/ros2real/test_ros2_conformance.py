@@ -1,0 +1,66 @@
+"""Nodes of ROS 2 keep what a middleware promises."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+import psutil
+from cfgplan_runtime import Runtime
+from cfgplan_runtime.ros2.ros2_backend import Ros2Backend
+from cfgplan_runtime.testing import Bench, check_middleware
+from ros2_words import NODES, Observer, observing
+
+from cfgplan.domain import InputPort, OutputPort, Transformation
+
+STRING = "std_msgs/String"
+TALKER = Transformation(
+    "talker",
+    (),
+    (OutputPort("words", "Word", type=STRING, remap="chatter"),),
+    source="node:./talking.py talker",
+    params={"rate": 100},
+)
+SHOUTER = Transformation(
+    "shouter",
+    (InputPort("quiet", "Word"),),
+    (OutputPort("loud", "LoudWord", remap="~loud"),),
+    source="node:./talking.py shouter",
+)
+MUTE = Transformation("mute", SHOUTER.inputs, SHOUTER.outputs, source="node:./talking.py mute")
+
+
+def living_units() -> set[str]:
+    """The units whose processes there are, whatever the run believes."""
+    found = set()
+    for child in psutil.Process().children(recursive=True):
+        with suppress(psutil.NoSuchProcess, psutil.ZombieProcess):
+            words = child.cmdline() if child.status() != psutil.STATUS_ZOMBIE else []
+            found |= {word.removeprefix("__node:=") for word in words if word.startswith("__node:=")}
+    return {name.replace("_", ".") for name in found}
+
+
+@contextmanager
+def bench() -> Iterator[Bench]:
+    with observing() as observer, Runtime(backend=lambda: Ros2Backend(folder=NODES.parent)) as runtime:
+
+        def crash(unit: str) -> None:
+            os.kill(runtime.pid(unit) or 0, signal.SIGKILL)
+
+        yield Bench(runtime, TALKER, SHOUTER, MUTE, crash, living_units, lambda: published_topics(observer), time.sleep)
+
+
+def published_topics(observer: Observer) -> list[str]:
+    """The topics that the graph has once it tells the same twice: it hears of changes a little later."""
+    before, now = None, observer.look()["topics"]
+    while now != before:
+        time.sleep(0.5)
+        before, now = now, observer.look()["topics"]
+    return now
+
+
+def test_conformance() -> None:
+    check_middleware(bench)
