@@ -4,7 +4,8 @@ import cfgplan
 
 world = cfgplan.load("models/nao/2-segmenter-lost.yaml")
 problem, plan = cfgplan.solve(world)
-after = problem.environment.update(plan.change_set)
+if plan.change_set is not None:
+    after = problem.environment.update(plan.change_set)
 """
 
 from __future__ import annotations

@@ -6,9 +6,10 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from threading import Event
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 from cfgplan.api import World, accepted, interruptible, near_offers, nearest_offers
+from cfgplan.arguments import AtLeast, Seconds, checked
 from cfgplan.errors import InputError, known
 from cfgplan.planners.undecided import Deciding
 from cfgplan.planning import Decider, Plan, Planner, Problem, Progress
@@ -20,14 +21,15 @@ if TYPE_CHECKING:
     from cfgplan.matching import Nearest
 
 
+@checked
 def why_not(
     world: World,
     problem: Problem,
     *,
     planner: str | Planner = "cpsat",
-    time_limit_s: float | None = None,
+    time_limit_s: Seconds | None = None,
     reasoner: str = "auto",
-    reasoner_limit_s: float | None = None,
+    reasoner_limit_s: Seconds | None = None,
     decider: Decider | None = None,
 ) -> WhyNot:
     """Why a problem of this world has no plan, or why its plan leaves required transformations unused.
@@ -53,7 +55,7 @@ def _nearest(world: World, reasoner: str, limit_s: float | None) -> Callable[[st
 
 
 def unfed_pinned(
-    world: World, problem: Problem, *, reasoner: str = "auto", reasoner_limit_s: float | None = None
+    world: World, problem: Problem, *, reasoner: str = "auto", reasoner_limit_s: Seconds | None = None
 ) -> dict[str, Unreachable]:
     """For each pinned unit that can't be fed, by id: why not, with the nearest outputs."""
     pinned = pinned_reasons(problem)
@@ -70,7 +72,7 @@ def unfed_pinned(
 
 
 def wiring_faults(
-    world: World, problem: Problem, *, reasoner: str = "auto", reasoner_limit_s: float | None = None
+    world: World, problem: Problem, *, reasoner: str = "auto", reasoner_limit_s: Seconds | None = None
 ) -> tuple[WiringFault, ...]:
     """What is wrong or odd with the configuration that runs, the probable fault first, with the nearest streams."""
     from cfgplan import explaining
@@ -85,6 +87,7 @@ def wiring_faults(
 Subject: TypeAlias = Literal["unit", "transformation", "stream"]
 
 
+@checked
 def why(
     problem: Problem,
     plan: Plan,
@@ -92,7 +95,7 @@ def why(
     name: str,
     *,
     planner: str | Planner = "cpsat",
-    time_limit_s: float | None = None,
+    time_limit_s: Seconds | None = None,
     decider: Decider | None = None,
 ) -> Why:
     """Why a plan with a change set uses a unit, a transformation or an output (transformation/port), or why not.
@@ -110,7 +113,7 @@ def why(
         "transformation": environment.transformation,
         "stream": environment.outputs,
     }
-    known(name, subjects[known(kind, subjects, "kind of subject")], "output" if kind == "stream" else kind)
+    known(name, subjects[kind], "output" if kind == "stream" else kind)
     ask = _Judged(planner, time_limit_s, decider)
     if kind == "unit":
         return explaining.why_unit(problem, ask, plan, name)
@@ -120,13 +123,14 @@ def why(
     return explaining.why_stream(problem, ask, plan, label, port)
 
 
+@checked
 def front(
     problem: Problem,
     target: str,
     attribute: str,
     *,
     planner: str | Planner = "cpsat",
-    time_limit_s: float | None = None,
+    time_limit_s: Seconds | None = None,
     decider: Decider | None = None,
 ) -> Front:
     """What better quality of a target's stream costs; see `cfgplan.explaining`."""
@@ -137,34 +141,33 @@ def front(
     return explaining.front(problem, _Judged(planner, None, decider), target, attribute, time_limit_s=time_limit_s)
 
 
+@checked
 def alternatives(
     problem: Problem,
-    count: int,
+    count: Annotated[int, AtLeast(1)],
     *,
     planner: str | Planner = "cpsat",
-    time_limit_s: float | None = None,
+    time_limit_s: Seconds | None = None,
     decider: Decider | None = None,
 ) -> Alternatives:
     """The `count` best configurations that differ in what runs, in order; see `cfgplan.explaining`.
 
-    Raises InputError for a count below 1.
+    Raises InvalidValueError for a count below 1.
     """
     from cfgplan import explaining
-
-    if count < 1:
-        raise InputError.of(f"{count} alternatives are asked for", mend="ask for at least 1")
 
     judged = _Judged(planner, None, decider)
     found = explaining.alternatives(problem, judged, count, time_limit_s=time_limit_s)
     return replace(found, plans=tuple(accepted(judged.known(problem), each) for each in found.plans))
 
 
+@checked
 def sensitivity(
     problem: Problem,
     *,
     upkeep_of: str | None = None,
     planner: str | Planner = "cpsat",
-    time_limit_s: float | None = None,
+    time_limit_s: Seconds | None = None,
     decider: Decider | None = None,
 ) -> Sensitivity:
     """For which horizons, or upkeeps of a transformation, which plan is optimal; see `cfgplan.explaining`.
@@ -180,11 +183,12 @@ def sensitivity(
     return explaining.upkeep_sensitivity(problem, ask, upkeep_of)
 
 
+@checked
 def best_effort(
     problem: Problem,
     *,
     planner: str | Planner = "cpsat",
-    time_limit_s: float | None = None,
+    time_limit_s: Seconds | None = None,
     decider: Decider | None = None,
 ) -> BestEffort:
     """The best update that some of the targets allow, the most important ones; see `cfgplan.explaining`."""
@@ -206,7 +210,7 @@ class _Judged:
         self.known = self._deciding.known
 
     def __call__(
-        self, problem: Problem, *, time_limit_s: float | None = None, report: Callable[[Progress], None] | None = None
+        self, problem: Problem, *, time_limit_s: Seconds | None = None, report: Callable[[Progress], None] | None = None
     ) -> Plan:
         limit_s = min((limit for limit in (self._limit_s, time_limit_s) if limit is not None), default=None)
         found = self._deciding(problem, time_limit_s=limit_s, report=report)

@@ -16,7 +16,9 @@ from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
+from cfgplan.arguments import Natural, Seconds, checked
 from cfgplan.cache_folder import cache_folder
+from cfgplan.canonical import fields_of
 from cfgplan.domain import ENVIRONMENT_HEADS, Environment, Similarity, environment_rows
 from cfgplan.errors import Fault, InputError
 from cfgplan.extras import is_there
@@ -67,6 +69,7 @@ def _world_summary(world: World) -> Summary:
 
 @summarised(_world_summary)
 @dataclass(frozen=True)
+@checked
 class World:
     """An environment with the ontology that gives its tags their meaning, and what planning needs besides.
 
@@ -76,10 +79,12 @@ class World:
 
     environment: Environment
     ontology: Ontology
-    horizon_s: int
-    max_cost_us: int | None = None
+    horizon_s: Natural
+    max_cost_us: Natural | None = None
     file: EnvironmentFile | None = None
     survive: Failures | None = None
+
+    __getstate__ = fields_of
 
     @cached_property
     def digest(self) -> str:
@@ -92,6 +97,7 @@ class World:
         return file.digest
 
 
+@checked
 def load(path: str | os.PathLike[str], *, also: Sequence[str | os.PathLike[str]] = ()) -> World:
     """Read an environment file (YAML, JSON, or the paper's XML) and the ontologies it names.
 
@@ -125,6 +131,7 @@ def world_of(document: Document, ontology: Ontology) -> World:
     return World(file.environment, ontology, file.horizon_s, file.max_cost_us, file, file.survive)
 
 
+@checked
 def what_if(world: World, *, without: Collection[str] = (), settings: Mapping[str, str] | None = None) -> World:
     """The world without some transformations, units or targets, and with other values of `settings`.
 
@@ -132,9 +139,6 @@ def what_if(world: World, *, without: Collection[str] = (), settings: Mapping[st
     values as they are written in files. Raises InputError.
     """
     from cfgplan.explaining import what_if as supposing
-
-    if isinstance(without, str):
-        raise InputError.of(f"`without` is the name {without!r}", mend="write a list of names")
 
     environment = supposing.without(world.environment, without)
     supposed = supposing.Supposed(environment, world.horizon_s, world.max_cost_us)
@@ -146,8 +150,9 @@ def what_if(world: World, *, without: Collection[str] = (), settings: Mapping[st
     return World(environment, world.ontology, horizon_s, max_cost_us, file, world.survive)
 
 
+@checked
 def world(
-    environment: Environment, *, horizon_s: int, max_cost_us: int | None = None, ontology: object = None
+    environment: Environment, *, horizon_s: Natural, max_cost_us: Natural | None = None, ontology: object = None
 ) -> World:
     """A world built in code; `ontology` is an `owlready2` ontology, a file's path or a list of paths.
 
@@ -158,8 +163,9 @@ def world(
     return World(environment, known, horizon_s, max_cost_us)
 
 
+@checked
 def match_ports(
-    world: World, *, reasoner: str = "auto", time_limit_s: float | None = None, use_cache: bool = True
+    world: World, *, reasoner: str = "auto", time_limit_s: Seconds | None = None, use_cache: bool = True
 ) -> Matching:
     """Which output may feed which input and target, with the warnings of the reasoner.
 
@@ -168,13 +174,14 @@ def match_ports(
     return matches(world, reasoner=reasoner, time_limit_s=time_limit_s, use_cache=use_cache, most=None).matching
 
 
+@checked
 def matches(
     world: World,
     *,
     reasoner: str = "auto",
-    time_limit_s: float | None = None,
+    time_limit_s: Seconds | None = None,
     use_cache: bool = True,
-    most: int | None = FEW_PAIRS,
+    most: Natural | None = FEW_PAIRS,
 ) -> Matches:
     """What is known of the similarity of a world's tags. If at most `most` pairs are open, the reasoner decides them at
     once.
@@ -193,7 +200,7 @@ def _tags(environment: Environment) -> tuple[frozenset[str], frozenset[str]]:
 
 
 def explain_match(
-    world: World, offered: str, demanded: str, *, reasoner: str = "auto", time_limit_s: float | None = None
+    world: World, offered: str, demanded: str, *, reasoner: str = "auto", time_limit_s: Seconds | None = None
 ) -> MatchExplanation:
     """Why an output tagged `offered` may or may not feed an input or target tagged `demanded`."""
     from cfgplan.matching import explain_match as explain
@@ -207,7 +214,7 @@ def nearest_offers(world: World, demanded: str, **reasoning: Any) -> tuple[Neare
 
 
 def near_offers(
-    world: World, demanded: Collection[str], *, reasoner: str = "auto", time_limit_s: float | None = None
+    world: World, demanded: Collection[str], *, reasoner: str = "auto", time_limit_s: Seconds | None = None
 ) -> dict[str, tuple[Nearest, ...]]:
     """For each of some demanded tags all offered ones that hold a part of it, the nearest first."""
     from cfgplan.matching import near_offers as near
@@ -216,12 +223,13 @@ def near_offers(
     return near(demanded, offered, world.ontology, reasoner=reasoner, time_limit_s=time_limit_s)
 
 
+@checked
 def problem(
     world: World,
     similarity: Similarity,
     *,
-    horizon_s: int | None = None,
-    max_cost_us: int | None = None,
+    horizon_s: Natural | None = None,
+    max_cost_us: Natural | None = None,
     survive: Failures | Literal[0] | None = None,
 ) -> Problem:
     """The planning problem of a matched world; what is given here wins over the file (0: survive no failure)."""
@@ -234,11 +242,12 @@ def problem(
     )
 
 
+@checked
 def match(
     world: World,
     *,
-    horizon_s: int | None = None,
-    max_cost_us: int | None = None,
+    horizon_s: Natural | None = None,
+    max_cost_us: Natural | None = None,
     survive: Failures | Literal[0] | None = None,
 ) -> Problem:
     """Match a world's tags and state its planning problem."""
@@ -246,11 +255,12 @@ def match(
     return problem(world, similarity, horizon_s=horizon_s, max_cost_us=max_cost_us, survive=survive)
 
 
+@checked
 def plan(
     problem: Problem,
     *,
     planner: str | Planner = "cpsat",
-    time_limit_s: float | None = None,
+    time_limit_s: Seconds | None = None,
     report: Callable[[Progress], None] | None = None,
 ) -> Plan:
     """The optimal update, by one of `PLANNER_NAMES` or a planner of your own, accepted by the judge.
@@ -275,16 +285,17 @@ class Solved(NamedTuple):
         return drawing.picture(self.problem.environment, self.plan.change_set).render("svg").decode()
 
 
+@checked
 def solve(
     world: World,
     *,
     planner: str | Planner = "cpsat",
-    horizon_s: int | None = None,
-    max_cost_us: int | None = None,
+    horizon_s: Natural | None = None,
+    max_cost_us: Natural | None = None,
     survive: Failures | Literal[0] | None = None,
-    time_limit_s: float | None = None,
+    time_limit_s: Seconds | None = None,
     reasoner: str = "auto",
-    reasoner_limit_s: float | None = None,
+    reasoner_limit_s: Seconds | None = None,
 ) -> Solved:
     """Match the tags that a plan may use, and plan. Returns the problem and the optimal update, accepted by the judge.
 
@@ -300,7 +311,7 @@ def solved(
     decider: Decider,
     *,
     planner: str | Planner = "cpsat",
-    time_limit_s: float | None = None,
+    time_limit_s: Seconds | None = None,
     report: Callable[[Progress], None] | None = None,
 ) -> Solved:
     """The answer to a problem, and the problem with the pairs that the decider was asked about. Raises as `plan`."""
@@ -342,6 +353,7 @@ def plan_text(world: World, problem: Problem, plan: Plan) -> str:
     return dump_plan(plan, problem, world.digest)
 
 
+@checked
 def load_plan(world: World, problem: Problem, path: str | os.PathLike[str]) -> Plan:
     """A plan that may be carried out: the one in a plan file, if it was made for this world and the judge accepts it.
 

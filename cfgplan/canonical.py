@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields
-from operator import index
 from typing import Any, TypeVar
 from unicodedata import normalize
 
@@ -24,17 +23,6 @@ def store_sorted(holder: object, name: str, values: Iterable[T], key: Callable[[
     object.__setattr__(holder, name, tuple(sorted(values, key=key)))  # type: ignore[arg-type]
 
 
-def store_whole(holder: object, name: str) -> None:
-    """Make an int of a frozen dataclass's whole number, such as one of NumPy's; raises InvalidValueError for others."""
-    value = getattr(holder, name)
-    if type(value) is int or value is None:
-        return
-    try:
-        object.__setattr__(holder, name, index(value))
-    except TypeError:
-        raise InvalidValueError(f"{name} must be a whole number, but is {value!r}") from None
-
-
 def store_resources(holder: object, name: str, fields: Mapping[str, str]) -> None:
     """Put amounts of resources in order, and those with a field of their own there. Raises InvalidValueError."""
     amounts = dict(sorted(getattr(holder, name).items()))
@@ -43,9 +31,6 @@ def store_resources(holder: object, name: str, fields: Mapping[str, str]) -> Non
             if getattr(holder, field) is not None:
                 raise InvalidValueError(f"`{resource}` is said twice, by itself and in `{name}`")
             object.__setattr__(holder, field, amounts.pop(resource))
-    for resource, amount in amounts.items():
-        if type(amount) is not int or amount < 0:
-            raise InvalidValueError(f"`{name}` has {amount} {resource}: write a whole number of 0 or more")
     object.__setattr__(holder, name, amounts)
 
 

@@ -13,9 +13,10 @@ from functools import cached_property
 from itertools import groupby
 from operator import attrgetter
 from types import MappingProxyType
-from typing import TypeVar
+from typing import Annotated, TypeVar
 
-from cfgplan.canonical import fields_of, refuse_duplicates, store_resources, store_sorted, store_whole
+from cfgplan.arguments import AtLeast, Natural, checked
+from cfgplan.canonical import fields_of, refuse_duplicates, store_resources, store_sorted
 from cfgplan.errors import InvalidValueError
 from cfgplan.qualities import LARGEST_QUALITY, MICRO, Better, QualityAttribute, Wish
 from cfgplan.selectors import check_selector, selector
@@ -38,6 +39,7 @@ MANAGER = "manager"
 
 
 @dataclass(frozen=True, slots=True, order=True)
+@checked
 class Stream:
     """One output port of one computation unit (Definition 1); written `unit/port`."""
 
@@ -57,6 +59,7 @@ class Stream:
 
 
 @dataclass(frozen=True, slots=True, order=True)
+@checked
 class Subscription:
     """An input port of a unit and a stream that feeds it."""
 
@@ -65,6 +68,7 @@ class Subscription:
 
 
 @dataclass(frozen=True, slots=True, order=True)
+@checked
 class Publication:
     """An output port of a unit and a topic that its stream is published on."""
 
@@ -73,6 +77,7 @@ class Publication:
 
 
 @dataclass(frozen=True)
+@checked
 class ComputationUnit:
     """A running instance of a transformation (Definition 3).
 
@@ -109,6 +114,7 @@ A_UNIT_OF = "a unit of "
 
 
 @dataclass(frozen=True, slots=True)
+@checked
 class Target:
     """A semantic subscription from outside (Definition 4); a larger `priority` matters more.
 
@@ -124,7 +130,7 @@ class Target:
     priority: int = 0
     quality: tuple[Wish, ...] = ()
     host: str | None = None
-    silent_us: int | None = None
+    silent_us: Natural | None = None
     run: str | None = None
     type: str | None = None
 
@@ -141,6 +147,7 @@ class Target:
 
 
 @dataclass(frozen=True)
+@checked
 class Host:
     """A computer: the CPU time (microseconds each second) and megabytes that units may take; None: no limit.
 
@@ -151,25 +158,18 @@ class Host:
     """
 
     name: str
-    cpu_us: int | None = None
-    memory_mb: int | None = None
-    offers: Mapping[str, int] = field(default_factory=dict, hash=False)
-    speed: int = MICRO
+    cpu_us: Natural | None = None
+    memory_mb: Natural | None = None
+    offers: Mapping[str, Natural] = field(default_factory=dict, hash=False)
+    speed: Annotated[int, AtLeast(1)] = MICRO
     labels: tuple[str, ...] = ()
-    rent_us: int = 0
-    energy: int | None = None
+    rent_us: Natural = 0
+    energy: Natural | None = None
 
     def __post_init__(self) -> None:
-        store_whole(self, "speed")
-        store_whole(self, "rent_us")
-        store_whole(self, "energy")
         store_sorted(self, "labels", dict.fromkeys(self.labels), str)
         if self.name == MANAGER:
             raise InvalidValueError(f"no host can be called {MANAGER!r}: that is who gives orders to hosts")
-        if self.speed <= 0:
-            raise InvalidValueError(f"the speed of host {self.name!r} is not above 0")
-        if self.rent_us < 0 or (self.energy or 0) < 0:
-            raise InvalidValueError(f"the rent or the energy of host {self.name!r} is negative")
         store_resources(self, "offers", {CPU: "cpu_us", MEMORY: "memory_mb"})
 
     def fits(self, text: str) -> bool:
@@ -187,6 +187,7 @@ class Host:
 
 
 @dataclass(frozen=True, slots=True)
+@checked
 class Link:
     """What carries streams from hosts that one selector fits to hosts that the other fits, and back.
 
@@ -196,20 +197,16 @@ class Link:
     """
 
     between: tuple[str, str]
-    bandwidth: int | None = None
-    price_us: int | None = None
-    latency: int = 0
+    bandwidth: Natural | None = None
+    price_us: Natural | None = None
+    latency: Natural = 0
     adds: str | None = None
 
     def __post_init__(self) -> None:
         for text in self.between:
             check_selector(text)
-        store_whole(self, "bandwidth")
-        store_whole(self, "price_us")
-        if not 0 <= self.latency <= LARGEST_QUALITY or (self.adds is None) != (self.latency == 0):
+        if self.latency > LARGEST_QUALITY or (self.adds is None) != (self.latency == 0):
             raise InvalidValueError("a link has a `latency` of 0 or more and names the attribute that it `adds` to")
-        if (self.bandwidth or 0) < 0 or (self.price_us or 0) < 0:
-            raise InvalidValueError(f"the link between {' and '.join(self.between)} has a negative bandwidth or price")
 
     def joins(self, one: Host, other: Host) -> bool:
         """Whether it carries streams between two hosts."""
@@ -229,6 +226,7 @@ def _similarity_summary(similarity: Similarity) -> Summary:
 
 @summarised(_similarity_summary)
 @dataclass(frozen=True)
+@checked
 class Similarity:
     """The relation ~ between tags (Definition 5): which offered tag may feed which demanded tag.
 
@@ -280,6 +278,7 @@ class Similarity:
 
 
 @dataclass(frozen=True)
+@checked
 class ChangeSet:
     """Additions and removals (Definition 6).
 
@@ -359,6 +358,7 @@ _NAMED = (
 
 @summarised(lambda each: summary(each.counted, ENVIRONMENT_HEADS, environment_rows(each)))
 @dataclass(frozen=True)
+@checked
 class Environment:
     """Computation units, library and targets (Definition 5); ~ is a `Similarity` beside it.
 
@@ -373,7 +373,7 @@ class Environment:
     targets: tuple[Target, ...] = ()
     hosts: tuple[Host, ...] = ()
     qualities: tuple[QualityAttribute, ...] = ()
-    transfer_us: int = 0
+    transfer_us: Natural = 0
     links: tuple[Link, ...] = ()
     minimise: tuple[Objective, ...] = (Objective.COST,)
 
@@ -385,7 +385,6 @@ class Environment:
             store_sorted(self, name, getattr(self, name), attrgetter(key))
             refuse_duplicates(what, [getattr(each, key) for each in getattr(self, name)])
         refuse_duplicates("topic of a target", [target.topic for target in self.stream_targets])
-        store_whole(self, "transfer_us")
         for attribute in [link.adds for link in self.links if link.adds is not None]:
             if attribute not in self.quality or self.quality[attribute].better is Better.HIGHER:
                 raise InvalidValueError(f"a link adds to {attribute}, which is no attribute of which less is better")

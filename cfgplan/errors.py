@@ -4,13 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 _MOST_NAMES_COMPARED = 500
 _LETTERS = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-./:()@ "
 
 
 class CfgplanError(Exception):
-    """Base of every error that cfgplan raises on purpose."""
+    """Base of every error that cfgplan raises on purpose. It can be copied and pickled."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _made_again, (type(self), self.args, vars(self))
+
+
+def _made_again(kind: type[CfgplanError], args: tuple[object, ...], attributes: dict[str, object]) -> CfgplanError:
+    """An error with the text and the attributes of another, whatever its class is made of."""
+    error = kind.__new__(kind, *args)
+    vars(error).update(attributes)
+    return error
 
 
 class InvalidValueError(CfgplanError, ValueError):

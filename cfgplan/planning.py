@@ -9,7 +9,8 @@ from functools import cached_property
 from operator import attrgetter
 from typing import Any, Final, Protocol
 
-from cfgplan.canonical import fields_of, store_whole
+from cfgplan.arguments import Natural, checked
+from cfgplan.canonical import fields_of
 from cfgplan.costs import LARGEST_COST_US, standby_cost_us, start_cost_us, transfer_cost_us
 from cfgplan.domain import (
     ENVIRONMENT_HEADS,
@@ -62,6 +63,7 @@ def _problem_summary(problem: Problem) -> Summary:
 
 @summarised(_problem_summary)
 @dataclass(frozen=True)
+@checked
 class Problem:
     """Find the optimal update of `environment` over `horizon_s` seconds, at most `max_cost_us` dear.
 
@@ -73,19 +75,13 @@ class Problem:
 
     environment: Environment
     similarity: Similarity
-    horizon_s: int
-    max_cost_us: int | None = None
+    horizon_s: Natural
+    max_cost_us: Natural | None = None
     survive: Failures | None = None
 
     __getstate__ = fields_of
 
     def __post_init__(self) -> None:
-        store_whole(self, "horizon_s")
-        store_whole(self, "max_cost_us")
-        if self.horizon_s < 0:
-            raise InvalidValueError(f"the horizon is {self.horizon_s} seconds, but must be at least 0")
-        if self.max_cost_us is not None and self.max_cost_us < 0:
-            raise InvalidValueError("the largest cost allowed is negative")
         if self.largest_cost_us(self.horizon_s) > LARGEST_COST_US:
             raise InvalidValueError(
                 "the costs add up to more than can be computed exactly: shorten the horizon or lower the costs"
@@ -227,6 +223,7 @@ optimal.
 
 
 @dataclass(frozen=True, slots=True)
+@checked
 class Measured:
     """An objective's value in a plan. It is proven that no plan as good in what comes before has less than `bound`."""
 
@@ -265,6 +262,7 @@ def _wire(wire: Subscription) -> str:
 
 @summarised(_plan_summary)
 @dataclass(frozen=True)
+@checked
 class Plan:
     """A planner's answer.
 
@@ -337,15 +335,13 @@ class PlannerFaultError(CfgplanError):
             self.plan = replace(plan.unproven, status=Status.FEASIBLE)
         super().__init__(message)
 
-    def __reduce__(self) -> tuple[type[PlannerFaultError], tuple[str, Plan]]:
-        return type(self), (str(self), self.plan)
-
 
 class OwnPlannerError(CfgplanError):
     """A planner of the user's own raised what it may not, or answered with no plan; what it raised is the cause."""
 
 
 @dataclass(frozen=True, slots=True)
+@checked
 class Progress:
     """A planner's state while it works: the best cost so far, if any, and the proven bound."""
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from decimal import Decimal
 from enum import StrEnum
 
+from cfgplan.arguments import Natural, checked
 from cfgplan.errors import InvalidValueError
 
 MICRO = 1_000_000
@@ -67,6 +68,7 @@ class Over(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, order=True)
+@checked
 class QualityAttribute:
     """A measure of streams: rate, latency, accuracy or the user's own.
 
@@ -120,6 +122,7 @@ class QualityAttribute:
 
 
 @dataclass(frozen=True, slots=True, order=True)
+@checked
 class Contribution:
     """What an output states of one attribute: a rule, its own value (micro-units) and how inputs are combined.
 
@@ -143,6 +146,7 @@ class Contribution:
 
 
 @dataclass(frozen=True, slots=True, order=True)
+@checked
 class Wish:
     """What a target asks of one attribute: a `bound` (micro-units) that its stream may not be worse than, or a price.
 
@@ -155,7 +159,7 @@ class Wish:
 
     attribute: str
     bound: int | None = None
-    weight_us: int = 0
+    weight_us: Natural = 0
 
 
 def propagated(attribute: QualityAttribute, contribution: Contribution | None, inputs: Sequence[int]) -> int:

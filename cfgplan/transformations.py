@@ -7,8 +7,10 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from operator import attrgetter
 from types import MappingProxyType
+from typing import Annotated
 
-from cfgplan.canonical import fields_of, refuse_duplicates, store_resources, store_sorted, store_whole
+from cfgplan.arguments import AtLeast, Natural, checked
+from cfgplan.canonical import fields_of, refuse_duplicates, store_resources, store_sorted
 from cfgplan.errors import InvalidValueError
 from cfgplan.qualities import Contribution, units
 from cfgplan.selectors import check_selector
@@ -22,6 +24,7 @@ DEFAULT_LABOR_US = 1_000_000
 
 
 @dataclass(frozen=True, slots=True, order=True)
+@checked
 class InputPort:
     """A named input of a transformation and the tag that says what it needs.
 
@@ -43,16 +46,14 @@ class InputPort:
     distinct: str | None = None
     feedback: bool = False
     optional: bool = False
-    worth_us: int = 0
-    count: int = 1
+    worth_us: Natural = 0
+    count: Natural = 1
     service: bool = False
     type: str | None = None
     remap: str | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "feedback", self.feedback or self.service)
-        if self.worth_us < 0 or self.count < 0:
-            raise InvalidValueError(f"input {self.name!r} takes less than no stream, or is worth less than nothing")
 
     @property
     def is_usual(self) -> bool:
@@ -70,6 +71,7 @@ class InputPort:
 
 
 @dataclass(frozen=True, slots=True, order=True)
+@checked
 class OutputPort:
     """A named output of a transformation and the tag that says what it gives.
 
@@ -81,9 +83,9 @@ class OutputPort:
     name: str
     tag: str
     quality: tuple[Contribution, ...] = ()
-    rate_uhz: int = 0
-    size_bytes: int = 0
-    serves: int | None = None
+    rate_uhz: Natural = 0
+    size_bytes: Natural = 0
+    serves: Annotated[int, AtLeast(1)] | None = None
     type: str | None = None
     remap: str | None = None
 
@@ -91,10 +93,6 @@ class OutputPort:
         if self.quality:
             store_sorted(self, "quality", self.quality, attrgetter("attribute"))
             refuse_duplicates(f"quality attribute of output {self.name!r}", [q.attribute for q in self.quality])
-        if self.rate_uhz < 0 or self.size_bytes < 0:
-            raise InvalidValueError(f"output {self.name!r} has a negative rate or size")
-        if self.serves is not None and self.serves < 1:
-            raise InvalidValueError(f"output {self.name!r} serves nobody")
 
     @property
     def bytes_per_s(self) -> int:
@@ -118,6 +116,7 @@ LEAST_HANG_S = 2
 
 
 @dataclass(frozen=True, slots=True)
+@checked
 class RunOptions:
     """How the units of a transformation run; planning looks at `memory_mb` only, and where there are hosts only.
 
@@ -129,12 +128,12 @@ class RunOptions:
     """
 
     start: str = "all"
-    tolerance_us: int = 0
-    rate_hz: float | None = None
-    queue: int = 256
+    tolerance_us: Natural = 0
+    rate_hz: Annotated[float, AtLeast(0)] | None = None
+    queue: Annotated[int, AtLeast(1)] = 256
     blocks: bool = False
-    hang_us: int | None = None
-    memory_mb: int | None = None
+    hang_us: Natural | None = None
+    memory_mb: Natural | None = None
     state: bool = False
 
     def __post_init__(self) -> None:
@@ -146,6 +145,7 @@ class RunOptions:
 
 
 @dataclass(frozen=True)
+@checked
 class Transformation:
     """A streaming function that can be instantiated (Definition 2, section IV-A).
 
@@ -168,8 +168,8 @@ class Transformation:
     label: str
     inputs: tuple[InputPort, ...] = ()
     outputs: tuple[OutputPort, ...] = ()
-    labor_us: int = DEFAULT_LABOR_US
-    upkeep_us: int = 0
+    labor_us: Natural = DEFAULT_LABOR_US
+    upkeep_us: Natural = 0
     pinned: bool = False
     required: bool = False
     source: str | None = None
@@ -178,14 +178,14 @@ class Transformation:
     params: Mapping[str, object] = field(default_factory=dict, hash=False)
     run: RunOptions = RunOptions()
     hosts: tuple[str, ...] = ()
-    memory_mb: int | None = None
+    memory_mb: Natural | None = None
     conflicts: tuple[str, ...] = ()
-    min_instances: int = 0
-    max_instances: int | None = None
-    standby_us: int | None = None
-    needs: Mapping[str, int] = field(default_factory=dict, hash=False)
-    seen_us: Mapping[str, tuple[int, int]] = field(default_factory=dict, hash=False)
-    per_host: int | None = None
+    min_instances: Natural = 0
+    max_instances: Natural | None = None
+    standby_us: Natural | None = None
+    needs: Mapping[str, Natural] = field(default_factory=dict, hash=False)
+    seen_us: Mapping[str, tuple[Natural, Natural]] = field(default_factory=dict, hash=False)
+    per_host: Annotated[int, AtLeast(1)] | None = None
     conflicts_on_host: tuple[str, ...] = ()
     on: str | None = None
     beside: tuple[str, ...] = ()
@@ -196,29 +196,19 @@ class Transformation:
         refuse_duplicates(
             f"port of transformation {self.label!r}", [*(p.name for p in self.inputs), *(p.name for p in self.outputs)]
         )
-        store_whole(self, "labor_us")
-        store_whole(self, "upkeep_us")
-        store_whole(self, "standby_us")
-        store_whole(self, "per_host")
-        if self.labor_us < 0 or self.upkeep_us < 0:
-            raise InvalidValueError(f"transformation {self.label!r} has a negative cost")
         if self.hosts or self.conflicts or self.conflicts_on_host or self.beside:
             for name in ("hosts", "conflicts", "conflicts_on_host", "beside"):
                 store_sorted(self, name, getattr(self, name), str)
             refuse_duplicates(f"host of transformation {self.label!r}", list(self.hosts))
         if self.host is not None and self.hosts:
             raise InvalidValueError(f"transformation {self.label!r} has a host and a choice of hosts")
-        if (self.memory_mb or 0) < 0 or (self.standby_us or 0) < 0:
-            raise InvalidValueError(f"transformation {self.label!r} takes less than nothing")
         if CPU in self.needs:
             raise InvalidValueError(f"transformation {self.label!r} needs cpu: what a unit takes is its upkeep")
         store_resources(self, "needs", {MEMORY: "memory_mb"})
-        if self.min_instances < 0 or (self.max_instances is not None and self.max_instances < self.min_instances):
+        if self.max_instances is not None and self.max_instances < self.min_instances:
             raise InvalidValueError(f"transformation {self.label!r} asks for more instances than it allows")
         if self.on is not None:
             check_selector(self.on)
-        if self.per_host is not None and self.per_host < 1:
-            raise InvalidValueError(f"transformation {self.label!r} allows no unit on any host")
 
     __getstate__ = fields_of
 

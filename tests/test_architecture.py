@@ -41,8 +41,8 @@ STEPS = {
     "cli/plan_text.py": "update_text",
 }
 """What is done on the way of an environment file, by file."""
-BESIDE_THE_WAY = {"cli/main.py", "api.py", "planners/solving/clock.py"}
-"""Which finds the command, which joins the rooms, and which goes through lists while there is time."""
+BESIDE_THE_WAY = {"cli/main.py", "api.py", "arguments.py", "planners/solving/clock.py"}
+"""The command's finder, what joins the rooms, what checks arguments, and the lists that time limits."""
 
 
 def test_solve_goes_through_the_twelve_files_that_the_map_names(capsys: pytest.CaptureFixture[str]) -> None:

@@ -60,5 +60,5 @@ def test_what_was_seen_on_a_host_counts_instead_of_its_speed() -> None:
 
 
 def test_a_host_without_speed_is_refused() -> None:
-    with pytest.raises(InvalidValueError, match="the speed of host 'dead' is not above 0"):
+    with pytest.raises(InvalidValueError, match="Host 'dead': speed must be a whole number of 1 or more"):
         Host("dead", speed=0)

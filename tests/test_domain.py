@@ -52,7 +52,7 @@ def test_names_must_be_unique() -> None:
 
 
 def test_negative_costs_are_refused() -> None:
-    with pytest.raises(InvalidValueError, match="negative"):
+    with pytest.raises(InvalidValueError, match="labor_us must be a whole number of 0 or more, but is -1"):
         Transformation("t", labor_us=-1)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from cfgplan.costs import seconds
@@ -36,7 +36,7 @@ class BestEffort:
 
     plan: Plan
     problem: Problem
-    given_up: Mapping[str, str]
+    given_up: Mapping[str, str] = field(hash=False)
     exact: bool = True
     undecided: tuple[Pair, ...] = ()
 

@@ -11,6 +11,7 @@ from operator import attrgetter
 from pathlib import Path as FilePath
 from typing import Any, TypeAlias
 
+from cfgplan.canonical import fields_of
 from cfgplan.domain import Environment
 from cfgplan.formats import fields
 from cfgplan.formats.places import Passage, Place
@@ -39,6 +40,8 @@ class EnvironmentFile:
     imports: FoundImports = ()
     ignores_rules: bool = False
     origins: Mapping[tuple[str, str], Passage] = field(default_factory=dict, repr=False, compare=False)
+
+    __getstate__ = fields_of
 
     @cached_property
     def digest(self) -> str:

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 from cfgplan.canonical import normal
 from cfgplan.errors import UnknownNameError, did_you_mean
@@ -56,6 +56,13 @@ class Ontology:
         self.ignored = tuple(sorted(set(ignored)))
         self.ignored_rules = ignored_rules
         self._parsed = trees or {}
+
+    def __getstate__(self) -> dict[str, object]:
+        kept = ("axioms", "is_open", "files", "_dropped", "ignored")
+        return {**{name: getattr(self, name) for name in kept}, "prefixes": dict(self.prefixes)}
+
+    def __setstate__(self, state: Mapping[str, Any]) -> None:
+        vars(self).update({**state, "prefixes": MappingProxyType(state["prefixes"])})
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Ontology):

@@ -3,9 +3,13 @@
 It shares no code with any planner and recomputes feasibility and cost from the definitions alone.
 """
 
-from cfgplan.validity.environments import violations
-from cfgplan.validity.plans import kept_us, plan_violations, silent_stops, unused_required, values_of
+from cfgplan.arguments import checked
+from cfgplan.validity import environments, plans
+from cfgplan.validity.plans import kept_us, silent_stops, unused_required, values_of
 from cfgplan.validity.rules import Rule, Violation
+
+violations = checked(environments.violations)
+plan_violations = checked(plans.plan_violations)
 
 __all__ = [
     "Rule",

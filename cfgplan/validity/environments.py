@@ -6,6 +6,7 @@ from collections import Counter, defaultdict
 from collections.abc import Collection, Iterator
 from graphlib import CycleError, TopologicalSorter
 
+from cfgplan.arguments import Natural
 from cfgplan.domain import Environment, Similarity, Stream
 from cfgplan.planning import Failures
 from cfgplan.validity.counts import count_violations, serving_violations, unfed_violations
@@ -20,7 +21,7 @@ def violations(
     environment: Environment,
     similarity: Similarity,
     survive: Failures | None = None,
-    horizon_s: int = 0,
+    horizon_s: Natural = 0,
     spares: Collection[str] = (),
 ) -> list[Violation]:
     """Every rule that the running configuration violates; empty when it is valid (Definition 9).

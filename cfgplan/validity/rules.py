@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
+from cfgplan.arguments import checked
+
 
 class Rule(StrEnum):
     """What a valid environment, and a truthful plan, must satisfy."""
@@ -35,6 +37,7 @@ class Rule(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
+@checked
 class Violation:
     """One broken rule, with the unit or target (and port) where it is broken.
 

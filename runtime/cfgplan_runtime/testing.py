@@ -33,6 +33,8 @@ from cfgplan.domain import (
 from cfgplan_runtime.errors import ApplyError, StaleChangeSetError
 from cfgplan_runtime.lifecycle.seams import Middleware
 
+__all__ = ["Bench", "Hosts", "check_middleware"]
+
 PATIENCE_S = 30.0
 TOPIC = "/conformance"
 FIRST, LAST = "!broken", "~broken"

@@ -32,8 +32,8 @@ class Observation:
     steps_per_s: float = 0.0
     errors: int = 0
     last_error: str | None = None
-    inputs: Mapping[str, PortCounts] = field(default_factory=dict)
-    outputs: Mapping[str, PortCounts] = field(default_factory=dict)
+    inputs: Mapping[str, PortCounts] = field(default_factory=dict, hash=False)
+    outputs: Mapping[str, PortCounts] = field(default_factory=dict, hash=False)
     pid: int | None = None
     """Its process id, where it has a process."""
     host: str | None = None
