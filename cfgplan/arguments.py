@@ -141,9 +141,9 @@ def _checked_function(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _owner(value: Any) -> str:
-    """A value in an error: its class and, where that is a name, its first field."""
-    first = getattr(value, fields(value)[0].name)
-    return f"{type(value).__name__} {first!r}" if isinstance(first, str) else type(value).__name__
+    """A value in an error: its class and, if it has one, its name."""
+    named = next((getattr(value, name) for name in ("label", "id", "name") if hasattr(value, name)), None)
+    return f"{type(value).__name__} {named!r}" if isinstance(named, str) else type(value).__name__
 
 
 def _refusal(owner: str, name: str, kind: _Kind, misfit: _MisfitError) -> InvalidValueError:

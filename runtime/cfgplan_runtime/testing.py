@@ -5,7 +5,8 @@ from cfgplan_runtime.testing import Bench, check_middleware
 @contextmanager
 def make():
     robot = Robot()
-    yield Bench(Nodelets(robot), CAMERA, DETECTOR, BROKEN, robot.crash, robot.running, robot.published)
+    nodelets = Nodelets(robot)
+    yield Bench(nodelets, CAMERA, DETECTOR, BROKEN, robot.crash, robot.running, robot.published, robot.gives)
 
 def test_conformance():
     check_middleware(make)
@@ -14,9 +15,10 @@ def test_conformance():
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import cfgplan_runtime.supervision.events as events
 from cfgplan.domain import (
@@ -32,10 +34,10 @@ from cfgplan.domain import (
 )
 from cfgplan_runtime.errors import ApplyError, StaleChangeSetError
 from cfgplan_runtime.lifecycle.seams import Middleware
+from cfgplan_runtime.supervision.events import Applied
 
 __all__ = ["Bench", "Hosts", "check_middleware"]
 
-PATIENCE_S = 30.0
 TOPIC = "/conformance"
 FIRST, LAST = "!broken", "~broken"
 """Ids of units that can't be started, before and after all others."""
@@ -56,9 +58,11 @@ class Bench:
     """A middleware on which nothing runs yet, with what is needed to check it.
 
     `source` has one output and no input, `worker` one input and one output; a unit of `broken`, which has the worker's
-    ports, can't be started. `crash` lets a unit end by itself; `units` and `topics` tell what really runs and what can
-    really be subscribed to, whatever the middleware believes. `wait` lets so many seconds pass. Without `hosts` it is
-    not checked that a lost one is.
+    ports, can't be started. `crash` lets a unit end by itself. The other functions tell what is really so, whatever the
+    middleware believes: `units` which units run, `topics` which topics can be subscribed to, `gives` whether an element
+    comes on a topic now, and `wires` the streams (`unit/port`) that really feed each input (`unit/port`) and topic.
+    `wait` lets so many seconds pass; after `patience_s` a promise counts as broken. Without `hosts` it is not checked
+    that a lost one is, without `wires` only by elements that units are connected.
     """
 
     middleware: Middleware
@@ -68,13 +72,18 @@ class Bench:
     crash: Callable[[str], object]
     units: Callable[[], Collection[str]]
     topics: Callable[[], Collection[str]]
+    gives: Callable[[str], bool]
     wait: Callable[[float], object] = time.sleep
     hosts: Hosts | None = None
+    wires: Callable[[], Mapping[str, Collection[str]]] | None = None
+    patience_s: float = 30.0
     told: list[events.Event] = field(default_factory=list)
 
-    def unit(self, number: int, transformation: Transformation, *, topic: str | None = None) -> ComputationUnit:
-        """A unit that the first source feeds, if it has an input."""
-        stream = Stream(f"{self.source.label}.1", self.source.outputs[0].name)
+    def unit(
+        self, number: int, transformation: Transformation, *, topic: str | None = None, source: int = 1
+    ) -> ComputationUnit:
+        """A unit that a source feeds, the first if not said otherwise, if it has an input."""
+        stream = Stream(f"{self.source.label}.{source}", self.source.outputs[0].name)
         feeds = tuple(Subscription(port.name, stream) for port in transformation.inputs)
         published = () if topic is None else (Publication(transformation.outputs[0].name, topic),)
         return ComputationUnit(f"{transformation.label}.{number}", transformation.label, feeds, published)
@@ -85,8 +94,17 @@ class Bench:
         library = (self.source, self.worker, self.broken)
         target = Target("conformance", self.worker.outputs[0].tag, TOPIC)
         started = (self.unit(1, self.source), self.unit(1, self.worker, topic=TOPIC))
-        self.middleware.apply(ChangeSet(started, added_transformations=library, added_targets=(target,)))
-        return self.middleware.environment
+        return self.apply(ChangeSet(started, added_transformations=library, added_targets=(target,)))
+
+    def apply(self, change_set: ChangeSet) -> Environment:
+        """Apply a change set that can be carried out, and hold what is then so against what it says."""
+        before = self.middleware.environment
+        applied = self.middleware.apply(change_set, basis=before)
+        assert isinstance(applied, Applied), f"apply() returned {applied!r:.60}, and not Applied"
+        assert applied.unswitched >= 0, "Applied says that less than no input has not switched"
+        after = before.update(change_set)
+        self.expect(after, "after an update")
+        return after
 
     def await_event(self, kind: type[events.UnitDied | events.HostLost | events.HostJoined], name: str) -> None:
         """Wait until an event of a unit or a host is told."""
@@ -95,23 +113,76 @@ class Bench:
             return any(isinstance(event, kind) and name == _who(event) for event in self.told)
 
         assert self._becomes(is_told), f"{kind.__name__} of {name} is never told"
+        self.wait(0.05)
+        number = sum(isinstance(event, kind) and name == _who(event) for event in self.told)
+        assert number == 1, f"{kind.__name__} of {name} is told {number} times"
 
     def _becomes(self, so: Callable[[], bool]) -> bool:
-        """Wait until something is so. Returns whether it is, within PATIENCE_S."""
+        """Wait until something is so. Returns whether it is, within `patience_s`."""
         waited_s = 0.0
-        while not so() and waited_s < PATIENCE_S:
+        while waited_s < self.patience_s:
+            if so():
+                return True
             self.wait(0.01)
             waited_s += 0.01
         return so()
 
     def expect(self, environment: Environment, what: str) -> None:
-        """What runs is what is said to run; a new unit that is kept may still be on its way."""
-        believed = {unit.id: unit for unit in self.middleware.environment.units}
+        """The environment is the one that is said, and what really runs, is connected and gives elements agrees with
+        it; a new unit that is kept may still be on its way.
+        """
+        found = self.middleware.environment
+        believed = {unit.id: unit for unit in found.units}
         assert believed == {unit.id: unit for unit in environment.units}, f"{what}: the environment is another one"
+        for part in ("library", "targets", "hosts", "qualities"):
+            assert getattr(found, part) == getattr(environment, part), f"{what}: the environment has another {part}"
         self._becomes(lambda: believed.keys() <= set(self.units()))
         assert set(self.units()) == set(believed), f"{what}: other units run than the environment has"
         published = {publication.topic for unit in environment.units for publication in unit.publications}
         assert published <= set(self.topics()), f"{what}: a topic that a unit publishes on is not there"
+        if self.wires is not None:
+            wires, wanted = self.wires, _wires(environment)
+            self._becomes(lambda: _sets(wires()) == wanted)
+            assert _sets(wires()) == wanted, f"{what}: other wires are there than the environment has"
+        flowing = _flowing(environment)
+        for topic in sorted({*published, TOPIC}):
+            comes = topic in flowing
+            is_so = self._becomes(partial(self._gives, topic, comes))
+            assert is_so, f"{what}: {'nothing comes' if comes else 'elements come'} on {topic}"
+
+    def _gives(self, topic: str, comes: bool) -> bool:
+        return self.gives(topic) == comes
+
+
+def _sets(wires: Mapping[str, Collection[str]]) -> dict[str, set[str]]:
+    return {inlet: set(streams) for inlet, streams in wires.items() if streams}
+
+
+def _wires(environment: Environment) -> dict[str, set[str]]:
+    """The streams that are to feed each input and topic."""
+    wanted: dict[str, set[str]] = {}
+    for unit in environment.units:
+        for wire in unit.subscriptions:
+            wanted.setdefault(f"{unit.id}/{wire.port}", set()).add(str(wire.stream))
+        for publication in unit.publications:
+            wanted.setdefault(publication.topic, set()).add(f"{unit.id}/{publication.port}")
+    return wanted
+
+
+def _flowing(environment: Environment) -> set[str]:
+    """The topics on which elements are to come: everything that they need is fed."""
+    alive: set[str] = set()
+    while True:
+        more = {
+            unit.id
+            for unit in environment.units
+            if {port.name for port in environment.transformation[unit.transformation].inputs}
+            <= {wire.port for wire in unit.subscriptions if wire.stream.unit in alive}
+        }
+        if more == alive:
+            giving = [unit for unit in environment.units if unit.id in alive]
+            return {publication.topic for unit in giving for publication in unit.publications}
+        alive = more
 
 
 def _who(event: events.UnitDied | events.HostLost | events.HostJoined) -> str:
@@ -122,15 +193,33 @@ def check_middleware(make: Callable[[], AbstractContextManager[Bench]]) -> None:
     """Check a middleware, each promise on a new one. Raises AssertionError with the promise that it does not keep."""
     for check in CHECKS:
         with make() as bench:
-            check(bench)
+            try:
+                check(bench)
+            except AssertionError:
+                raise
+            except Exception as error:
+                text = f"the middleware raised {type(error).__name__}, which it does not promise: {error}"
+                raise AssertionError(text) from error
 
 
 def _applies(bench: Bench) -> None:
     environment = bench.begin()
     assert {unit.id for unit in environment.units} == {f"{bench.source.label}.1", f"{bench.worker.label}.1"}
-    bench.expect(environment, "after an update")
-    seen = {observation.unit for observation in bench.middleware.observe()}
-    assert seen == set(environment.unit), "observe() does not tell of every running unit"
+    observations = bench.middleware.observe()
+    seen = {observation.unit: observation.transformation for observation in observations}
+    assert seen == {unit.id: unit.transformation for unit in environment.units}, "observe() tells of other units"
+    for observation in observations:
+        costs = (observation.labor_us, observation.upkeep_us or 0)
+        assert min(costs) >= 0, f"observe() tells a negative cost of {observation.unit}"
+
+
+def _rewires(bench: Bench) -> None:
+    bench.begin()
+    bench.apply(ChangeSet((bench.unit(2, bench.source),)))
+    bench.apply(ChangeSet(rewired=(bench.unit(1, bench.worker, topic=TOPIC, source=2),)))
+    bench.apply(ChangeSet(stopped=(f"{bench.source.label}.1",)))
+    again = bench.unit(2, bench.worker, topic=TOPIC, source=2)
+    bench.apply(ChangeSet((again,), stopped=(f"{bench.worker.label}.1",)))
 
 
 def _undoes(bench: Bench) -> None:
@@ -180,25 +269,22 @@ def _refuses_what_is_stale(bench: Bench) -> None:
 def _unpublishes(bench: Bench) -> None:
     bench.begin()
     rewired = bench.unit(1, bench.worker)
-    bench.middleware.apply(ChangeSet(rewired=(rewired,), removed_targets=("conformance",)))
+    bench.apply(ChangeSet(rewired=(rewired,), removed_targets=("conformance",)))
     assert TOPIC not in set(bench.topics()), "a topic that nobody publishes on and nobody wants is still there"
-    bench.expect(bench.middleware.environment, "after a topic has gone")
 
 
 def _tells_of_deaths(bench: Bench) -> None:
     for end in (bench.crash, bench.middleware.kill):
         if not bench.middleware.environment.units:
             bench.begin()
-        source, worker = f"{bench.source.label}.1", f"{bench.worker.label}.1"
+        source = f"{bench.source.label}.1"
+        before = bench.middleware.environment
         bench.told.clear()
         end(source)
         bench.await_event(events.UnitDied, source)
-        (left,) = bench.middleware.environment.units
-        assert (left.id, left.subscriptions) == (worker, ()), "a dead unit leaves no gap where it fed another"
-        assert set(bench.units()) == {worker}, "a dead unit still runs"
+        bench.expect(before.without_unit(source), "after a unit has died")
         again = (bench.unit(1, bench.source),)
-        bench.middleware.apply(ChangeSet(again, rewired=(bench.unit(1, bench.worker, topic=TOPIC),)))
-        bench.expect(bench.middleware.environment, "after a repair")
+        bench.apply(ChangeSet(again, rewired=(bench.unit(1, bench.worker, topic=TOPIC),)))
 
 
 def _goes_on_where_nothing_is_waited_for(bench: Bench) -> None:
@@ -217,17 +303,14 @@ def _buries_what_a_lost_host_ran(bench: Bench) -> None:
     again = replace(worker, host=hosts.far)
     declared = (Host(hosts.near), Host(hosts.far))
     library = (bench.source, bench.worker)
-    bench.middleware.apply(ChangeSet((source, again), added_transformations=library, added_hosts=declared))
-    before = bench.middleware.environment
-    bench.expect(before, "after an update on two hosts")
+    before = bench.apply(ChangeSet((source, again), added_transformations=library, added_hosts=declared))
     hosts.lose(hosts.far)
     bench.await_event(events.HostLost, hosts.far)
     bench.expect(replace(before, units=(source,)), "after a host was lost")
     assert not any(isinstance(event, events.UnitDied) for event in bench.told), "a lost unit's end is told by itself"
     hosts.join(hosts.far)
     bench.await_event(events.HostJoined, hosts.far)
-    bench.middleware.apply(ChangeSet((again,)))
-    bench.expect(before, "after a host has come back")
+    bench.apply(ChangeSet((again,)))
 
 
 def _stops(bench: Bench) -> None:
@@ -235,10 +318,12 @@ def _stops(bench: Bench) -> None:
     bench.middleware.stop()
     assert not bench.middleware.environment.units, "after stop() the environment has units"
     assert not set(bench.units()), "after stop() units run"
+    assert not bench.gives(TOPIC), "after stop() elements come"
 
 
 CHECKS: tuple[Callable[[Bench], None], ...] = (
     _applies,
+    _rewires,
     _undoes,
     _keeps_only_what_has_not_failed,
     _refuses_what_is_stale,

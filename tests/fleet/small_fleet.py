@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import psutil
-from cfgplan_runtime import Received, Runtime, subscribe
+from cfgplan_runtime import NoSuchTopicError, Received, Runtime, subscribe
 from cfgplan_runtime.fleet.fleet_backend import FleetBackend
 from cfgplan_runtime.fleet.fleet_runtime import linked
 from cfgplan_runtime.fleet.local import LocalAgents
@@ -199,6 +199,13 @@ def eventually(is_so: Callable[[], bool]) -> None:
     while not is_so():
         assert time.monotonic() < deadline, "it never came to be"
         time.sleep(0.01)
+
+
+def gives(topic: str, run: str) -> bool:
+    """Whether an element of a run comes on a topic within a second."""
+    with suppress(NoSuchTopicError, TimeoutError), subscribe(topic, run=run, timeout_s=1.0) as subscription:
+        return next(iter(subscription), None) is not None
+    return False
 
 
 def free_port() -> int:

@@ -35,6 +35,7 @@ from small_fleet import (
     cold,
     eventually,
     fed_by,
+    gives,
     kill_unit,
     moved,
     seen,
@@ -79,6 +80,7 @@ def test_a_fleet_keeps_what_a_middleware_promises() -> None:
                     lambda name: kill_unit(runtime, name),
                     fleet.units,
                     topics,
+                    lambda topic: gives(topic, runtime.id),
                 )
 
         check_middleware(bench)

@@ -146,7 +146,7 @@ assert world(".xml", dump_xml(plain_environment(said.environment, horizon_s=1)))
 def test_a_new_field_is_a_line_of_the_domain_and_a_row(tmp_path: Path) -> None:
     shutil.copytree(Path(cfgplan.__file__).parent, tmp_path / "cfgplan", ignore=shutil.ignore_patterns("__pycache__"))
     for file, line, more in (
-        ("transformations.py", "    standby_us: int | None = None\n", "    gpu: int = 0\n"),
+        ("transformations.py", "    standby_us: Natural | None = None\n", "    gpu: int = 0\n"),
         ("formats/fields.py", "    run: RunPart | None", '    gpu: int = row("how many", 0, use=Use.BOTH)\n'),
     ):
         path = tmp_path / "cfgplan" / file

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import os
 import signal
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 from cfgplan_runtime import Runtime
 from cfgplan_runtime.ros1.ros1_backend import Ros1Backend
 from cfgplan_runtime.testing import Bench, check_middleware
-from words import NODES, published_topics
+from words import NODES, gives, published_topics
 
 from cfgplan.domain import InputPort, OutputPort, Transformation
 from cfgplan.ros.node_api import SilentError, asked, peer
@@ -51,7 +50,7 @@ def bench() -> Iterator[Bench]:
         def crash(unit: str) -> None:
             os.kill(runtime.pid(unit) or 0, signal.SIGKILL)
 
-        yield Bench(runtime, TALKER, SHOUTER, MUTE, crash, answering_units, published_topics, time.sleep)
+        yield Bench(runtime, TALKER, SHOUTER, MUTE, crash, answering_units, published_topics, gives)
 
 
 def test_conformance() -> None:

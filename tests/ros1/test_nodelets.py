@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import struct
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -19,7 +18,7 @@ from cfgplan_runtime.ros1.ros1_backend import Ros1Backend
 from cfgplan_runtime.ros1.tcpros import answered
 from cfgplan_runtime.testing import Bench, check_middleware
 from operated_world import eventually
-from words import NODES, await_pid, messages, pid_of, published_topics
+from words import NODES, await_pid, gives, messages, pid_of, published_topics
 
 from cfgplan.domain import (
     ChangeSet,
@@ -147,12 +146,12 @@ def bench() -> Iterator[Bench]:
 
         def running() -> set[str]:
             nodelets = {name.removeprefix("/").replace("_", ".") for name in loaded(runtime)}
-            return nodelets | ({"camera100.1"} if pid_of("/camera100_1") else set())
+            return nodelets | {f"camera100.{n}" for n in (1, 2) if pid_of(f"/camera100_{n}")}
 
         def crash(unit: str) -> None:
             os.kill(runtime.pid(unit) or 0, signal.SIGKILL)
 
-        yield Bench(runtime, camera(100), HALVER, BLIND, crash, running, published_topics, time.sleep)
+        yield Bench(runtime, camera(100), HALVER, BLIND, crash, running, published_topics, gives)
 
 
 def test_nodelets_conform() -> None:

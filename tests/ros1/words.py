@@ -64,6 +64,21 @@ def await_pid(node: str) -> int:
     return found[-1]
 
 
+def gives(topic: str) -> bool:
+    """Whether a message comes on a topic within a second."""
+    with suppress(SilentError, OSError):
+        master = peer(os.environ["ROS_MASTER_URI"])
+        publishers, _, _ = asked(master, "/test", "getSystemState")
+        for node in dict(publishers).get(topic, []):
+            with subscribed(str(asked(master, "/test", "lookupNode", node)), "/test", topic)[0] as end:
+                reader = MessageReader(end)
+                end.settimeout(1.0)
+                while not reader.has_ended:
+                    if any(True for _ in reader.read()):
+                        return True
+    return False
+
+
 @contextmanager
 def messages(topic: str) -> Iterator[Iterator[bytes]]:
     """The messages that come on a topic, without their lengths, once it is published."""
