@@ -58,8 +58,9 @@ class Ontology:
         self._parsed = trees or {}
 
     def __getstate__(self) -> dict[str, object]:
-        kept = ("axioms", "is_open", "files", "_dropped", "ignored")
-        return {**{name: getattr(self, name) for name in kept}, "prefixes": dict(self.prefixes)}
+        derived = {name for name, kind in vars(type(self)).items() if isinstance(kind, cached_property)}
+        kept = {name: value for name, value in vars(self).items() if name not in derived}
+        return {**kept, "prefixes": dict(self.prefixes)}
 
     def __setstate__(self, state: Mapping[str, Any]) -> None:
         vars(self).update({**state, "prefixes": MappingProxyType(state["prefixes"])})
