@@ -153,7 +153,7 @@ def rewires_for_nothing(problem: Problem, *, time_limit_s: float | None = None, 
 def ignoring_a_part(**parts: Any) -> Planner:
     """Plans the problem without some part, and says what it has found."""
 
-    def plan(problem: Problem, *, time_limit_s: float | None = None, report: Any = None) -> Plan:
+    def plan(problem: Problem, *, time_limit_s: float | None = None, **_: Any) -> Plan:
         found = right(replace(problem, **parts), time_limit_s)
         if found.change_set is None:
             return found
