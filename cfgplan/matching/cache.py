@@ -19,7 +19,7 @@ from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.session import Matching
 
 _FOLDER: Final = "matching"
-_FORMAT: Final = "cfgplan-matching/4"
+_FORMAT: Final = "cfgplan-matching/5"
 """Raise this number whenever tags or ontologies are read differently: kept answers would be wrong."""
 MOST_FILES: Final = 64
 """The number of answers that are kept; the oldest are dropped first."""
@@ -46,7 +46,9 @@ def load(folder: Path, key: str, offered: Collection[str], demanded: Collection[
             return None
         rows = (frozenset(offers[number] for number in row) for row in numbers)
         similarity = Similarity(dict(zip(demands, rows, strict=True)))
-        return Matching(similarity, tuple(kept["warnings"]), kept["answered_by"])
+        return Matching(
+            similarity, tuple(kept["warnings"]), kept["answered_by"], impossible=frozenset(kept["impossible"])
+        )
     except (OSError, ValueError, LookupError, TypeError):
         return None
 
@@ -63,6 +65,7 @@ def store(folder: Path, key: str, offered: Collection[str], demanded: Collection
         "rows": rows,
         "warnings": matching.warnings,
         "answered_by": dict(matching.answered_by),
+        "impossible": sorted(matching.impossible),
     }
     own = folder / _FOLDER
     temporary = own / f"{key}.{os.getpid()}.tmp"

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 from cfgplan.matching.concepts import Concept, Named, Nominal
-from cfgplan.matching.engine import disjuncts
+from cfgplan.matching.engine import FastEngine, disjuncts, roles_in
 from cfgplan.matching.expressions import is_left_hand
+from cfgplan.matching.functional import Tree, leaves
 from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.rules import BOTTOM_ATOM, TOP_ATOM, Rules
 from cfgplan.matching.saturation import DerivedFact, Reason, Saturation
@@ -17,13 +19,87 @@ _OFFERED: Final = Named("tag:offered")
 _OFFER: Final = "the offer"
 
 
-def derivation(offered: Concept, demanded: Concept, ontology: Ontology) -> tuple[str, ...] | None:
-    """The steps that show offered ⊑ demanded, each with its axiom; None if the fast engine doesn't find any."""
+@dataclass(frozen=True, slots=True)
+class Derivation:
+    """The steps that show something, each with its axiom, and all axioms that they take."""
+
+    steps: tuple[str, ...]
+    axioms: tuple[str, ...]
+
+
+def derivation(offered: Concept, demanded: Concept, ontology: Ontology) -> Derivation | None:
+    """How offered ⊑ demanded follows; None if the fast engine doesn't find it.
+
+    No axiom can be left out: by the others the engine does not find it.
+    """
+    found = _derived(offered, demanded, ontology, ontology.trees)
+    if found is None:
+        return None
+
+    def follows(some: Sequence[str]) -> bool:
+        return _derived(offered, demanded, ontology, {axiom: ontology.trees[axiom] for axiom in some}) is not None
+
+    axioms = [*found.axioms, *_beside(found.axioms, ontology)]
+    axioms = fewest(axioms if follows(axioms) else [*ontology.trees], follows)
+    shown = _derived(offered, demanded, ontology, {axiom: ontology.trees[axiom] for axiom in sorted(axioms)})
+    assert shown is not None
+    unnamed = [axiom for axiom in sorted(axioms) if axiom not in shown.axioms]
+    return Derivation((*map(ontology.shortened, unnamed), *shown.steps), tuple(sorted(axioms)))
+
+
+def is_minimal(derived: Derivation, offered: Concept, demanded: Concept, ontology: Ontology) -> bool:
+    """Whether the fast engine certifies that offered ⊑ demanded does not follow from fewer of the axioms."""
+    for left_out in derived.axioms:
+        trees = {axiom: ontology.trees[axiom] for axiom in derived.axioms if axiom != left_out}
+        rows = FastEngine(trees, roles_in(offered) | roles_in(demanded)).rows([offered], [demanded])
+        if rows.uncertified or rows.beyond_words:
+            return False
+    return True
+
+
+def fewest(axioms: Sequence[str], follows: Callable[[Sequence[str]], bool]) -> list[str]:
+    """A part of the axioms by which something follows as it does by all of them, and by no smaller part of it."""
+    left = [*axioms]
+    size = max(1, len(left) // 2)
+    while left:
+        start = 0
+        while start < len(left):
+            rest = left[:start] + left[start + size :]
+            if follows(rest):
+                left = rest
+            else:
+                start += size
+        if size == 1:
+            break
+        size //= 2
+    return left
+
+
+_UNNAMED: Final = (
+    *("SubObjectPropertyOf", "EquivalentObjectProperties", "InverseObjectProperties", "SymmetricObjectProperty"),
+    *("SubDataPropertyOf", "EquivalentDataProperties"),
+)
+"""Axioms that the engine's rules hold without a step of their own."""
+
+
+def _beside(axioms: Collection[str], ontology: Ontology) -> Iterator[str]:
+    """The axioms that may be needed beside those of the steps: of properties, and about the literals of individuals."""
+    has_domain = any(axiom.startswith("DataPropertyDomain(") for axiom in axioms)
+    named = {name for axiom in axioms for name in leaves(ontology.trees[axiom])} if has_domain else set()
+    for axiom, tree in ontology.trees.items():
+        is_value = tree[0] == "DataPropertyAssertion" and has_domain
+        if axiom not in axioms and (tree[0] in _UNNAMED or (is_value and not named.isdisjoint(leaves(tree)))):
+            yield axiom
+
+
+def _derived(offered: Concept, demanded: Concept, ontology: Ontology, trees: Mapping[str, Tree]) -> Derivation | None:
+    """The engine's first derivation of offered ⊑ demanded from some axioms of an ontology; None if it finds none."""
     if not is_left_hand(demanded):
         return None
     steps: dict[str, None] = {}
+    axioms: dict[str, None] = {}
     for part in disjuncts(offered)[0]:
-        translation = translate(ontology.trees)
+        translation = translate(trees)
         if not isinstance(part, Nominal):
             translation.inclusions.append(Inclusion(_OFFERED, part, ""))
         trace = _Trace(Rules(translation), ontology)
@@ -31,7 +107,8 @@ def derivation(offered: Concept, demanded: Concept, ontology: Ontology) -> tuple
         if shown is None:
             return None
         steps.update(dict.fromkeys(shown))
-    return tuple(steps)
+        axioms.update(trace.axioms)
+    return Derivation(tuple(steps), tuple(axioms))
 
 
 def contradiction(ontology: Ontology) -> tuple[str, ...]:
@@ -46,6 +123,8 @@ class _Trace:
         self._ontology = ontology
         self._reasons: dict[DerivedFact, Reason] = {}
         self._saturation = Saturation(rules, reasons=self._reasons)
+        self.axioms: dict[str, None] = {}
+        """The axioms of the steps that were told."""
 
     def steps(self, start: Concept, goal: Concept) -> tuple[str, ...] | None:
         """The steps from a concept to one that subsumes it; None if none are found."""
@@ -71,6 +150,7 @@ class _Trace:
             axiom = self._rules.origin.get(rule)
             told = self._said(fact)
             if axiom:
+                self.axioms[axiom] = None
                 steps[f"{told}, by {self._ontology.shortened(axiom)}"] = None
             elif any(len(premise) == 3 for premise in premises):
                 because = [self._said(premise) for premise in premises if premise[1:] != (TOP_ATOM,)]

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from typing import Final
 
 from cfgplan.domain import Similarity
-from cfgplan.matching.concepts import Concept, Intersection, in_functional_syntax
-from cfgplan.matching.derivations import derivation
+from cfgplan.matching.concepts import BOTTOM, Concept, Intersection, conjunction, in_functional_syntax, negation
+from cfgplan.matching.derivations import Derivation, derivation, fewest, is_minimal
 from cfgplan.matching.faults import ReasonerError
 from cfgplan.matching.matrix import match
 from cfgplan.matching.ontology import Ontology
-from cfgplan.matching.reference import Reference, classify, reference_named
+from cfgplan.matching.reference import Reference, reference_named, satisfiable
 from cfgplan.matching.syntax import parse_tag
 
 
@@ -22,7 +22,9 @@ from cfgplan.matching.syntax import parse_tag
 class MatchExplanation:
     """Whether `offered` feeds `demanded`, the steps that prove it, or the demanded conjuncts that it lacks.
 
-    `undecided` are conjuncts that no reasoner has decided: with nothing `missing` beside them, it may match.
+    `undecided` are conjuncts that no reasoner has decided: with nothing `missing` beside them, it may match. If
+    `is_impossible`, nothing can have the offered tag, and the steps prove that. `axioms` are those of the steps in
+    functional syntax: it follows from all of them together, and from no fewer.
     """
 
     offered: str
@@ -32,6 +34,8 @@ class MatchExplanation:
     missing: tuple[str, ...] = ()
     undecided: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    is_impossible: bool = False
+    axioms: tuple[str, ...] = ()
 
     def lines(self) -> tuple[str, ...]:
         """The explanation as lines of text."""
@@ -39,6 +43,7 @@ class MatchExplanation:
         verdict = "feeds" if self.matches else "may feed" if unknown else "does not feed"
         return (
             f"{self.offered}  {verdict}  {self.demanded}",
+            *((f"  nothing can be {self.offered}, so that no unit may give it",) if self.is_impossible else ()),
             *(f"  because {step}" for step in self.steps),
             *(f"  it lacks {part}" for part in self.missing),
             *(f"  nobody has decided yet whether it is {part}" for part in self.undecided),
@@ -78,10 +83,21 @@ def explain_match(
     found = match([offered_tag], [demanded_tag, *parts], ontology, reasoner=reasoner, time_limit_s=time_limit_s)
     holds = found.similarity.holds
     if holds(offered_tag, demanded_tag):
-        steps = derivation(offered, demanded, ontology)
-        if steps is None:
-            steps = _steps_of_the_reference(offered, demanded, ontology, reasoner)
-        return MatchExplanation(offered_tag, demanded_tag, True, steps, warnings=found.warnings)
+        reason = _reason(offered, demanded, ontology, reasoner)
+        return MatchExplanation(
+            offered_tag, demanded_tag, True, reason.steps, warnings=found.warnings, axioms=reason.axioms
+        )
+    if offered_tag in found.impossible:
+        reason = _reason(offered, BOTTOM, ontology, reasoner)
+        return MatchExplanation(
+            offered_tag,
+            demanded_tag,
+            False,
+            reason.steps,
+            warnings=found.other_warnings,
+            is_impossible=True,
+            axioms=reason.axioms,
+        )
     undecided = tuple(part for part in parts if found.similarity.is_open(offered_tag, part))
     missing = tuple(part for part in parts if not holds(offered_tag, part) and part not in undecided)
     return MatchExplanation(
@@ -118,12 +134,20 @@ def _near(parts: Sequence[str], offered_tags: Collection[str], similarity: Simil
     return tuple(sorted(near, key=lambda one: (len(one.missing), len(one.undecided), one.offered)))
 
 
-def _steps_of_the_reference(offered: Concept, demanded: Concept, ontology: Ontology, reasoner: str) -> tuple[str, ...]:
+def _reason(offered: Concept, demanded: Concept, ontology: Ontology, reasoner: str) -> Derivation:
+    """Why offered ⊑ demanded, as the fast engine derives it or as the reference finds it."""
+    derived = derivation(offered, demanded, ontology)
     name, reference = reference_named(reasoner)
-    axioms = () if reference is None else justification(offered, demanded, ontology, reference)
+    if derived is not None and (reference is None or is_minimal(derived, offered, demanded, ontology)):
+        return derived
+    known = ontology if derived is None else Ontology(derived.axioms)
+    axioms = () if reference is None else justification(offered, demanded, known, reference)
+    if derived is not None and len(axioms) == len(derived.axioms):
+        return derived
     if not axioms:
-        return (f"it follows from the tags alone, as {name} finds",)
-    return (f"it follows from what is listed next, as {name} finds", *map(ontology.shortened, axioms))
+        return Derivation((f"it follows from the tags alone, as {name} finds",), ())
+    said = f"it follows from what is listed next, as {name} finds"
+    return Derivation((said, *map(ontology.shortened, axioms)), axioms)
 
 
 def conjuncts(concept: Concept, ontology: Ontology) -> list[str]:
@@ -142,33 +166,22 @@ def justification(offered: Concept, demanded: Concept, ontology: Ontology, refer
     deadline = time.monotonic() + EXPLANATION_PATIENCE_S
     axioms = [axiom for axiom in sorted(ontology.axioms) if not axiom.startswith("Declaration(")]
 
+    question = conjunction((offered, negation(demanded)))
+
     def follows(some: Sequence[str]) -> bool:
         left_s = deadline - time.monotonic()
         if left_s <= 0:
             return False
         try:
-            _, below = classify(reference, Ontology(some), [offered], [demanded], left_s)
+            return satisfiable(reference, Ontology(some), [question], left_s).get(question) is False
         except ReasonerError:
             return False
-        return bool(below[demanded])
 
     for connected in _nearest_first(axioms, in_functional_syntax(offered) + in_functional_syntax(demanded)):
         if follows(connected):
             axioms = connected
             break
-    size = max(1, len(axioms) // 2)
-    while axioms:
-        start = 0
-        while start < len(axioms):
-            rest = axioms[:start] + axioms[start + size :]
-            if follows(rest):
-                axioms = rest
-            else:
-                start += size
-        if size == 1:
-            break
-        size //= 2
-    return tuple(axioms)
+    return tuple(fewest(axioms, follows))
 
 
 def _nearest_first(axioms: Sequence[str], tags: str) -> list[list[str]]:

@@ -94,6 +94,11 @@ REFUTING: Final = 0.25
 """The share of a time limit that models may take, in CPU time, before the reference is asked."""
 
 
+def impossible(tag: str) -> str:
+    """The warning about an offered tag that nothing can have."""
+    return f"nothing can have the offered tag {tag!r}: it contradicts the ontology and never matches"
+
+
 @dataclass(frozen=True)
 class Matching:
     """The similarity of tags, warnings, and how many pairs of distinct tags each reasoner decided.
@@ -105,6 +110,13 @@ class Matching:
     warnings: tuple[str, ...] = ()
     answered_by: Mapping[str, int] = field(default_factory=dict, hash=False)
     asked: int = 0
+    impossible: frozenset[str] = frozenset()
+    """The offered tags that nothing can have, each with a warning."""
+
+    @property
+    def other_warnings(self) -> tuple[str, ...]:
+        """The warnings but those of impossible tags."""
+        return tuple(told for told in self.warnings if not any(told == impossible(tag) for tag in self.impossible))
 
     @property
     def counts(self) -> dict[str, int]:
@@ -336,10 +348,8 @@ class Matcher:
         never = self._verdicts.unsatisfiable & self._offered.texts.keys()
         if rows is not None:
             never |= rows.impossible
-        warnings.extend(
-            f"nothing can have the offered tag {text!r}: it contradicts the ontology and never matches"
-            for text in sorted(self._offered.spelled(never))
-        )
+        impossible_tags = self._offered.spelled(never)
+        warnings.extend(map(impossible, sorted(impossible_tags)))
         offers: dict[str, frozenset[str]] = {}
         undecided: dict[str, frozenset[str]] = {}
         open_rows = self._open(rows)
@@ -352,7 +362,7 @@ class Matcher:
         similarity = Similarity(offers, undecided)
         if is_asked or self._reference is None:
             warnings.extend(self._about_open(undecided, time_limit_s))
-        return Matching(similarity, tuple(warnings), self._answered_by(rows, open_rows), self._asked)
+        return Matching(similarity, tuple(warnings), self._answered_by(rows, open_rows), self._asked, impossible_tags)
 
     def _about_open(self, undecided: Mapping[str, frozenset[str]], time_limit_s: float | None) -> Iterable[str]:
         """The warning about pairs that are not decided."""
