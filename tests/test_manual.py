@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import re
+from importlib import import_module
 from pathlib import Path
 
 import cfgplan_runtime
@@ -86,6 +87,26 @@ def test_the_reference_has_every_public_name_and_its_docstring() -> None:
     assert "* `OPTIMAL`: `optimal`" in text
     undocumented = [entry for entry in re.split(r"(?m)^### ", text) if re.search(r"```\s+\Z", entry)]
     assert undocumented == []
+
+
+def test_the_page_on_what_is_public_lists_the_names_that_each_package_hands_out() -> None:
+    rows = re.findall(r"\| `(cfgplan[\w.]*)` \| (.*) \|", TEXT["public"])
+    listed = {package: re.findall(r"`(\w+)`", names) for package, names in rows}
+    assert listed == {package: sorted(import_module(package).__all__) for package in listed}
+    assert {"cfgplan", "cfgplan.matching", "cfgplan.testing", "cfgplan_runtime", "cfgplan_runtime.testing"} <= set(
+        listed
+    )
+
+
+def test_a_package_that_hands_out_names_lazily_or_by_a_list_is_on_the_page() -> None:
+    """A new `__all__` is a promise: it stands on the page, or in this list."""
+    inner = {"cfgplan.cli", "cfgplan.comparing", "cfgplan.validity"}
+    found = set()
+    for top in (ROOT / "cfgplan", ROOT / "runtime" / "cfgplan_runtime"):
+        for path in top.rglob("*.py"):
+            if re.search(r"^__all__\b", path.read_text(encoding="utf-8"), re.MULTILINE):
+                found.add(".".join(path.relative_to(top.parent).with_suffix("").parts).removesuffix(".__init__"))
+    assert found - inner == set(re.findall(r"\| `(cfgplan[\w.]*)` \|", TEXT["public"]))
 
 
 def test_what_the_page_on_trouble_quotes_is_said_somewhere() -> None:

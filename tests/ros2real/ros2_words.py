@@ -55,6 +55,19 @@ class Observer:
         self._ask(listen=topic, type=kind, **quality)
         return iter(lambda: told.get(timeout=PATIENCE_S), None)
 
+    def gives(self, topic: str) -> bool:
+        """Whether a text comes on a topic within a second."""
+        if topic not in self._told:
+            self.listen(topic)
+        told = self._told[topic]
+        while not told.empty():
+            told.get()
+        try:
+            told.get(timeout=1.0)
+        except queue.Empty:
+            return False
+        return True
+
     def look(self) -> dict[str, list[str]]:
         """The `topics` that are published, and the `nodes`."""
         told = self._told[""] = queue.SimpleQueue()

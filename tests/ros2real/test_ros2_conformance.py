@@ -50,7 +50,10 @@ def bench() -> Iterator[Bench]:
         def crash(unit: str) -> None:
             os.kill(runtime.pid(unit) or 0, signal.SIGKILL)
 
-        yield Bench(runtime, TALKER, SHOUTER, MUTE, crash, living_units, lambda: published_topics(observer), time.sleep)
+        def topics() -> list[str]:
+            return published_topics(observer)
+
+        yield Bench(runtime, TALKER, SHOUTER, MUTE, crash, living_units, topics, observer.gives)
 
 
 def published_topics(observer: Observer) -> list[str]:
