@@ -56,8 +56,10 @@ WORK = unit("work.1", "r2", topic="/result", x="count.1/n")
 class BenchOfTwoHosts(Bench):
     """Sources run on r1, all else on r2."""
 
-    def unit(self, number: int, transformation: Transformation, *, topic: str | None = None) -> ComputationUnit:
-        made = super().unit(number, transformation, topic=topic)
+    def unit(
+        self, number: int, transformation: Transformation, *, topic: str | None = None, source: int = 1
+    ) -> ComputationUnit:
+        made = super().unit(number, transformation, topic=topic, source=source)
         return replace(made, host="r1" if transformation is self.source else "r2")
 
 
