@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from itertools import product
+from pathlib import Path
 
 import pytest
 
@@ -196,8 +197,11 @@ def test_what_could_not_be_classified_is_asked_pair_by_pair_and_not_classified_a
     assert all(len(verdicts.accepted(demand)) == 12 + 14 + 11 + 14 for demand in demanded)
 
 
-def test_hermit_is_not_waited_for_when_no_answer_comes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hermit, "_java", lambda: ("sh", "-c", "echo 't:0 is satisfiable.'; exec sleep 600"))
+def test_hermit_is_not_waited_for_when_no_answer_comes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    java = tmp_path / "java"
+    java.write_text("#!/bin/sh\necho 't:0 is satisfiable.'\nexec sleep 600\n")
+    java.chmod(0o755)
+    monkeypatch.setattr(hermit, "_java_command", lambda: str(java))
     start = time.monotonic()
     assert hermit.satisfiable("", ["t:0", "t:1"], patience_s=1.0) == {"t:0": True}
     assert time.monotonic() - start < 60
