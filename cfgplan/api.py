@@ -20,7 +20,7 @@ from cfgplan.arguments import Natural, Seconds, checked
 from cfgplan.cache_folder import cache_folder
 from cfgplan.canonical import fields_of
 from cfgplan.domain import ENVIRONMENT_HEADS, Environment, Similarity, environment_rows
-from cfgplan.errors import Fault, InputError
+from cfgplan.errors import Fault, InputError, known
 from cfgplan.extras import is_there
 from cfgplan.matching import (
     REASONERS,
@@ -29,9 +29,11 @@ from cfgplan.matching import (
     Matching,
     Nearest,
     Ontology,
+    Suggestion,
     load_ontology,
     read_owlready,
 )
+from cfgplan.matching import match as match_tags
 from cfgplan.planners import PLANNERS, planner_of
 from cfgplan.planners.undecided import Deciding
 from cfgplan.planning import Decider, Failures, Plan, Planner, PlannerFaultError, Problem, Progress
@@ -221,6 +223,43 @@ def near_offers(
 
     offered, _ = _tags(world.environment)
     return near(demanded, offered, world.ontology, reasoner=reasoner, time_limit_s=time_limit_s)
+
+
+@checked
+def suggested_tags(
+    world: World,
+    names: Collection[str] | None = None,
+    *,
+    foreign: str | None = None,
+    reasoner: str = "auto",
+    time_limit_s: float | None = None,
+) -> dict[str, tuple[Suggestion, ...]]:
+    """Up to three tags for each input, output and target, or for those of some names, the best first.
+
+    Each says which ports would match by it that do not match now, and which would no longer, as reasoners decide. No
+    class is proposed whose IRI begins with `foreign`. Names are those of `Environment.outputs` and `.demands`; any
+    other raises InputError.
+    """
+    from cfgplan.matching.suggestions import Proposer, tested, words_of_ports
+
+    environment = world.environment
+    proposer, words = Proposer(world.ontology, foreign), words_of_ports(environment, world.ontology)
+    for name in names or ():
+        known(name, words, "port or target", "`Environment.outputs` and `.demands` have them all")
+    proposed = {name: proposer.proposals(words[name]) for name in (words if names is None else names)}
+    outputs, demands = environment.outputs, environment.demands
+    offered = {*outputs.values(), *(each.tag for name in proposed.keys() & outputs for each in proposed[name])}
+    demanded = {*demands.values(), *(each.tag for name in proposed.keys() & demands for each in proposed[name])}
+    found = match_tags(offered, demanded, world.ontology, reasoner=reasoner, time_limit_s=time_limit_s).similarity
+
+    def matched(name: str, tag: str) -> frozenset[str]:
+        if name in outputs:
+            return frozenset(other for other, wanted in demands.items() if found.holds(tag, wanted))
+        return frozenset(other for other, given in outputs.items() if found.holds(given, tag))
+
+    now = {name: matched(name, outputs.get(name) or demands[name]) for name in proposed}
+    then = {name: {each.tag: matched(name, each.tag) for each in some} for name, some in proposed.items()}
+    return tested(proposed, now, then)
 
 
 @checked

@@ -22,7 +22,9 @@ from cfgplan.extras import install
 VERBS: Mapping[str, str] = MappingProxyType(
     {
         "check": "judge the running configuration of an environment, alone or against another file",
-        "match": "print which outputs may feed which inputs and targets, or explain one pair",
+        "match": "print which outputs may feed which inputs and targets, all or those of one port, or explain one pair",
+        "suggest": "propose tags for ports from their names, message types and units, with what each would match",
+        "ontology": "write a first ontology: a taxonomy of the names that an environment's tags use",
         "solve": "find the cheapest update that meets every target, and prove it",
         "explain": "say why there is no plan, or why the plan uses what it uses and what doing without would cost",
         "sensitivity": "find for which horizons, or upkeeps of a transformation, which plan is optimal",

@@ -11,7 +11,8 @@ from cfgplan.canonical import normal
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.screen import Screen, counted
-from cfgplan.errors import InputError, known
+from cfgplan.cli.suggest import port_named
+from cfgplan.errors import known
 
 if TYPE_CHECKING:
     from cfgplan.domain import Environment, Similarity
@@ -25,10 +26,13 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "example:\n"
         "  cfgplan match models/nao/1-piff-registered.yaml\n"
+        "  cfgplan match models/nao/1-piff-registered.yaml 'segmenter(piff)/y'\n"
         "  cfgplan match models/nao/1-piff-registered.yaml 'segmenter(piff)/hull' 'ball_detector(piff)/hull'"
     )
     shared.add_environment(parser)
-    parser.add_argument("output", nargs="?", type=normal, help="an output as transformation/port")
+    parser.add_argument(
+        "output", nargs="?", type=normal, help="an output as transformation/port; alone, any port or target (all)"
+    )
     parser.add_argument("input", nargs="?", type=normal, help="an input as transformation/port, or a target's label")
     parser.add_argument(
         "--decide", action="store_true", help="let the reasoner decide all pairs, however many are open"
@@ -42,16 +46,15 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan.api import FEW_PAIRS
 
     world = shared.load(options, screen)
-    if options.output is None:
+    if options.input is None:
+        one = None if options.output is None else port_named(world.environment, options.output)
         matches = shared.matches(options, screen, world, None if options.decide else FEW_PAIRS)
-        _show_matrix(world.environment, matches.similarity, screen)
+        _show_matrix(world.environment, matches.similarity, screen, one)
         if matches.similarity.open and not options.decide:
             screen.note(
                 f"More than {FEW_PAIRS} pairs are open: a plan decides those that it needs, --decide decides all."
             )
         return Exit.OK
-    if options.input is None:
-        raise InputError.of("name an output and an input", mend="write both as transformation/port")
     environment, label = world.environment, f"target {options.input}"
     offered = _tag(environment.outputs, options.output, "output")
     demanded = _tag(environment.demands, label if label in environment.demands else options.input, "input or target")
@@ -73,8 +76,19 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     return Exit.OK
 
 
-def _show_matrix(environment: Environment, similarity: Similarity, screen: Screen) -> None:
+def _show_matrix(environment: Environment, similarity: Similarity, screen: Screen, one: str | None) -> None:
+    """Show what may feed all inputs and targets, or one of them; or what one output may feed."""
     rows, columns = environment.demands, environment.outputs
+    if one is not None and one in columns:
+        offer = columns[one]
+        columns = {one: offer}
+        rows = {
+            name: tag for name, tag in rows.items() if similarity.holds(offer, tag) or similarity.is_open(offer, tag)
+        }
+    elif one is not None:
+        rows = {one: rows[one]}
+    shown = {*columns.values()}, {*rows.values()}
+    undecided = [[given, tag] for given, tag in similarity.open_pairs() if given in shown[0] and tag in shown[1]]
     fed_by: dict[str, list[str]] = {}
     by_tag: dict[str, list[str]] = {}
     for output, tag in columns.items():
@@ -84,9 +98,7 @@ def _show_matrix(environment: Environment, similarity: Similarity, screen: Scree
         fed_by[input_] = sorted(output for offer in offers for output in by_tag.get(offer, ()))
     if screen.json:
         matches = {input_: {"tag": rows[input_], "outputs": outputs} for input_, outputs in fed_by.items()}
-        screen.show_json(
-            {"inputs": matches, "outputs": columns, "unknown": [list(pair) for pair in similarity.open_pairs()]}
-        )
+        screen.show_json({"inputs": matches, "outputs": columns, "unknown": undecided})
         return
     from rich.text import Text
 
@@ -104,9 +116,10 @@ def _show_matrix(environment: Environment, similarity: Similarity, screen: Scree
             lines.append(Text(f"  ?? and {len(unknown) - MOST_OPEN} more that are not decided", style="yellow"))
         if not outputs and not unknown:
             lines.append(Text("  nothing", style="red"))
-    left = sum(1 for _ in similarity.open_pairs())
+    left = len(undecided)
     open_pairs = f", {counted(left, 'pair')} of tags not decided (??)" if left else ""
-    size = f"{len(rows)} inputs and targets x {len(columns)} outputs, {counted(count, 'match', 'matches')}{open_pairs}"
+    over = f"{counted(len(rows), 'input or target', 'inputs and targets')} x {counted(len(columns), 'output')}"
+    size = f"{over}, {counted(count, 'match', 'matches')}{open_pairs}"
     screen.show(Text("\n").join([*lines, Text(f"Validity matrix: {size}.", style="bold")]))
 
 

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from cfgplan.matching.reference import REASONERS as REASONERS
     from cfgplan.matching.session import Matcher as Matcher
     from cfgplan.matching.session import Matching as Matching
+    from cfgplan.matching.suggestions import Suggestion as Suggestion
 
 __all__, __getattr__, __dir__ = exports(
     __name__,
@@ -41,5 +42,6 @@ __all__, __getattr__, __dir__ = exports(
         "ontology": "Ontology",
         "reference": "REASONERS",
         "session": "Matcher Matching",
+        "suggestions": "Suggestion",
     },
 )

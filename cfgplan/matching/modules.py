@@ -39,13 +39,13 @@ from cfgplan.matching.ontology import Ontology
 
 _EMPTY: Final = False
 _FULL: Final = True
-_BUILT_IN: Final = {
+_FIXED_VALUES: Final = {
     THING_IRI: _FULL,
     NOTHING_IRI: _EMPTY,
     **{f"{BUILT_IN_ROLE}top{kind}Property": _FULL for kind in ("Object", "Data")},
     **{f"{BUILT_IN_ROLE}bottom{kind}Property": _EMPTY for kind in ("Object", "Data")},
 }
-_RULE: Final = "DLSafeRule"
+_RULE_KEYWORD: Final = "DLSafeRule"
 _ATOMS: Final = ("ClassAtom", "ObjectPropertyAtom", "DataPropertyAtom")
 SWRL_BUILT_IN: Final = "http://www.w3.org/2003/11/swrlb#"
 _ALWAYS: Final = ("HasKey", "DatatypeDefinition")
@@ -172,7 +172,7 @@ class _Reading:
     def is_local(self, tree: Tree) -> bool:
         """Whether an axiom is true whatever the known names mean."""
         keyword = tree[0]
-        if keyword == _RULE:
+        if keyword == _RULE_KEYWORD:
             body, head = ([*map(self._atom, part[1:])] for part in tree[1:])
             return _EMPTY in body or (bool(head) and all(value is _FULL for value in head))
         statements = axioms.statements_of(tree)
@@ -193,7 +193,7 @@ class _Reading:
     def _value(self, tree: Tree) -> bool | None:
         """The value of a class, a property or a chain of properties."""
         if isinstance(tree, str):
-            built_in = _BUILT_IN.get(tree)
+            built_in = _FIXED_VALUES.get(tree)
             return built_in if built_in is not None or tree in self._known else self._outside
         keyword, *parts = tree
         match keyword:

@@ -11,7 +11,8 @@ from cfgplan.ros.graph import RosGraph, RosPort
 from cfgplan.ros.types import MessageType
 from cfgplan.selectors import KEYWORDS
 
-_IRI = "urn:cfgplan:ros#"
+ROS_NAMES = "urn:cfgplan:ros#"
+"""Begins the IRI of each concept that stands for a message type, a topic or a service."""
 _NO_CONCEPTS = KEYWORDS | {"thing", "nothing", "message", "topic", "service"}
 
 
@@ -59,11 +60,11 @@ class RosVocabulary:
         return word
 
     def _lines(self) -> Iterator[str]:
-        yield f"@prefix : <{_IRI}> ."
+        yield f"@prefix : <{ROS_NAMES}> ."
         yield "@prefix owl: <http://www.w3.org/2002/07/owl#> ."
         yield "@prefix rdfs: <http://www.w3.org/2000/01/rdf-schema#> ."
         yield ""
-        yield f"<{_IRI.rstrip('#')}> a owl:Ontology ."
+        yield f"<{ROS_NAMES.rstrip('#')}> a owl:Ontology ."
         yield ""
         yield "# Message types. Say here what is also what, such as"
         yield "#   :nav_msgs-Odometry rdfs:subClassOf :geometry_msgs-PoseWithCovarianceStamped ."

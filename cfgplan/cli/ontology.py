@@ -1,0 +1,37 @@
+"""`cfgplan ontology`: an ontology of one's own, from the names in use."""
+
+from __future__ import annotations
+
+import argparse
+
+from cfgplan.cli import options as shared
+from cfgplan.cli.exits import Exit
+from cfgplan.cli.screen import Screen
+from cfgplan.errors import InputError
+
+
+def add_to(parser: argparse.ArgumentParser) -> None:
+    parser.epilog = (
+        "example:\n"
+        "  cfgplan ontology new env.yaml --out env.ttl\n"
+        "then write `ontology: env.ttl` into the environment, and say in env.ttl what is also what."
+    )
+    parser.add_argument("what", choices=("new",), help="new: a taxonomy of the names in the tags of an environment")
+    shared.add_environment(parser)
+    shared.add_out(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace, screen: Screen) -> Exit:
+    from cfgplan.matching.taxonomy import taxonomy
+
+    world = shared.load(options, screen)
+    if not world.ontology.is_open:
+        mend = "edit that file; `cfgplan suggest ENV` proposes tags in its words"
+        raise InputError.of("this environment names an ontology already", file=options.env, mend=mend)
+    tags = {*world.environment.outputs.values(), *world.environment.demands.values()}
+    text, left_out = taxonomy(sorted(tags))
+    shared.put(text, options.out, screen)
+    if left_out:
+        screen.warn(f"not written, since no IRI ends in such a name: {', '.join(left_out)}; rename them in the tags")
+    return Exit.OK
