@@ -9,12 +9,13 @@ from functools import cached_property
 from itertools import product
 from typing import Final, NamedTuple
 
-from ortools.sat.python.cp_model import CpModel, IntVar, LinearExpr
+from ortools.sat.python.cp_model import IntVar, LinearExpr
 
 from cfgplan.domain import InputPort, Objective, Stream
 from cfgplan.onward import grouped
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.groups import Group, HostKind
+from cfgplan.planners.solving.engine import ExactModel
 
 Where = tuple[int, int]
 """The number of a group, and that of a kind of hosts."""
@@ -56,7 +57,7 @@ class CountingModel:
     ) -> None:
         self.candidates, self.environment = candidates, candidates.environment
         self.groups, self.kinds = groups, kinds
-        self.cp = CpModel()
+        self.cp = ExactModel()
         self.group_of = {i: number for number, group in enumerate(groups) for i in group.units}
         self.number = [self.cp.new_int_var(0, len(group.units), "") for group in groups]
         """How many units of each group run."""

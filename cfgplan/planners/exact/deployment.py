@@ -154,8 +154,7 @@ class _Deployment:
         def look_at(solution: CpSolverSolutionCallback) -> bool:
             return not is_placed or self._offer(counts, solution.response_proto.solution)
 
-        solver.best_bound_callback = learn_bound
-        status = solve(solver, counts.cp, clock, look_at)
+        status = solve(solver, counts.cp, clock, look_at, learn_bound)
         self.standing.counts["rounds"] += 1
         self.standing.counts["conflicts"] += solver.num_conflicts
         if status == INFEASIBLE:
@@ -163,7 +162,6 @@ class _Deployment:
             return None
         if status == MODEL_INVALID:
             raise ContradictionError("the engine refuses the model")
-        learn_bound(solver.best_objective_bound)
         if status != OPTIMAL:
             return None
         values = list(solver.response_proto.solution)

@@ -10,14 +10,14 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence, Set
 
-from ortools.sat.python.cp_model import CpModel, IntVar, LinearExpr, LinearExprT, LiteralT
+from ortools.sat.python.cp_model import IntVar, LinearExpr, LinearExprT, LiteralT
 
 from cfgplan.costs import transfer_cost_us
 from cfgplan.domain import ALL, InputPort, Objective, Stream
 from cfgplan.onward import grouped, reached
 from cfgplan.planners.exact.best_case import demands_of_quality
 from cfgplan.planners.exact.candidates import ONLY_IN_THE_MODEL, Candidates, HostName
-from cfgplan.planners.solving.engine import at_least
+from cfgplan.planners.solving.engine import ExactModel, at_least
 from cfgplan.planners.solving.support import Support
 from cfgplan.planning import Feature
 
@@ -40,7 +40,7 @@ class Model:
         self.asks_for_quality = Feature.QUALITY in self.problem.features
         by_stream = {Feature.LATENCY, *ONLY_IN_THE_MODEL} if self.asks_for_quality else {Feature.LATENCY}
         self.is_apart = is_apart or not by_stream.isdisjoint(self.problem.features)
-        self.cp = CpModel()
+        self.cp = ExactModel()
         self.support = Support()
         self.anywhere = Support()
         """The support with hosts forgotten: what is not grounded there is cut by fewer and stronger clauses."""

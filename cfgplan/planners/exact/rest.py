@@ -128,11 +128,11 @@ def _is_without_rival(bound: Bound, plan: Ints, limit: int, clock: Clock) -> boo
 
     Only landmarks stand for groundedness, so False may be wrong.
     """
-    from ortools.sat.python.cp_model import INFEASIBLE, CpModel
+    from ortools.sat.python.cp_model import INFEASIBLE
 
-    from cfgplan.planners.solving.engine import at_least, repeatable_solver
+    from cfgplan.planners.solving.engine import ExactModel, at_least, repeatable_solver, solve
 
-    core, model = bound.core, CpModel()
+    core, model = bound.core, ExactModel()
     uses = [model.new_bool_var("") for _ in range(core.goal)]
     offered = [model.new_bool_var("") for _ in range(len(core.givers))]
     for fact in range(len(core.givers)):
@@ -149,4 +149,5 @@ def _is_without_rival(bound: Bound, plan: Ints, limit: int, clock: Clock) -> boo
     model.add(sum(int(cost) * use for cost, use in zip(bound.cost, uses, strict=True)) <= limit)
     left_s, longest_s = clock.left_s(), clock.tuning.rest.rival
     longest_s = longest_s if left_s is None else min(longest_s, left_s)
-    return repeatable_solver(small=core.goal < 1000, time_limit_s=longest_s).solve(model) == INFEASIBLE
+    solver = repeatable_solver(small=core.goal < 1000, time_limit_s=longest_s)
+    return solve(solver, model, clock) == INFEASIBLE

@@ -11,7 +11,6 @@ from ortools.sat.python.cp_model import (
     INFEASIBLE,
     MODEL_INVALID,
     OPTIMAL,
-    UNKNOWN,
     CpSolver,
     CpSolverSolutionCallback,
     IntVar,
@@ -32,7 +31,7 @@ from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.exact.survival import Survival
 from cfgplan.planners.networks.keys import Key
 from cfgplan.planners.solving.clock import Clock, ContradictionError
-from cfgplan.planners.solving.engine import repeatable_solver, solve
+from cfgplan.planners.solving.engine import LARGEST_PRODUCT, repeatable_solver, solve
 from cfgplan.planning import Feature
 
 EXACT = 2**50
@@ -193,7 +192,9 @@ class Search:
         scale = (started + 1) * (len(candidates.all) - started + 1)
         largest_us = self.problem.largest_cost_us(self.problem.horizon_s)
         exact_us = largest_us if best is None else best.key.cost_us
-        return scale if scale * (1 + largest_us) < LARGEST and scale * (1 + exact_us) < EXACT else 0
+        dearest_us = max((candidate.cost_us for candidate in candidates.all), default=0)
+        is_exact = scale * (1 + exact_us) < EXACT and scale * dearest_us < LARGEST_PRODUCT
+        return scale if is_exact and scale * (1 + largest_us) < LARGEST else 0
 
     def minimise(
         self, objective: LinearExprT, level_of: Callable[[Key], int], learn: Callable[[int], None] | None = None
@@ -214,16 +215,13 @@ class Search:
             standing.counts["rounds"] += 1
             solver = self.solver()
             self._hint()
-            solver.best_bound_callback = learn_bound
-            status = solve(solver, self.model.cp, standing.clock, self._look_at)
+            status = solve(solver, self.model.cp, standing.clock, self._look_at, learn_bound)
             standing.counts["conflicts"] += solver.num_conflicts
             self._left_s -= solver.response_proto.deterministic_time
             if status == INFEASIBLE:
                 raise InfeasibleError
             if status == MODEL_INVALID:
                 self._refuse()
-            if status in (OPTIMAL, FEASIBLE, UNKNOWN):
-                learn_bound(solver.best_objective_bound)
             if status not in (OPTIMAL, FEASIBLE):
                 return False
             true = self.true_of(solver.boolean_value)

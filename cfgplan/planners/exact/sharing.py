@@ -9,12 +9,12 @@ from collections import defaultdict
 from collections.abc import Iterable
 from itertools import pairwise
 
-from ortools.sat.python.cp_model import FEASIBLE, INFEASIBLE, OPTIMAL, CpModel, IntVar, LinearExpr
+from ortools.sat.python.cp_model import FEASIBLE, INFEASIBLE, OPTIMAL, IntVar, LinearExpr
 
 from cfgplan.domain import ALL, InputPort, Stream, Target, Transformation
 from cfgplan.planners.exact.candidates import Candidates, HostName
 from cfgplan.planners.solving.clock import OutOfTimeError
-from cfgplan.planners.solving.engine import repeatable_solver, solve
+from cfgplan.planners.solving.engine import ExactModel, repeatable_solver, solve
 
 
 class Sharing:
@@ -25,7 +25,7 @@ class Sharing:
     ) -> None:
         self._clock = candidates.clock
         self._holds = candidates.problem.similarity.holds
-        self._cp = CpModel()
+        self._cp = ExactModel()
         self._kinds: list[Transformation] = []
         self._hosts: list[HostName] = []
         self._runs: list[IntVar] = []
