@@ -19,6 +19,7 @@ NOT_TUNED = {
     "closing/separation.py": {"WHOLE", "CREEP"},
     "exact/answer_sets.py": {"LARGEST_WEIGHT"},
     "exact/patterns.py": {"FINE"},
+    "exact/quality_numbers.py": {"LEAST_GAP", "MOST_GAPS"},
     "exact/search.py": {"EXACT", "LARGEST"},
     "solving/clock.py": {"STOPPING_S"},
     "solving/engine.py": {"WIDEST", "LARGEST_PRODUCT"},

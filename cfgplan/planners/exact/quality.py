@@ -1,4 +1,4 @@
-"""How bad streams are, in the constraint model: by how much they miss the best, in steps.
+"""How bad streams are, in the constraint model: a number for each possible value, the larger the worse.
 
 A stream may count as worse than the wiring makes it, never as better: since every rule is monotone and only good
 streams are asked for, the solver makes them as good as they are. Only where a stream is chosen there is a variable.
@@ -6,19 +6,24 @@ streams are asked for, the solver makes them as good as they are. Only where a s
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
+from itertools import pairwise
 from math import gcd
 
 from ortools.sat.python.cp_model import IntVar, LinearExpr, LinearExprT, LiteralT
 
 from cfgplan.domain import InputPort, Stream
 from cfgplan.planners.exact.best_case import Making, least_badness, most_badness
-from cfgplan.planners.exact.candidates import Candidates, HostName
+from cfgplan.planners.exact.candidates import HostName
 from cfgplan.planners.exact.model import Model
 from cfgplan.planners.exact.quality_chains import ChainCut
+from cfgplan.planners.exact.quality_numbers import most_together, numbers_of
 from cfgplan.planning import Feature
-from cfgplan.qualities import MICRO, Over, QualityAttribute, QualityRule, Wish
+from cfgplan.qualities import MICRO, Over, QualityAttribute, Wish
+
+Counted = tuple[IntVar, list[LiteralT]]
+"""How bad what comes at an input is, and, if it may take none or several streams, that this one is taken."""
 
 
 def targets_get_the_quality_they_ask_for(model: Model) -> None:
@@ -35,7 +40,7 @@ def targets_get_the_quality_they_ask_for(model: Model) -> None:
             for target, wish in asked:
                 missed_by = badness.of_choice(target.label, target.tag, model.publishes[target.label])
                 badness.grant(wish, missed_by)
-                model.missed_by[target.label, attribute.name] = missed_by, badness.step
+                model.missed_by[target.label, attribute.name] = badness.steps(missed_by), badness.numbers.step
             badness.follow_rules()
 
 
@@ -49,41 +54,34 @@ def chains_are_as_bad_as_who_runs_lets_them(model: Model, cuts: Iterable[ChainCu
         model.cp.add(LinearExpr.sum([missed_by, *terms]) >= -(-cut.least // step))
 
 
-def _step(candidates: Candidates, attribute: QualityAttribute) -> int:
-    """Return a number of which all badness is a multiple: small numbers are what the engine is good at.
-
-    It is 1 where all badness is 0, as on a scale whose worst is its best.
-    """
-    outputs = [port for t in candidates.kinds.values() for port in t.outputs]
-    stated = [c for port in outputs for c in port.quality if c.attribute == attribute.name]
-    is_cut = any(c.rule is QualityRule.SCALE or c.over is Over.MEAN for c in stated)
-    late = [link.latency for link in candidates.environment.links if link.adds == attribute.name]
-    return 1 if is_cut else max(1, gcd(attribute.worst, attribute.best, *(c.value for c in stated), *late))
-
-
 class _Badness:
-    """Variables of an attribute where a stream is chosen: at targets, at inputs told apart, in hubs."""
+    """Variables of an attribute where a stream is chosen: at targets, at inputs told apart, in hubs.
+
+    Their values are `numbers`, of which only those in one span differ as badness does.
+    """
 
     def __init__(self, model: Model, attribute: QualityAttribute) -> None:
         self.model, self.attribute = model, attribute
-        self.step = _step(model.candidates, attribute)
-        self._scale = attribute.scale // self.step
-        self._least = {stream: bad // self.step for stream, bad in least_badness(model.candidates, attribute).items()}
+        self.numbers = numbers = numbers_of(model.candidates, attribute)
+        found = least_badness(model.candidates, attribute)
+        self._least = {stream: numbers.at_least(bad) for stream, bad in found.items()}
         self._of: dict[Hashable, IntVar] = {}
         self._together: dict[tuple[int, Over], tuple[LinearExprT, list[LiteralT]]] = {}
         self._choices: list[tuple[Hashable, IntVar, Mapping[Stream, IntVar]]] = []
+        self._fed: dict[int, IntVar] = {}
+        self._is_beyond: dict[tuple[int, int], IntVar] = {}
         self._most: dict[int, int] = {}
         """The badness up to which a stream for a demand is of use to anybody; spares may get any quality."""
         of_use = most_badness(model.candidates, attribute) if Feature.SURVIVAL not in model.problem.features else {}
         for tag, most in of_use.items():
             demand = model.demand(tag)
-            self._most[demand] = max(most // self.step, self._most.get(demand, 0))
+            self._most[demand] = max(numbers.at_most(most), self._most.get(demand, 0))
 
     def of_choice(self, where: Hashable, tag: str, choices: Mapping[Stream, IntVar]) -> IntVar:
         """A variable no better than the stream that is taken for a demand."""
         if where not in self._of:
             known = {stream: taken for stream, taken in choices.items() if stream in self._least}
-            most = self._most.get(self.model.demand(tag), self._scale)
+            most = self._most.get(self.model.demand(tag), self.numbers.top)
             least = min([most, *(self._least[stream] for stream in known)])
             self._of[where] = self.model.cp.new_int_var(least, most, "")
             self._choices.append((where, self._of[where], known))
@@ -91,15 +89,55 @@ class _Badness:
 
     def grant(self, wish: Wish, missed_by: IntVar) -> None:
         """Demand a wish's bound on `missed_by`, and add its price to the cost."""
-        cp = self.model.cp
+        cp, numbers = self.model.cp, self.numbers
         if wish.bound is not None:
-            cp.add(missed_by <= self.attribute.badness(wish.bound) // self.step)
+            cp.add(missed_by <= numbers.at_most(self.attribute.badness(wish.bound)))
         if wish.weight_us:
-            common = gcd(wish.weight_us * self.step, MICRO)
-            weight, by = wish.weight_us * self.step // common, MICRO // common
-            price = cp.new_int_var(0, -(-weight * self._scale // by), "")
-            cp.add(by * price >= weight * missed_by)
-            self.model.more_costs.append(price)
+            common = gcd(wish.weight_us * numbers.step, MICRO)
+            weight, by = wish.weight_us * numbers.step // common, MICRO // common
+            each, weight = divmod(weight, by)  # what is left of the price is smaller than the number
+            least = [weight * low // by for low, _ in numbers.spans]
+            most = max(-(-weight * high // by) - known for (_, high), known in zip(numbers.spans, least, strict=True))
+            price = cp.new_int_var(0, most, "")
+            for span, where in self._in_spans(missed_by, range(len(numbers.spans))):
+                rest = weight * numbers.offset(span) - by * least[span]
+                cp.add(by * price >= weight * missed_by + rest).only_enforce_if(where)
+            firsts = [each * numbers.offset(span) + known for span, known in enumerate(least)]
+            self.model.more_costs += [self._by_span(missed_by, firsts), each * missed_by, price]
+
+    def steps(self, number: IntVar) -> LinearExprT:
+        """The badness of a number, in steps."""
+        offsets = [self.numbers.offset(span) for span in range(len(self.numbers.spans))]
+        return LinearExpr.sum([number, self._by_span(number, offsets)])
+
+    def _by_span(self, number: IntVar, values: Sequence[int]) -> LinearExprT:
+        """The value, out of one for each span, of the span that a number is in."""
+        terms: list[LinearExprT] = [values[0]]
+        for span, (before, value) in enumerate(pairwise(values), 1):
+            if (is_beyond := self._beyond(number, span)) is not False:
+                terms.append(value - before if is_beyond is True else (value - before) * is_beyond)
+        return LinearExpr.sum(terms)
+
+    def _beyond(self, number: IntVar, span: int) -> IntVar | bool:
+        """The boolean that a number is in a span or in a worse one, if it may be there and elsewhere."""
+        least, most = number.proto.domain
+        first = self.numbers.first[span]
+        if most < first or first <= least:
+            return bool(first <= least)
+        key = number.index, span
+        if key not in self._is_beyond:
+            found = self._is_beyond[key] = self.model.cp.new_bool_var("")
+            self.model.cp.add(number >= first).only_enforce_if(found)
+            self.model.cp.add(number < first).only_enforce_if(~found)
+        return self._is_beyond[key]
+
+    def _in_spans(self, number: IntVar, spans: Collection[int]) -> Iterator[tuple[int, list[LiteralT]]]:
+        """Those of some spans that a number may be in or be the next before, with the literals that say so."""
+        ordered = sorted(spans)
+        is_beyond = [True, *(self._beyond(number, span) for span in ordered[1:]), False]
+        for span, (here, worse) in zip(ordered, pairwise(is_beyond), strict=True):
+            if here is not False and worse is not True:
+                yield span, [*([here] if here is not True else []), *([~worse] if worse is not False else [])]
 
     def follow_rules(self) -> None:
         """Let each variable be what the rules of the streams make of their inputs, which get variables too."""
@@ -111,7 +149,7 @@ class _Badness:
     ) -> None:
         cp, (start, most) = self.model.cp, badness.proto.domain
         held: list[LiteralT] = []
-        if most == self._scale:  # what is worse than the scale counts as its worst
+        if most == self.numbers.top and self.numbers.has_worst:  # what is worse than the scale counts as its worst
             is_worst = cp.new_bool_var("")
             cp.add(badness == most).only_enforce_if(is_worst)
             held.append(is_worst.negated())
@@ -141,7 +179,7 @@ class _Badness:
         elif isinstance(where, tuple) and where[0] == "input":
             wanted = {host: [on] for host, on in model.runs_on[where[1]].items()}
         latency = partial(model.environment.latency, self.attribute.name)
-        late = {(one, other): latency(one, other) // self.step for one in made_on for other in wanted}
+        late = {(one, other): latency(one, other) // self.numbers.step for one in made_on for other in wanted}
         if not any(late.values()):
             return None
         delay = model.cp.new_int_var(0, max(late.values()), "")
@@ -149,27 +187,32 @@ class _Badness:
             model.cp.add(delay >= by).only_enforce_if([made_on[one], *wanted[other]])
         return delay
 
-    def _made(self, stream: Stream) -> Iterable[tuple[int, LinearExprT, list[LiteralT]]]:
-        """What the badness of a stream times a number is at least where some literals hold."""
-        unit = self.model.unit_of(stream)
-        transformation = self.model.candidates.all[unit].transformation
+    def _made(self, stream: Stream) -> Iterator[tuple[int, LinearExprT, list[LiteralT]]]:
+        """What the number of a stream, times another, is at least where some literals hold."""
+        model, numbers, unit = self.model, self.numbers, self.model.unit_of(stream)
+        transformation = model.candidates.all[unit].transformation
         making = Making.of(self.attribute, transformation, transformation.output[stream.port])
-        yield 1, making.least // self.step, []
-        inputs: list[tuple[LinearExprT, list[LiteralT]]] = []
-        if making.inputs:
-            found = [one for port in making.inputs for one in self._counted(unit, port)]
-            inputs = list({one.index: (one, so) for one, so in found}.values())
-            if all(so for _, so in found):
-                yield 1, making.alone // self.step, [~counts for _, so in found for counts in so]
-            if making.over is not Over.WORST and len(found) > 1:
-                inputs = [self._combined(unit, making.over, found)]
-        common = gcd(making.gain * self.step, MICRO * self.step, making.shift)
-        for badness, so in inputs:
-            made = making.gain * self.step // common * badness + making.shift // common
-            yield MICRO * self.step // common, made, so
+        yield 1, numbers.at_least(making.least), []
+        inputs = {one.index: (one, so) for port in making.inputs for one, so in self._counted(unit, port)}
+        found = [*inputs.values()]
+        if making.inputs and all(so for _, so in found):
+            yield 1, numbers.at_least(making.alone), [~counts for _, so in found for counts in so]
+        images = numbers.images[transformation.label, stream.port]
+        common = gcd(making.gain * numbers.step, MICRO * numbers.step, making.shift)
+        gain, by = making.gain * numbers.step // common, MICRO * numbers.step // common
+        shift_to = {span: making.shift // common - by * numbers.offset(image) for span, image in images.items()}
+        if making.over in (Over.SUM, Over.MEAN) and most_together(model.candidates, making) > 1:
+            for span, shift in shift_to.items():
+                together, is_any = self._combined(unit, making.over, found, span)
+                yield by, gain * together + shift, is_any
+            return
+        if making.over is Over.BEST and len(found) > 1:
+            found = [self._best(unit, found)]
+        for number, so in found:
+            for span, where in self._in_spans(number, images):
+                yield by, gain * number + gain * numbers.offset(span) + shift_to[span], [*so, *where]
 
-    def _counted(self, unit: int, port: InputPort) -> list[tuple[IntVar, list[LiteralT]]]:
-        """How bad what comes at an input is, and, if it may take none or several streams, that each is taken."""
+    def _counted(self, unit: int, port: InputPort) -> list[Counted]:
         if port.is_usual:
             return [(self._at(unit, port), [])]
         where, connects = ("input", unit, port.name), self.model.connects[unit, port.name]
@@ -188,7 +231,7 @@ class _Badness:
             if len({badness.index for _, badness in met}) == 1 and kept is None:
                 self._of[where] = met[0][1]
                 return met[0][1]
-            badness = self._of[where] = model.cp.new_int_var(0, self._scale, "")
+            badness = self._of[where] = model.cp.new_int_var(0, self.numbers.top, "")
             if kept is not None:
                 known = {kept: model.stays[unit]} if kept in self._least else {}
                 self._choices.append((where, badness, known))
@@ -196,44 +239,56 @@ class _Badness:
                 model.cp.add(badness >= theirs).only_enforce_if(wired)
         return self._of[where]
 
+    def _best(self, unit: int, inputs: Sequence[Counted]) -> Counted:
+        """The number of the best that counts, and the literal that something does, if there may be nothing."""
+        where = "best of", unit
+        is_any = self._is_any(unit, inputs)
+        if where not in self._of:
+            best = self._of[where] = self.model.cp.new_int_var(0, self.numbers.top, "")
+            counted = [self._or_else(number, so, 0, self.numbers.top) for number, so in inputs]
+            self.model.cp.add_min_equality(best, counted)
+        return self._of[where], is_any
+
     def _combined(
-        self, unit: int, over: Over, inputs: Sequence[tuple[IntVar, list[LiteralT]]]
+        self, unit: int, over: Over, inputs: Sequence[Counted], span: int
     ) -> tuple[LinearExprT, list[LiteralT]]:
-        """How bad all that counts is together, and the literal that something does, if there may be nothing."""
+        """How bad all that counts, in one span, is together, in steps; and the literal that something does."""
         where = unit, over
         if where not in self._together:
-            self._together[where] = self._new_combined(over, inputs)
+            self._together[where] = self._new_combined(over, inputs, span), self._is_any(unit, inputs)
         return self._together[where]
 
-    def _new_combined(
-        self, over: Over, inputs: Sequence[tuple[IntVar, list[LiteralT]]]
-    ) -> tuple[LinearExprT, list[LiteralT]]:
-        cp, otherwise = self.model.cp, self._scale if over is Over.BEST else 0
-        counted = [self._or_else(badness, so, otherwise) for badness, so in inputs]
+    def _is_any(self, unit: int, inputs: Sequence[Counted]) -> list[LiteralT]:
+        """The literal that some input counts; none if one always does."""
+        if not all(so for _, so in inputs):
+            return []
+        if unit not in self._fed:
+            self._fed[unit] = self.model.cp.new_bool_var("")
+            self.model.cp.add_max_equality(self._fed[unit], [counts for _, so in inputs for counts in so])
+        return [self._fed[unit]]
+
+    def _new_combined(self, over: Over, inputs: Sequence[Counted], span: int) -> LinearExprT:
+        cp, numbers = self.model.cp, self.numbers
+        first, low = numbers.first[span], numbers.spans[span][0]
+        above = [self._or_else(number, so, first, 0) for number, so in inputs]
         literals = [counts for _, so in inputs for counts in so]
         number = LinearExpr.sum(literals) + len(inputs) - len(literals)
-        is_any: list[LiteralT] = []
-        if len(literals) == len(inputs):
-            is_any = [cp.new_bool_var("")]
-            cp.add_max_equality(is_any[0], literals)
         if over is Over.SUM:
-            best = self.attribute.sign * self.attribute.best // self.step
-            return LinearExpr.sum(counted) + best * (number - 1), is_any
-        together = cp.new_int_var(0, self._scale, "")
-        if over is Over.BEST:
-            cp.add_min_equality(together, counted)
-            return together, is_any
+            best = self.attribute.sign * self.attribute.best // numbers.step
+            return LinearExpr.sum(above) + (low + best) * number - best
+        together = cp.new_int_var(-first, numbers.top - first, "")
         for n in range(max(1, len(inputs) - len(literals)), len(inputs) + 1):
             are_more = cp.new_bool_var("")
             cp.add(number != n).only_enforce_if(are_more)
-            cp.add(n * together >= LinearExpr.sum(counted)).only_enforce_if(~are_more)
-        return together, is_any
+            cp.add(n * together >= LinearExpr.sum(above)).only_enforce_if(~are_more)
+        return together + low
 
-    def _or_else(self, badness: IntVar, so: list[LiteralT], otherwise: int) -> IntVar:
-        """How bad something is that counts if a literal holds, else another number."""
+    def _or_else(self, number: IntVar, so: list[LiteralT], less: int, otherwise: int) -> LinearExprT:
+        """By how much a number that counts if a literal holds exceeds another; something else if it does not hold."""
         if not so:
-            return badness
-        found = self.model.cp.new_int_var(0, self._scale, "")
-        self.model.cp.add(found == badness).only_enforce_if(so)
+            return number - less
+        least, most = number.proto.domain
+        found = self.model.cp.new_int_var(min(least - less, otherwise), max(most - less, otherwise), "")
+        self.model.cp.add(found == number - less).only_enforce_if(so)
         self.model.cp.add(found == otherwise).only_enforce_if([~counts for counts in so])
         return found
