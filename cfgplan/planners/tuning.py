@@ -27,6 +27,7 @@ AT_REST = "`benchmark.py replan`"
 FLEETS = "`fleets.py`"
 DEPLOYMENTS = "`deployments.py`, seeds 0 to 4, 200 to 211, 300 to 305, 507"
 TRANSPORTS = "transport and random libraries with costs alike, seeds 0 to 120"
+TOYS = "`toys.py`"
 SERVED = "`count`, `optional` and `serves`, below"
 
 
@@ -161,6 +162,7 @@ class Fleets:
     apart: int = said(12, "hosts", "Up to here each is looked at by itself where not all fits.", DEPLOYMENTS)
     company: float = said(10.0, "hosts", "Units with company, or that are it, weigh at most this.", DEPLOYMENTS)
     small: int = said(20_000, "booleans", "Below this size of a fleet's model, probing takes too long.", FLEETS)
+    few: int = said(20, "candidates", "Up to here who feeds whom is ordered and relaxed in full.", TOYS)
     wired: int = said(12_000, "booleans", "Below it, relaxing who feeds counted inputs in full takes too long.", SERVED)
 
 

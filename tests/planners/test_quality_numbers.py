@@ -97,6 +97,16 @@ def test_the_planner_equals_the_oracle_whatever_counts_as_a_gap(problem: Problem
     assert differences(problem, found, oracle_of(problem)) == []
 
 
+@pytest.mark.parametrize("over", Over)
+def test_a_stream_at_two_inputs_counts_twice(over: Over) -> None:
+    problem = chain(QualityRule.ADD, MICRO, Better.LOWER)
+    made = OutputPort("x", "", (Contribution("q", QualityRule.ADD, MICRO, over),))
+    one, *others = (t for t in problem.environment.library if t.label not in ("first", "unknown"))
+    problem = problem.with_parts(library=(one, kind("first", "AA", "B", 1, output=made), *others))
+    found = plan(problem)
+    assert (found.status, found.cost_us) == (Status.OPTIMAL, 7 + (8 if over is Over.SUM else 5) * MICRO)
+
+
 def test_a_price_far_beyond_all_other_values_is_exact() -> None:
     problem = chain(QualityRule.ADD, MICRO, Better.LOWER)
     found = plan(problem)

@@ -121,8 +121,11 @@ def inputs_of_a_group_are_fed_by_different_transformations(model: Model) -> None
 
 
 def units_that_feed_each_other_come_one_after_the_other(model: Model) -> None:
-    """Implied, but where inputs need not be fed there are too many ways to close a ring to cut them one by one."""
-    if Feature.OPTIONAL not in model.problem.features:
+    """Implied, but where inputs need not be fed there are too many ways to close a ring to cut them one by one.
+
+    In small problems there are as many where streams are counted, limited or compared.
+    """
+    if Feature.OPTIONAL not in model.problem.features and not model.is_small:
         return
     from networkx import DiGraph, strongly_connected_components
 

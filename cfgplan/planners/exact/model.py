@@ -37,6 +37,7 @@ class Model:
         self.candidates = candidates
         self.problem = candidates.problem
         self.environment = candidates.environment
+        self.is_small = len(candidates.all) <= candidates.clock.tuning.fleet.few
         self.asks_for_quality = Feature.QUALITY in self.problem.features
         by_stream = {Feature.LATENCY, *ONLY_IN_THE_MODEL} if self.asks_for_quality else {Feature.LATENCY}
         self.is_apart = is_apart or not by_stream.isdisjoint(self.problem.features)

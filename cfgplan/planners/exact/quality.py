@@ -193,8 +193,7 @@ class _Badness:
         transformation = model.candidates.all[unit].transformation
         making = Making.of(self.attribute, transformation, transformation.output[stream.port])
         yield 1, numbers.at_least(making.least), []
-        inputs = {one.index: (one, so) for port in making.inputs for one, so in self._counted(unit, port)}
-        found = [*inputs.values()]
+        found = [one for port in making.inputs for one in self._counted(unit, port)]
         if making.inputs and all(so for _, so in found):
             yield 1, numbers.at_least(making.alone), [~counts for _, so in found for counts in so]
         images = numbers.images[transformation.label, stream.port]
@@ -206,9 +205,10 @@ class _Badness:
                 together, is_any = self._combined(unit, making.over, found, span)
                 yield by, gain * together + shift, is_any
             return
-        if making.over is Over.BEST and len(found) > 1:
-            found = [self._best(unit, found)]
-        for number, so in found:
+        inputs = list({number.index: (number, so) for number, so in found}.values())
+        if making.over is Over.BEST and len(inputs) > 1:
+            inputs = [self._best(unit, inputs)]
+        for number, so in inputs:
             for span, where in self._in_spans(number, images):
                 yield by, gain * number + gain * numbers.offset(span) + shift_to[span], [*so, *where]
 

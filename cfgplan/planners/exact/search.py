@@ -295,7 +295,7 @@ class Search:
         is_large = self._has_hosts or self.model.asks_for_quality
         small = size < (tuning.fleet.small if is_large else tuning.solve.small)
         solver = repeatable_solver(small=small, time_limit_s=self.standing.clock.left_s())
-        if ONLY_IN_THE_MODEL & self.problem.features and size < tuning.fleet.wired:
+        if ONLY_IN_THE_MODEL & self.problem.features and size < tuning.fleet.wired and not self.model.is_small:
             solver.parameters.linearization_level = 1
         if size < tuning.solve.tiny:
             solver.parameters.max_presolve_iterations = 1
