@@ -33,6 +33,8 @@ def plan_alone(problem: Problem) -> Plan:
 def plan_apart(problem: Problem) -> Plan:
     """The same in the model in which every possible subscription has a boolean."""
     search = search_alone(problem, is_apart=True)
+    required = problem.environment.required
+    search.standing.fewest_unused = sum(not search.model.candidates.of(label) for label in required)
     search.run()
     return search.standing.plan()
 

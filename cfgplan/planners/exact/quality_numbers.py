@@ -61,10 +61,6 @@ class Numbers:
         """The badness of a number in a span, in steps, less the number."""
         return self.spans[span][0] - self.first[span]
 
-    def span_of(self, number: int) -> int:
-        """The span that a number is in; the last one of numbers beyond all."""
-        return max(span for span, first in enumerate(self.first) if first <= max(number, 0))
-
     def at_least(self, badness: int) -> int:
         """The least number of a value that is as bad or worse; beyond all if there is none."""
         steps = -(-badness // self.step)
