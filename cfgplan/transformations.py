@@ -196,6 +196,8 @@ class Transformation:
         refuse_duplicates(
             f"port of transformation {self.label!r}", [*(p.name for p in self.inputs), *(p.name for p in self.outputs)]
         )
+        if self.inputs and self.run.rate_hz is not None:
+            raise InvalidValueError(f"transformation {self.label!r} has inputs and a rate: only a source has a rate")
         if self.hosts or self.conflicts or self.conflicts_on_host or self.beside:
             for name in ("hosts", "conflicts", "conflicts_on_host", "beside"):
                 store_sorted(self, name, getattr(self, name), str)

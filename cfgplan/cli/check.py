@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import Exit
+from cfgplan.cli.plan_text import nothing_wanted
 from cfgplan.cli.screen import Screen, counted
 from cfgplan.summary import some
 
@@ -38,6 +39,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan.explaining import Suspicion
 
     world, every = _faults(options, screen)
+    if not world.environment.units and options.against is None:
+        return _nothing_runs(options, world, screen)
     found, gone = every, 0
     if options.against is not None:
         before = {
@@ -70,6 +73,18 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     return Exit.INVALID if broken else Exit.OK
 
 
+def _nothing_runs(options: argparse.Namespace, world: World, screen: Screen) -> Exit:
+    """Say that the file itself is valid, where it names no running units whose wiring could be wrong."""
+    if screen.json:
+        screen.show_json({"valid": True, "violations": [], "unfed": [], "untaken": []})
+        return Exit.OK
+    plans = f"`cfgplan solve {options.env}` plans what to start"
+    screen.show(_bold(world, f"the file is valid. Nothing runs yet: {plans}", "green"))
+    if told := nothing_wanted(world.environment):
+        screen.warn(told)
+    return Exit.OK
+
+
 def _faults(options: argparse.Namespace, screen: Screen) -> tuple[World, tuple[WiringFault, ...]]:
     """The world that the options name, and what is wrong or odd there."""
     from cfgplan import answers, api
@@ -100,6 +115,21 @@ def _text(world: World, fault: WiringFault) -> Text:
 
 
 def _verdict(options: argparse.Namespace, world: World, broken: Sequence[WiringFault], gone: int) -> Text:
+    sure = [fault for fault in broken if fault.violation and not fault.violation.is_open]
+    if options.against is not None:
+        new = counted(len(broken), "rule") if broken else "no rule"
+        mended = f"; {counted(gone, 'fault is', 'faults are')} mended" if gone else ""
+        what = f"the running configuration violates {new} that held in {options.against}{mended}"
+        return _bold(world, what, "red" if broken else "green")
+    if sure:
+        return _bold(world, f"the running configuration violates {counted(len(sure), 'rule')}", "red")
+    if broken:
+        return _bold(world, "it is not decided whether the running configuration is valid", "yellow")
+    return _bold(world, "the running configuration is valid", "green")
+
+
+def _bold(world: World, verdict: str, colour: str) -> Text:
+    """A verdict, after the number of parts that were looked at."""
     from rich.text import Text
 
     environment = world.environment
@@ -110,17 +140,7 @@ def _verdict(options: argparse.Namespace, world: World, broken: Sequence[WiringF
             counted(len(environment.targets), "target"),
         ]
     )
-    sure = [fault for fault in broken if fault.violation and not fault.violation.is_open]
-    if options.against is not None:
-        new = counted(len(broken), "rule") if broken else "no rule"
-        mended = f"; {counted(gone, 'fault is', 'faults are')} mended" if gone else ""
-        what = f"the running configuration violates {new} that held in {options.against}{mended}"
-        return Text(f"{size}: {what}.", style="bold red" if broken else "bold green")
-    if sure:
-        return Text(f"{size}: the running configuration violates {counted(len(sure), 'rule')}.", style="bold red")
-    if broken:
-        return Text(f"{size}: it is not decided whether the running configuration is valid.", style="bold yellow")
-    return Text(f"{size}: the running configuration is valid.", style="bold green")
+    return Text(f"{size}: {verdict}.", style=f"bold {colour}")
 
 
 def _as_json(world: World, fault: WiringFault) -> dict[str, object]:

@@ -151,6 +151,8 @@ def _summary(problem: Problem, plan: Plan, given_up: Collection[str]) -> Iterato
             )
             yield Text(f"Minimised, in this order: {told}.")
     yield verdict(problem, plan)
+    if not given_up and (told := nothing_wanted(before)):
+        yield Text(told, style="bold yellow")
     yield from undecided_lines(problem, plan)
     if plan.change_set is not None and given_up:
         yield Text(f"Given up: {len(given_up)} of {len(before.targets) + len(given_up)} targets.", style="bold yellow")
@@ -161,6 +163,13 @@ def _summary(problem: Problem, plan: Plan, given_up: Collection[str]) -> Iterato
             yield Text(f"Stopped, though pinned: {reason}.", style="bold yellow")
     for label in plan.unused_required:
         yield Text(f"Required {label} is not used: {why_unused(plan)}.", style="yellow")
+
+
+def nothing_wanted(environment: Environment) -> str:
+    """A question to who has forgotten to say what is wanted; empty if something is."""
+    if environment.targets or any(one.min_instances for one in environment.library):
+        return ""
+    return "The environment has no targets, so that nothing is wanted and nothing runs for it. Is `targets:` missing?"
 
 
 def undecided_lines(problem: Problem, plan: Plan) -> Iterator[Text]:

@@ -163,7 +163,7 @@ class Expander:
         if not (_is_well_numbered(entry, part) & self._fleet.is_selector(entry.at("on"), filled.on)):
             self._left_out.add("transformations", filled.label)
             return
-        run = _run_options(entry.at("run", "start"), filled)
+        run = _run_options(entry.at("run"), filled)
         said = (
             {"conflicts": (), **filled.conflicts.values()} if isinstance(filled.conflicts, fields.ConflictsPart) else {}
         )
@@ -244,7 +244,11 @@ def _run_options(entry: Passage, filled: fields.TransformationPart) -> RunOption
     start, known = filled.run.start, [*START_MODES, *(filled.inputs or ())]
     if start not in known:
         mend = did_you_mean(start, known, f"write {', '.join(START_MODES)}, or the name of an input port")
-        entry.note(f"no step starts on `{start}`", mend)
+        entry.at("start").note(f"no step starts on `{start}`", mend)
+    if filled.run.rate is not None and filled.inputs:
+        mend = "remove it: elements of its inputs start its steps; `run: {start: ...}` says which"
+        entry.at("rate").note("only a source has a rate, and this transformation has inputs", mend)
+        return RunOptions()
     return RunOptions(**filled.run.values())
 
 
@@ -312,7 +316,7 @@ def _build(document: Document, vocabulary: TagVocabulary) -> EnvironmentFile:
         tuple(fleet.attributes.values()),
         document.header.transfer,
         fleet.links,
-        tuple(map(Objective, dict.fromkeys(document.header.minimise))),
+        tuple(map(Objective, document.header.minimise)),
     )
     return EnvironmentFile(
         document.path,

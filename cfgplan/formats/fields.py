@@ -24,12 +24,14 @@ from cfgplan.formats.schema_values import (
     BetterName,
     Cost,
     Count,
+    FileList,
     FileName,
     HangTime,
     Horizon,
     InputKind,
     Micro,
     Name,
+    Names,
     Objectives,
     Params,
     PortName,
@@ -41,6 +43,7 @@ from cfgplan.formats.schema_values import (
     SelectorText,
     Speed,
     StreamName,
+    StreamNames,
     Survived,
     TagText,
     TimeSpan,
@@ -109,7 +112,8 @@ def row(
 ) -> Any:
     """A field of a part. With `...` as default the key can't be absent."""
     in_schema: Any = {_IN_SCHEMA[name]: limit for name, limit in limits.items() if name in _IN_SCHEMA}
-    field = Field(default=default, description=meaning, json_schema_extra=in_schema or None, **limits)
+    more = {"json_schema_extra": in_schema} if in_schema else {}
+    field = Field(default=default, description=meaning, **more, **limits)
     field.metadata.append(_Said(to, use, xml))
     return field
 
@@ -175,6 +179,7 @@ class Part(BaseModel):
 
 
 def _frozen(value: Any) -> Any:
+    """A tuple for a list. Template variables may have made two of its entries one."""
     return tuple(dict.fromkeys(value)) if isinstance(value, list) else value
 
 
@@ -252,9 +257,9 @@ class OutputPart(Part):
 
 InputGiven = Annotated[Annotated[TagText, _SHORT] | Annotated[InputPart, _FULL], _CHOICE]
 OutputGiven = Annotated[Annotated[TagText, _SHORT] | Annotated[OutputPart, _FULL], _CHOICE]
-OneOrMoreNames = Annotated[Annotated[Name, _SHORT] | Annotated[list[Name], _FULL], _CHOICE]
-OneOrMoreStreams = Annotated[Annotated[StreamName, _SHORT] | Annotated[list[StreamName], _FULL], _CHOICE]
-FileNames = Annotated[Annotated[FileName, _SHORT] | Annotated[list[FileName], _FULL], _CHOICE]
+OneOrMoreNames = Annotated[Annotated[Name, _SHORT] | Annotated[Names, _FULL], _CHOICE]
+OneOrMoreStreams = Annotated[Annotated[StreamName, _SHORT] | Annotated[StreamNames, _FULL], _CHOICE]
+FileNames = Annotated[Annotated[FileName, _SHORT] | Annotated[FileList, _FULL], _CHOICE]
 Imports = Annotated[Annotated[Literal["ignore"], _SHORT] | Annotated[dict[Name, FileName], _FULL], _CHOICE]
 
 
@@ -265,7 +270,7 @@ class RunPart(Part):
 
     start: PortName = row("what starts a step: all inputs fresh, any input, aligned in time, or a port's name", "all")
     tolerance: Seconds = row("how far apart aligned inputs may be, in seconds", 0, "tolerance_us")
-    rate: Rate | None = row("how often a source gives an element, per second", to="rate_hz")
+    rate: Rate | None = row("how often a source, which has no inputs, gives an element, per second", to="rate_hz")
     queue: Whole = row("how many elements may wait at an input", 256, ge=1, le=LONGEST_QUEUE)
     when_full: WhenFull = row("drop the oldest element, or let the producer wait", "drop_oldest", "blocks")
     hang: HangTime | None = row(
@@ -280,19 +285,24 @@ class RunPart(Part):
 class ConflictsPart(Part):
     """Transformations that a transformation may not be together with."""
 
-    host: list[Name] | None = row("none of their units is on one host with a unit of it", to="conflicts_on_host")
-    system: list[Name] | None = row(
-        "none of their units is there; a list, without a mapping, says these", to="conflicts"
-    )
+    host: Names | None = row("none of their units is on one host with a unit of it", to="conflicts_on_host")
+    system: Names | None = row("none of their units is there; a list, without a mapping, says these", to="conflicts")
 
 
-ConflictsGiven = Annotated[
-    Annotated[list[Name], _SHORT] | Annotated[ConflictsPart, _FULL], Discriminator(list_or_mapping)
+ConflictsGiven = Annotated[Annotated[Names, _SHORT] | Annotated[ConflictsPart, _FULL], Discriminator(list_or_mapping)]
+
+
+_RATE_OR_INPUTS: Final[Any] = [
+    {"properties": {"inputs": {"anyOf": [_IS_UNSAID, {"maxProperties": 0}]}}},
+    {"properties": {"run": {"properties": {"rate": _IS_UNSAID}}}},
 ]
+"""Only a source has a rate; readers check it in words."""
 
 
 class TransformationPart(Part):
     """A streaming function that can be instantiated; `${Class}` in it stands for each individual of a class."""
+
+    model_config = ConfigDict(json_schema_extra={"anyOf": _RATE_OR_INPUTS})
 
     label: Name = row("unique; mentions every template variable of the transformation", ..., use=Use.BOTH, xml=ELEMENT)
     source: Name | None = row(
@@ -313,7 +323,7 @@ class TransformationPart(Part):
     )
     needs: Resources | None = row("how much of other resources of its host a unit takes, by name: whole numbers")
     # `with` is a word of Python's, so that it can't be written as the others are.
-    __annotations__["with"] = "list[Name] | None"
+    __annotations__["with"] = "Names | None"
     locals()["with"] = row("transformations of each of which a unit runs on the host of a running unit", to="beside")
     conflicts: ConflictsGiven | None = row("transformations that may not be there together with it")
     min_instances: Whole = row("at least so many of its units run", 0, ge=0, le=MOST_INSTANCES)
@@ -333,7 +343,7 @@ class UnitPart(Part):
     inputs: dict[PortName, OneOrMoreStreams | None] | None = row(
         "input port to stream (unit/port), or to a list of several; null: a gap", to="subscriptions", xml=ELEMENT
     )
-    topics: dict[PortName, list[Name]] | None = row(
+    topics: dict[PortName, Names] | None = row(
         "output port to the topics it is published on", to="publications", xml=ELEMENT
     )
     host: Name | None = row("where it runs, if hosts are declared")
@@ -388,7 +398,7 @@ class HostPart(Part):
         ge=1,
         le=MOST_COPIES,
     )
-    labels: list[Name] | None = row("what selectors such as `on` choose it by, beside its name")
+    labels: Names | None = row("what selectors such as `on` choose it by, beside its name")
     cpu: Cost | None = row("CPU seconds per second that units may take; no limit if absent", to="cpu_us")
     memory: Whole | None = row(
         "megabytes that units may take; no limit if absent", to="memory_mb", ge=0, le=LARGEST_AMOUNT
@@ -458,7 +468,7 @@ class EnvironmentPart(Part):
     horizon: Horizon = row("how far ahead upkeep counts: whole seconds, or `10m`, `1h`", DEFAULT_HORIZON_S, "horizon_s")
     max_cost: Cost | None = row("the most that an update may cost, in CPU seconds", to="max_cost_us")
     defaults: DefaultsPart | None = row("costs of transformations that state none", xml=ELEMENT)
-    include: list[FileName] | None = row("files and folders with more transformations and targets", xml=ELEMENT)
+    include: FileList | None = row("files and folders with more transformations and targets", xml=ELEMENT)
     hosts: list[HostPart] | None = row("where units run; if absent, nothing is placed")
     transfer: Cost = row("CPU seconds for each megabyte that goes from host to host", 0, "transfer_us")
     links: list[LinkPart] | None = row("what carries streams from host to host: the first that fits two hosts")

@@ -200,6 +200,20 @@ def _count(value: object) -> int:
     return value
 
 
+def _once_each(values: list[T]) -> list[T]:
+    """A list whose entries differ."""
+    seen = set[T]()
+    for value in values:
+        if value in seen:
+            raise _refusal(f"`{value}` is written twice in this list", "remove one of the two")
+        seen.add(value)
+    return values
+
+
+_UNIQUE = Field(json_schema_extra={"uniqueItems": True})
+_ONCE_EACH = AfterValidator(_once_each), _UNIQUE
+
+
 def form_of(value: object) -> str:
     """Which of two forms an author chose, so that errors are about that one only."""
     return FULL_FORM if isinstance(value, dict | list | BaseModel) else SHORT_FORM
@@ -233,10 +247,14 @@ def _whole_if_it_is(value: Decimal) -> Decimal | int:
 
 FileName = Annotated[str, Field(pattern=NAME_PATTERN)]
 """The name of a file stays as it is written; all other names are spelled in one way."""
+FileList = Annotated[list[FileName], *_ONCE_EACH]
 Name = Annotated[FileName, AfterValidator(normal)]
+Names = Annotated[list[Name], *_ONCE_EACH]
 PortName = Annotated[str, Field(pattern=PORT), AfterValidator(normal)]
 StreamName = Annotated[Name, WithJsonSchema({"type": "string", "pattern": rf"^(?=.+/[^/]+$){NAME_PATTERN[1:]}"})]
 """UNIT/PORT; what has no slash is told in words of its own."""
+StreamNames = Annotated[list[StreamName], _UNIQUE]
+"""Streams that feed an input; what is there twice is told in words of its own."""
 TagText = Annotated[
     str, Field(min_length=1, description="a concept in description logic, or the paper's P(a)"), AfterValidator(normal)
 ]
@@ -309,7 +327,7 @@ Resources = Annotated[
 Survived = Annotated[Literal[0, 1, "units", "hosts"], BeforeValidator(_whole), BeforeValidator(_no_flag)]
 Params = Annotated[dict[str, Any], PlainValidator(_params), WithJsonSchema({"type": ["object", "null"]})]
 ObjectiveName = Annotated[Literal["rent", "cost", "units", "hosts", "rewired", "started"], _member(Objective)]
-Objectives = Annotated[list[ObjectiveName], Written(lambda named: [one.value for one in named])]
+Objectives = Annotated[list[ObjectiveName], *_ONCE_EACH, Written(lambda named: [one.value for one in named])]
 BetterName = Annotated[Literal["lower", "higher"], _member(Better), Written(str)]
 RuleName = Annotated[Literal["add", "limit", "scale", "set"], _member(QualityRule), Written(str)]
 InputKind = Annotated[

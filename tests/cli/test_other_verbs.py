@@ -170,3 +170,32 @@ def test_units_are_the_same_whatever_their_ids() -> None:
     assert "  + start   b (runs)" in text
     assert "  - stop    b" in text
     assert "x <- a/n   (was b/n)" in text
+
+
+def test_check_says_that_a_file_without_units_is_valid_and_how_to_go_on(run: Run, write: Callable[[str], Path]) -> None:
+    env = write("transformations: [{label: s, outputs: {x: A}}]\ntargets: [{label: q, topic: /q, tag: A}]\n")
+    result = run("check", env)
+    assert result.code == 0
+    assert f"the file is valid. Nothing runs yet: `cfgplan solve {env}` plans what to start." in result.out
+    assert run("check", env, "--json").document["valid"] is True
+
+
+def test_check_against_a_file_where_something_ran_still_says_what_broke(
+    run: Run, write: Callable[[str], Path], tmp_path: Path
+) -> None:
+    text = "transformations: [{label: s, outputs: {x: A}}]\ntargets: [{label: q, topic: /q, tag: A}]\n"
+    before = write(text + "units: [{id: s.1, transformation: s, topics: {x: [/q]}}]\n").rename(tmp_path / "before.yaml")
+    assert run("check", write(text), "--against", before).code == 1
+
+
+@pytest.mark.parametrize("verb", [["solve"], ["check"], ["run", "--dry-run", "--no-estimates"]])
+def test_who_forgets_targets_is_asked_for_them(verb: list[str], run: Run, write: Callable[[str], Path]) -> None:
+    env = write("transformations: [{label: s, source: 'units.py:S', outputs: {x: A}}]\n")
+    result = run(verb[0], env, *verb[1:])
+    assert "Is `targets:` missing?" in result.out + result.err
+
+
+def test_who_asks_for_instances_instead_of_targets_is_not_asked(run: Run, write: Callable[[str], Path]) -> None:
+    env = write("transformations: [{label: s, min_instances: 1, outputs: {x: A}}]\n")
+    result = run("solve", env)
+    assert "targets:" not in result.out + result.err

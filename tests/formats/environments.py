@@ -48,7 +48,7 @@ def run_options(inputs: list[str]) -> st.SearchStrategy[RunOptions]:
         RunOptions,
         st.sampled_from([*START_MODES, *inputs]),
         COSTS,
-        st.none() | st.floats(0.001, 1000),
+        st.none() if inputs else st.none() | st.floats(0.001, 1000),
         st.integers(1, 1000),
         st.booleans(),
         st.sampled_from([None, 0, 2_000_000, 2_500_001, 10**12]),

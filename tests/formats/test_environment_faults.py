@@ -12,6 +12,7 @@ from loading import faults_of, load, only_fault, place_of
 from cfgplan.errors import InputError
 from cfgplan.formats import files
 from cfgplan.formats.document import read_document
+from cfgplan.formats.fields import EnvironmentPart, json_schema
 
 HEAD = "format: cfgplan/1\n"
 A = "transformations:\n  - {label: a, inputs: {i: T}, outputs: {o: T, p: T}}\n"
@@ -440,3 +441,43 @@ def test_among_many_names_the_close_one_is_found(tmp_path: Path) -> None:
     labels = "".join(f"  - label: step{number}\n" for number in range(1000))
     text = f"{HEAD}transformations:\n{labels}units: [{{id: u, transformation: setp7}}]\n"
     assert only_fault(tmp_path, text).mend == "did you mean `step7`?"
+
+
+REPEATED = {
+    "ontology": ("ontology: [{0}.ttl, {0}.ttl]", "o.ttl"),
+    "include": ("include: [{0}.yaml, {0}.yaml]", "o.yaml"),
+    "minimise": ("minimise: [rent, rent]", "rent"),
+    "labels of a host": ("hosts: [{{name: h, labels: [{0}, {0}]}}]", "o"),
+    "host": ("hosts: [{{name: {0}}}]\ntransformations: [{{label: a, host: [{0}, {0}]}}]", "o"),
+    "with": ("transformations: [{{label: a, with: [{0}, {0}]}}]", "o"),
+    "conflicts": ("transformations: [{{label: a, conflicts: [{0}, {0}]}}]", "o"),
+    "conflicts of the system": ("transformations: [{{label: a, conflicts: {{system: [{0}, {0}]}}}}]", "o"),
+    "conflicts of a host": ("transformations: [{{label: a, conflicts: {{host: [{0}, {0}]}}}}]", "o"),
+    "topics": (
+        "transformations: [{{label: a}}]\nunits: [{{id: a.1, transformation: a, topics: {{x: [{0}, {0}]}}}}]",
+        "o",
+    ),
+}
+
+
+@pytest.mark.parametrize("text", REPEATED)
+def test_a_name_that_is_twice_in_a_list_is_a_fault(text: str, tmp_path: Path) -> None:
+    written, name = REPEATED[text]
+    faults = faults_of(tmp_path, f"{HEAD}{written.format('o')}\n")
+    (fault,) = (fault for fault in faults if "twice" in fault.message)
+    assert fault.message == f"`{name}` is written twice in this list"
+    assert fault.mend == "remove one of the two"
+    assert fault.line == 2 + written.count("\n")
+
+
+def test_every_list_of_names_has_a_case_above() -> None:
+    """A field that is added later and holds a list of texts refuses repeats too, unless it is named here."""
+    schema = str(json_schema(EnvironmentPart))
+    lists = schema.count("'type': 'array'")
+    of_parts = schema.count("'type': 'array'") - schema.count("'uniqueItems': True")
+    assert lists - of_parts == len(REPEATED) + 1, "streams that feed an input have words of their own"
+    assert of_parts == len({"transformations", "units", "targets", "hosts", "links", "qualities", "between"})
+
+
+def test_the_two_ends_of_a_link_may_be_the_same(tmp_path: Path) -> None:
+    assert faults_of(tmp_path, HEAD + "hosts: [{name: h}, {name: i}]\nlinks: [{between: [h, h]}]\nx: 1\n")[0].key == "x"

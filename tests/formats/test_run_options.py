@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from loading import load_text
+from loading import faults_of, load_text
 
 from cfgplan.domain import RunOptions
 from cfgplan.errors import InputError, InvalidValueError
@@ -28,8 +28,19 @@ def test_what_is_not_said_is_usual(tmp_path: Path) -> None:
 
 
 def test_everything_can_be_said(tmp_path: Path) -> None:
-    run = "{start: aligned, tolerance: 0.01, rate: 30, queue: 5, when_full: block, hang: 2.5, memory: 100, state: true}"
-    assert options(tmp_path, run) == RunOptions("aligned", 10_000, 30.0, 5, True, 2_500_000, 100, True)
+    run = "{start: aligned, tolerance: 0.01, queue: 5, when_full: block, hang: 2.5, memory: 100, state: true}"
+    assert options(tmp_path, run) == RunOptions("aligned", 10_000, None, 5, True, 2_500_000, 100, True)
+
+
+def test_only_a_source_has_a_rate(tmp_path: Path) -> None:
+    text = TRANSFORMATION.format(run="{rate: 30}")
+    (fault,) = faults_of(tmp_path, text)
+    assert "only a source has a rate" in fault.message
+    assert fault.mend is not None
+    assert "remove it" in fault.mend
+    assert text.splitlines()[(fault.line or 0) - 1][(fault.column or 0) - 1 :].startswith("30")
+    source = "transformations: [{label: s, run: {rate: 30}, outputs: {o: T}}]\n"
+    assert load_text(tmp_path, "format: cfgplan/1\n" + source).environment.library[0].run.rate_hz == 30
 
 
 @pytest.mark.parametrize(("hang", "hang_us"), [("0", 0), ("2", 2_000_000), ("2.5", 2_500_000)])

@@ -7,7 +7,7 @@ import queue
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field
 from math import inf
@@ -38,7 +38,7 @@ from cfgplan_runtime.operating.sentences import named, sentence
 from cfgplan_runtime.runtime import Runtime
 from cfgplan_runtime.streams.closable import Closable
 from cfgplan_runtime.streams.run_folder import base_folder
-from cfgplan_runtime.supervision.observation import Ledger
+from cfgplan_runtime.supervision.observation import Ledger, Observation
 from cfgplan_runtime.supervision.run_log import RunLog
 
 if TYPE_CHECKING:
@@ -47,6 +47,10 @@ if TYPE_CHECKING:
 MOST_WAITING = 10_000
 SILENT_S = 5.0
 """Seconds after which a met target on whose topic nothing comes is reported."""
+SPINS_S = 5.0
+"""Seconds after which a source that never waits is reported."""
+_SPINNING_US, _SPINNING_STEPS = 900_000, 5_000
+"""A source spins if it takes so many microseconds of CPU time, or makes so many steps, per second."""
 KEEP_ESTIMATES_S = 10.0
 """Estimates are saved at most this often, and at the end."""
 _DRAIN_S = 2.0
@@ -98,6 +102,7 @@ class Operation(Closable):
         """The targets that count as unmet because nothing comes on their topics."""
         self._quiet_s: dict[str, float] = {}
         """For each quiet topic of a met target: since when; infinite once that was reported."""
+        self._spinning = Spinning()
         self.failure = ""
         """Why the manager ended without being asked; empty otherwise."""
         self.begun = threading.Event()
@@ -227,6 +232,9 @@ class Operation(Closable):
                 self.ledger.note(observations, time.monotonic())
                 self._silent = self.manager.silent
                 self._tell_of_silence()
+                library = self.manager.world.environment.transformation
+                for warning in self._spinning.told(observations, library, time.monotonic()):
+                    self.show(warning)
                 return
             case Ended(cause):
                 self.failure = "" if self._is_closed_at_once else cause
@@ -302,6 +310,30 @@ class Operation(Closable):
     def _finish_recording(self, recorder: Recorder) -> None:
         if not recorder.close():
             self.show(f"{recorder.recording.path}: the disk does not answer; the recording has no proper end")
+
+
+class Spinning:
+    """Since when sources without a rate spin, by unit; infinite once that was told."""
+
+    def __init__(self) -> None:
+        self._since_s: dict[str, float] = {}
+
+    def told(
+        self, observations: Iterable[Observation], library: Mapping[str, Transformation], now_s: float
+    ) -> Iterator[str]:
+        """Take in what was observed. Returns a warning for each unit that has spun for long enough, once."""
+        for one in observations:
+            known = library.get(one.transformation)
+            is_free = known is not None and not known.inputs and known.outputs and known.run.rate_hz is None
+            upkeep_us = one.upkeep_us or 0
+            if not is_free or (upkeep_us < _SPINNING_US and one.steps_per_s < _SPINNING_STEPS):
+                self._since_s.pop(one.unit, None)
+            elif now_s - self._since_s.setdefault(one.unit, now_s) >= SPINS_S:
+                self._since_s[one.unit] = inf
+                yield (
+                    f"{one.unit} never waits: {one.steps_per_s:.0f} steps a second take {upkeep_us / 10_000:.0f} % of "
+                    "a core; say how often it gives an element (`run: {rate: 10}`), or let its code wait"
+                )
 
 
 def _open_log(path: Path) -> RunLog:
