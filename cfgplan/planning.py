@@ -198,7 +198,9 @@ class Status(StrEnum):
     INFEASIBLE = "infeasible"
     """Proven: no update meets every target."""
     TOO_EXPENSIVE = "too expensive"
-    """Proven: every update that meets every target costs more than the problem allows."""
+    """Proven: every update that meets every target costs more than the problem allows. Without a `Plan.cost_us` it is
+    not known whether any meets them.
+    """
     UNKNOWN = "unknown"
     """Stopped without a plan and without a proof that there is none."""
 

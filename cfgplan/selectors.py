@@ -88,8 +88,12 @@ class ExpressionReader(ABC, Generic[Meaning]):
         rest = self._tokens[self._at]
         if rest:
             mend = "remove it" if rest in ")}" else f"join two {self.wanted[2:]}s by ⊓ (and) or ⊔ (or)"
-            raise self._error(f"{self._written()!r} is not expected here", mend)
+            raise self._error(f"{self._written()!r} is not expected here", self._mend_here(mend))
         return found
+
+    def _mend_here(self, usual: str) -> str:
+        """What to do about the next token, which can't follow the last one."""
+        return usual
 
     def _or_list(self) -> Meaning:
         return self._joined("⊔", self._and_list, self.any_of)
@@ -165,7 +169,7 @@ class ExpressionReader(ABC, Generic[Meaning]):
         found = self._tokens[self._at]
         if found != token:
             stands = f", not {self._written()!r}" if found else ""
-            raise self._error(f"{token!r} is wanted {purpose}{stands}", f"write {token} here")
+            raise self._error(f"{token!r} is wanted {purpose}{stands}", self._mend_here(f"write {token} here"))
         self._at += 1
 
     def _written(self) -> str:
@@ -194,6 +198,7 @@ def _token_of(text: str) -> re.Pattern[str]:
     return re.compile(_TOKEN.format("\\w" + "".join(sorted(marks)))) if marks else _PLAIN_TOKEN
 
 
+_WORD: Final = re.compile(r"[^\s()]+")
 Selector = Callable[[Collection[str]], bool]
 """Whether some labels fit."""
 
@@ -215,6 +220,15 @@ def check_selector(text: str) -> None:
 class _SelectorReader(ExpressionReader[Selector]):
     what = "selector"
     wanted = examples = "a label"
+
+    def _mend_here(self, usual: str) -> str:
+        if self._at >= len(self._tokens) - 1:
+            return usual
+        column = [found.start() for found in self._token.finditer(self._text)][self._at]
+        word = next((word for word in _WORD.finditer(self._text) if word.start() < column < word.end()), None)
+        if word is None:
+            return usual
+        return f"write a name with such signs in quotes: \"'{word[0]}'\""
 
     def top(self, _: Collection[str]) -> bool:
         return True

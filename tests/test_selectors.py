@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from cfgplan.domain import Environment, Host, Transformation
@@ -38,6 +40,17 @@ def test_a_selector_chooses_hosts_by_their_labels_and_names(text: str, chosen: s
 def test_a_selector_and_a_choice_of_hosts_both_hold() -> None:
     environment = Environment(hosts=(Host("a", labels=("gpu",)), Host("b", labels=("gpu",)), Host("c")))
     assert environment.hosts_for(Transformation("t", hosts=("b", "c"), on="gpu")) == ("b",)
+
+
+@pytest.mark.parametrize(
+    "text", ["h0.1", "robot and h0.1", "not h0.1", "(h0.1 or gpu)", "h0.1 or h0.2", "robot (h0.1)"]
+)
+def test_a_name_with_a_dot_is_asked_for_in_quotes(text: str) -> None:
+    mend = "join two labels" if text.startswith("robot (") else """write a name with such signs in quotes: "'h0.1'\""""
+    with pytest.raises(InvalidValueError, match=re.escape(mend)):
+        Transformation("t", on=text)
+    environment = Environment(hosts=(Host("h0.1"), Host("h0.2")))
+    assert environment.hosts_for(Transformation("t", on="'h0.1'")) == ("h0.1",)
 
 
 @pytest.mark.parametrize("text", ["", "robot and", "robot some gpu", "(robot", "robot gpu", "not"])

@@ -14,6 +14,7 @@ from cfgplan.figures import amount, cost_parts, link_loads, loads, qualities_of_
 from cfgplan.planners import IGNORING_REQUIRED
 from cfgplan.planning import Failures, Plan, Problem, Status
 from cfgplan.qualities import Better, Wish
+from cfgplan.ros.sources import NodeSource
 from cfgplan.summary import cpu as cpu
 
 _SIGNS = {"+": ("start", "green"), "~": ("rewire", "yellow"), "-": ("stop", "red"), "=": ("keep", "dim")}
@@ -82,6 +83,9 @@ def _headline(sign: str, unit: ComputationUnit, width: int, environment: Environ
     transformation = environment.transformation.get(unit.transformation)
     done, style = _SIGNS[sign]
     verb = "ready" if sign == "+" and unit.standby else done
+    node = None if transformation is None else NodeSource.read(transformation.source)
+    if sign == "+" and node is not None and node.kind == "external":
+        verb = "adopt"
     line = Text(f"  {sign} {verb:6}  {unit.id:{width}}", style=style)
     if transformation is not None:
         where = "" if unit.host is None else f"on {unit.host}, "
@@ -218,12 +222,11 @@ def verdict(problem: Problem, plan: Plan) -> Text:
         case Status.INFEASIBLE:
             return Text("No plan: these targets can't be met by any configuration.", style="bold red")
         case Status.TOO_EXPENSIVE:
-            dear = cpu(plan.cost_us) if plan.cost_us is not None else f"at least {cpu(plan.bound_us)}"
-            return Text(
-                f"No plan within the largest cost: the cheapest update costs {dear}, "
-                f"but {cpu(problem.max_cost_us or 0)} is allowed.",
-                style="bold red",
-            )
+            dear = f"any update costs at least {cpu(plan.bound_us)}, if one exists at all"
+            if plan.cost_us is not None:
+                dear = f"the cheapest update costs {cpu(plan.cost_us)}"
+            allowed = cpu(problem.max_cost_us or 0)
+            return Text(f"No plan within the largest cost: {dear}, but {allowed} is allowed.", style="bold red")
         case Status.UNKNOWN:
             return Text(
                 f"No answer: {plan.planner} stopped without a plan and without a proof that there is none.",

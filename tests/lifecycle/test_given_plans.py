@@ -9,13 +9,25 @@ from typing import Any
 import pytest
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.lifecycle.basis import Preview, plan_text
-from cfgplan_runtime.lifecycle.changes import Add, ApplyPlan, KillUnit, LoseHost, Remove, ReplaceWorld, Stop
+from cfgplan_runtime.lifecycle.changes import (
+    Add,
+    ApplyPlan,
+    KillUnit,
+    LoseHost,
+    Remove,
+    ReplaceWorld,
+    Restore,
+    ReviewNow,
+    Stop,
+)
+from cfgplan_runtime.lifecycle.deliberation import Thought
 from cfgplan_runtime.lifecycle.perturbations import PlanGiven, UnitGone
 from cfgplan_runtime.lifecycle.reports import Decision, Review
+from cfgplan_runtime.operating.sentences import decision, preview_sentence
 from living import HORIZON_S, RESULT, Life, source, started, worker
 
 from cfgplan import api
-from cfgplan.domain import Target
+from cfgplan.domain import ChangeSet, Environment, Target
 from cfgplan.errors import InputError
 from cfgplan.formats.plan_file import read_run_plan
 from cfgplan.planners import PLANNERS
@@ -185,3 +197,38 @@ def test_who_waits_for_a_plan_is_told_of_the_end(life: Life) -> None:
     for each in (*waiting, life.manager.preview(), life.manager.request(plan)):
         with pytest.raises(RuntimeFaultError):
             each.result(timeout=0)
+
+
+NODES = (source("lidar", source="external:/lidar"), worker("guard", source="node:./robot.py guard"))
+
+
+def test_a_node_that_others_have_started_is_adopted_and_not_started() -> None:
+    life = Life(*NODES)
+    life.settle()
+    (review,) = life.reviews
+    assert review.external == ("lidar.1",)
+    assert decision(review) == "adopted lidar.1, started guard.1"
+
+
+def test_a_preview_says_adopt_of_such_a_node() -> None:
+    life = Life(*NODES)
+    thought = Thought(Environment(), life.manager.world.environment, change_set=started_both())
+    assert "adopt lidar.1, start guard.1" in preview_sentence(thought)
+
+
+def started_both() -> ChangeSet:
+    life = Life(*NODES)
+    life.settle()
+    (review,) = life.reviews
+    assert review.change_set is not None
+    return review.change_set
+
+
+def test_a_restored_transformation_that_only_saves_cost_waits_for_a_review_that_optimises() -> None:
+    life = started(source("lidar", upkeep_us=20), source("sonar", upkeep_us=200), worker("guard"))
+    life.ask(Remove(transformations=("lidar",)))
+    assert life.units == {"sonar.1", "guard.1"}
+    assert life.reviewed(Restore(("lidar",))).decision is Decision.DEFERRED
+    assert life.units == {"sonar.1", "guard.1"}
+    assert life.reviewed(ReviewNow("test")).decision is Decision.APPLIED
+    assert life.units == {"lidar.1", "guard.1"}

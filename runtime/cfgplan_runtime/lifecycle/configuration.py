@@ -9,6 +9,7 @@ from typing import TypeVar
 from cfgplan.api import World
 from cfgplan.costs import labor_us, upkeep_us
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Host, Transformation
+from cfgplan.ros.sources import NodeSource
 from cfgplan_runtime.lifecycle.back_off import BackOffs
 from cfgplan_runtime.lifecycle.differences import runs_alike
 from cfgplan_runtime.lifecycle.seams import Estimator
@@ -201,6 +202,14 @@ def _as_planned(
 
 def _has_ports_of(one: Transformation, other: Transformation) -> bool:
     return (set(one.input), set(one.output)) == (set(other.input), set(other.output))
+
+
+def external_units(changes: ChangeSet | None, library: Environment) -> tuple[str, ...]:
+    """The new units that a change set takes in and starts nothing for: nodes of ROS that others have started."""
+    new = () if changes is None else changes.started
+    sources = ((unit.id, library.transformation[unit.transformation].source) for unit in new)
+    nodes = ((unit, NodeSource.read(source)) for unit, source in sources)
+    return tuple(unit for unit, node in nodes if node is not None and node.kind == "external")
 
 
 def with_world(change_set: ChangeSet, world: Environment, known: Environment) -> ChangeSet:

@@ -18,7 +18,7 @@ from cfgplan_runtime.lifecycle import intake
 from cfgplan_runtime.lifecycle.back_off import BackOffs
 from cfgplan_runtime.lifecycle.basis import basis_of, staleness
 from cfgplan_runtime.lifecycle.changes import ApplyPlan, Stop
-from cfgplan_runtime.lifecycle.configuration import Situation, with_world
+from cfgplan_runtime.lifecycle.configuration import Situation, external_units, with_world
 from cfgplan_runtime.lifecycle.deliberation import Thought
 from cfgplan_runtime.lifecycle.inbox import Asked, Item, Leave, PreviewAsked, Unusable
 from cfgplan_runtime.lifecycle.perturbations import (
@@ -378,6 +378,7 @@ def _record(state: State, planning: Planning, thought: Thought, failed: UpdateFa
         thought.warnings,
         "" if failed is None else failed.cause,
         thought.undecided,
+        external_units(thought.change_set, thought.planned),
     )
 
 

@@ -66,6 +66,8 @@ class Review:
     """Why it failed or was undecided."""
     undecided: tuple[Pair, ...] = ()
     """The (offered, demanded) pairs of tags that nobody has decided: if they match, something better may exist."""
+    external: tuple[str, ...] = ()
+    """The new units that run already: nodes of ROS that others have started."""
 
 
 @dataclass(frozen=True)

@@ -135,7 +135,7 @@ def decision(review: Review) -> str:
     """What a review decided, in a few words."""
     match review.decision:
         case Decision.APPLIED:
-            return "applied" if review.change_set is None else _changes(review.change_set)
+            return "applied" if review.change_set is None else _changes(review.change_set, review.external)
         case Decision.KEPT:
             return "nothing to change"
         case Decision.DEFERRED:
@@ -177,11 +177,14 @@ def _cause(perturbation: kinds.Perturbation) -> str:
 
 def preview_sentence(thought: Thought) -> str:
     """What a review would do now, and what that costs."""
+    from cfgplan_runtime.lifecycle.configuration import external_units  # clients that only show need none of it
+
     changes = thought.change_set
     if changes is None:
         return f"A review would now decide nothing: {thought.cause}"
+    external = external_units(changes, thought.planned)
     is_kept = thought.decision is Decision.KEPT or not changes
-    parts = [f"A review would now {'change nothing' if is_kept else _changes(changes, ('start', 'rewire', 'stop'))}"]
+    parts = [f"A review would now {'change nothing' if is_kept else _changes(changes, external, _INFINITIVES)}"]
     if thought.cost_us is not None:
         before_us = thought.cost_before_us
         parts.append(f"{thought.cost_us / 1e6:.4g} s of CPU over the horizon, {before_us / 1e6:.4g} s as it is")
@@ -189,8 +192,13 @@ def preview_sentence(thought: Thought) -> str:
     return "; ".join(parts)
 
 
-def _changes(changes: ChangeSet, verbs: tuple[str, str, str] = ("started", "rewired", "stopped")) -> str:
-    groups = [unit.id for unit in changes.started], [unit.id for unit in changes.rewired], changes.stopped
+_PAST, _INFINITIVES = ("adopted", "started", "rewired", "stopped"), ("adopt", "start", "rewire", "stop")
+
+
+def _changes(changes: ChangeSet, external: tuple[str, ...], verbs: tuple[str, ...] = _PAST) -> str:
+    """The units that a change set takes in, starts, rewires and stops; `external` ones run already."""
+    new = [unit.id for unit in changes.started if unit.id not in external]
+    groups = external, new, [unit.id for unit in changes.rewired], changes.stopped
     parts = [f"{verb} {named(names)}" for verb, names in zip(verbs, groups, strict=True) if names]
     return ", ".join(parts) or "nothing to change"
 
