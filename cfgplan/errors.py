@@ -102,15 +102,20 @@ def did_you_mean(name: str, names: Collection[str], otherwise: str | None = None
 
     Among many names only those that differ by one letter are found: comparing with all of them takes seconds.
     """
+    close = close_names(name, names)
+    return f"did you mean `{close[0]}`?" if close else otherwise
+
+
+def close_names(name: str, names: Collection[str], most: int = 1) -> list[str]:
+    """The known names that are spelt much like this one, the closest first."""
     from difflib import get_close_matches
 
     there = {*names}
     if len(there) <= _MOST_NAMES_COMPARED:
-        close = get_close_matches(name, sorted(there), n=1)
+        close = get_close_matches(name, sorted(there), n=most)
     else:
-        close = [edited for edited in _edits(name) if edited in there][:1]
-    close = close or sorted(each for each in there if each.casefold() == name.casefold())
-    return f"did you mean `{close[0]}`?" if close else otherwise
+        close = [edited for edited in _edits(name) if edited in there][:most]
+    return close or sorted(each for each in there if each.casefold() == name.casefold())
 
 
 def _edits(name: str) -> Iterator[str]:

@@ -16,7 +16,7 @@ from cfgplan.cli.screen import Screen
 from cfgplan.domain import Environment
 from cfgplan.errors import known
 from cfgplan.explaining import Blocked, Choice, Clash, Unfed, Unreachable, Unused, Why, WhyNot
-from cfgplan.explaining.why_words import choice_line, named_labels, why_lines
+from cfgplan.explaining.why_words import choice_line, forced_by, instead, named_labels, why_lines
 from cfgplan.figures import amount
 from cfgplan.summary import some
 
@@ -84,7 +84,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     for unit, reason in asked.items():
         screen.show("\n".join(pinned_lines(problem.environment, unit, reason)))
     for each in unused:
-        screen.show("\n".join(unused_lines(problem.environment, each)))
+        screen.show("\n".join(unused_lines(problem, each)))
     return OF_STATUS[plan.status]
 
 
@@ -97,7 +97,7 @@ def _show_why_not(problem: Problem, why: WhyNot, screen: Screen) -> None:
     screen.show(verdict(problem, why.plan))
     for line in undecided_lines(problem, why.plan):
         screen.show(line)
-    text = why_not_text(problem.environment, why)
+    text = why_not_text(problem, why)
     if text:
         screen.show(text)
 
@@ -131,8 +131,9 @@ MOST_LINES = 30
 """More lines of one reason are left to `--json`."""
 
 
-def why_not_text(environment: Environment, why: WhyNot) -> Text:
+def why_not_text(problem: Problem, why: WhyNot) -> Text:
     """Why there is no plan, target by target; ends without a newline."""
+    environment = problem.environment
     lines: list[Text] = []
     for reason in why.unreachable:
         lines += [Text(line) for line in unreachable_lines(environment, reason, f"target {reason.target} wants")]
@@ -144,7 +145,7 @@ def why_not_text(environment: Environment, why: WhyNot) -> Text:
         told = {reason.target for reason in why.unreachable}
         lines += [Text(f"  {reason}") for label, reason in why.plan.reasons.items() if label not in told]
     for unused in why.unused:
-        lines += [Text(line) for line in unused_lines(environment, unused)]
+        lines += [Text(line) for line in unused_lines(problem, unused)]
     return Text("\n").join(lines)
 
 
@@ -162,15 +163,20 @@ def clash_line(clash: Clash) -> str:
     parts += [named_labels("required", demands.required)] if demands.required else []
     parts += [named_labels("pinned", demands.pinned)] if demands.pinned else []
     number = len(demands.targets) + len(demands.required) + len(demands.pinned)
-    who = " with ".join(parts)
+    who = " with ".join(parts) or "whatever is wanted"
     if clash.cost_us is None or clash.max_cost_us is None:
-        return f"{who}: no valid configuration meets {'them together' if number > 1 else 'it'}"
+        return (
+            f"{who}: no valid configuration meets {'them together' if number > 1 else 'it' if number else 'the rules'}"
+        )
     missing = " Without any one of them there is a plan." if number > 1 else ""
+    alone = "these alone" if number > 1 else "it alone" if number else "no target"
     dear = f"costs at least {cpu(clash.cost_us)}, and {cpu(clash.max_cost_us)} is allowed"
-    return f"{who}: the cheapest plan for {'these alone' if number > 1 else 'it alone'} {dear}.{missing}"
+    return f"{who}: the cheapest plan for {alone} {dear}.{missing}"
 
 
-def unused_lines(environment: Environment, unused: Unused) -> Iterator[str]:
+def unused_lines(problem: Problem, unused: Unused) -> Iterator[str]:
+    """Why a required transformation is not used."""
+    environment = problem.environment
     who = f"required {unused.transformation} is not used"
     if unused.blocked is not None:
         (first,) = unused.blocked.blocked[:1]
@@ -181,7 +187,19 @@ def unused_lines(environment: Environment, unused: Unused) -> Iterator[str]:
     elif unused.excluded_by:
         yield f"{who}: no configuration uses it together with {' and '.join(unused.excluded_by)}"
     else:
-        yield f"{who}: it can run, but no wiring leads from it to a target"
+        yield f"{who}: {_why_useless(problem, unused.transformation)}"
+
+
+def _why_useless(problem: Problem, label: str) -> str:
+    """Why nothing can use a transformation that can run."""
+    environment = problem.environment
+    given = sorted({port.tag for port in environment.transformation[label].outputs})
+    if not given:
+        return "it gives nothing, and no target wants a unit of it (`run:`)"
+    wanted = {*environment.demands.values()}
+    if not any(problem.similarity.optimistic.holds(offered, tag) for offered in given for tag in wanted):
+        return f"it can run, but nothing takes {' or '.join(given)}"
+    return f"it can run, but no wiring leads from it to a target; it gives {some(given)}"
 
 
 def pinned_lines(environment: Environment, unit: str, why: Unreachable) -> Iterator[str]:
@@ -209,16 +227,18 @@ def table_lines(whys: Sequence[Why]) -> Iterator[str]:
 def _briefly(why: Why) -> str:
     match why.choice:
         case Choice.FORCED:
-            return "forced"
+            return f"forced: {forced_by(why)}"
         case Choice.CHEAPER:
             return f"without it {amount(why.decides, why.difference or 0)} more"
         case Choice.LESS_CHANGE:
             return "without it the same cost, more changes"
         case Choice.TIE:
-            return "a tie"
+            return f"a tie: {instead(why)}"
+        case Choice.DEMANDED if not why.difference:
+            return "required or pinned: without it the same cost"
         case Choice.DEMANDED:
             return f"required or pinned: without it {amount(why.decides, -(why.difference or 0))} less"
-    return "not decided"
+    return "not decided: time ran out before it was known what it costs to do without"
 
 
 def _tree(environment: Environment, reason: Unreachable, opening: str) -> Iterator[str]:

@@ -220,7 +220,10 @@ def verdict(problem: Problem, plan: Plan) -> Text:
                 proven = "another may use more of what is required"
             return Text(f"Feasible: {plan.planner} has not proven it optimal; {proven}.", style="bold yellow")
         case Status.INFEASIBLE:
-            return Text("No plan: these targets can't be met by any configuration.", style="bold red")
+            what = "these targets can't be met by any configuration"
+            if not problem.environment.targets:
+                what = "no configuration is valid, not even without any target"
+            return Text(f"No plan: {what}.", style="bold red")
         case Status.TOO_EXPENSIVE:
             dear = f"any update costs at least {cpu(plan.bound_us)}, if one exists at all"
             if plan.cost_us is not None:

@@ -48,10 +48,10 @@ class Clash:
     """A minimal reason why there is no plan although each target can be reached: demands that can't be met together.
 
     They alone still fail: of the other targets, required and pinned transformations nothing is asked. Without any
-    one of them there is a plan. If the cheapest plan for them is known, it costs `cost_us`, more than `max_cost_us`;
-    otherwise no valid configuration meets them at any cost. The same holds of the `limits` that are in the way: with
-    all others lifted there still is no plan, and then without any one of them there is. There are none if limits are
-    not why.
+    one of them there is a plan; if there are no demands, no configuration is valid at all. If the cheapest plan for
+    them is known, it costs `cost_us`, more than `max_cost_us`; otherwise no valid configuration meets them at any cost.
+    The same holds of the `limits` that are in the way: with all others lifted there still is no plan, and then without
+    any one of them there is. There are none if limits are not why.
     """
 
     demands: DemandSet
@@ -141,7 +141,7 @@ def why_not(problem: Problem, planner: Planner, nearest: NearestOffers | None = 
     lost = {reason.target for reason in out_of_reach}
     reachable = [target.label for target in problem.environment.targets if target.label not in lost]
     found = None
-    if plan.status in REFUSED and reachable:
+    if plan.status in REFUSED and (reachable or not lost):
         found = clash(only_targets(problem, reachable), planner)
     unused = tuple(_unused(problem, planner, plan, label, nearest) for label in plan.unused_required)
     return WhyNot(plan, out_of_reach, found, unused)

@@ -22,9 +22,25 @@ def why_lines(why: Why) -> Iterator[str]:
         if labels:
             yield f"  {sign} {some(labels)}"
     if why.units and why.difference_us is not None and not why.more and not why.less:
-        yield "  another unit of its transformation would take its place"
+        yield f"  {instead(why)}"
     if why.choice is Choice.FORCED:
-        yield from (f"  {reason}" for reason in why.otherwise.reasons.values())
+        yield f"  {forced_by(why)}"
+
+
+def forced_by(why: Why) -> str:
+    """What can't be had without it."""
+    if why.otherwise.reasons:
+        return "; ".join(why.otherwise.reasons.values())
+    demands = f"{named_labels('target', why.targets)} with the others" if why.targets else "all that has to run"
+    return f"no valid configuration without it meets {demands}"
+
+
+def instead(why: Why) -> str:
+    """What the next best plan does in its place."""
+    less = f"without {some(why.less)}" if why.less else ""
+    if why.more:
+        return f"{some(why.more)} would run instead{', ' if less else ''}{less}"
+    return f"the plan {less} is as good" if less else "another unit of its transformation would be started in its place"
 
 
 def choice_line(why: Why) -> str:

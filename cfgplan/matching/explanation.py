@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from cfgplan.domain import Similarity
+from cfgplan.errors import close_names
 from cfgplan.matching.concepts import BOTTOM, Concept, Intersection, conjunction, in_functional_syntax, negation
 from cfgplan.matching.derivations import Derivation, derivation, fewest, is_minimal
 from cfgplan.matching.faults import ReasonerError
@@ -115,13 +116,16 @@ def near_offers(
 ) -> dict[str, tuple[Nearest, ...]]:
     """For each of some demanded tags the offered ones that come near: those that lack the fewest conjuncts first.
 
-    Among those that lack as many, fewer undecided conjuncts go first. What lacks all of them is not near. Raises as
-    `match`.
+    Among those that lack as many, fewer undecided conjuncts go first. What lacks all of them is near only if no other
+    is, and it is spelt much the same. Raises as `match`.
     """
     parts = {tag: conjuncts(parse_tag(tag, ontology), ontology) for tag in demanded_tags}
     every = {part for of_tag in parts.values() for part in of_tag}
     similarity = match(offered_tags, every, ontology, reasoner=reasoner, time_limit_s=time_limit_s).similarity
-    return {tag: _near(of_tag, offered_tags, similarity) for tag, of_tag in parts.items()}
+    return {
+        tag: _near(of_tag, offered_tags, similarity) or _spelt_alike(tag, of_tag, offered_tags)
+        for tag, of_tag in parts.items()
+    }
 
 
 def _near(parts: Sequence[str], offered_tags: Collection[str], similarity: Similarity) -> tuple[Nearest, ...]:
@@ -132,6 +136,10 @@ def _near(parts: Sequence[str], offered_tags: Collection[str], similarity: Simil
         if len(missing) < len(parts):
             near.append(Nearest(tag, missing, undecided))
     return tuple(sorted(near, key=lambda one: (len(one.missing), len(one.undecided), one.offered)))
+
+
+def _spelt_alike(tag: str, parts: Sequence[str], offered_tags: Collection[str]) -> tuple[Nearest, ...]:
+    return tuple(Nearest(offered, tuple(parts)) for offered in close_names(tag, offered_tags, _MOST_SPELT_ALIKE))
 
 
 def _reason(offered: Concept, demanded: Concept, ontology: Ontology, reasoner: str) -> Derivation:
@@ -155,6 +163,7 @@ def conjuncts(concept: Concept, ontology: Ontology) -> list[str]:
     return sorted(map(ontology.render, concept.parts if isinstance(concept, Intersection) else (concept,)))
 
 
+_MOST_SPELT_ALIKE: Final = 3
 EXPLANATION_PATIENCE_S: Final = 20.0
 """Seconds for leaving out axioms to see whether they are needed; each try is a call of the reasoner."""
 

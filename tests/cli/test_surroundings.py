@@ -167,7 +167,8 @@ def test_an_interrupted_start_of_a_run_is_an_interruption_too(
         raise ImportError("initialization failed")
 
     monkeypatch.setattr("cfgplan_runtime.operating.operation.Operation", interrupted)
-    result = run("run", write("transformations: []\n"), "--no-estimates")
+    env = write("transformations: [{label: s, source: 'units.py:S', min_instances: 1, outputs: {x: A}}]\n")
+    result = run("run", env, "--no-estimates")
     assert (result.code, result.err) == (130, "interrupted\n")
 
 
