@@ -110,22 +110,20 @@ class Ontology:
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
-        """A sentence on each thing that no reasoner is told, on each import that is ignored, and on ignored rules."""
+        """A sentence on each kind of thing that no reasoner is told, and on each import that is ignored."""
+        by_reason: dict[str, list[str]] = {}
+        for text, why in self.dropped.items():
+            by_reason.setdefault(self.shortened(why), []).append(self.shortened(text))
         return (
             *(
-                f"the ontology says more than cfgplan reads: {self.shortened(text)}: {self.shortened(why)}"
-                for text, why in self.dropped.items()
+                f"the ontology says more than cfgplan reads: {texts[0]}{_and_more(len(texts) - 1)}: {why}"
+                for why, texts in by_reason.items()
             ),
             *(
                 f"the import <{iri}> is ignored: what matches only by what it says does not match"
                 for iri in self.ignored
             ),
-            *([self._about_ignored_rules()] if self.ignored_rules else []),
         )
-
-    def _about_ignored_rules(self) -> str:
-        rules = "1 rule is" if self.ignored_rules == 1 else f"{self.ignored_rules} rules are"
-        return f"{rules} ignored: what matches only by what they say does not match"
 
     @cached_property
     def _signature(self) -> Signature:
@@ -207,6 +205,10 @@ class Ontology:
                 return UnknownNameError(message, f"write one, such as {', '.join(known[:3])}" if known else None)
         mend = did_you_mean(name, known, "declare it in the ontology")
         return UnknownNameError(f"the ontology has no {wanted} {name!r}", mend)
+
+
+def _and_more(number: int) -> str:
+    return f" and {number:,} more" if number else ""
 
 
 def _article(noun: str) -> str:

@@ -13,6 +13,7 @@ from typing import Any, Final
 from urllib.parse import unquote, urlsplit
 
 from cfgplan.errors import Fault, InputError
+from cfgplan.matching.catalog import catalogued
 from cfgplan.matching.functional import LOGICAL, parse, rule_text
 from cfgplan.matching.names import short_name
 from cfgplan.matching.ontology import Ontology
@@ -83,6 +84,7 @@ def load_ontology(
     if not paths:
         return Ontology(is_open=True)
     documents: dict[Path, _Document] = {}
+    looked_into: dict[Path, _Document] = {}
     ignored: set[str] = set()
     faults: list[Fault] = []
     waiting = [path.resolve() for path in reversed(paths)]
@@ -93,7 +95,7 @@ def load_ontology(
         if path in documents:
             continue
         try:
-            document = documents[path] = _read(path, shown[path])
+            document = documents[path] = looked_into.get(path) or _read(path, shown[path])
         except InputError as error:
             faults.extend(error.faults)
             documents[path] = _Document()
@@ -108,7 +110,13 @@ def load_ontology(
             if written.rstrip("#/") in given:
                 ignored.add(written)
                 continue
-            found = _imported_file(iri, path, documents, [p for p in shown if p not in documents])
+            try:
+                found = catalogued(path.parent).get(iri.rstrip("#/"))
+            except InputError as error:
+                faults.extend(fault for fault in error.faults if fault not in faults)
+                continue
+            listed = [p for p in shown if p not in documents]
+            found = found or _imported_file(iri, path, documents, listed, looked_into)
             if found is None and "" not in given:
                 message = f"the import <{written}> can't be found"
                 faults.append(
@@ -353,7 +361,13 @@ def _xml_error_place(text: str) -> tuple[int | None, int | None]:
     return None, None
 
 
-def _imported_file(iri: str, importer: Path, read: dict[Path, _Document], listed: Iterable[Path]) -> Path | None:
+def _imported_file(
+    iri: str,
+    importer: Path,
+    read: dict[Path, _Document],
+    listed: Iterable[Path],
+    looked_into: dict[Path, _Document],
+) -> Path | None:
     parts = urlsplit(iri)
     if parts.scheme in ("", "file"):
         path = importer.parent / unquote(parts.path)
@@ -369,16 +383,21 @@ def _imported_file(iri: str, importer: Path, read: dict[Path, _Document], listed
             return path.resolve()
     siblings = [path for path in sorted(importer.parent.iterdir()) if path.suffix.lower() in EXTENSIONS]
     for path in [*listed, *siblings]:
-        if path.resolve() not in read and _declares(path, iri):
+        if path.resolve() not in read and _declares(path.resolve(), iri, looked_into):
             return path.resolve()
     return None
 
 
-def _declares(path: Path, iri: str) -> bool:
-    try:
-        return iri in path.read_text("utf-8-sig") and _read(path, str(path)).iri == iri
-    except (OSError, UnicodeDecodeError, InputError):
-        return False
+def _declares(path: Path, iri: str, looked_into: dict[Path, _Document]) -> bool:
+    """Whether a file is the ontology of an IRI. `looked_into` keeps what was read, so that no file is read twice."""
+    if path not in looked_into:
+        try:
+            if iri not in path.read_text("utf-8-sig"):
+                return False
+            looked_into[path] = _read(path, str(path))
+        except (OSError, UnicodeDecodeError, InputError):
+            looked_into[path] = _Document()
+    return looked_into[path].iri == iri
 
 
 def _line_with(path: Path, wanted: str) -> int | None:

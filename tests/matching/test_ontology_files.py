@@ -12,6 +12,7 @@ from cfgplan.matching import (
     instances,
     load_ontology,
     match,
+    ontology_files,
     read_owlready,
 )
 
@@ -464,3 +465,85 @@ def test_an_import_is_named_or_ignored_in_the_environment_file(tmp_path: Path) -
         assert found.warnings == (f"the import <{iri}> is ignored: what matches only by what it says does not match",)
     with pytest.raises(InputError, match=r"env\.yaml:3:.*imports.*missing\.ttl.*does not exist"):
         loaded(f"imports: {{{iri}: missing.ttl}}\n")
+
+
+CATALOG = """<?xml version="1.0" encoding="UTF-8" standalone="no"?>
+<catalog prefer="public" xmlns="urn:oasis:names:tc:entity:xmlns:xml:catalog">
+  <group id="Folder Repository, directory=, recursive=true, Auto-Update=true, version=2" prefer="public" xml:base="">
+    <uri id="Automatically generated entry, Timestamp=1" name="http://elsewhere.example/a" uri="parts/a%20b.ttl"/>
+  </group>
+  <uri id="User Entered Import Resolution" name="http://elsewhere.example/web" uri="http://elsewhere.example/a"/>
+  <group xml:base="parts/"><uri name="http://elsewhere.example/gone#" uri="gone.ttl"/>
+    <uri name="http://elsewhere.example/b#" uri="b.ttl"/></group>
+  <nextCatalog catalog="more.xml"/>
+</catalog>
+"""
+
+
+def with_catalog(folder: Path, *imports: str) -> Path:
+    """An ontology that imports some IRIs, with a catalog as Protégé writes it."""
+    (folder / "parts").mkdir()
+    (folder / "catalog-v001.xml").write_text(CATALOG)
+    (folder / "more.xml").write_text(
+        CATALOG.split("  <group")[0] + '<uri name="http://c.example/" uri="parts/c.ttl"/></catalog>'
+    )
+    for name in ("a b", "b", "c"):
+        (folder / "parts" / f"{name}.ttl").write_text(
+            TURTLE.replace(":Camera", f":{name[0].upper()}").replace("<http://w.example/> a", f"<u:{name[0]}> a")
+        )
+    said = ", ".join(f"<{iri}>" for iri in imports)
+    (folder / "main.ttl").write_text(TURTLE.replace("a owl:Ontology", f"a owl:Ontology ; owl:imports {said}"))
+    return folder / "main.ttl"
+
+
+def test_imports_are_found_by_the_catalog_that_protege_keeps(tmp_path: Path) -> None:
+    main = with_catalog(tmp_path, "http://elsewhere.example/a", "http://elsewhere.example/b", "http://c.example/")
+    ontology = load_ontology([main])
+    assert {"A", "B", "C"} <= ontology.classes.keys()
+    assert {path.name for path in ontology.files} == {"main.ttl", "a b.ttl", "b.ttl", "c.ttl"}
+
+
+@pytest.mark.parametrize("iri", ["http://elsewhere.example/web", "http://elsewhere.example/gone"])
+def test_a_catalog_names_files_only(iri: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=f"import <{iri}> can't be found"):
+        load_ontology([with_catalog(tmp_path, iri)])
+
+
+def test_imports_that_the_environment_names_come_before_the_catalog(tmp_path: Path) -> None:
+    iri = "http://elsewhere.example/a"
+    ontology = load_ontology([with_catalog(tmp_path, iri)], {iri: tmp_path / "parts" / "b.ttl"})
+    assert "B" in ontology.classes
+    assert "A" not in ontology.classes
+
+
+def test_a_broken_catalog_is_a_fault_with_its_line(tmp_path: Path) -> None:
+    main = with_catalog(tmp_path, "http://elsewhere.example/a")
+    (tmp_path / "catalog-v001.xml").write_text("<catalog>\n<uri</catalog>")
+    with pytest.raises(InputError, match=r"catalog-v001\.xml:2:.*the catalog is no XML"):
+        load_ontology([main])
+
+
+def test_a_file_beside_is_read_once_however_many_imports_it_is_looked_into_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    iris = [f"http://elsewhere.example/{number}" for number in range(5)]
+    (tmp_path / "main.ttl").write_text(
+        TURTLE.replace("a owl:Ontology", f"a owl:Ontology ; owl:imports {', '.join(f'<{iri}>' for iri in iris)}")
+    )
+    beside = TURTLE.replace("a owl:Ontology", "a owl:Ontology ; " + " ; ".join(f"<u:see> <{iri}>" for iri in iris))
+    (tmp_path / "beside.ttl").write_text(beside)
+    read: list[str] = []
+    parse_rdf = ontology_files._parse_rdf
+    monkeypatch.setattr(ontology_files, "_parse_rdf", lambda *said: (read.append(said[3]), parse_rdf(*said))[1])
+    ontology = load_ontology([tmp_path / "main.ttl"], {"": None})
+    assert sorted(Path(path).name for path in read) == ["beside.ttl", "main.ttl"]
+    assert ontology.ignored == tuple(iris)
+
+
+def test_warnings_of_one_kind_are_one_line_with_a_count() -> None:
+    dropped = {f"`a{number} sub ...` in x.ttl": "that is no axiom of OWL 2" for number in range(2303)}
+    warnings = Ontology(dropped={**dropped, "a rule": "its built-ins are told to no reasoner"}).warnings
+    assert warnings == (
+        "the ontology says more than cfgplan reads: `a0 sub ...` in x.ttl and 2,302 more: that is no axiom of OWL 2",
+        "the ontology says more than cfgplan reads: a rule: its built-ins are told to no reasoner",
+    )
