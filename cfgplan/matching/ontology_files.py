@@ -17,7 +17,7 @@ from cfgplan.matching.catalog import catalogued
 from cfgplan.matching.functional import LOGICAL, parse, rule_text
 from cfgplan.matching.names import short_name
 from cfgplan.matching.ontology import Ontology
-from cfgplan.matching.rdf import ANONYMOUS, TripleGraph, restored
+from cfgplan.matching.rdf import ANONYMOUS, TripleGraph, ontology_iri, restored
 
 EXTENSIONS: Final = {
     ".ttl": "ttl", ".nt": "ttl", ".n3": "ttl", ".owl": "rdf", ".rdf": "rdf", ".xml": "rdf",
@@ -84,7 +84,7 @@ def load_ontology(
     if not paths:
         return Ontology(is_open=True)
     documents: dict[Path, _Document] = {}
-    looked_into: dict[Path, _Document] = {}
+    own_iris: dict[Path, str | None] = {}
     ignored: set[str] = set()
     faults: list[Fault] = []
     waiting = [path.resolve() for path in reversed(paths)]
@@ -95,7 +95,7 @@ def load_ontology(
         if path in documents:
             continue
         try:
-            document = documents[path] = looked_into.get(path) or _read(path, shown[path])
+            document = documents[path] = _read(path, shown[path])
         except InputError as error:
             faults.extend(error.faults)
             documents[path] = _Document()
@@ -116,7 +116,7 @@ def load_ontology(
                 faults.extend(fault for fault in error.faults if fault not in faults)
                 continue
             listed = [p for p in shown if p not in documents]
-            found = found or _imported_file(iri, path, documents, listed, looked_into)
+            found = found or _imported_file(iri, path, documents, listed, own_iris)
             if found is None and "" not in given:
                 message = f"the import <{written}> can't be found"
                 faults.append(
@@ -366,7 +366,7 @@ def _imported_file(
     importer: Path,
     read: dict[Path, _Document],
     listed: Iterable[Path],
-    looked_into: dict[Path, _Document],
+    own_iris: dict[Path, str | None],
 ) -> Path | None:
     parts = urlsplit(iri)
     if parts.scheme in ("", "file"):
@@ -383,21 +383,24 @@ def _imported_file(
             return path.resolve()
     siblings = [path for path in sorted(importer.parent.iterdir()) if path.suffix.lower() in EXTENSIONS]
     for path in [*listed, *siblings]:
-        if path.resolve() not in read and _declares(path.resolve(), iri, looked_into):
+        if path.resolve() not in read and _declares(path.resolve(), iri, own_iris):
             return path.resolve()
     return None
 
 
-def _declares(path: Path, iri: str, looked_into: dict[Path, _Document]) -> bool:
-    """Whether a file is the ontology of an IRI. `looked_into` keeps what was read, so that no file is read twice."""
-    if path not in looked_into:
+def _declares(path: Path, iri: str, own_iris: dict[Path, str | None]) -> bool:
+    """Whether a file is the ontology of an IRI. `own_iris` keeps what files call themselves."""
+    if path not in own_iris:
         try:
-            if iri not in path.read_text("utf-8-sig"):
+            text = path.read_text("utf-8-sig")
+            if iri not in text:
                 return False
-            looked_into[path] = _read(path, str(path))
-        except (OSError, UnicodeDecodeError, InputError):
-            looked_into[path] = _Document()
-    return looked_into[path].iri == iri
+            syntax = _syntax_of(text, path.suffix.lower())
+            is_rdf = syntax in ("ttl", "rdf", "jsonld")
+            own_iris[path] = ontology_iri(text, syntax, path.as_uri()) if is_rdf else _read(path, str(path)).iri
+        except (OSError, UnicodeDecodeError, SyntaxError, InputError):
+            own_iris[path] = None
+    return own_iris[path] == iri
 
 
 def _line_with(path: Path, wanted: str) -> int | None:

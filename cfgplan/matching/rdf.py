@@ -12,10 +12,13 @@ import json
 import re
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterator
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from cfgplan.matching.literals import XSD
 from cfgplan.matching.names import short_name
+
+if TYPE_CHECKING:
+    from pyoxigraph import Quad
 
 OWL: Final = "http://www.w3.org/2002/07/owl#"
 RDF: Final = "http://www.w3.org/1999/02/22-rdf-syntax-ns#"
@@ -84,11 +87,6 @@ class TripleGraph:
 
     def __init__(self, text: str, syntax: str, base: str) -> None:
         """Read Turtle ("ttl"), RDF/XML ("rdf") or JSON-LD ("jsonld"). Raises SyntaxError with line and column."""
-        from pyoxigraph import RdfFormat, parse
-
-        if syntax == "jsonld":
-            text = _with_types_as_names(text)
-        form = {"ttl": RdfFormat.TURTLE, "rdf": RdfFormat.RDF_XML, "jsonld": RdfFormat.JSON_LD}[syntax]
         numbers: dict[str, str] = {}
 
         def term(value: object) -> str:
@@ -96,8 +94,7 @@ class TripleGraph:
             return numbers.setdefault(written, f"_:b{len(numbers)}") if written.startswith("_:") else written
 
         self._triples: list[tuple[str, str, str]] = [
-            (term(quad.subject), term(quad.predicate), term(quad.object))
-            for quad in parse(input=text.encode(), format=form, base_iri=base)
+            (term(quad.subject), term(quad.predicate), term(quad.object)) for quad in _quads(text, syntax, base)
         ]
         self.axioms: list[str] = []
         self._individuals: set[str] = set()
@@ -268,6 +265,22 @@ class TripleGraph:
             if predicate.startswith(_BUILT_IN) and predicate not in _ABOUT_INDIVIDUALS:
                 blank.discard(value)
         return blank
+
+
+def ontology_iri(text: str, syntax: str, base: str) -> str | None:
+    """What an RDF document calls its ontology; it is read no further. Raises SyntaxError."""
+    meant = (_TYPE, f"<{OWL}Ontology>")
+    own = (quad.subject for quad in _quads(text, syntax, base) if (str(quad.predicate), str(quad.object)) == meant)
+    found = next(own, None)
+    return None if found is None else str(found).strip("<>")
+
+
+def _quads(text: str, syntax: str, base: str) -> Iterator[Quad]:
+    from pyoxigraph import RdfFormat, parse
+
+    form = {"ttl": RdfFormat.TURTLE, "rdf": RdfFormat.RDF_XML, "jsonld": RdfFormat.JSON_LD}[syntax]
+    whole = _with_types_as_names(text) if syntax == "jsonld" else text
+    return parse(input=whole.encode(), format=form, base_iri=base)
 
 
 def _with_types_as_names(text: str) -> str:

@@ -523,7 +523,7 @@ def test_a_broken_catalog_is_a_fault_with_its_line(tmp_path: Path) -> None:
         load_ontology([main])
 
 
-def test_a_file_beside_is_read_once_however_many_imports_it_is_looked_into_for(
+def test_a_file_beside_is_looked_into_once_and_no_further_than_its_name_however_many_imports_are_missing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     iris = [f"http://elsewhere.example/{number}" for number in range(5)]
@@ -533,10 +533,13 @@ def test_a_file_beside_is_read_once_however_many_imports_it_is_looked_into_for(
     beside = TURTLE.replace("a owl:Ontology", "a owl:Ontology ; " + " ; ".join(f"<u:see> <{iri}>" for iri in iris))
     (tmp_path / "beside.ttl").write_text(beside)
     read: list[str] = []
-    parse_rdf = ontology_files._parse_rdf
+    looked_into: list[str] = []
+    parse_rdf, own_iri = ontology_files._parse_rdf, ontology_files.ontology_iri
     monkeypatch.setattr(ontology_files, "_parse_rdf", lambda *said: (read.append(said[3]), parse_rdf(*said))[1])
+    monkeypatch.setattr(ontology_files, "ontology_iri", lambda *said: (looked_into.append(said[2]), own_iri(*said))[1])
     ontology = load_ontology([tmp_path / "main.ttl"], {"": None})
-    assert sorted(Path(path).name for path in read) == ["beside.ttl", "main.ttl"]
+    assert [Path(path).name for path in read] == ["main.ttl"]
+    assert [Path(path).name for path in looked_into].count("beside.ttl") == 1
     assert ontology.ignored == tuple(iris)
 
 
