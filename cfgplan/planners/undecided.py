@@ -19,7 +19,8 @@ from dataclasses import replace
 from typing import Final
 
 from cfgplan.costs import keep_cost_us, start_cost_us
-from cfgplan.domain import ALL, Environment, Similarity
+from cfgplan.domain import ALL, Environment, InputPort, Similarity
+from cfgplan.planners.reducing.closure import relevant
 from cfgplan.planning import REFUSED, Decider, Feature, OnProgress, Pair, Plan, Planner, Problem, Progress, Status
 from cfgplan.reasons import Givers, startable
 
@@ -148,13 +149,28 @@ def used_pairs(environment: Environment, similarity: Similarity) -> Iterator[Pai
 def _compelling_pairs(problem: Problem) -> tuple[Pair, ...]:
     """The open pairs that forbid plans if they match: at inputs that have to be fed by what there is.
 
-    All of them where more than the cost is minimised: what else gets less by more matches is not known.
+    An input that no plan can have asks for none, however pairs are decided. All pairs count where more than the cost is
+    minimised: what else gets less by more matches is not known.
     """
     if Feature.ORDER in problem.features:
         return tuple(problem.similarity.open_pairs())
-    ports = [port for t in problem.environment.library for port in t.inputs]
-    tags = {port.tag for port in ports if port.count == ALL or port.starts_nothing}
+    forbidding = [t for t in problem.environment.library if any(map(_takes_what_there_is, t.inputs))]
+    used = _of_use(problem) if forbidding else frozenset()
+    ports = [port for t in forbidding if t.label in used for port in t.inputs]
+    tags = {port.tag for port in ports if _takes_what_there_is(port)}
     return tuple(pair for pair in problem.similarity.open_pairs() if pair[1] in tags) if tags else ()
+
+
+def _takes_what_there_is(port: InputPort) -> bool:
+    return port.count == ALL or port.starts_nothing
+
+
+def _of_use(problem: Problem) -> frozenset[str]:
+    """The transformations that a plan may use if all open pairs match."""
+    environment = problem.environment
+    givers = Givers(environment.library, problem.similarity.optimistic)
+    possible = startable(environment, givers)
+    return relevant(environment, givers, possible, iter)
 
 
 def _without_a_claim(plan: Plan, undecided: tuple[Pair, ...]) -> Plan:

@@ -91,11 +91,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sizes", type=int, nargs="+", default=[500, 1_000], help="transformations (500, 1000)")
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3])
+    parser.add_argument("--only", default="", help="only rows whose name has this text")
     options = parser.parse_args()
     is_good = True
 
     def row(name: str, problems: Callable[[Problem], tuple[Problem, Problem]]) -> None:
         nonlocal is_good
+        if options.only not in name:
+            return
         cells = []
         for size in options.sizes:
             found = [ratio(*problems(random_library(seed, transformations=size, targets=3))) for seed in options.seeds]

@@ -27,7 +27,7 @@ from cfgplan.planners import PLANNERS
 from cfgplan.planners.exact.session import PlannerSession
 from cfgplan.planners.reducing.reduce import Numbered, Reduced, reduce
 from cfgplan.planners.solving.clock import Clock
-from cfgplan.planning import Plan, Problem, Status
+from cfgplan.planning import Plan, Problem, Progress, Status
 from cfgplan.qualities import Better, QualityAttribute, Wish
 from cfgplan.validity import plan_violations
 from experiments.families.random_library import random_library
@@ -188,3 +188,20 @@ def test_why_a_target_can_t_be_met_is_told_of_the_whole_library() -> None:
     problem = wanting("A", library=(give("a", "A", takes={"g": "G"}, max_instances=1),))
     found = PLANNERS["cpsat"](problem)
     assert found.reasons == {"A": "target A wants A, but input g of a needs G, and no output matches"}
+
+
+def test_progress_does_not_fall_back_where_a_problem_is_planned_again() -> None:
+    """`home` lacks room for what is best without hosts; then an input that is fed afterwards rewires a unit."""
+    library = tuple(give(label, label.upper(), memory_mb=2) for label in "abcd")
+    tight = wanting("A", "B", library=library, hosts=(Host("h", memory_mb=3), Host("k", memory_mb=2)))
+    view = replace(give("view", "V"), inputs=(InputPort("b", "B", optional=True),))
+    runs = ComputationUnit("view.1", "view", (), (Publication("v", "/V"),))
+    tied = wanting("C", "V", library=(give("both", "B", "C"), give("other", "C"), view)).with_parts(units=(runs,))
+    for problem in (tight, tied):
+        told: list[Progress] = []
+        PLANNERS["cpsat"](problem, report=told.append)
+        bounds = [one.bound_us for one in told]
+        costs = [one.cost_us for one in told if one.cost_us is not None]
+        assert bounds == sorted(bounds)
+        assert costs == sorted(costs, reverse=True)
+        assert told[-1].cost_us == told[-1].bound_us

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from fleets import TOGETHER, fleets
@@ -12,6 +13,7 @@ from undecided import Truthful, differences, undecided
 from worlds import examples, problems
 
 from cfgplan.domain import (
+    ALL,
     ComputationUnit,
     Environment,
     InputPort,
@@ -92,6 +94,17 @@ def test_who_does_not_ask_early_asks_only_where_there_is_no_plan_else() -> None:
     deciding.asks_early = False
     assert (deciding(PROBLEM).status, decider.asked) == (Status.FEASIBLE, 0)
     assert (deciding(NEVER).status, decider.asked) == (Status.OPTIMAL, 1)
+
+
+@pytest.mark.parametrize("said", [{"optional": True}, {"count": ALL}], ids=str)
+def test_an_input_that_no_plan_can_have_asks_for_no_pair(said: dict[str, Any]) -> None:
+    inputs = (InputPort("gap", "Nothing"), InputPort("more", "X", **said))
+    unusable = Transformation("unusable", inputs, (OutputPort("o", "U"),))
+    similarity = Similarity({"W": frozenset("W")}, {"X": frozenset("W")})
+    decider = Truthful(similarity, Similarity({"W": frozenset("W"), "X": frozenset()}))
+    problem = replace(PROBLEM, similarity=similarity).with_parts(library=(DEAR, unusable))
+    plan = Deciding(PLANNERS["cpsat"], decider)(problem)
+    assert (plan.status, plan.cost_us, plan.undecided, decider.asked) == (Status.OPTIMAL, 160_000_000, (), 0)
 
 
 def test_an_interrupted_question_leaves_the_best_plan_of_what_is_known() -> None:

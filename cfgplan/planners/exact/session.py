@@ -109,12 +109,13 @@ class PlannerSession:
         clock.is_interrupted = known.clock.is_interrupted
         part = _reduced(problem, clock, is_certain=True)
         standing = Standing(part.problem, clock, part.reporting(report), problem)
+        is_about_cost = not problem.environment.required and Feature.ORDER not in problem.features
+        if is_about_cost:
+            standing.bound_us = known.bound_us + before.rent_us - part.rent_us
         if answer is not None and answer.change_set is not None:
             standing.offer(part.part_of(problem.after(answer).units))
-        if not (problem.environment.required or Feature.ORDER in problem.features):
-            standing.raise_bound(known.bound_us + before.rent_us - part.rent_us)
-            if standing.is_at_bound:
-                standing.prove_cost()
+        if is_about_cost and standing.is_at_bound:
+            standing.prove_cost()
         found = PlannerSession(self._tuning, is_asked_once=True)._planned(part, standing)
         assert found is not None
         return found
