@@ -1,10 +1,9 @@
-"""`reduce` gives the problem that is left to be planned: less what no plan can use, and less words that can't bind.
+"""`reduce` leaves out of a problem what no plan can use, and words that can't bind.
 
-A transformation that can't be started, or that nothing wanted can need, leaves the library, and so does what it says. A
-`serves`, `max_instances`, `count: all`, quality or host that no configuration can feel leaves too. Optional inputs
-without worth cost and start nothing: they are fed once the plan is known. A plan of what is left is one of the whole
-problem, which `Reduced.answer` makes of it; where it may not be the best in changes, or where the host of all units
-may lack room, `Reduced.answer` says so, and the problem is planned again without these two steps.
+The library loses transformations that can't be started or that nothing wanted can need, with all that they say. Limits,
+qualities and hosts go if no configuration can reach them. Optional inputs without worth cost nothing and start nothing:
+they are fed after the plan. `Reduced.answer` makes a plan of the whole problem. If one host lacks room for all units,
+or if feeding an input rewires a unit, the planner plans again with `is_certain`.
 """
 
 from __future__ import annotations
@@ -52,7 +51,7 @@ class Reduced:
     """A `whole` problem, and the `problem` that is left of it.
 
     If hosts were left out, all units are at `home`, which `is_roomy` if it has room for all that a plan may have.
-    So many transformations are `startable` in the whole problem.
+    `startable` is the number of transformations of the whole problem that can be started.
     """
 
     whole: Problem
@@ -63,7 +62,7 @@ class Reduced:
 
     @property
     def rent_us(self) -> int:
-        """What every plan costs more than the reduced one says."""
+        """The rent of home over the horizon, which the reduced problem leaves out of each plan's cost."""
         return 0 if self.home is None else self.home.rent_us * self.whole.horizon_s
 
     def reporting(self, report: OnProgress | None) -> OnProgress | None:
@@ -132,7 +131,7 @@ class Reduced:
         )
 
     def _objectives(self, found: Plan, *, is_used: bool) -> Iterator[Measured]:
-        """What is minimised, with the objectives that are the same for all plans."""
+        """Return the values of all objectives, also of the ones that are equal for all plans."""
         known = {one.objective: one for one in found.objectives}
         for each in self.whole.environment.minimise if Feature.ORDER in self.whole.features else ():
             if each is Objective.COST:
@@ -146,9 +145,9 @@ class Reduced:
 
 @dataclass(frozen=True)
 class _Use:
-    """What plans may have: the `labels` of transformations, so many `units` of each, some of which are `running`.
+    """The transformations that plans may use, by `labels`; the most `units` of each, and its `running` ones.
 
-    So many transformations are `startable`.
+    `startable` is the number of transformations that can be started.
     """
 
     startable: int
@@ -159,9 +158,9 @@ class _Use:
 
 
 def reduce(problem: Problem, clock: Clock, *, is_certain: bool = False) -> Reduced:
-    """What is left of a problem to be planned; the same where nothing is asked beyond the paper. Raises OutOfTimeError.
+    """Return the problem without all that can't matter, or the same one if it asks for nothing beyond the paper.
 
-    If it `is_certain`, each answer to what is left is one to the whole problem, with its ties.
+    With `is_certain`, each plan of it gives a plan of the whole problem that is as good in ties. Raises OutOfTimeError.
     """
     use = None if problem.is_plain else _use(problem, clock.each)
     if use is None:
@@ -180,7 +179,7 @@ def reduce(problem: Problem, clock: Clock, *, is_certain: bool = False) -> Reduc
 
 
 def may_go_on(problem: Problem, unit: ComputationUnit) -> bool:
-    """Whether a unit is where it may be; a cold spare only where failures are to be survived."""
+    """Whether a unit is where it may be. A cold spare may go on only if failures have to be survived."""
     environment, transformation = problem.environment, problem.environment.transformation[unit.transformation]
     if environment.hosts and unit.host not in environment.hosts_for(transformation):
         return False
@@ -188,7 +187,7 @@ def may_go_on(problem: Problem, unit: ComputationUnit) -> bool:
 
 
 def _use(problem: Problem, each: Each) -> _Use | None:
-    """What plans may have; None if what is asked for can't run: its reasons need the whole library."""
+    """Return the transformations that plans may use; None if a target or pin can't be met, which needs all reasons."""
     environment, similarity = problem.environment, problem.similarity
     library = environment.library
     hopeful = possible = startable(environment, Givers(library, similarity), each)
@@ -326,7 +325,7 @@ def _with_inputs(problem: Problem, of: Callable[[Transformation, InputPort], Inp
 def _home(problem: Problem) -> Host | None:
     """A host where all units may be, at the least cost, and where it is best that they are: nothing is carried then.
 
-    None if there is no such host, or if there is something that can be so on several hosts only.
+    None if no host is like that, or if a rule may be kept by several hosts and not by one.
     """
     environment = problem.environment
     if not environment.hosts or problem.survive is not None or Feature.LATENCY in problem.features:
@@ -409,7 +408,7 @@ def _without_inputs_that_start_nothing(problem: Problem, use: _Use, *, is_certai
 
 
 def _without_gone_inputs(before: Problem, left: Problem, unit: ComputationUnit) -> ComputationUnit:
-    """A unit without what it takes at inputs that are gone; what is not valid it keeps, since it can't stay so."""
+    """Drop a unit's subscriptions at inputs that are gone; invalid ones stay, so that the unit has to be rewired."""
     if unit.transformation == GONE:
         return unit
     ports = left.environment.transformation[unit.transformation].input
@@ -546,7 +545,7 @@ class _Wiring:
             self._readers[stream.unit].add(unit.id)
 
     def _free(self, unit: ComputationUnit, port: InputPort) -> Iterator[Stream]:
-        """The streams that may feed an input beside all that is fed already."""
+        """Yield the streams that may feed an input, given all that is fed already."""
         below = set() if port.feedback else set(reached([unit.id], lambda here: sorted(self._readers[here])))
         there = self._feeding_the_group(unit, port)
         for tag in sorted(self._offers.keys() & self._problem.similarity.offers.get(port.tag, frozenset())):
