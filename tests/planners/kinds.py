@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import comb, prod
 from types import MappingProxyType
 from typing import Any
 
+import plain_model
 import undecided
 from fleets import TOGETHER, fleets, nearly_plain
 from hypothesis import strategies as st
@@ -19,6 +20,7 @@ from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.groups import is_countable
 from cfgplan.planning import Feature, Plan, Problem
+from cfgplan.qualities import MICRO, Contribution, QualityAttribute, QualityRule
 from cfgplan.validity import plan_violations
 
 
@@ -70,6 +72,37 @@ def of_open_pairs(case: tuple[Problem, Similarity]) -> list[str]:
     return undecided.differences(*case)
 
 
+def of_the_plain_model(problem: Problem) -> list[str]:
+    """The plain model is the oracle of problems that are too large for the enumeration."""
+    found, optimum = PLANNERS["cpsat"](problem), plain_model.optimum(problem)
+    wrong = [str(violation) for violation in plan_violations(problem, found)]
+    if plain_model.Optimum.of(found) != optimum:
+        wrong.append(f"the planner says {plain_model.Optimum.of(found)}, the plain model {optimum}")
+    return wrong
+
+
+@st.composite
+def far_apart(draw: st.DrawFn, problems: st.SearchStrategy[Problem]) -> Problem:
+    """Problems whose costs differ by a factor of 10^12, with qualities on the usual scale."""
+    problem = draw(problems)
+    costs_us = st.sampled_from([0, 1, MICRO, 10**6 * MICRO])
+    library = []
+    for t in problem.environment.library:
+        outputs = tuple(replace(port, quality=tuple(map(_in_whole_units, port.quality))) for port in t.outputs)
+        library.append(replace(t, labor_us=draw(costs_us), upkeep_us=draw(costs_us), seen_us={}, outputs=outputs))
+    qualities = tuple(QualityAttribute(a.name, a.better) for a in problem.environment.qualities)
+    targets = tuple(
+        replace(t, quality=tuple(replace(w, bound=w.bound and w.bound * MICRO) for w in t.quality))
+        for t in problem.environment.targets
+    )
+    environment = replace(problem.environment, library=tuple(library), qualities=qualities, targets=targets)
+    return Problem(environment, problem.similarity, draw(st.sampled_from([0, 1, 7])))
+
+
+def _in_whole_units(stated: Contribution) -> Contribution:
+    return stated if stated.rule is QualityRule.SCALE else replace(stated, value=stated.value * MICRO)
+
+
 HOSTS, QUALITY, SURVIVAL = (frozenset({feature}) for feature in (Feature.HOSTS, Feature.QUALITY, Feature.SURVIVAL))
 BESIDE = frozenset({Feature.BESIDE})
 NUMBERS = frozenset({Feature.CONFLICTS, Feature.INSTANCES})
@@ -79,6 +112,13 @@ RUNS = frozenset({Feature.RUNS})
 ORDER = frozenset({Feature.ORDER})
 OPTIONAL, COUNTS = (frozenset({feature}) for feature in (Feature.OPTIONAL, Feature.COUNTS))
 
+LARGER = st.one_of(
+    fleets(WIRING | NUMBERS, most=6),
+    fleets(WIRING | QUALITY, most=5),
+    fleets(WIRING | QUALITY | HOSTS | NUMBERS | ORDER, most=4),
+    fleets(QUALITY | HOSTS | BESIDE | RUNS | NUMBERS, most=5),
+).filter(lambda problem: plain_model.number_of_units(problem) <= plain_model.MOST_UNITS)
+"""Problems for the plain model."""
 COUNTABLE = st.one_of(
     fleets(COUNTS | LIMITS | NUMBERS | HOSTS, most=2),
     fleets(COUNTS | LIMITS | NUMBERS | BESIDE | RUNS | ORDER | HOSTS, most=2),
@@ -147,6 +187,11 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
                 fleets(frozenset(Feature), most=2).filter(lambda problem: sets_of_units(problem) < 2000),
             ),
             of_one,
+        ),
+        "larger": Kind(LARGER, of_the_plain_model),
+        "far apart": Kind(
+            far_apart(st.one_of(fleets(QUALITY | WIRING), fleets(QUALITY), fleets(WIRING | NUMBERS))),
+            of_the_plain_model,
         ),
         "undecided": Kind(
             st.one_of(undecided.undecided(problems(most=3)), undecided.undecided(fleets(TOGETHER, most=2))),
