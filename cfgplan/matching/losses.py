@@ -1,10 +1,9 @@
-"""Which pairs of tags may depend on what an ontology says and no reasoner is told.
+"""Pairs of tags that may depend on a loss: an axiom that an ontology's files say and no reasoner is told.
 
-What was dropped concerns a pair only if it is in the pair's module. In there it concerns only what it is joined to: an
-ontology is *open to newcomers* if things that have no class and no link break none of its axioms. Then its models have
-any size, and two parts of it without a common name do not bear on each other, as a model of one can be laid over a
-model of the other. What was dropped concerns all pairs if its own names are not known. The ontology with all that was
-dropped is taken to be free of contradictions.
+A loss concerns a pair only if it is in the pair's module, and is joined to the pair there. An ontology is *open to
+newcomers* if things without class and link break none of its axioms. Its models then have any size, and parts of it
+without a common name do not bear on each other: a model of one can be laid over one of the other. A loss whose names
+are not known concerns all pairs. The ontology with all losses is taken to be free of contradictions.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from cfgplan.matching.structures import Interpretation, checks_of
 
 
 class Losses:
-    """What was dropped from one ontology. `modules` gives the ontology's modules, if they are asked for."""
+    """The losses of one ontology. `modules` is called once a module is needed."""
 
     def __init__(self, ontology: Ontology, modules: Callable[[], Modules]) -> None:
         self._ontology = ontology
@@ -30,7 +29,7 @@ class Losses:
         self._concern: dict[tuple[Concept, Concept], bool] = {}
 
     def of(self, module: Module) -> Mapping[str, str]:
-        """What was dropped that may bear on the names of a module, with the reason."""
+        """Return the losses that may bear on the names of a module, with the reason of each."""
         dropped = self._ontology.dropped
         if not dropped:
             return {}
@@ -38,7 +37,7 @@ class Losses:
         return {**self._nameless, **rules, **module.ontology.dropped}
 
     def concerned(self, offered: frozenset[Concept], demanded: Concept) -> frozenset[Concept]:
-        """The offered concepts that what was dropped may make fall below a demanded one."""
+        """Return the offered concepts that a loss may make fall below a demanded one."""
         if not self._ontology.dropped:
             return frozenset()
         new = [each for each in offered if (each, demanded) not in self._concern]
@@ -60,7 +59,7 @@ class Losses:
             self._look_at(offered[half:], demanded)
 
     def about(self, concepts: Iterable[Concept]) -> Mapping[str, str]:
-        """What was dropped that may bear on some concepts together, with the reason."""
+        """Return the losses that may bear on some concepts together, with the reason of each."""
         concepts = [*concepts]
         if self._nameless:
             return self._nameless
@@ -71,7 +70,7 @@ class Losses:
 
     @cached_property
     def _nameless(self) -> Mapping[str, str]:
-        """What was dropped and could be about any name."""
+        """The losses that could be about any name."""
         ontology, rules = self._ontology, {text for text, _ in self._ontology.lost_rules}
         return {
             text: why
@@ -80,7 +79,7 @@ class Losses:
         }
 
     def _is_joined(self, module: Module, lost: Iterable[str], names: set[str]) -> bool:
-        """Whether axioms of a module with common names join some names to what was dropped."""
+        """Whether axioms with common names join some names to a loss in a module."""
         trees = [*module.ontology.trees.values(), *module.rules.values()]
         if not _is_open_to_newcomers(trees):
             return True

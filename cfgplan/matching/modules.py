@@ -1,10 +1,10 @@
-"""The part of an ontology that bears on some names, its module: what follows about these names follows from the part.
+"""Modules: the axioms of an ontology from which all follows that the ontology says about some names.
 
-A class or property that is not asked about may be read as empty, or as all that there is. An axiom that is true
-whatever else is so is *local*, and can be left out: each model of the others becomes one of all axioms without a change
-of the names asked about. The two readings are tried in turns until no more axioms can be left out.
+Classes and properties beside these names may be read as empty, or as full. An axiom that then holds in every model is
+*local* and can be left out: each model of the other axioms becomes one of all of them, without a change of the names.
+Both readings are tried in turns until no axiom can be left out.
 
-Individuals need not be asked about: a model of the module has some thing for each of them in any case.
+Individuals count as known: every model of a module has a thing for each of them.
 
 References: B. Cuenca Grau, I. Horrocks, Y. Kazakov, U. Sattler, "Modular Reuse of Ontologies: Theory and Practice",
 J. Artificial Intelligence Research 31 (2008), section 5.2 (syntactic locality); U. Sattler, T. Schneider,
@@ -70,7 +70,7 @@ def individuals_in(concepts: Iterable[Concept]) -> set[str]:
 
 @dataclass(frozen=True)
 class Module:
-    """What bears on `names`, which are all classes and properties that it was made for and that are in it.
+    """A module. `names` are the classes and properties that it was made for, and those in it.
 
     `ontology` has the axioms that reasoners are told. `rules` are the dropped rules that are in the module.
     """
@@ -100,7 +100,7 @@ class Modules:
         self._told = ontology.axioms
 
     def of(self, names: Iterable[str]) -> Module:
-        """What bears on classes and properties."""
+        """Return the module of some classes and properties."""
         wanted = frozenset(names)
         part, size = self._axioms, -1
         while len(part) != size:
@@ -113,7 +113,7 @@ class Modules:
 
 
 class _Axioms:
-    """Axioms, with what is found out about them for all names at once."""
+    """Axioms, with an index of their names, and those that are never local."""
 
     def __init__(self, trees: Mapping[str, Tree], symbols_of: Mapping[str, frozenset[str]] | None = None) -> None:
         self.trees = trees
@@ -160,7 +160,7 @@ class _Axioms:
 
 
 class _Reading:
-    """What axioms say if the names that are not `known` are read as empty, or as full.
+    """A reading of axioms: names that are not `known` are empty, or full.
 
     The value of a class or property is _EMPTY, _FULL, or None where it hangs on known names.
     """
@@ -241,7 +241,7 @@ def _all(values: Iterable[bool | None]) -> bool | None:
 
 
 def _number_of(kind: str, number: int, counted: bool | None) -> bool | None:
-    """The value of having at least ("Min"), at most ("Max") or exactly ("Exa") so many of what is counted."""
+    """The value of a number restriction ("Min", "Max" or "Exa"), given the value of having one such successor."""
     if number == 0 and kind == "Min":
         return _FULL
     if number == 0:

@@ -236,7 +236,7 @@ class Matcher:
         return self._current_engine().outside
 
     def _module(self) -> Module:
-        """What bears on the tags that are registered now. What is known by another module is forgotten."""
+        """Return the module of the registered tags. If it has changed, start the engine and the models over."""
         names = names_in((*self._offered.texts, *self._demanded.texts))
         before = self._known
         if before is None or not names <= before.names:
@@ -252,7 +252,7 @@ class Matcher:
         return self._modules
 
     def _part(self, concepts: Iterable[Concept]) -> Ontology:
-        """What bears on some of the registered tags."""
+        """Return the module of some of the registered tags."""
         module, names = self._module(), names_in(concepts)
         if not names <= module.names:
             return self._modules_of_all().of(names).ontology
@@ -382,7 +382,7 @@ class Matcher:
         yield f"{pairs} of tags could not be decided and do not match{why}"
 
     def _in_the_way(self, undecided: Mapping[str, frozenset[str]]) -> Mapping[str, str]:
-        """Some of what was dropped that may make undecided pairs match, with the reason."""
+        """Return some of the losses that may make undecided pairs match, with the reason of each."""
         if not self._ontology.dropped:
             return {}
         offered, demanded = self._offered.concepts, self._demanded.concepts

@@ -1,7 +1,7 @@
 """Tags for ports, proposed from names, types of messages and units of measure.
 
-A tag is a class of the ontology, of which the words of a port speak, and restrictions to individuals and classes that
-they mention. What a tag would match is decided by reasoners, not by words.
+The words of a port choose a class of the ontology, and individuals and classes for restrictions. Reasoners, not words,
+decide which ports a tag would match.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ def _humps(chunk: str) -> Iterator[str]:
 
 @dataclass(frozen=True)
 class PortWords:
-    """What is known of a port that is to get a tag: texts, by how much their words count.
+    """The words about a port: texts, by how much their words count.
 
     `peers` are tags of ports that it is wired to, or that are called as it is: they are proposed first.
     """
@@ -108,7 +108,7 @@ class PortWords:
 
     @cached_property
     def weights(self) -> Mapping[str, float]:
-        """What each word counts, those too that say what the others are about."""
+        """The weight of each word, also of words that stand for a type or a unit."""
         weights = dict(self.said)
         for text in self.meant:
             for word in _about(text):
@@ -116,7 +116,7 @@ class PortWords:
         return weights
 
     def weight(self, word: str) -> float:
-        """What a word counts here, by its stem."""
+        """Return the weight of a word, or of one with the same stem; 0 if the port has neither."""
         if word in self.weights:
             return self.weights[word]
         stems = (each for own, each in self.weights.items() if _is_one_stem(word, own))
@@ -140,7 +140,7 @@ class PortWords:
 
     @cached_property
     def said(self) -> Mapping[str, float]:
-        """What each word of the texts counts."""
+        """The weight of each word in the texts."""
         weights: dict[str, float] = {}
         for weight, texts in sorted(self.texts.items()):
             for text in texts:
@@ -256,7 +256,7 @@ class Proposer:
         return found
 
     def _fillers(self, port: PortWords, head: str) -> Iterable[tuple[_Filler, ...]]:
-        """What restrictions may be about: individuals that the words mention, classes, both, or nothing."""
+        """Yield fillers for restrictions: individuals that the words mention, classes, both, none."""
         punned = frozenset((*self._ontology.classes.values(), *self._ontology.property_names.by_short_name.values()))
         individuals = self._mentioned(port, self._ontology.individuals, punned, partly=True)
         related = {iri for iri in self._classes.values() if head in self._all_above(iri)} | self._all_above(head)
@@ -299,7 +299,7 @@ class Proposer:
 
 
 def words_of_ports(environment: Environment, ontology: Ontology) -> dict[str, PortWords]:
-    """What is known of each input, output and target, by its name in `Environment.demands` and `.outputs`."""
+    """Return the words about each input, output and target, by its name in `Environment.demands` and `.outputs`."""
     properties = ontology.property_names.by_short_name
 
     def names_in(tag: str) -> list[str]:
@@ -344,7 +344,7 @@ def words_of_ports(environment: Environment, ontology: Ontology) -> dict[str, Po
 
 
 def _about(text: str) -> Iterator[str]:
-    """What a message type, a unit of measure or a name is about, in other words."""
+    """Yield the words that stand for a message type, a unit of measure or a name."""
     for known in (text.casefold(), *(word for word in words_of(text) if len(word) > _UNIT)):
         yield from words_of(_MEANINGS.get(known, ""))
 
