@@ -2,7 +2,8 @@
 
 Of a valid ontology it would silently drop disjointness of several classes or properties, anonymous individuals, class
 expressions without a type, qualified cardinalities of inverse properties, names that are defined without
-`owl:equivalentClass` (as OWL 1 allowed), and names of RDF Schema; it would refuse a second type of the ontology itself.
+`owl:equivalentClass` (as OWL 1 allowed), and names of RDF Schema; it would refuse a second type of the ontology itself,
+and the whole document for one comparison of an object property with a data property.
 So these are written in another way first. What it drops nevertheless is found by comparing its axioms with the triples.
 """
 
@@ -35,6 +36,10 @@ _BUILT_IN: Final = (f"<{OWL}", f"<{RDF}", f"<{RDFS}", f"<{SWRL}")
 _OF_THE_HEADER: Final = (f"<{OWL}imports>", f"<{OWL}versionIRI>")
 _DEPRECATED: Final = (f"<{OWL}DeprecatedClass>", f"<{OWL}DeprecatedProperty>")
 _PROPERTY_TYPES: Final = tuple(f"<{OWL}{kind}Property>" for kind in ("Object", "Datatype", "Annotation"))
+_CHAIN: Final = f"<{OWL}propertyChainAxiom>"
+_SUB_PROPERTY_OF: Final = f"<{RDFS}subPropertyOf>"
+_COMPARING: Final = (_SUB_PROPERTY_OF, f"<{OWL}equivalentProperty>", f"<{OWL}propertyDisjointWith>")
+"""Predicates between properties of one kind."""
 _ABOUT_INDIVIDUALS: Final = frozenset(
     f"<{OWL}{name}>"
     for name in ("sameAs", "differentFrom", "sourceIndividual", "targetIndividual", "Thing", "NamedIndividual")
@@ -98,6 +103,8 @@ class TripleGraph:
         ]
         self.axioms: list[str] = []
         self._individuals: set[str] = set()
+        self._refused: list[tuple[str, str]] = []
+        """Subject and predicate of triples that are left out: py-horned-owl would refuse the document for them."""
         self._of: defaultdict[str, list[tuple[str, str]]] = defaultdict(list)
         self._index()
 
@@ -106,6 +113,7 @@ class TripleGraph:
         self._drop_what_means_nothing()
         self._name_inverse_properties()
         self._give_names_a_type()
+        self._leave_out_what_is_refused()
         self._write_disjointness_as_axioms()
         self._give_expressions_a_type()
         self._individuals = self._anonymous_individuals()
@@ -162,6 +170,33 @@ class TripleGraph:
             if not any((_TYPE, kind) in self._of[name] for kind in _PROPERTY_TYPES):
                 self._triples.append((name, _TYPE, _PROPERTY_TYPES[is_data]))
 
+    def _leave_out_what_is_refused(self) -> None:
+        """Give a property without a type that of a property that it is compared with; leave out comparisons of objects
+        with data, or of which neither has a type, and chains of what is no property.
+        """
+        kinds: defaultdict[str, set[str]] = defaultdict(set)
+        for subject, predicate, value in self._triples:
+            if predicate == _TYPE and value in _PROPERTY_TYPES:
+                kinds[subject].add(value)
+        compared = [(s, o) for s, p, o in self._triples if p in _COMPARING and s.startswith("<") and o.startswith("<")]
+        pairs = [*compared, *((o, s) for s, o in compared)]
+        while True:
+            found = {one: kinds[other] for one, other in pairs if not kinds[one] and kinds[other]}
+            if not found:
+                break
+            kinds.update({name: {*said} for name, said in found.items()})
+            self._triples += [(name, _TYPE, kind) for name, said in found.items() for kind in sorted(said)]
+
+        def is_refused(subject: str, predicate: str, value: str) -> bool:
+            if predicate == _CHAIN:
+                return not all(member.startswith("<") for member in self._list(value))
+            is_unknown = predicate != _SUB_PROPERTY_OF and not kinds[subject] and not kinds[value]
+            return is_unknown or (bool(kinds[subject] and kinds[value]) and not kinds[subject] & kinds[value])
+
+        refused = {triple for triple in self._triples if triple[1] in (_CHAIN, *_COMPARING) and is_refused(*triple)}
+        self._refused += sorted((subject, predicate) for subject, predicate, _ in refused)
+        self._triples = [triple for triple in self._triples if triple not in refused]
+
     def _untyped_classes(self, one: str, other: str) -> list[str]:
         """Those of two equivalent terms that are names without the type of a class; none if one is a datatype."""
         data = (_TYPE, f"<{RDFS}Datatype>")
@@ -173,6 +208,7 @@ class TripleGraph:
 
     def unread(self, axioms: Collection[str]) -> Iterator[str]:
         """What the triples say but no axiom read from `lossless` does, shortened."""
+        yield from (f"`{short_name(s.strip('<>'))} {short_name(p.strip('<>'))} ...`" for s, p in self._refused)
         known = frozenset(axioms)
         direct: set[str] = set()
         expected: defaultdict[tuple[tuple[str, ...], str, str], set[object]] = defaultdict(set)

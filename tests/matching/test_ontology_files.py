@@ -550,3 +550,40 @@ def test_warnings_of_one_kind_are_one_line_with_a_count() -> None:
         "the ontology says more than cfgplan reads: `a0 sub ...` in x.ttl and 2,302 more: that is no axiom of OWL 2",
         "the ontology says more than cfgplan reads: a rule: its built-ins are told to no reasoner",
     )
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        ":d rdfs:subPropertyOf :hasSource .",
+        ":hasSource owl:equivalentProperty :d .",
+        ":d owl:propertyDisjointWith :hasSource .",
+        ":note rdfs:subPropertyOf :hasSource .",
+        "<u:p> owl:equivalentProperty <u:q> .",
+        ":hasSource owl:propertyChainAxiom ( [ a :Camera ] :hasSource ) .",
+        ':hasSource owl:propertyChainAxiom ( "x" :hasSource ) .',
+        ':Camera rdfs:subClassOf "x" .',
+        ':Camera owl:disjointUnionOf "x" .',
+        ':Camera rdfs:subClassOf [ a owl:Restriction ; owl:onProperty :d ; owl:minCardinality "x" ] .',
+    ],
+)
+def test_one_bad_axiom_is_a_loss_and_the_rest_is_read(bad: str, tmp_path: Path) -> None:
+    path = tmp_path / "w.ttl"
+    path.write_text(TURTLE + ":d a owl:DatatypeProperty . :note a owl:AnnotationProperty .\n" + bad)
+    ontology = load_ontology([path])
+    assert "SubClassOf(<http://w.example/#Camera> <http://w.example/#Device>)" in ontology.axioms
+    (lost,) = ontology.dropped.items()
+    assert lost[0].endswith("in w.ttl")
+    assert lost[1] == "that is no axiom of OWL 2"
+
+
+@pytest.mark.parametrize("kind", ["Object", "Datatype"])
+def test_a_property_of_an_import_has_the_type_of_the_one_it_is_compared_with(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / "w.ttl"
+    said = f":p a owl:{kind}Property ; rdfs:subPropertyOf <u:q> . <u:q> owl:equivalentProperty <u:r> ."
+    path.write_text(TURTLE + said)
+    ontology = load_ontology([path])
+    keyword = {"Object": "Object", "Datatype": "Data"}[kind]
+    assert f"Sub{keyword}PropertyOf(<http://w.example/#p> <u:q>)" in ontology.axioms
+    assert f"Equivalent{keyword}Properties(<u:q> <u:r>)" in ontology.axioms
+    assert not ontology.dropped
