@@ -37,9 +37,8 @@ _OF_THE_HEADER: Final = (f"<{OWL}imports>", f"<{OWL}versionIRI>")
 _DEPRECATED: Final = (f"<{OWL}DeprecatedClass>", f"<{OWL}DeprecatedProperty>")
 _PROPERTY_TYPES: Final = tuple(f"<{OWL}{kind}Property>" for kind in ("Object", "Datatype", "Annotation"))
 _CHAIN: Final = f"<{OWL}propertyChainAxiom>"
-_SUB_PROPERTY_OF: Final = f"<{RDFS}subPropertyOf>"
-_COMPARING: Final = (_SUB_PROPERTY_OF, f"<{OWL}equivalentProperty>", f"<{OWL}propertyDisjointWith>")
-"""Predicates between properties of one kind."""
+_COMPARING: Final = (f"<{OWL}equivalentProperty>", f"<{OWL}propertyDisjointWith>")
+"""Predicates between properties of one kind, for which py-horned-owl refuses others."""
 _ABOUT_INDIVIDUALS: Final = frozenset(
     f"<{OWL}{name}>"
     for name in ("sameAs", "differentFrom", "sourceIndividual", "targetIndividual", "Thing", "NamedIndividual")
@@ -190,7 +189,7 @@ class TripleGraph:
         def is_refused(subject: str, predicate: str, value: str) -> bool:
             if predicate == _CHAIN:
                 return not all(member.startswith("<") for member in self._list(value))
-            is_unknown = predicate != _SUB_PROPERTY_OF and not kinds[subject] and not kinds[value]
+            is_unknown = not kinds[subject] and not kinds[value]
             return is_unknown or (bool(kinds[subject] and kinds[value]) and not kinds[subject] & kinds[value])
 
         refused = {triple for triple in self._triples if triple[1] in (_CHAIN, *_COMPARING) and is_refused(*triple)}
