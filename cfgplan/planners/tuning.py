@@ -133,6 +133,7 @@ class Solve:
     """The solver."""
 
     small: int = said(1000, "booleans", "Below this size of a model, probing takes longer than it saves.", LIBRARIES)
+    unexplained: int = said(100, "solutions", "So many that are no plans, for no known reason, are forbidden.", FLEETS)
     tiny: int = said(400, "booleans", "Below this size, a second presolving takes longer than it saves.", LIBRARIES)
 
 

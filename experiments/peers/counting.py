@@ -16,7 +16,7 @@ from networkx import DiGraph, is_directed_acyclic_graph
 from cfgplan.domain import ALL, ComputationUnit, Publication, Stream, Subscription, Transformation
 from cfgplan.errors import InputError
 from cfgplan.planners.exact.candidates import Candidates
-from cfgplan.planners.exact.decode import lean
+from cfgplan.planners.exact.pruning import lean
 from cfgplan.planning import Feature, Plan, Problem, Status
 
 KNOWN = {Feature.HOSTS, Feature.CONFLICTS, Feature.BESIDE, Feature.INSTANCES, Feature.COUNTS, Feature.LIMITS}
@@ -149,7 +149,7 @@ class Counting:
         units = lean(self.candidates, list(self._wired(numbers)))
         cost_us = self.plan_us(Counter((unit.transformation, str(unit.host)) for unit in units))
         changes, bound_us = self.problem.environment.change_to(units), min(bound_us, cost_us)
-        status = Status.of_plan(cost_us, bound_us)
+        status = Status.of_plan(cost_us, bound_us, is_required_proven=True)
         return Plan(self.who, status, changes, cost_us, bound_us, required_proven=True, seconds=seconds, counts=counts)
 
     def plan_us(self, numbers: Mapping[Where, int]) -> int:

@@ -75,7 +75,7 @@ class Selection:
             return Plan(self.who, Status.UNKNOWN, bound_us=bound_us, seconds=seconds, counts=counts)
         changes = self.problem.environment.change_to(wired.values())
         bound_us = min(bound_us, cost_us)
-        status = Status.of_plan(cost_us, bound_us)
+        status = Status.of_plan(cost_us, bound_us, is_required_proven=True)
         return Plan(self.who, status, changes, cost_us, bound_us, required_proven=True, seconds=seconds, counts=counts)
 
     def grounded(self, chosen: Collection[int]) -> list[int]:

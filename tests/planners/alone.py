@@ -22,7 +22,9 @@ from cfgplan.reasons import Givers
 
 def search_alone(problem: Problem, *, is_apart: bool = False, rules: Sequence[ModelRule] = RULES) -> Search:
     """A search in the one model, from nothing; with `is_apart` every subscription has a boolean."""
-    return Search(Candidates(problem), Standing(problem, Clock(), None), is_apart=is_apart, rules=rules)
+    candidates, standing = Candidates(problem), Standing(problem, Clock(), None)
+    standing.fewest_unused = sum(not candidates.of(label) for label in problem.environment.required)
+    return Search(candidates, standing, is_apart=is_apart, rules=rules)
 
 
 def plan_alone(problem: Problem) -> Plan:

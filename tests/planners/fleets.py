@@ -218,6 +218,66 @@ def placed(
     return replace(plain, host=host)
 
 
+@st.composite
+def clashing_pins(draw: st.DrawFn, features: frozenset[Feature]) -> Problem:
+    """A problem in which units of two pinned transformations run, which mostly conflict or take all room."""
+    problem = draw(fleets(features, most=3).filter(lambda drawn: len(drawn.environment.library) > 1))
+    environment = problem.environment
+    labels = draw(st.permutations([t.label for t in environment.library]))[:2]
+    clash = draw(st.sampled_from([{"conflicts": (labels[1],)}, {"conflicts_on_host": (labels[1],)}, {}]))
+    library = tuple(
+        replace(t, pinned=t.label in labels, inputs=() if draw(st.booleans()) else t.inputs)
+        for t in environment.library
+    )
+    library = tuple(replace(t, **clash) if t.label == labels[0] else t for t in library)
+    there = {unit.transformation for unit in environment.units}
+    host = environment.hosts[0].name if environment.hosts else None
+    new = tuple(ComputationUnit(f"{label}.1", label, host=host) for label in labels if label not in there)
+    units = (*(u for u in environment.units if u.id not in {one.id for one in new}), *new)
+    return replace(problem, environment=replace(environment, library=library, units=units))
+
+
+@st.composite
+def on_flat_scales(draw: st.DrawFn, features: frozenset[Feature], *, most: int = 3) -> Problem:
+    """A problem with an attribute whose worst value is its best."""
+    problem = draw(fleets(features, most=most))
+    qualities = problem.environment.qualities
+    which = draw(st.sampled_from(qualities)).name
+    at = draw(st.sampled_from([0, 3, 9]))
+    flat = tuple(replace(one, worst=at, best=at) if one.name == which else one for one in qualities)
+    return replace(problem, environment=replace(problem.environment, qualities=flat))
+
+
+@st.composite
+def with_words_that_do_nothing(draw: st.DrawFn, plain: st.SearchStrategy[Problem]) -> Problem:
+    """A problem with one more transformation, which nothing can feed, and of which something special is said."""
+    problem = draw(plain)
+    environment = problem.environment
+    labels = [t.label for t in environment.library]
+    more: dict[str, object] = draw(
+        st.sampled_from(
+            [
+                {"required": True},
+                {"pinned": True},
+                {"max_instances": 2},
+                {"per_host": 1},
+                {"beside": (labels[0],)},
+                {"conflicts": (labels[0],)},
+                {"conflicts_on_host": (labels[0],)},
+                {"standby_us": 0},
+                {"inputs": (InputPort("z", "Z"), InputPort("o", "A", optional=True))},
+                {"inputs": (InputPort("z", "Z"), InputPort("o", "A", optional=True, worth_us=5))},
+                {"inputs": (InputPort("z", "Z"), InputPort("o", "A", count=2))},
+                {"inputs": (InputPort("z", "Z"), InputPort("o", "A", count=ALL, feedback=True))},
+                {"outputs": (OutputPort("x", "A", serves=1),)},
+            ]
+        )
+    )
+    label = draw(st.sampled_from(["a", "zz"]))
+    idle = replace(Transformation(label, (InputPort("z", "Z"),), (OutputPort("x", "A"),), 0, 0), **more)  # type: ignore[arg-type]
+    return replace(problem, environment=replace(environment, library=(*environment.library, idle)))
+
+
 def reordered(problem: Problem, draw: st.DrawFn) -> Problem:
     """The same problem with all its lists in another order."""
     environment = problem.environment

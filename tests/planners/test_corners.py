@@ -96,9 +96,39 @@ def scales_whose_worst_is_their_best() -> Iterator[Problem]:
             yield world((target,), SOURCE, sink, units=units, qualities=(flat, steep))
 
 
+def pins_that_conflict() -> Iterator[Problem]:
+    quality = QualityAttribute("q", Better.LOWER, worst=100)
+    target = Target("B", "B", "/B", quality=(Wish("q", None, 1),))
+    dear = kind("d", "", "B", 5)
+    for both, clash in product((False, True), ({"conflicts": ("p",)}, {"conflicts_on_host": ("p",)})):
+        kept, other = kind("p", "", "", pinned=True), kind("o", "", "B", pinned=both, **clash)
+        for units in ((unit("p"),), (unit("p"), unit("o", topic="B"))):
+            yield world((target,), kept, other, units=units, qualities=(quality,))
+            yield world((target,), kept, other, dear, units=units, qualities=(quality,))
+
+
+def company_that_feeds_itself() -> Iterator[Problem]:
+    """The companions of which one is needed need each other, or another that they run with."""
+    for serves, count, units in product((None, 1), (2, 3), ((), (unit("t1"),))):
+        output = OutputPort("x", "", serves=serves)
+        library = (
+            kind("t0", "", "A", beside=("t2",), output=output),
+            kind("t1", "A", "A", first={"count": count}),
+            kind("t2", beside=("t3",)),
+            kind("t3", "", "A", beside=("t1",)),
+        )
+        yield world("A", *library, units=units)
+    for count, required in product((ALL, 2), (False, True)):
+        ring = kind("t2", "A", "A", feedback=(0,), first={"count": count})
+        taker = kind("t4", "A", "A", first={"count": 2}, required=required)
+        yield world("A", kind("t0", "", "A", beside=("t2",)), ring, taker)
+
+
 @pytest.mark.parametrize(
     "corner",
     [
+        company_that_feeds_itself,
+        pins_that_conflict,
         scales_whose_worst_is_their_best,
         without_targets,
         two_targets_of_one_stream,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from typing import Any
 from unittest.mock import patch
@@ -26,7 +27,9 @@ from cfgplan.domain import (
 from cfgplan.planners.bounding.bounds import Bound, cheapest_way, tightened
 from cfgplan.planners.bounding.landmarks import ways_into
 from cfgplan.planners.cpsat import plan
+from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.grounded import Grounded
+from cfgplan.planners.exact.pruning import lean
 from cfgplan.planners.networks.greedy import first_plan, plan_at
 from cfgplan.planners.networks.network import Network
 from cfgplan.planners.solving.clock import Clock
@@ -194,3 +197,20 @@ def test_no_more_landmarks_are_looked_for_than_pay_where_the_way_is_deep() -> No
     assert (found.status, found.cost_us) == (Status.OPTIMAL, 99 * 11 + 5)
     assert offered == [found.cost_us]
     assert landmarks.call_count <= 100
+
+
+def test_what_nothing_needs_is_taken_away_in_a_time_that_grows_with_its_number() -> None:
+    def seconds(number: int) -> float:
+        library = tuple(
+            Transformation(f"t{i:05}", (), (OutputPort("x", f"T{i}"),), 1000, 10, standby_us=1) for i in range(number)
+        )
+        units = [ComputationUnit(t.label + ".1", t.label, host="h") for t in library]
+        units[0] = replace(units[0], publications=(Publication("x", "/t"),))
+        environment = Environment(tuple(units), library, (Target("t", "T0", "/t"),), (Host("h"),))
+        candidates = Candidates(Problem(environment, Similarity({"T0": frozenset({"T0"})}), 10))
+        began = time.process_time()
+        assert [unit.id for unit in lean(candidates, units)] == ["t00000.1"]
+        return time.process_time() - began
+
+    few, many = (min(seconds(number) for _ in range(3)) for number in (500, 4_000))
+    assert many < 24 * few  # 8 times as many; in pairs it would be 64 times

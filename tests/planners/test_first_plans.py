@@ -142,7 +142,7 @@ def test_spares_are_dropped_one_by_one_with_a_look_at_the_clock_before_each() ->
         seen.append("drop")
         return can_do_without(candidates, units, one)
 
-    with patch.object(Clock, "_check", look), patch("cfgplan.planners.exact.decode.can_do_without", drop):
+    with patch.object(Clock, "_check", look), patch("cfgplan.planners.exact.pruning.can_do_without", drop):
         first(instances.surviving(0, 40, 2))
     dropped = [before for before, after in pairwise(seen) if after == "drop"]
     assert dropped

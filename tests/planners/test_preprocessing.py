@@ -16,10 +16,9 @@ from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.configuration import wire
 from cfgplan.planners.networks.greedy import first_plan, is_plan
 from cfgplan.planners.networks.network import Network, Weighing
-from cfgplan.planners.reducing.closure import relevant
+from cfgplan.planners.reducing.closure import Closure
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Plan, Problem, Status
-from cfgplan.reasons import Givers, startable
 
 
 class Stage:
@@ -32,9 +31,8 @@ class Stage:
         environment = problem.environment
         self.plan: Plan = plan
         self.used = {unit.transformation for unit in environment.update(plan.change_set).units}
-        self.givers = Givers(environment.library, problem.similarity)
-        self.possible = startable(environment, self.givers)
-        self.relevant = relevant(environment, self.givers, self.possible, iter)
+        closure = Closure.of(problem, Clock())
+        self.givers, self.possible, self.relevant = closure.givers, closure.possible, closure.relevant
         library = [t for t in environment.library if t.label in self.relevant]
         self.network = Network(library, [target.tag for target in environment.targets], [], self.givers)
         running = {unit.transformation for unit in environment.units}

@@ -26,9 +26,11 @@ import cfgplan
 from cfgplan.domain import Similarity, Target
 from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planners.exact import search
+from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.model import Model
+from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.exact.survival import Missed, Survival
-from cfgplan.planners.solving.clock import ContradictionError
+from cfgplan.planners.solving.clock import Clock, ContradictionError
 from cfgplan.planners.tuning import USUAL
 from cfgplan.planning import Failures, PlannerFaultError, Problem, Status
 from cfgplan.validity import plan_violations
@@ -130,3 +132,48 @@ def test_whether_a_unit_is_a_spare_costs_a_round_only_where_it_matters() -> None
     again = PlannerSession().plan(problem.with_parts(units=tuple(unit for unit in running if unit != lost)))
     assert again.status is Status.OPTIMAL
     assert again.counts["rounds"] < 9
+
+
+def test_what_breaks_a_rule_never_becomes_the_incumbent() -> None:
+    """Of a proven plan each unit, wire, topic, host or pin is taken in turn, and what is left is refused."""
+    drawn = (instances.hosted(0, 30, 2, hosts=2), random_library(1, transformations=60, running=0.3))
+    for problem in drawn:
+        after = problem.after(PlannerSession().plan(problem))
+        candidates, units = Candidates(problem), list(after.units)
+        assert Standing(problem, Clock(), None).offer(candidates, units) is not None
+        broken = [[other for other in units if other is not one] for one in units]
+        for number, one in enumerate(units):
+            others = units[:number] + units[number + 1 :]
+            broken += [[*others, replace(one, subscriptions=())]] * bool(one.subscriptions)
+            broken += [[*others, replace(one, publications=())]] * bool(one.publications)
+            broken += [[*others, replace(one, host="nowhere")]] * bool(problem.environment.hosts)
+        for configuration in broken:
+            standing = Standing(problem, Clock(), None)
+            assert standing.offer(candidates, configuration) is None
+            assert (standing.best, standing.counts["refused configurations"]) == (None, 1)
+
+
+@pytest.mark.parametrize("problem", [instances.hosted(0, 30), instances.weighted(0, 30, 3)], ids=["hosts", "quality"])
+def test_a_search_that_fails_is_made_again_in_the_whole_library_and_the_log_says_so(
+    problem: Problem, caplog: pytest.LogCaptureFixture
+) -> None:
+    proven = PlannerSession().plan(problem)
+    rights = iter([lambda _: 0])  # the first model reckons every plan too cheap
+
+    def cost(model: Model) -> LinearExprT:
+        return next(rights, reckons)(model)
+
+    reckons = Model.cost
+    with mock.patch.object(Model, "cost", cost), caplog.at_level("WARNING", logger="cfgplan"):
+        found = PlannerSession().plan(problem)
+    assert (found.status, found.cost_us) == (Status.OPTIMAL, proven.cost_us)
+    assert found.counts["failed searches"] == 1
+    assert "more than the model says" in caplog.text
+    assert plan_violations(problem, found) == []
+
+
+def test_every_search_among_a_part_has_what_runs_in_every_plan() -> None:
+    pinned, numbered, wanted = kind("p", pinned=True), kind("n", min_instances=1), kind("w")
+    targets = (Target("A", "A", "/A"), Target("w", run="w"))
+    problem = world(targets, kind("s", "", "A"), pinned, numbered, wanted, kind("o"), units=(unit("p"),))
+    assert Candidates(problem).among(["s"]).kinds.keys() == {"s", "p", "n", "w"}

@@ -26,7 +26,7 @@ from cfgplan.figures import cost_parts
 from cfgplan.planners.cpsat import plan
 from cfgplan.planners.solving import clock
 from cfgplan.planners.solving.clock import STOPPING_S, Clock, OutOfTimeError
-from cfgplan.planning import Failures, Plan, Problem, Status
+from cfgplan.planning import Failures, Feature, Plan, Problem, Status
 from cfgplan.qualities import MICRO
 from cfgplan.validity import plan_violations
 from experiments.families.random_library import random_library
@@ -35,6 +35,7 @@ from experiments.fleet import instances
 FEW_MORE = 40
 """So often somebody may look at the clock once the time is over."""
 NEVER_S = 10**9
+WIRING = frozenset({Feature.OPTIONAL, Feature.COUNTS, Feature.LIMITS})
 
 
 def with_a_required_one(problem: Problem) -> Problem:
@@ -148,6 +149,15 @@ def test_a_plan_cut_short_is_no_worse_than_what_runs_and_claims_nothing_wrong(
         assert found.bound_us <= exact.cost_us
     else:
         assert not found.required_proven
+
+
+@examples(60)
+@given(at_work(st.one_of(fleets(frozenset(Feature) - {Feature.SURVIVAL}, most=2), fleets(WIRING, most=3))))
+def test_what_runs_is_kept_at_a_limit_of_0_whatever_is_asked(running: tuple[Problem, tuple[int, int]]) -> None:
+    problem, kept = running
+    found = plan(problem, time_limit_s=0)
+    assert plan_violations(problem, found) == []
+    assert rank(found) <= kept
 
 
 @pytest.mark.parametrize("kind", PROBLEMS)

@@ -206,6 +206,33 @@ def histories(draw: st.DrawFn, *, most: int = 5) -> list[tuple[Problem, Plan]]:
     return history
 
 
+@st.composite
+def costs_far_apart(draw: st.DrawFn, drawn: st.SearchStrategy[Problem]) -> Problem:
+    """A problem with costs of 0 and of up to a million seconds, beside those of microseconds, and with any horizon."""
+    problem = draw(drawn)
+    costs = st.sampled_from([0, 0, 1, 10**6, 10**12])
+    library = tuple(
+        replace(t, labor_us=draw(costs), upkeep_us=draw(costs), required=t.required or draw(st.integers(0, 5)) == 0)
+        for t in problem.environment.library
+    )
+    most_us = draw(st.sampled_from([None, None, 0, 1, 10**6, 10**12]))
+    environment = replace(problem.environment, library=library)
+    return replace(
+        problem, environment=environment, horizon_s=draw(st.sampled_from([0, 0, 1, 10])), max_cost_us=most_us
+    )
+
+
+@st.composite
+def required_within_a_cost(draw: st.DrawFn, drawn: st.SearchStrategy[Problem]) -> Problem:
+    """A problem in which something is required and the cost is limited."""
+    problem = draw(drawn)
+    environment = problem.environment
+    wanted = draw(st.sets(st.sampled_from([t.label for t in environment.library]), min_size=1, max_size=2))
+    library = tuple(replace(t, required=t.label in wanted) for t in environment.library)
+    most_us = draw(st.integers(0, 30))
+    return replace(problem, environment=replace(environment, library=library), max_cost_us=most_us)
+
+
 def reordered(problem: Problem, draw: st.DrawFn) -> Problem:
     """The same problem with all its lists in another order."""
     environment = problem.environment

@@ -80,7 +80,7 @@ class Candidates:
         among: Collection[str] | None = None,
         clock: Clock | None = None,
     ) -> None:
-        """All candidates, or those of the transformations in `among`.
+        """All candidates, or those of the transformations in `among` and of those that every plan has.
 
         The `clock` is looked at here and by those who use the candidates; raises OutOfTimeError.
         """
@@ -89,7 +89,9 @@ class Candidates:
         self.clock = Clock() if clock is None else clock
         self.closure = Closure.of(problem, self.clock) if closure is None else closure
         self.givers, self.possible = self.closure.givers, self.closure.possible
-        labels = self.closure.relevant if among is None else self.closure.relevant.intersection(among)
+        labels = self.closure.relevant
+        if among is not None:
+            labels &= self.closure.asked_for.union(among)
         self.all = tuple(_candidates(problem, labels, self.clock))
         self.index_of = {candidate.id: i for i, candidate in enumerate(self.all)}
         self._units = grouped((candidate.transformation.label, i) for i, candidate in enumerate(self.all))

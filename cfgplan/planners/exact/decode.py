@@ -5,16 +5,13 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable
 from dataclasses import replace
-from itertools import repeat
 from typing import TYPE_CHECKING
 
 from cfgplan.domain import ComputationUnit, Environment, InputPort, Publication, Stream, Subscription, Target
-from cfgplan.onward import grouped, reached
+from cfgplan.onward import grouped
 from cfgplan.planners.exact.candidates import Candidates, HostName
-from cfgplan.planners.exact.survivors import can_do_without
-from cfgplan.planners.networks.keys import needed_feeders
-from cfgplan.planning import Feature, Problem, fresh_units
-from cfgplan.reasons import Each
+from cfgplan.planners.exact.pruning import have_company
+from cfgplan.planning import Feature, fresh_units
 
 if TYPE_CHECKING:
     from cfgplan.planners.exact.model import Model  # the solver takes long to import
@@ -137,87 +134,6 @@ class _Decoding:
         """The place in the order of derivation at which a stream is there on a host."""
         ways = [self.rank[way.index] for way in self.model.known_ways(stream, host) if way.index in self.rank]
         return min(ways, default=None)
-
-
-def lean(candidates: Candidates, units: Collection[ComputationUnit], each: Each = iter) -> list[ComputationUnit]:
-    """Take away, one after the other, the units that no target, pin, number or failure needs.
-
-    Where failures have to be survived, `units` must survive them. Each look at all failures is one of `each`.
-    """
-    problem, left = candidates.problem, list(units)
-    spares: set[str] = set()
-    for _ in each(repeat(None)):
-        needed = needed_in_all(problem, left, spares)
-        needless = [unit for unit in left if unit.id not in needed]
-        if not needless:
-            break
-        # A unit that feeds another needless one goes after it; new units go before kept ones.
-        fed_from = {s.stream.unit for unit in needless for s in unit.subscriptions if s.stream.unit != unit.id}
-        last = [unit for unit in needless if unit.id not in fed_from] or needless
-        goes = min(last, key=lambda unit: (unit.id in problem.environment.unit, unit.id))
-        if can_do_without(candidates, left, goes):
-            left = without_broken([unit for unit in left if unit is not goes])
-        else:
-            spares.add(goes.id)
-    return left
-
-
-def needed_in_all(problem: Problem, units: Collection[ComputationUnit], spares: Collection[str]) -> set[str]:
-    """The ids of the units that a target, pin or number needs, directly or through others, or one of the `spares`."""
-    roots = [u for u in units if u.id in spares or _is_asked_for(problem, units, u)]
-    return needed_units(problem.environment, units, [*roots, *problem.environment.meeting(units).values()])
-
-
-def without_broken(units: list[ComputationUnit]) -> list[ComputationUnit]:
-    """Drop the units whose feeders are gone, then those that they fed: a ring through feedback inputs may break."""
-    while True:
-        there = {unit.id for unit in units}
-        whole = [unit for unit in units if all(s.stream.unit in there for s in unit.subscriptions)]
-        if len(whole) == len(units):
-            return units
-        units = whole
-
-
-def _is_asked_for(problem: Problem, units: Iterable[ComputationUnit], unit: ComputationUnit) -> bool:
-    transformation = problem.environment.transformation[unit.transformation]
-    if unit.standby or not (transformation.pinned or transformation.min_instances):
-        return False
-    if transformation.pinned and unit.id in problem.environment.unit:
-        return True
-    number = sum(other.transformation == unit.transformation and not other.standby for other in units)
-    return number <= transformation.min_instances
-
-
-def needed_units(
-    environment: Environment, units: Iterable[ComputationUnit], roots: Iterable[ComputationUnit]
-) -> set[str]:
-    """The ids of the roots and of all units that they need, directly or through others."""
-    by_id = {unit.id: unit for unit in units}
-    running = _running_on(by_id.values()) if environment.companions else {}
-
-    def needs(unit_id: str) -> set[str]:
-        unit = by_id[unit_id]
-        beside = environment.transformation[unit.transformation].beside if not unit.standby else ()
-        company = [running.get((unit.host, label), ()) for label in beside]
-        return needed_feeders(environment, unit) | {ids[0] for ids in company if len(ids) == 1}
-
-    return set(reached([root.id for root in roots], needs))
-
-
-def have_company(environment: Environment, units: Collection[ComputationUnit]) -> bool:
-    """Whether on the host of each running unit there runs one of each transformation that it runs with."""
-    running = _running_on(units)
-    return all(
-        (unit.host, label) in running
-        for unit in units
-        if not unit.standby
-        for label in environment.transformation[unit.transformation].beside
-    )
-
-
-def _running_on(units: Iterable[ComputationUnit]) -> dict[tuple[HostName, str], list[str]]:
-    """The ids of the running units of each transformation on each host."""
-    return grouped(((unit.host, unit.transformation), unit.id) for unit in units if not unit.standby)
 
 
 def named(candidates: Candidates, units: list[ComputationUnit]) -> list[ComputationUnit]:

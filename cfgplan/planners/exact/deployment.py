@@ -27,9 +27,10 @@ from cfgplan.domain import Objective
 from cfgplan.planners.exact.candidates import Candidates, HostName
 from cfgplan.planners.exact.counted_wiring import CountedWiring
 from cfgplan.planners.exact.counting import PLACED, CountingModel, Misfit
-from cfgplan.planners.exact.decode import lean, named
+from cfgplan.planners.exact.decode import named
 from cfgplan.planners.exact.groups import Group, HostKind, groups_of, host_kinds
 from cfgplan.planners.exact.patterns import Patterns
+from cfgplan.planners.exact.pruning import lean
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.networks.keys import Key
 from cfgplan.planners.solving.clock import Clock, ContradictionError
@@ -107,7 +108,8 @@ class _Deployment:
             proven.append(least)
         if not is_placed and not self._offer(counts, values):
             return False
-        assert standing.best is not None
+        if standing.best is None:
+            raise ContradictionError("the numbers of units are those of no plan")
         for step, least in zip(steps, proven, strict=True):
             if step.value(standing.best.key) > least:
                 raise ContradictionError("a plan costs or changes more than the numbers of its units say")
@@ -189,8 +191,8 @@ class _Deployment:
             for n, hosts in placed.hosts.items():
                 hosts_of[n] += hosts
         units = CountedWiring(counts, values, hosts_of).units()
-        self.standing.offer(named(self.candidates, lean(self.candidates, units)))
-        return is_fit
+        key = self.standing.offer(self.candidates, named(self.candidates, lean(self.candidates, units)))
+        return is_fit and key is not None
 
     def _placed(self, kind: HostKind, here: Mapping[int, int], used: int, *, has_more_company: bool = False) -> _Placed:
         """Place units of groups on so many hosts of a kind.

@@ -1,27 +1,21 @@
 """Plans for a fleet before any model is built: cheapest supports by h_add, placed, wired and given spares.
 
-Not all rules are kept on the way, so a configuration is checked in the end and offered only if it is valid.
+Not all rules are kept on the way: what breaks one is refused when it is offered.
 """
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Collection, Iterable
 
 import numpy as np
 
-from cfgplan.domain import ComputationUnit
-from cfgplan.figures import links_bear, qualities_of_targets
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.configuration import Configuration, spare_prices
-from cfgplan.planners.exact.decode import have_company
-from cfgplan.planners.exact.places import Rooms
 from cfgplan.planners.exact.standing import Standing
-from cfgplan.planners.exact.survivors import bears_all_failures
 from cfgplan.planners.networks.core import Floats
 from cfgplan.planners.networks.greedy import FREE, plan_at
 from cfgplan.planners.reducing.closure import with_companions
-from cfgplan.qualities import QualityAttribute, QualityRule, is_met
+from cfgplan.qualities import QualityAttribute, QualityRule
 
 
 class FirstPlans:
@@ -35,8 +29,6 @@ class FirstPlans:
         units = [[c.cost_us for c in candidates.of(label) if c.may_run] for label in labels]
         self._run_us = np.array([min(these, default=np.inf) for these in units], np.float64)
         self._cost = candidates.least_us
-        self._numbered = [t for t in candidates.environment.library if t.min_instances]
-        self._pinned = {candidate.id for i, candidate in enumerate(candidates.all) if candidates.is_pinned(i)}
         self._attribute = _asked(candidates)
         self._is_weighed = any(wish.weight_us for target in candidates.environment.targets for wish in target.quality)
 
@@ -148,34 +140,7 @@ class FirstPlans:
     def offer(self, hot: Collection[int]) -> bool:
         """Offer a configuration in which these candidates run; False if it is not valid."""
         units = Configuration(self.candidates, hot, self._attribute, self._spare_us).units()
-        if units is None or not self.is_valid(units):
-            return False
-        self.standing.offer(units)
-        return True
-
-    def is_valid(self, units: list[ComputationUnit]) -> bool:
-        """Whether a wired configuration keeps quality bounds, room on hosts, numbers, conflicts, pins and failures."""
-        environment = self.candidates.environment
-        reached = qualities_of_targets(environment, units)
-        there = Counter(unit.transformation for unit in units)
-        running = Counter(unit.transformation for unit in units if not unit.standby)
-        kinds = [environment.transformation[label] for label in there]
-        rooms = Rooms(self.candidates.problem)
-        return (
-            all(
-                is_met(environment.quality[wish.attribute], wish, reached[target.label][wish.attribute])
-                for target in environment.targets
-                for wish in target.quality
-            )
-            and all(rooms.put(environment.transformation[unit.transformation], unit.host) for unit in units)
-            and have_company(environment, units)
-            and links_bear(self.candidates.problem, units)
-            and all(running[t.label] >= t.min_instances for t in self._numbered)
-            and all(t.max_instances is None or there[t.label] <= t.max_instances for t in kinds)
-            and not any(other != t.label and other in there for t in kinds for other in t.conflicts)
-            and self._pinned <= {unit.id for unit in units}
-            and bears_all_failures(self.candidates, units)
-        )
+        return units is not None and self.standing.offer(self.candidates, units) is not None
 
 
 def _asked(candidates: Candidates) -> QualityAttribute | None:

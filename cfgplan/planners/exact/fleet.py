@@ -26,8 +26,7 @@ from cfgplan.planning import Feature
 def plan_fleet(candidates: Candidates, standing: Standing, last: Collection[str]) -> None:
     """Look for first plans, one of them of the transformations in `last`, then for the best plan and its proof."""
     problem, clock = standing.problem, standing.clock
-    standing.counts |= {"candidates": len(candidates.all), "conflicts": 0}
-    standing.fewest_unused = sum(not candidates.of(label) for label in problem.environment.required)
+    _count(candidates, standing)
     if clock.tuning.is_solver_only:
         if standing.is_cost_proven:
             candidates = candidates.among(left_by_bounds(candidates, standing).labels)
@@ -47,6 +46,18 @@ def plan_fleet(candidates: Candidates, standing: Standing, last: Collection[str]
         standing.are_ties_proven = True
         return
     _search(candidates, standing, first)
+
+
+def solve_apart(candidates: Candidates, standing: Standing) -> None:
+    """Leave all to the solver, in the model of all wires of all candidates, without bounds and first plans."""
+    _count(candidates, standing)
+    _solve(candidates, standing, is_apart=True)
+
+
+def _count(candidates: Candidates, standing: Standing) -> None:
+    standing.counts |= {"candidates": len(candidates.all), "conflicts": 0}
+    required = candidates.environment.required
+    standing.fewest_unused = sum(not candidates.of(label) for label in required)
 
 
 def _search(candidates: Candidates, standing: Standing, first: FirstPlans) -> None:
@@ -85,10 +96,12 @@ def _solve(
     standing: Standing,
     landmarks: Iterable[tuple[list[str], int]] = (),
     cuts: Iterable[ChainCut] = (),
+    *,
+    is_apart: bool = False,
 ) -> None:
     from cfgplan.planners.exact.search import Search
 
-    search = Search(candidates, standing, landmarks=landmarks, cuts=cuts)
+    search = Search(candidates, standing, is_apart=is_apart, landmarks=landmarks, cuts=cuts)
     standing.clock.end("model")
     search.run()
     standing.clock.end("search")
@@ -145,7 +158,7 @@ def look_among_few(candidates: Candidates, standing: Standing, first: FirstPlans
     sizes = [size for size in tuning.fleet.sizes if 2 * size <= len(order)]
 
     def among(size: int) -> Candidates:
-        return candidates.among(_best(standing).union(order[:size], candidates.asked_for))
+        return candidates.among(_best(standing).union(order[:size]))
 
     if sizes:
         FirstPlans(among(sizes[0]), standing).look(tuning.begin.attempts)

@@ -9,7 +9,7 @@ from ortools.sat.python.cp_model import IntVar, LinearExpr
 from cfgplan.domain import ALL, InputPort, Stream
 from cfgplan.onward import reached
 from cfgplan.planners.exact.model import Model
-from cfgplan.planners.exact.targets import who_serves
+from cfgplan.planners.exact.targets import who_is_needed
 
 
 def a_stream_serves_no_more_than_it_may(model: Model) -> None:
@@ -26,24 +26,10 @@ def _taking(model: Model, stream: Stream) -> list[IntVar]:
 
 
 def an_input_that_starts_nothing_is_fed_by_what_is_needed_anyway(model: Model) -> None:
-    """What is needed: what serves a target, is pinned, or is there by number or for a failure. Nothing else takes a
-    stream that serves only so many, since there would be room for the input without it.
-    """
+    """Nothing else takes a stream that serves only so many, since there would be room for the input without it."""
     if not model.idle_feeders:
         return
-    candidates, roots = model.candidates, defaultdict[int, list[IntVar]](list)
-    for i in sorted(model.tracked):
-        if candidates.is_pinned(i):
-            roots[i].append(model.runs[i])
-    for t in model.environment.library:
-        running = {i: model.runs[i] for i in model.running(t.label)} if t.min_instances else {}
-        for i, asked in [(i, model.only_if(runs)) for i, runs in running.items()]:
-            model.cp.add(LinearExpr.sum([*running.values()]) <= t.min_instances).only_enforce_if(asked)
-            roots[i].append(asked)
-    for i in sorted(model.tracked & model.runs.keys()) if model.problem.survive is not None else ():
-        model.spares[i] = model.only_if(model.runs[i])
-        roots[i].append(model.spares[i])
-    needed = who_serves(model, roots)
+    candidates, needed = model.candidates, who_is_needed(model)
     for (unit, name), connects in model.connects.items():
         is_idle = name in candidates.all[unit].transformation.idle_inputs
         for stream, connected in connects.items():

@@ -70,10 +70,15 @@ class Model:
         """By how much each target's stream misses the best of an attribute, in steps, and the size of a step."""
         self.idle_feeders = _feeders_of_idle_inputs(candidates)
         """The candidates that may feed inputs which start nothing."""
+        self.keeping_each_other = _keeping_each_other(candidates)
+        """The candidates of which several might need each other only, so that none of them could be left out."""
+        self.needed: dict[int, IntVar] = {}
+        """By tracked candidate: that what runs needs it, where a rule asks for that."""
         required = (i for i, c in enumerate(candidates.all) if c.may_run and c.transformation.required)
-        company = candidates.environment.companions if self.idle_feeders else frozenset()
-        self.tracked = _downstream_of(candidates, sorted({*required, *self.idle_feeders}), company)
-        """Where it matters who feeds whom: downstream of required transformations and of `idle_feeders`."""
+        apart = self.idle_feeders | self.keeping_each_other
+        company = candidates.environment.companions if apart else frozenset()
+        self.tracked = _downstream_of(candidates, sorted(apart.union(required)), company)
+        """Where it matters who feeds whom: downstream of required transformations, and of what has to be `needed`."""
         self._demand_of_tag: dict[str, int] = {}
         self._demand_of_streams: dict[tuple[Stream, ...], int] = {}
         self._streams: list[tuple[Stream, ...]] = []
@@ -294,6 +299,36 @@ class Model:
 def _feeders_of_idle_inputs(candidates: Candidates) -> frozenset[int]:
     tags = {port.tag for kind in candidates.kinds.values() for port in kind.inputs if port.starts_nothing}
     return frozenset(feeder for tag in tags for feeder in candidates.feeders(tag))
+
+
+def _keeping_each_other(candidates: Candidates) -> frozenset[int]:
+    """The candidates of which several may run for a number or for company, though each of them needs another.
+
+    So may those that others run with, or that numbers ask for, if they feed a ring that feedback or company closes.
+    """
+    kinds, asked = candidates.kinds, candidates.environment.companions
+    asked |= {label for label, kind in kinds.items() if kind.min_instances}
+    several = [label for label in sorted(asked & kinds.keys()) if len(candidates.units_of(label)) > 1]
+    if not several:
+        return frozenset()
+    from networkx import MultiDiGraph, strongly_connected_components
+
+    ring_of: dict[str, int] = {}
+    graph: MultiDiGraph[str] = MultiDiGraph()
+    closing = {(other, label) for label, kind in kinds.items() for other in kind.beside if other in kinds}
+    graph.add_edges_from(closing)
+    feeds: set[tuple[str, str]] = set()
+    for label, kind in kinds.items():
+        for port in kind.inputs:
+            givers = {candidates.all[i].transformation.label for i in candidates.feeders(port.tag)}
+            feeds.update((giver, label) for giver in givers if not port.starts_nothing)
+            closing.update((giver, label) for giver in givers if port.feedback and not port.starts_nothing)
+    graph.add_edges_from(feeds)
+    for number, ring in enumerate(strongly_connected_components(graph)):
+        ring_of.update(dict.fromkeys(ring, number))
+    closed = {ring_of[one] for one, other in closing if ring_of[one] == ring_of[other]}
+    feeding = {one for one, other in feeds if ring_of[one] == ring_of[other] and ring_of[one] in closed}
+    return frozenset(i for label in several if label in feeding for i in candidates.units_of(label))
 
 
 def _downstream_of(candidates: Candidates, starts: list[int], company: Set[str]) -> frozenset[int]:

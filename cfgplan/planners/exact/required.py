@@ -29,8 +29,8 @@ def left_with_all(work: Work) -> Left:
     for _ in range(clock.tuning.begin.ways):
         few = _few(work, required, shunned)
         found = None if few is None else _among(work, few)
-        if found is not None:
-            standing.offer(found.units)
+        if few is not None and found is not None:
+            standing.offer(work.structure.candidates(work.problem, few), found.units)
         if few is None or found is not None or clock.is_over():
             break
     best = standing.best

@@ -27,6 +27,7 @@ RULES: Final[tuple[ModelRule, ...]] = (
     idle_inputs.a_stream_serves_no_more_than_it_may,
     idle_inputs.an_input_that_starts_nothing_is_fed_by_what_is_needed_anyway,
     idle_inputs.an_input_that_starts_nothing_is_fed_where_it_can_be,
+    targets.units_that_could_keep_each_other_are_needed,
     hosts.hosts_bear_their_units,
     hosts.a_host_is_paid_and_counted_while_something_is_there,
     units.units_that_conflict_are_not_there_together,

@@ -21,9 +21,10 @@ from ortools.sat.python.cp_model import (
 from cfgplan.domain import Objective
 from cfgplan.errors import InputError
 from cfgplan.planners.exact.candidates import ONLY_IN_THE_MODEL, Candidates
-from cfgplan.planners.exact.decode import decode, lean, named
+from cfgplan.planners.exact.decode import decode, named
 from cfgplan.planners.exact.first_plans import FirstPlans
 from cfgplan.planners.exact.model import Model, ModelRule
+from cfgplan.planners.exact.pruning import lean
 from cfgplan.planners.exact.quality import chains_are_as_bad_as_who_runs_lets_them
 from cfgplan.planners.exact.quality_chains import ChainCut
 from cfgplan.planners.exact.rules import RULES
@@ -72,6 +73,7 @@ class Search:
         self.is_all = is_all
         self._missed = missed
         self._left_s = inf
+        self._unexplained = 0
         self._has_hosts = bool(candidates.environment.hosts)
         self._survival, self._first = None, None
         if self.problem.survive is not None:
@@ -100,6 +102,10 @@ class Search:
         except InfeasibleError:
             if self.is_all:
                 self.standing.prove_infeasible()
+        except ContradictionError as error:
+            if self.is_all:
+                raise
+            self.standing.note_failure(str(error))
 
     def run_with_all_required(self) -> bool:
         """Minimise cost, then changes, of plans that use all required transformations; False if there are none.
@@ -250,7 +256,8 @@ class Search:
             return None
         if survival is not None and (survival.missed(units) or survival.needless_spares(self.model, true, units)):
             return None
-        return self.standing.offer(named(self.model.candidates, lean(self.model.candidates, units)))
+        candidates = self.model.candidates
+        return self.standing.offer(candidates, named(candidates, lean(candidates, units)))
 
     def _look_at(self, solution: CpSolverSolutionCallback) -> bool:
         """Consider a solution on the way. Returns whether the solver goes on, as it does after a plan.
@@ -263,7 +270,8 @@ class Search:
     def forbid(self, true: set[int]) -> None:
         """Forbid a solution that is no plan, and all others that fail for the same reason.
 
-        Raises ContradictionError if there is no reason: the same solution would come again and again.
+        Where no reason is known, this solution alone is forbidden, if the model tells each wire. Raises
+        ContradictionError if not, or if they are too many.
         """
         model, cp, candidates = self.model, self.model.cp, self.model.candidates
         running = {i for i, runs in model.runs.items() if runs.index in true}
@@ -281,13 +289,34 @@ class Search:
         if not unfounded:
             unfounded, ways_in = model.support.cut(true, model.support.grounded(true))
         if not unfounded or not true.isdisjoint(ways_in):
-            raise ContradictionError("a solution is no plan, though all of it is grounded")
+            self._forbid_alone(true)
+            return
         ways = [cp.get_bool_var_from_proto_index(way) for way in ways_in]
         for proposition in unfounded:
             model.needs_any(cp.get_bool_var_from_proto_index(proposition), ways)
         self.standing.counts["cuts"] += len(unfounded)
         used = {candidates.all[i].transformation.label for i in running}
         model.enough_of_each_run(self._missed(used, self.standing.clock))
+
+    def _forbid_alone(self, true: set[int]) -> None:
+        """Forbid who is where, waits, stays and feeds whom in a solution."""
+        model = self.model
+        self._unexplained += 1
+        if (
+            self._unexplained > self.standing.clock.tuning.solve.unexplained
+            or not model.is_apart
+            or decode(model, true) is None
+        ):
+            raise ContradictionError("a solution is no plan, though all of it is grounded")
+        places = [on for each in (model.runs_on, model.waits_on) for places in each.values() for on in places.values()]
+        wires = [
+            taken
+            for each in (model.connects, model.publishes, model.meets)
+            for choices in each.values()
+            for taken in choices.values()
+        ]
+        decided = {literal.index: literal for literal in (*places, *model.stays.values(), *wires)}
+        model.cp.add_bool_or([~literal if index in true else literal for index, literal in decided.items()])
 
     def solver(self) -> CpSolver:
         """A solver for one round, with the time that is left."""

@@ -15,15 +15,14 @@ from typing import Final
 from cfgplan.domain import Environment
 from cfgplan.planners.exact.candidates import ONLY_IN_THE_MODEL, Candidates
 from cfgplan.planners.exact.configuration import wire
-from cfgplan.planners.exact.decode import lean
-from cfgplan.planners.exact.first_plans import FirstPlans
 from cfgplan.planners.exact.memory import Memory
+from cfgplan.planners.exact.pruning import lean
 from cfgplan.planners.exact.stages import STAGES
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.exact.work import Work
-from cfgplan.planners.reducing.closure import Closure
+from cfgplan.planners.reducing.closure import Closure, asked_for
 from cfgplan.planners.reducing.reduce import Reduced, reduce
-from cfgplan.planners.solving.clock import Clock, OutOfTimeError
+from cfgplan.planners.solving.clock import Clock, ContradictionError, OutOfTimeError
 from cfgplan.planners.tuning import USUAL, Tuning
 from cfgplan.planners.undecided import Deciding
 from cfgplan.planning import Feature, OnProgress, Plan, Problem, Status
@@ -71,7 +70,7 @@ class PlannerSession:
         """The answer to the whole problem by a plan of the part; None if it gives none."""
         clock, problem = standing.clock, part.problem
         _choose_stages(standing)
-        clock.run(lambda: self._go_through_stages(standing), lambda: _so_far(part, standing))
+        clock.run(lambda: self._plan(standing), lambda: _so_far(part, standing))
         clock.end("search")
         found, memory = standing.plan(), self._memory
         answer = part.answer(found)
@@ -84,8 +83,19 @@ class PlannerSession:
                 clock.run(lambda: memory.settle(problem, clock), lambda: _so_far(part, standing))
         return answer
 
+    def _plan(self, standing: Standing) -> None:
+        """Go through the stages; if one fails, leave the whole library to the solver, with a boolean for each wire."""
+        try:
+            self._go_through_stages(standing)
+        except ContradictionError as error:
+            standing.begin_again(str(error))
+            from cfgplan.planners.exact.fleet import solve_apart
+
+            solve_apart(Candidates(standing.problem, clock=standing.clock), standing)
+
     def _go_through_stages(self, standing: Standing) -> None:
-        offer_what_runs(standing)
+        if not self._tuning.is_solver_only:
+            offer_what_runs(standing)
         self._memory = Memory.of(standing.problem, self._memory, standing.clock)
         standing.clock.end("closure")
         work = Work(standing, self._memory)
@@ -113,7 +123,8 @@ class PlannerSession:
         if is_about_cost:
             standing.bound_us = known.bound_us + before.rent_us - part.rent_us
         if answer is not None and answer.change_set is not None:
-            standing.offer(part.part_of(problem.after(answer).units))
+            units = part.part_of(problem.after(answer).units)
+            standing.offer(Candidates(part.problem, among={unit.transformation for unit in units}), units)
         if is_about_cost and standing.is_at_bound:
             standing.prove_cost()
         found = PlannerSession(self._tuning, is_asked_once=True)._planned(part, standing)
@@ -157,10 +168,11 @@ def plan(
 
 
 def offer_what_runs(standing: Standing) -> None:
-    """Offer what runs, rewired where it has to be and less what nothing needs, if that is valid."""
+    """Offer what runs, less what nothing needs: as it is wired, and rewired where it must be.
+
+    No clock is looked at, so that a plan is there at any limit. What first plans don't know is not rewired.
+    """
     problem, environment = standing.problem, standing.problem.environment
-    if standing.clock.tuning.is_solver_only:
-        return
     labels = {unit.transformation for unit in environment.units}
     library = tuple(t for t in environment.library if t.label in labels)
     givers = Givers(library, problem.similarity)
@@ -169,10 +181,14 @@ def offer_what_runs(standing: Standing) -> None:
         possible.isdisjoint(givers.of(target.tag)) for target in environment.targets
     ):
         return
-    candidates = Candidates(problem, Closure(givers, possible, possible))
-    units = wire(candidates, [i for i, c in enumerate(candidates.all) if c.running is not None and c.may_run])
-    if units is not None and not problem.is_plain:
-        cold = [c.running for c in candidates.all if c.running is not None and c.running.standby]
-        units = lean(candidates, [*units, *cold])
-    if units is not None and (problem.is_plain or FirstPlans(candidates, standing).is_valid(units)):
-        standing.offer(units)
+    candidates = Candidates(problem, Closure(givers, possible, possible, asked_for(environment) & possible))
+    units = [c.running for c in candidates.all if c.running is not None]
+    standing.offer(candidates, units if problem.is_plain else lean(candidates, units))
+    if ONLY_IN_THE_MODEL & problem.features:
+        return
+    rewired = wire(candidates, [i for i, c in enumerate(candidates.all) if c.running is not None and c.may_run])
+    if rewired is not None and not problem.is_plain:
+        cold = [unit for unit in units if unit.standby]
+        rewired = lean(candidates, [*rewired, *cold])
+    if rewired is not None:
+        standing.offer(candidates, rewired)

@@ -5,15 +5,21 @@ Nothing here needs the constraint solver: where the first plan meets the bound i
 
 from __future__ import annotations
 
+import logging
 from functools import partial
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from cfgplan.domain import ComputationUnit, Objective
+from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.decode import in_order
 from cfgplan.planners.exact.reasons import joint_reasons
+from cfgplan.planners.exact.soundness import flaws
 from cfgplan.planners.networks.keys import Key, key_of, unused_required
 from cfgplan.planners.solving.clock import Clock, ContradictionError
-from cfgplan.planning import Measured, OnProgress, Plan, Problem, Progress, Status
+from cfgplan.planning import Feature, Measured, OnProgress, Plan, Problem, Progress, Status
+
+LOG: Final = logging.getLogger("cfgplan")
+LOG.addHandler(logging.NullHandler())
 
 
 class Incumbent(NamedTuple):
@@ -61,8 +67,10 @@ class Standing:
     def largest_us(self) -> int | None:
         """The largest cost that an optimal plan may have: the incumbent's.
 
-        None if not known: a plan that uses more required transformations may be dearer.
+        None if not known: a plan that uses more required transformations, or is better in an order, may be dearer.
         """
+        if Feature.ORDER in self.problem.features:
+            return None
         is_as_useful = self.best is not None and self.best.key.unused <= self.fewest_unused
         return self.best.key.cost_us if self.best is not None and is_as_useful else None
 
@@ -72,8 +80,16 @@ class Standing:
         holds = self.holds_for is None or (self.best is not None and self.best.key.unused <= self.holds_for)
         return self.bound_us if holds else 0
 
-    def offer(self, units: list[ComputationUnit]) -> Key:
-        """Replace the incumbent if this configuration is better. Returns its key."""
+    def offer(self, candidates: Candidates, units: list[ComputationUnit]) -> Key | None:
+        """Replace the incumbent if this configuration is valid and better.
+
+        Returns its key; None if it is not valid: then it is counted, and nothing else happens.
+        """
+        flaw = next(flaws(candidates, units), None)
+        if flaw is not None:
+            self.counts["refused configurations"] = self.counts.get("refused configurations", 0) + 1
+            LOG.info("a configuration is refused: %s", flaw)
+            return None
         key = key_of(self.problem, units)
         if self.best is None or key < self.best.key:
             self.best = Incumbent(key, units)
@@ -97,6 +113,17 @@ class Standing:
         if self.best is not None:
             raise ContradictionError("no plan is said to be possible, but one is known")
         self.is_infeasible = True
+
+    def begin_again(self, why: str) -> None:
+        """Note that a search failed, and drop all proofs; the incumbent stays, since it is valid."""
+        self.note_failure(why)
+        self.bound_us, self.bounds, self.holds_for, self.fewest_unused = 0, {}, None, 0
+        self.is_infeasible = self.is_cost_proven = self.are_ties_proven = False
+
+    def note_failure(self, why: str) -> None:
+        """Count a search that failed, and tell why in the log."""
+        self.counts["failed searches"] = self.counts.get("failed searches", 0) + 1
+        LOG.warning("a search failed and is made again in the whole library: %s", why)
 
     def raise_bound(self, bound_us: int) -> None:
         if bound_us > self.bound_us:

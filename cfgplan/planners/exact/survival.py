@@ -20,8 +20,8 @@ from ortools.sat.python.cp_model import IntVar, LinearExpr
 
 from cfgplan.domain import ComputationUnit, Target
 from cfgplan.planners.exact.candidates import Candidates, HostName
-from cfgplan.planners.exact.decode import needed_in_all
 from cfgplan.planners.exact.model import Model
+from cfgplan.planners.exact.pruning import needed_in_all
 from cfgplan.planners.exact.reach import Reach
 from cfgplan.planners.exact.survivors import (
     Site,

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 
-from ortools.sat.python.cp_model import IntVar, LiteralT
+from ortools.sat.python.cp_model import IntVar, LinearExpr, LiteralT
 
 from cfgplan.domain import Stream
 from cfgplan.onward import grouped
@@ -64,6 +65,34 @@ def required_transformations_serve_a_target(model: Model) -> None:
     for label, serving in grouped((t.label, serves) for t, serves in serving_units if t.required).items():
         model.uses_required[label] = model.boolean()
         model.needs_any(model.uses_required[label], serving)
+
+
+def units_that_could_keep_each_other_are_needed(model: Model) -> None:
+    needed = who_is_needed(model) if model.keeping_each_other else {}
+    for i in sorted(model.keeping_each_other & model.runs.keys()):
+        model.cp.add_implication(model.runs[i], needed[i])
+
+
+def who_is_needed(model: Model) -> Mapping[int, IntVar]:
+    """For each tracked unit a boolean that it serves a target, is pinned, or is there by number or for a failure, or
+    that a unit needs it which is needed.
+    """
+    if model.needed:
+        return model.needed
+    candidates, roots = model.candidates, defaultdict[int, list[IntVar]](list)
+    for i in sorted(model.tracked):
+        if candidates.is_pinned(i):
+            roots[i].append(model.runs[i])
+    for t in model.environment.library:
+        running = {i: model.runs[i] for i in model.running(t.label)} if t.min_instances else {}
+        for i, asked in [(i, model.only_if(runs)) for i, runs in running.items()]:
+            model.cp.add(LinearExpr.sum([*running.values()]) <= t.min_instances).only_enforce_if(asked)
+            roots[i].append(asked)
+    for i in sorted(model.tracked & model.runs.keys()) if model.problem.survive is not None else ():
+        model.spares[i] = model.only_if(model.runs[i])
+        roots[i].append(model.spares[i])
+    model.needed.update(who_serves(model, roots))
+    return model.needed
 
 
 def who_serves(model: Model, roots: Mapping[int, Sequence[IntVar]] | None = None) -> dict[int, IntVar]:

@@ -84,7 +84,7 @@ class Work:
         candidates = self.structure.candidates(self.problem, labels, self.clock)
         units = wire(candidates, candidates.first_of_each(labels))
         if units is not None:
-            self.standing.offer(units)
+            self.standing.offer(candidates, units)
 
     def take(self, left: Left) -> None:
         """Go on with what is left: raise the proven bound, offer the plan, and see whether all is proven.
@@ -108,7 +108,7 @@ class Work:
         chosen = self.candidates.first_of_each(left.network.labels[i] for i in left.plan.tolist())
         units = wire(self.candidates, chosen)
         if units is not None:
-            standing.offer(units)
+            standing.offer(self.candidates, units)
         if self._proves_all(chosen):
             standing.prove_all()
 

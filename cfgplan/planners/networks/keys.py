@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from typing import NamedTuple
 
 from cfgplan.domain import ALL, ComputationUnit, Environment, Objective
@@ -62,6 +62,20 @@ def needed_feeders(environment: Environment, unit: ComputationUnit) -> set[str]:
 
 def may_stay(problem: Problem, labels: Collection[str], unit: ComputationUnit) -> bool:
     """Whether the unit's wiring is valid, looked at by itself, if only units of these labels run."""
+    there = problem.environment.unit
+
+    def label_of(unit_id: str) -> str | None:
+        label = there[unit_id].transformation if unit_id in there else None
+        return label if label in labels else None
+
+    return is_well_wired(problem, label_of, unit)
+
+
+def is_well_wired(problem: Problem, label_of: Callable[[str], str | None], unit: ComputationUnit) -> bool:
+    """Whether a unit's wiring is valid, looked at by itself.
+
+    `label_of` tells the transformation of a unit that runs; None if it does not run.
+    """
     environment, holds = problem.environment, problem.similarity.holds
     transformation = environment.transformation[unit.transformation]
     if not unit.feeds.keys() <= transformation.input.keys():
@@ -74,16 +88,14 @@ def may_stay(problem: Problem, labels: Collection[str], unit: ComputationUnit) -
         if port.count > 1 and len({stream.unit for stream in streams}) < len(streams):
             return False
         for stream in streams:
-            feeder = environment.unit.get(stream.unit)
-            if feeder is None or feeder.transformation not in labels:
+            label = label_of(stream.unit)
+            output = None if label is None else environment.transformation[label].output.get(stream.port)
+            if label is None or output is None or not holds(output.tag, port.tag):
                 return False
-            output = environment.transformation[feeder.transformation].output.get(stream.port)
-            if output is None or not holds(output.tag, port.tag):
-                return False
-            if port.distinct is not None and (port.distinct, feeder.transformation) in feeders:
+            if port.distinct is not None and (port.distinct, label) in feeders:
                 return False
             if port.distinct is not None:
-                feeders.add((port.distinct, feeder.transformation))
+                feeders.add((port.distinct, label))
     wanted = {target.topic: target.tag for target in environment.stream_targets} if unit.publications else {}
     return all(
         publication.topic in wanted

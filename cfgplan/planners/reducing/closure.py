@@ -15,23 +15,33 @@ from cfgplan.reasons import Each, Givers, startable
 @dataclass(frozen=True)
 class Closure:
     """`givers` know who gives what; `possible` are the transformations that can be started; `relevant` those of them
-    that may be needed.
+    that may be needed; `asked_for` those of which every plan has a unit: by a pin, a number or a target.
     """
 
     givers: Givers
     possible: frozenset[str]
     relevant: frozenset[str]
+    asked_for: frozenset[str]
 
     @classmethod
     def of(cls, problem: Problem, clock: Clock, old: Closure | None = None) -> Closure:
         """The closure of a problem; `old` is one of the same library and matching. Raises OutOfTimeError."""
         environment = problem.environment
         if old is not None:
-            return cls(old.givers, old.possible, relevant(environment, old.givers, old.possible, clock.each))
-        givers = Givers(environment.library, problem.similarity)
-        possible = startable(environment, givers, clock.each)
-        givers = givers.among(possible)
-        return cls(givers, possible, relevant(environment, givers, possible, clock.each))
+            givers, possible = old.givers, old.possible
+        else:
+            givers = Givers(environment.library, problem.similarity)
+            possible = startable(environment, givers, clock.each)
+            givers = givers.among(possible)
+        asked = asked_for(environment) & possible
+        return cls(givers, possible, relevant(environment, givers, possible, clock.each), asked)
+
+
+def asked_for(environment: Environment) -> frozenset[str]:
+    """The labels of which a running unit is pinned, or a unit is asked for by number or by a target."""
+    running = {unit.transformation for unit in environment.units}
+    asked = (t.label for t in environment.library if t.min_instances or (t.pinned and t.label in running))
+    return frozenset([*asked, *environment.wanted_to_run.values()])
 
 
 def relevant(environment: Environment, givers: Givers, possible: frozenset[str], each: Each) -> frozenset[str]:
@@ -40,9 +50,7 @@ def relevant(environment: Environment, givers: Givers, possible: frozenset[str],
     An input that starts nothing asks for none.
     """
     library = environment.transformation
-    running = {unit.transformation for unit in environment.units}
-    asked = [t.label for t in environment.library if t.min_instances or (t.pinned and t.label in running)]
-    found = set(with_companions(environment, possible.intersection(asked)))
+    found = set(with_companions(environment, asked_for(environment) & possible))
     ahead = [target.tag for target in environment.targets]
     ahead += [port.tag for label in sorted(found) for port in library[label].inputs if not port.starts_nothing]
     seen = set(ahead)
