@@ -37,8 +37,8 @@ class InputPort:
     and at least one. An `optional` one may stay unfed, which costs `worth_us` each second; if that is 0 it is fed
     wherever streams of what runs anyway may feed it, and is no reason for a unit to run.
 
-    `type` is the message type of what comes there, and `remap` what the unit's code calls the port if not by its name;
-    for units that are nodes of ROS.
+    `type` is the message type of what comes there, `remap` what the unit's code calls the port if not by its name, and
+    `qos` the quality of service that it asks for, such as `reliable transient_local`; for units that are nodes of ROS.
     """
 
     name: str
@@ -51,6 +51,7 @@ class InputPort:
     service: bool = False
     type: str | None = None
     remap: str | None = None
+    qos: str | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "feedback", self.feedback or self.service)
@@ -77,7 +78,7 @@ class OutputPort:
 
     `quality` says what it makes of each quality attribute. The stream has `rate_uhz` elements in a million
     seconds, of `size_bytes` each: that is what it costs to cross from host to host. At most `serves` inputs and topics
-    take it; None: any number. `type` and `remap` are as of an input.
+    take it; None: any number. `type` and `remap` are as of an input, and `qos` is the quality of service on offer.
     """
 
     name: str
@@ -88,6 +89,7 @@ class OutputPort:
     serves: Annotated[int, AtLeast(1)] | None = None
     type: str | None = None
     remap: str | None = None
+    qos: str | None = None
 
     def __post_init__(self) -> None:
         if self.quality:

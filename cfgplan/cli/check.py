@@ -48,11 +48,11 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         }
         found = tuple(fault for fault in every if fault.key not in before)
         gone = len(before - {fault.key for fault in every})
-    broken = [fault for fault in found if fault.violation is not None]
-    is_open = bool(broken) and all(fault.violation.is_open for fault in broken if fault.violation)
+    broken = [fault for fault in found if fault.breaks]
+    is_open = bool(broken) and all(fault.violation is not None and fault.violation.is_open for fault in broken)
     untaken = [f"{fault.unit}/{fault.port}" for fault in found if fault.suspicion is Suspicion.UNTAKEN]
     if screen.json:
-        is_valid = not any(fault.violation for fault in every)
+        is_valid = not any(fault.breaks for fault in every)
         told = {
             "valid": None if is_open else is_valid,
             "violations": [_as_json(world, fault) for fault in broken],
@@ -76,7 +76,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 def _nothing_runs(options: argparse.Namespace, world: World, screen: Screen) -> Exit:
     """Say that the file itself is valid, where it names no running units whose wiring could be wrong."""
     if screen.json:
-        screen.show_json({"valid": True, "violations": [], "unfed": [], "untaken": []})
+        screen.show_json({"valid": True, "violations": [], "unfed": [], "untaken": [], "remaps": []})
         return Exit.OK
     plans = f"`cfgplan solve {options.env}` plans what to start"
     screen.show(_bold(world, f"the file is valid. Nothing runs yet: {plans}", "green"))
@@ -90,7 +90,7 @@ def _faults(options: argparse.Namespace, screen: Screen) -> tuple[World, tuple[W
     from cfgplan import answers, api
     from cfgplan.explaining import probable_first
     from cfgplan.planners.undecided import used_pairs
-    from cfgplan.ros.remaps import idle_remaps
+    from cfgplan.ros.hearing import ros_faults
 
     world = shared.load(options, screen)
     matches = shared.matches(options, screen, world, api.FEW_PAIRS)
@@ -100,14 +100,14 @@ def _faults(options: argparse.Namespace, screen: Screen) -> tuple[World, tuple[W
     with screen.phase("judge"):
         reasoning = {"reasoner": options.reasoner, "reasoner_limit_s": options.reasoner_timeout}
         found = answers.wiring_faults(world, problem, **reasoning)
-        return world, tuple(sorted([*idle_remaps(world.environment), *found], key=probable_first))
+        return world, tuple(sorted([*ros_faults(world.environment), *found], key=probable_first))
 
 
 def _text(world: World, fault: WiringFault) -> Text:
     from rich.text import Text
 
     line = Text(f"{_place(world, fault)}: ", style="bold")
-    line.append(f"{fault.rule}: ", style="red" if fault.violation else "yellow")
+    line.append(f"{fault.rule}: ", style="red" if fault.breaks else "yellow")
     line.append(fault.text, style="not bold")
     for near in fault.near:
         line.append(f"\n    nearest: {near.stream} gives {near.verdict}", style="not bold")
@@ -115,7 +115,7 @@ def _text(world: World, fault: WiringFault) -> Text:
 
 
 def _verdict(options: argparse.Namespace, world: World, broken: Sequence[WiringFault], gone: int) -> Text:
-    sure = [fault for fault in broken if fault.violation and not fault.violation.is_open]
+    sure = [fault for fault in broken if fault.violation is None or not fault.violation.is_open]
     if options.against is not None:
         new = counted(len(broken), "rule") if broken else "no rule"
         mended = f"; {counted(gone, 'fault is', 'faults are')} mended" if gone else ""

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from os.path import relpath
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import OF_STATUS, Exit
 from cfgplan.cli.screen import Screen
 from cfgplan.errors import InputError
+
+if TYPE_CHECKING:
+    from cfgplan.ros.graph import RosGraph
 
 
 def add_import(parser: argparse.ArgumentParser) -> None:
@@ -47,6 +52,8 @@ def add_import(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="ros1, ros2: the graph works as it is: what nobody feeds may stay unfed, and who publishes is meant to",
     )
+    python = "ros2 live: the Python that has rclpy (CFGPLAN_ROS_PYTHON, or that of a sourced setup.bash, or python3)"
+    parser.add_argument("--ros-python", metavar="PYTHON", help=python)
     shared.add_out(parser)
     parser.set_defaults(run=_import)
 
@@ -56,6 +63,7 @@ def _import(options: argparse.Namespace, screen: Screen) -> Exit:
 
     is_ros = options.what in ("ros1", "ros2")
     given = {"--objective": options.objective and options.what != "wsc"}
+    given |= {"--ros-python": options.ros_python and options.what != "ros2"}
     given |= {"--guesses": options.guesses and not is_ros, "--works": options.works and not is_ros}
     if foreign := [name for name, is_foreign in given.items() if is_foreign]:
         raise InputError.of(f"{', '.join(foreign)}: not for `import {options.what}`", mend="leave it out")
@@ -104,7 +112,9 @@ def _import_ros(options: argparse.Namespace, screen: Screen) -> Exit:
     ontology = _beside(options.out, "a graph becomes two files, the environment and its ontology", ".ttl")
     table = guess_table(map(Path, options.guesses))
     with screen.phase("read"):
-        graph = (ros1_graph if options.what == "ros1" else ros2_graph)(options.path)
+        graph = (
+            ros1_graph(options.path) if options.what == "ros1" else ros2_graph(options.path, partial(_live, options))
+        )
     found = imported(graph, table, works=options.works)
     shared.put(found.ontology, str(ontology), screen)
     shared.put(found.text(ontology.name), options.out, screen)
@@ -119,6 +129,13 @@ def _import_ros(options: argparse.Namespace, screen: Screen) -> Exit:
         screen.warn(f"not taken over: {each}")
     screen.note(f"{found.size}. `cfgplan check {options.out}` tells what is wrong with it.")
     return Exit.OK
+
+
+def _live(options: argparse.Namespace) -> RosGraph:
+    """The graph of a running ROS 2 system."""
+    from cfgplan_runtime.ros2.live_graph import live_graph
+
+    return live_graph(options.ros_python)
 
 
 def add_export(parser: argparse.ArgumentParser) -> None:

@@ -31,31 +31,33 @@ class Suspicion(IntEnum):
 
     REMAP = 0
     """A node is told to rename a topic that it does not have."""
-    STOPPED = 1
+    QOS = 1
+    """Nodes that are wired directly do not hear each other, since their qualities of service do not fit."""
+    STOPPED = 2
     """An input is not fed, and what would feed it does not run."""
-    CLASH = 2
+    CLASH = 3
     """A stream comes to an input that does not match it."""
-    PAIR = 3
+    PAIR = 4
     """An input is not fed, and nobody takes a stream that comes near."""
-    NUMBER = 4
+    NUMBER = 5
     """An input takes too many streams or too few."""
-    PERHAPS = 5
+    PERHAPS = 6
     """An input that may stay unfed is one of a pair."""
-    TAKEN = 6
+    TAKEN = 7
     """An input is not fed, and others take what comes near."""
-    NAMESAKE = 7
+    NAMESAKE = 8
     """An input is not fed, and what comes near does so by name only."""
-    OTHER = 8
+    OTHER = 9
     """Another rule is broken."""
-    ALONE = 9
+    ALONE = 10
     """An input is not fed, and nothing comes near."""
-    NEEDLESS = 10
+    NEEDLESS = 11
     """A unit runs that no target needs, mostly because it feeds an input no more."""
-    UNTAKEN = 11
+    UNTAKEN = 12
     """Nobody takes a stream."""
 
 
-_ODD: Mapping[Suspicion, str] = {Suspicion.REMAP: "remap", Suspicion.UNTAKEN: "untaken"}
+_ODD: Mapping[Suspicion, str] = {Suspicion.REMAP: "remap", Suspicion.QOS: "qos", Suspicion.UNTAKEN: "untaken"}
 """What is odd where no rule is broken; an input that is not fed if a suspicion is not here."""
 
 
@@ -98,6 +100,11 @@ class WiringFault:
         if self.violation is not None:
             return self.violation.rule.name.lower()
         return _ODD.get(self.suspicion, "unfed")
+
+    @property
+    def breaks(self) -> bool:
+        """Whether the configuration does not work by it."""
+        return self.violation is not None or self.suspicion is Suspicion.QOS
 
     @property
     def key(self) -> tuple[str, str]:

@@ -36,6 +36,7 @@ from cfgplan.formats.schema_values import (
     Params,
     PortName,
     PositiveMicro,
+    QosText,
     Rate,
     Resources,
     RuleName,
@@ -209,6 +210,10 @@ def _pieces(hint: Any) -> Iterator[Any]:
 
 
 _MESSAGE_TYPE = "in ROS: the message type, such as `nav_msgs/Odometry`"
+_QOS = (
+    "in ROS 2: the quality of service, such as `best_effort` or `reliable transient_local deadline=0.1`; "
+    "`cfgplan check` names pairs that it keeps apart"
+)
 _REMAP = "in ROS: what the node calls its topic or service; the port's name if absent"
 
 
@@ -226,6 +231,7 @@ class InputPart(Part):
     count: Count = row("how many streams of different units feed it; `all`: every one that matches", 1)
     type: Name | None = row(_MESSAGE_TYPE, use=Use.RUNNING, xml="message")
     remap: Name | None = row(_REMAP, use=Use.RUNNING)
+    qos: QosText | None = row(_QOS, use=Use.RUNNING)
 
 
 class ContributionPart(Part):
@@ -253,6 +259,7 @@ class OutputPart(Part):
     serves: Whole | None = row("at most so many inputs and topics take its stream", ge=1, le=LONGEST_QUEUE)
     type: Name | None = row(_MESSAGE_TYPE, use=Use.RUNNING, xml="message")
     remap: Name | None = row(_REMAP, use=Use.RUNNING)
+    qos: QosText | None = row(_QOS, use=Use.RUNNING)
 
 
 InputGiven = Annotated[Annotated[TagText, _SHORT] | Annotated[InputPart, _FULL], _CHOICE]

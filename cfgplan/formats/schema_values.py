@@ -26,6 +26,10 @@ LARGEST_RATE_HZ = 100_000
 MOST_COUNTED = 1000
 """The most streams that an input may count."""
 NAME_PATTERN = r"^[^\s\x00-\x1f\x7f]([^\x00-\x1f\x7f]*[^\s\x00-\x1f\x7f])?$"
+QOS = (
+    r"^(reliable|best_effort|volatile|transient_local|manual|(deadline|lease)=[0-9]+([.][0-9]+)?)"
+    r"( (reliable|best_effort|volatile|transient_local|manual|(deadline|lease)=[0-9]+([.][0-9]+)?))*$"
+)
 PORT = r"^[^\s\x00-\x1f\x7f/]([^\x00-\x1f\x7f/]*[^\s\x00-\x1f\x7f/])?$"
 
 SHORT_FORM = "(short)"
@@ -261,6 +265,7 @@ TagText = Annotated[
 SelectorText = Annotated[
     str, Field(min_length=1, description="labels joined by and, or and not"), AfterValidator(normal)
 ]
+QosText = Annotated[str, Field(pattern=QOS, description="words of a quality of service in ROS 2")]
 Whole = Annotated[int, BeforeValidator(_whole)]
 _SECONDS = {"type": "number", "minimum": 0, "maximum": LARGEST_COST_US / MICROSECONDS}
 _QUALITY = {"type": "number", "minimum": 0, "maximum": LARGEST_QUALITY // MICRO}

@@ -260,6 +260,7 @@ class _Making:
             count=count,
             type=_type(port),
             remap=_own(node, port),
+            qos=_qos(port),
         )
 
     def _taken(self, end: _End, streams: list[_End], port: InputPort) -> list[_End]:
@@ -332,6 +333,7 @@ class _Making:
                     rate_uhz=round((port.rate_hz or 0) * MICRO),
                     type=_type(port),
                     remap=_own(node, port),
+                    qos=_qos(port),
                 )
                 for port in node.ports
                 if port.role.gives
@@ -357,6 +359,10 @@ class _Making:
 
 def _type(port: RosPort) -> str | None:
     return None if port.type is None else str(port.type)
+
+
+def _qos(port: RosPort) -> str | None:
+    return None if port.qos is None else str(port.qos)
 
 
 def _own(node: RosNode, port: RosPort) -> str:
@@ -393,8 +399,8 @@ def _source(node: RosNode, idle: tuple[str, ...]) -> NodeSource:
         kind: NodeKind = "component" if "::" in node.plugin else "nodelet"
         name = node.plugin.removeprefix(f"{node.package}/")
         return NodeSource(kind, node.package, name, arguments, node.container or "")
-    if node.package and node.executable:
-        return NodeSource("node", node.package, node.executable, arguments)
+    if node.executable and (node.package or node.executable.startswith("/")):
+        return NodeSource("node", node.package or "", node.executable, arguments)
     return NodeSource("external", "", node.name)
 
 

@@ -9,6 +9,7 @@ from enum import StrEnum
 from operator import attrgetter
 
 from cfgplan.canonical import store_sorted
+from cfgplan.ros.qos import Qos
 from cfgplan.ros.types import MessageType
 
 
@@ -37,7 +38,8 @@ class RosPort:
 
     `name` is the full name after remapping, `own` the name in the node's code, where that is known. The type is None
     where no source tells it. `rate_hz` is what a recording says of a topic, and `definition` the digest of the type's
-    definition: ends with different ones do not understand each other.
+    definition: ends with different ones do not understand each other. `qos` is what a publisher offers or a
+    subscription asks for, in ROS 2.
     """
 
     role: Role
@@ -46,6 +48,7 @@ class RosPort:
     own: str | None = None
     rate_hz: float | None = None
     definition: str | None = None
+    qos: Qos | None = None
 
 
 def _port_key(port: RosPort) -> tuple[str, ...]:
@@ -56,12 +59,12 @@ def _port_key(port: RosPort) -> tuple[str, ...]:
 class RosNode:
     """A node by its full name, such as `/robot1/amcl`.
 
-    `package` and `executable` say how it is started, and `plugin` what a container or nodelet manager of the name
-    `container` loads; each is None where no source tells it. `remappings` are full names, from the node's own to
-    those used; `parameters` are as a launch file writes them. A `player` stands for the unknown
-    publishers of what was recorded. `runs` is None where no source looked whether the node runs. `machine` is the
-    computer that it runs on; None: the one that starts the graph. `shared` are the own names in `remappings` that a
-    launch file renames for all nodes of a group, whether or not each has them.
+    `package` and `executable` say how it is started (without a package the executable is a file), and `plugin` what a
+    container or nodelet manager of the name `container` loads; each is None where no source tells it. `remappings` are
+    full names, from the node's own to those used; `parameters` are as a launch file writes them. A `player` stands for
+    the unknown publishers of what was recorded. `runs` is None where no source looked whether the node runs. `machine`
+    is the computer that it runs on; None: the one that starts the graph. `shared` are the own names in `remappings`
+    that a launch file renames for all nodes of a group, whether or not each has them.
     """
 
     name: str
@@ -169,7 +172,7 @@ def _is_same(one: RosPort, other: RosPort) -> bool:
 
 def _filled(one: RosPort, other: RosPort) -> RosPort:
     """A port with what another source knows of it."""
-    names = ("type", "own", "rate_hz", "definition")
+    names = ("type", "own", "rate_hz", "definition", "qos")
     return replace(one, **{name: getattr(one, name) or getattr(other, name) for name in names})
 
 

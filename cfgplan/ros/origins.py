@@ -33,12 +33,12 @@ def ros1_graph(sources: Sequence[str]) -> RosGraph:
     return _merged(sources, _ros1, ROS1_SOURCES)
 
 
-def ros2_graph(sources: Sequence[str]) -> RosGraph:
+def ros2_graph(sources: Sequence[str], live: Callable[[], RosGraph]) -> RosGraph:
     """The graph that all sources together tell; NAME:=VALUE among them are arguments of launch files.
 
-    Raises InputError for what is no source of ROS 2.
+    `live` asks a running system. Raises InputError for what is no source of ROS 2.
     """
-    return _merged(sources, _ros2, ROS2_SOURCES)
+    return _merged(sources, lambda source, arguments: _ros2(source, arguments, live), ROS2_SOURCES)
 
 
 def _merged(
@@ -58,9 +58,11 @@ def _ros1(source: str, arguments: Mapping[str, str]) -> RosGraph:
     return _file(Path(source), ROS1_SOURCES)
 
 
-def _ros2(source: str, arguments: Mapping[str, str]) -> RosGraph:
-    if source == LIVE or _ENDPOINT.fullmatch(source):
-        return router_graph(None if source == LIVE else source)
+def _ros2(source: str, arguments: Mapping[str, str], live: Callable[[], RosGraph]) -> RosGraph:
+    if source == LIVE:
+        return live()
+    if _ENDPOINT.fullmatch(source):
+        return router_graph(source)
     path = Path(source)
     if path.suffix == ".py":
         mend = "start it, and name `live`: it is a program, and only running it tells what it starts"

@@ -69,10 +69,10 @@ def test_a_bag_of_ros_1_tells_who_published_what_and_how_often(tmp_path: Path) -
 def test_a_bag_of_ros_2_is_a_player_of_its_topics(tmp_path: Path, storage: rosbag2.StoragePlugin) -> None:
     bag = bag2(tmp_path / "run-1", {"/scan": 81, "/once": 1}, storage)
     expected = {"/play_run_1": [("/once", SCAN, None), ("/scan", SCAN, 40.5)]}
-    assert told(ros2_graph([str(bag)])) == expected
+    assert told(ros2_graph([str(bag)], RosGraph)) == expected
     (file,) = [path for path in bag.iterdir() if path.suffix != ".yaml"]
     alone = file.rename(tmp_path / f"run_1{file.suffix}")
-    assert told(ros2_graph([str(alone)])) == expected
+    assert told(ros2_graph([str(alone)], RosGraph)) == expected
 
 
 def test_what_others_publish_a_recording_only_tells_the_rate_of(tmp_path: Path) -> None:
@@ -123,7 +123,7 @@ def test_what_is_no_recording_is_told_with_its_file_and_a_mend(tmp_path: Path, n
     path.write_bytes(b"" if name == "empty.bag" else b"#ROSBAG V2.0\nnonsense: [")
     path = path.parent if name.startswith("bag2") else path
     with pytest.raises(InputError) as raised:
-        ros2_graph([str(path)])
+        ros2_graph([str(path)], RosGraph)
     (fault,) = raised.value.faults
     assert fault.file == str(path)
     assert fault.mend

@@ -9,7 +9,7 @@ import pytest
 from cfgplan import api
 from cfgplan.cli import main
 from cfgplan.errors import InputError
-from cfgplan.ros.graph import RosNode
+from cfgplan.ros.graph import RosGraph, RosNode
 from cfgplan.ros.origins import ros2_graph
 from cfgplan.ros.ros2_launch_files import ros2_launch_graph
 
@@ -232,5 +232,5 @@ def test_a_launch_file_in_python_is_refused_with_what_to_do_instead(tmp_path: Pa
     file = tmp_path / "x.launch.py"
     file.write_text("")
     with pytest.raises(InputError, match="can't be read") as raised:
-        ros2_graph([str(file)])
+        ros2_graph([str(file)], RosGraph)
     assert "name `live`" in (raised.value.faults[0].mend or "")

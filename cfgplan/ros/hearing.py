@@ -1,4 +1,4 @@
-"""Remappings that rename nothing: the most frequent reason why a node of a launch file hears nothing."""
+"""Why a node of ROS hears nothing although its file looks right: idle remappings, and qualities of service."""
 
 from __future__ import annotations
 
@@ -7,15 +7,23 @@ from difflib import get_close_matches
 
 from cfgplan.domain import Environment
 from cfgplan.explaining import Suspicion, WiringFault
+from cfgplan.ros.qos import Qos, obstacles
 from cfgplan.ros.sources import REMAPS, NodeSource
 from cfgplan.summary import some
 from cfgplan.transformations import InputPort, OutputPort
 
+_MEND = "let both say the same, or let `cfgplan run --middleware ros2` put its relay between them"
 _LIKE = 0.5
 """How similar a name is, at least, to be proposed instead of another (difflib's ratio)."""
 
 
-def idle_remaps(environment: Environment) -> Iterator[WiringFault]:
+def ros_faults(environment: Environment) -> Iterator[WiringFault]:
+    """What is wrong with running nodes of ROS that the rules of validity do not know."""
+    yield from _idle_remaps(environment)
+    yield from _kept_apart(environment)
+
+
+def _idle_remaps(environment: Environment) -> Iterator[WiringFault]:
     """The remappings among the arguments of running nodes: each renames a topic or service that the node lacks.
 
     An import writes a remapping of a port to that port's `remap`; it leaves in `source` only remappings of no port.
@@ -34,6 +42,26 @@ def idle_remaps(environment: Environment) -> Iterator[WiringFault]:
                 mend = f"did you mean `{near[0]}`?" if near else f"it has {some(own)}"
                 text = f"{unit.id} is to call `{before}` `{after}`, but its code has no `{before}`: {mend}"
                 yield WiringFault(Suspicion.REMAP, text, None, unit.id)
+
+
+def _kept_apart(environment: Environment) -> Iterator[WiringFault]:
+    """The subscriptions that hear nothing where nodes are wired directly: they ask for a quality that is not offered.
+
+    In a run with relays (`cfgplan run --middleware ros2`) each hears: the relay asks and offers what is needed.
+    """
+    library = {unit.id: environment.transformation.get(unit.transformation) for unit in environment.units}
+    for unit in environment.units:
+        taker = library[unit.id]
+        for subscription in unit.subscriptions:
+            giver = library.get(subscription.stream.unit)
+            asked = taker.input.get(subscription.port) if taker else None
+            offered = giver.output.get(subscription.stream.port) if giver else None
+            if asked is None or offered is None or asked.qos is None or offered.qos is None:
+                continue
+            found = list(obstacles(Qos.read(offered.qos), Qos.read(asked.qos)))
+            if found:
+                text = f"{unit.id} hears nothing of {subscription.stream} at {asked.name}: {'; '.join(found)}"
+                yield WiringFault(Suspicion.QOS, f"{text}; {_MEND}", None, unit.id, asked.name)
 
 
 def _own_names(ports: Sequence[InputPort] | Sequence[OutputPort]) -> list[str]:

@@ -1,0 +1,234 @@
+"""The graph of a running ROS 2 system, asked of ROS itself by the helper, on whatever middleware that has."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import msgspec
+import psutil
+
+from cfgplan.errors import InputError
+from cfgplan.ros.graph import Role, RosGraph, RosNode, RosPort, resolved
+from cfgplan.ros.qos import Qos
+from cfgplan.ros.types import MessageType
+from cfgplan.summary import some
+from cfgplan_runtime.ros2.host_link import HostLink
+from cfgplan_runtime.ros2.ros_python import ros_python
+
+_PATIENCE_S = 60.0
+_ROS_ARGUMENTS, _ROS_END = "--ros-args", "--"
+_RENAMES = ("-r", "--remap")
+_NO_PARAMETERS = ("qos_overrides.", "start_type_description_service")
+"""Parameters that each node has by itself."""
+_USUAL_TIME = ("use_sim_time", False)
+_OF_ACTIONS = "/_action/"
+Named: TypeAlias = list[tuple[str, list[str]]]
+"""Topics, services or actions with their types."""
+
+
+class DescribeGraph(msgspec.Struct, tag=True):
+    """Tell of the graph once it has come to rest."""
+
+
+class NodeTold(msgspec.Struct):
+    """A node by its full name, what it has to do with which topics, services and actions, and its parameters."""
+
+    name: str
+    publishes: Named = []
+    subscribes: Named = []
+    serves: Named = []
+    calls: Named = []
+    acts: Named = []
+    wants: Named = []
+    parameters: dict[str, Any] = {}
+
+
+class EndTold(msgspec.Struct):
+    """A publisher or a subscription."""
+
+    topic: str
+    gives: bool
+    node: str
+    message: str
+    definition: str
+    reliable: bool
+    transient_local: bool
+    manual: bool
+    deadline_s: float | None = None
+    lease_s: float | None = None
+
+    @property
+    def qos(self) -> Qos:
+        """What it offers or asks for."""
+        return Qos(self.reliable, self.transient_local, self.deadline_s, self.lease_s, self.manual)
+
+
+class Graph(msgspec.Struct, tag=True):
+    """All that ROS tells of the graph; `silent` nodes have not answered for their parameters."""
+
+    nodes: list[NodeTold]
+    ends: list[EndTold]
+    silent: list[str]
+    is_at_rest: bool
+
+
+class Listening(msgspec.Struct, tag=True):
+    """The helper is ready."""
+
+    rmw: str
+    distribution: str = ""
+
+
+def live_graph(python: str | None = None) -> RosGraph:
+    """The graph of the domain of ROS_DOMAIN_ID, as the Python that has rclpy sees it.
+
+    Raises InputError if no such Python is found (see `ros_python`), or if ROS does not answer there.
+    """
+    link: HostLink[Graph | Listening] = HostLink(
+        ros_python(python), f"_cfgplan_import_{os.getpid()}", Graph | Listening
+    )
+    rmw, told = "", None
+    try:
+        link.send(DescribeGraph())
+        for message in link.await_words(_PATIENCE_S):
+            if isinstance(message, Graph):
+                told = message
+                break
+            rmw = message.rmw
+    finally:
+        link.close()
+    if told is None:
+        mend = "try `ros2 node list` in the same surroundings"
+        raise InputError.of("ROS 2 has not answered", mend=mend)
+    return graph_of(told, rmw, processes())
+
+
+def graph_of(told: Graph, rmw: str, running: Mapping[str, NodeProcess]) -> RosGraph:
+    """What was told as a graph. `running` has the processes of nodes on this computer, by the nodes' full names."""
+    ends = {(end.node, end.gives, end.topic): end for end in told.ends}
+    names = Counter(node.name for node in told.nodes)
+    notes = [
+        f"which of the {number} nodes called {name} has which ports" for name, number in names.items() if number > 1
+    ]
+    if told.silent:
+        notes.append(f"the parameters of {some(sorted(told.silent))}, which do not answer")
+    away = sorted(name for name in names if name not in running)
+    if away:
+        notes.append(f"what starts {some(away)}: no process on this computer says that it is that node")
+    if not told.is_at_rest:
+        notes.append("whether the graph is complete: it has not come to rest")
+    nodes = [_node(node, ends, running.get(node.name)) for node in told.nodes]
+    domain = os.environ.get("ROS_DOMAIN_ID", "0")
+    return RosGraph(tuple(nodes), (f"the ROS 2 domain {domain} ({rmw})",), tuple(notes))
+
+
+def _node(told: NodeTold, ends: Mapping[tuple[str, bool, str], EndTold], process: NodeProcess | None) -> RosNode:
+    kept = {
+        name: value
+        for name, value in told.parameters.items()
+        if not name.startswith(_NO_PARAMETERS) and (name, value) != _USUAL_TIME
+    }
+    seen = RosNode(
+        told.name,
+        tuple(_ports(told, ends)),
+        parameters={name: value for name, value in kept.items() if value is not None},
+        runs=True,
+    )
+    if process is None:
+        return seen
+    return replace(
+        seen,
+        package=process.package,
+        executable=process.executable,
+        arguments=process.arguments,
+        remappings=process.remappings(told.name),
+    )
+
+
+def _ports(told: NodeTold, ends: Mapping[tuple[str, bool, str], EndTold]) -> Iterator[RosPort]:
+    for role, named in ((Role.PUBLISHES, told.publishes), (Role.SUBSCRIBES, told.subscribes)):
+        for topic, kinds in named:
+            if _OF_ACTIONS not in topic:
+                end = ends.get((told.name, role.gives, topic))
+                kind, hash_ = (end.message, end.definition) if end else (kinds[0], "")
+                qos = end.qos if end else None
+                yield RosPort(role, topic, MessageType.read(kind), definition=hash_ or None, qos=qos)
+    for role, named in (
+        (Role.SERVES, [*told.serves, *told.acts]),
+        (Role.CALLS, [*told.calls, *told.wants]),
+    ):
+        for service, kinds in named:
+            if _OF_ACTIONS not in service:
+                yield RosPort(role, service, MessageType.read(kinds[0]))
+
+
+@dataclass(frozen=True)
+class NodeProcess:
+    """A process on this computer that is a node: how it was started."""
+
+    package: str
+    executable: str
+    arguments: tuple[str, ...] = ()
+    renames: tuple[tuple[str, str], ...] = ()
+
+    def remappings(self, node: str) -> tuple[tuple[str, str], ...]:
+        """Its remappings by full names."""
+        space = node.rpartition("/")[0]
+        full = {resolved(a, space, node): resolved(b, space, node) for a, b in self.renames}
+        return tuple((a, b) for a, b in full.items() if a != b)
+
+
+def processes() -> dict[str, NodeProcess]:
+    """The processes of this domain of which a command line says which node they are, by the nodes' full names.
+
+    Of several for one node the last counts: `ros2 run` and other wrappers say the same words as what they start.
+    """
+    domain = os.environ.get("ROS_DOMAIN_ID", "0")
+    found: dict[str, NodeProcess] = {}
+    for process in sorted(psutil.process_iter(), key=psutil.Process.create_time):
+        with suppress(psutil.Error):
+            command = process.cmdline()
+            if _ROS_ARGUMENTS in command and (process.environ().get("ROS_DOMAIN_ID", "0") or "0") == domain:
+                named = node_process(command, Path(process.cwd()))
+                if named is not None:
+                    found[named[0]] = named[1]
+    return found
+
+
+def node_process(command: list[str], folder: Path) -> tuple[str, NodeProcess] | None:
+    """The full name of the node that a command line starts, and how; None if it does not say the name.
+
+    `folder` is the process's working directory.
+    """
+    at = command.index(_ROS_ARGUMENTS)
+    end = command.index(_ROS_END, at) if _ROS_END in command[at:] else len(command)
+    before, ros, after = command[:at], command[at + 1 : end], command[end + 1 :]
+    pairs = [word.split(":=", 1) for word, flag in zip(ros[1:], ros, strict=False) if flag in _RENAMES and ":=" in word]
+    renames = {own.rpartition(":")[2] if own.endswith(("__node", "__ns")) else own: name for own, name in pairs}
+    program, *arguments = before[1:] if _is_interpreter(before) else before
+    own = renames.pop("__node", renames.pop("__name", None))
+    space = renames.pop("__ns", "")
+    if own is None:
+        return None
+    package, executable = _executable(folder / program)
+    arguments += after
+    return resolved(own, space, ""), NodeProcess(package, executable, tuple(arguments), tuple(renames.items()))
+
+
+def _is_interpreter(words: list[str]) -> bool:
+    """Whether a command line is that of a Python that runs a file."""
+    return len(words) > 1 and Path(words[0]).name.startswith("python") and not words[1].startswith("-")
+
+
+def _executable(path: Path) -> tuple[str, str]:
+    """The package and the executable of a file; of one that no package has installed the package is ""."""
+    parts = path.parts
+    if len(parts) > 2 and parts[-3] == "lib":
+        return parts[-2], parts[-1]
+    return "", str(path)
