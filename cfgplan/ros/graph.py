@@ -9,7 +9,7 @@ from enum import StrEnum
 from operator import attrgetter
 
 from cfgplan.canonical import store_sorted
-from cfgplan.ros.qos import Qos
+from cfgplan.ros.qos import ServiceQuality
 from cfgplan.ros.types import MessageType
 
 
@@ -48,7 +48,7 @@ class RosPort:
     own: str | None = None
     rate_hz: float | None = None
     definition: str | None = None
-    qos: Qos | None = None
+    qos: ServiceQuality | None = None
 
 
 def _port_key(port: RosPort) -> tuple[str, ...]:

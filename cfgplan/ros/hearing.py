@@ -7,7 +7,7 @@ from difflib import get_close_matches
 
 from cfgplan.domain import Environment
 from cfgplan.explaining import Suspicion, WiringFault
-from cfgplan.ros.qos import Qos, obstacles
+from cfgplan.ros.qos import ServiceQuality, obstacles
 from cfgplan.ros.sources import REMAPS, NodeSource
 from cfgplan.summary import some
 from cfgplan.transformations import InputPort, OutputPort
@@ -58,7 +58,7 @@ def _kept_apart(environment: Environment) -> Iterator[WiringFault]:
             offered = giver.output.get(subscription.stream.port) if giver else None
             if asked is None or offered is None or asked.qos is None or offered.qos is None:
                 continue
-            found = list(obstacles(Qos.read(offered.qos), Qos.read(asked.qos)))
+            found = list(obstacles(ServiceQuality.read(offered.qos), ServiceQuality.read(asked.qos)))
             if found:
                 text = f"{unit.id} hears nothing of {subscription.stream} at {asked.name}: {'; '.join(found)}"
                 yield WiringFault(Suspicion.QOS, f"{text}; {_MEND}", None, unit.id, asked.name)

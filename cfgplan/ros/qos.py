@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True, order=True)
-class Qos:
+class ServiceQuality:
     """What a publisher offers, or a subscription asks for; `deadline_s` and `lease_s` are None if there is none.
 
     The usual one of ROS 2 is reliable and volatile. With `manual` a node itself has to say that it lives.
@@ -23,7 +23,7 @@ class Qos:
     manual: bool = False
 
     @classmethod
-    def read(cls, text: str) -> Qos:
+    def read(cls, text: str) -> ServiceQuality:
         """The value of words such as `best_effort volatile deadline=0.1`, in any order; the last of a kind counts."""
         words = text.split()
         times = dict(word.split("=", 1) for word in words if "=" in word)
@@ -43,7 +43,7 @@ class Qos:
         return " ".join(word for word in words if word)
 
 
-def obstacles(offered: Qos, asked: Qos) -> Iterator[str]:
+def obstacles(offered: ServiceQuality, asked: ServiceQuality) -> Iterator[str]:
     """Each reason why a subscription that asks so hears nothing of a publisher that offers so."""
     if asked.reliable and not offered.reliable:
         yield "it asks for reliable messages, and best effort is offered"

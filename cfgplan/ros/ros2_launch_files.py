@@ -44,18 +44,18 @@ from cfgplan.ros.substitutions import (
 
 XML_FILES, YAML_FILES = (".xml", ".launch"), (".yaml", ".yml")
 _INNERMOST = re.compile(r"\$\(([^()$]*(?:'[^']*'|\"[^\"]*\")?[^()$]*)\)")
-_EVAL = re.compile(r"\$\(\s*eval\s+(.*)\)\s*", re.DOTALL)
+_WHOLE_EVAL = re.compile(r"\$\(\s*eval\s+(.*)\)\s*", re.DOTALL)
 _CONTAINERS = ("node_container", "lifecycle_node_container")
 _NODES = ("node", "lifecycle_node", *_CONTAINERS)
 _GROUPED = ("param", "remap", "arg", "let", "composable_node", "extra_arg", "env")
 """Keys of YAML under which a list of mappings stands for several elements of that name."""
 _IGNORED = ("log", "log_info", "extra_arg", "env")
-_DROPPED: Mapping[str, str] = {
+_NOT_TAKEN_OVER: Mapping[str, str] = {
     "respawn": "a run replaces every unit that dies",
     "launch-prefix": "the node is started without it",
     "machine": "the node runs where the plan puts it",
 }
-_TYPES: Mapping[str, Callable[[str], object]] = {
+_OF_TYPES: Mapping[str, Callable[[str], object]] = {
     "str": str,
     "int": int,
     "float": float,
@@ -182,7 +182,7 @@ class _Launch:
                 remappings=(*node.remappings, *((a, b) for a, b in more.items() if a != b)),
             )
         )
-        for attribute, reason in _DROPPED.items():
+        for attribute, reason in _NOT_TAKEN_OVER.items():
             value = self._value(element, attribute, state) or self._value(element, attribute.replace("-", "_"), state)
             if value and value.strip().lower() not in FALSE:
                 self.dropped.append(f'{attribute}="{value}" of {node.name}: {reason}')
@@ -285,7 +285,7 @@ def _meant(text: str, state: _State) -> str:
     """A text with its substitutions, the innermost first. Raises SubstitutionError."""
     while (found := _INNERMOST.search(text)) is not None:
         text = text[: found.start()] + _substituted(found[1].strip(), state) + text[found.end() :]
-        if (whole := _EVAL.fullmatch(text)) and "$(" not in whole[1]:
+        if (whole := _WHOLE_EVAL.fullmatch(text)) and "$(" not in whole[1]:
             return str(evaluated(_unquoted(whole[1]), {}))
     return text
 
@@ -364,9 +364,9 @@ def _typed(text: str, kind: str | None) -> object:
     if kind.startswith("list_of_"):
         each = kind.removeprefix("list_of_").removesuffix("s")
         return [_typed(str(value), each) for value in yaml.safe_load(text)]
-    if kind not in _TYPES:
+    if kind not in _OF_TYPES:
         raise ValueError
-    return _TYPES[kind](text)
+    return _OF_TYPES[kind](text)
 
 
 def _for_node(loaded: object, node: str) -> Iterator[Mapping[str, object]]:

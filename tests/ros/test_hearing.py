@@ -10,26 +10,28 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cfgplan.cli import main
-from cfgplan.ros.qos import Qos, obstacles
+from cfgplan.ros.qos import ServiceQuality, obstacles
 
 seconds = st.none() | st.sampled_from([0.1, 0.5, 2.0])
-qualities = st.builds(Qos, st.booleans(), st.booleans(), seconds, seconds, st.booleans())
+qualities = st.builds(ServiceQuality, st.booleans(), st.booleans(), seconds, seconds, st.booleans())
 
 
 @given(qualities)
-def test_what_is_written_is_what_is_read(quality: Qos) -> None:
-    assert Qos.read(str(quality)) == quality
+def test_what_is_written_is_what_is_read(quality: ServiceQuality) -> None:
+    assert ServiceQuality.read(str(quality)) == quality
 
 
 @given(qualities, qualities)
-def test_whoever_offers_all_is_heard_by_all_and_whoever_asks_for_nothing_hears_all(one: Qos, other: Qos) -> None:
+def test_whoever_offers_all_is_heard_by_all_and_whoever_asks_for_nothing_hears_all(
+    one: ServiceQuality, other: ServiceQuality
+) -> None:
     assert not [*obstacles(one, one)]
-    assert not [*obstacles(Qos(True, True, 0.0, 0.0, True), other)]
-    assert not [*obstacles(one, Qos(reliable=False))]
+    assert not [*obstacles(ServiceQuality(True, True, 0.0, 0.0, True), other)]
+    assert not [*obstacles(one, ServiceQuality(reliable=False))]
 
 
 def test_reliability_and_durability_keep_apart_as_ros_documents() -> None:
-    levels = [Qos(reliable, kept) for reliable, kept in product((False, True), repeat=2)]
+    levels = [ServiceQuality(reliable, kept) for reliable, kept in product((False, True), repeat=2)]
     for offered, asked in product(levels, levels):
         fits = offered.reliable >= asked.reliable and offered.transient_local >= asked.transient_local
         assert (not [*obstacles(offered, asked)]) == fits

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -57,7 +58,7 @@ def running(tmp_path: Path) -> Iterator[Path]:
             file.write_text(text)
             command = [python, f"{name}.py", "--loud", "--ros-args", *ros[name]]
             process = stack.enter_context(subprocess.Popen(command, cwd=tmp_path))
-            stack.callback(process.kill)
+            stack.callback(process.send_signal, signal.SIGINT)
         yield tmp_path
 
 

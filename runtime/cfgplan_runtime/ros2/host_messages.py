@@ -40,7 +40,9 @@ class Attend(msgspec.Struct, tag=True):
 
 
 class Listening(msgspec.Struct, tag=True):
-    """The helper is ready."""
+    """The helper is ready, on this middleware."""
+
+    rmw: str = ""
 
 
 class Attended(msgspec.Struct, tag=True):

@@ -15,10 +15,11 @@ import psutil
 
 from cfgplan.errors import InputError
 from cfgplan.ros.graph import Role, RosGraph, RosNode, RosPort, resolved
-from cfgplan.ros.qos import Qos
+from cfgplan.ros.qos import ServiceQuality
 from cfgplan.ros.types import MessageType
 from cfgplan.summary import some
 from cfgplan_runtime.ros2.host_link import HostLink
+from cfgplan_runtime.ros2.host_messages import FromHost, Listening
 from cfgplan_runtime.ros2.ros_python import ros_python
 
 _PATIENCE_S = 60.0
@@ -64,9 +65,9 @@ class EndTold(msgspec.Struct):
     lease_s: float | None = None
 
     @property
-    def qos(self) -> Qos:
+    def qos(self) -> ServiceQuality:
         """What it offers or asks for."""
-        return Qos(self.reliable, self.transient_local, self.deadline_s, self.lease_s, self.manual)
+        return ServiceQuality(self.reliable, self.transient_local, self.deadline_s, self.lease_s, self.manual)
 
 
 class Graph(msgspec.Struct, tag=True):
@@ -78,21 +79,12 @@ class Graph(msgspec.Struct, tag=True):
     is_at_rest: bool
 
 
-class Listening(msgspec.Struct, tag=True):
-    """The helper is ready."""
-
-    rmw: str
-    distribution: str = ""
-
-
 def live_graph(python: str | None = None) -> RosGraph:
     """The graph of the domain of ROS_DOMAIN_ID, as the Python that has rclpy sees it.
 
     Raises InputError if no such Python is found (see `ros_python`), or if ROS does not answer there.
     """
-    link: HostLink[Graph | Listening] = HostLink(
-        ros_python(python), f"_cfgplan_import_{os.getpid()}", Graph | Listening
-    )
+    link: HostLink[FromHost | Graph] = HostLink(ros_python(python), f"_cfgplan_import_{os.getpid()}", FromHost | Graph)
     rmw, told = "", None
     try:
         link.send(DescribeGraph())
@@ -100,7 +92,8 @@ def live_graph(python: str | None = None) -> RosGraph:
             if isinstance(message, Graph):
                 told = message
                 break
-            rmw = message.rmw
+            if isinstance(message, Listening):
+                rmw = message.rmw
     finally:
         link.close()
     if told is None:

@@ -22,7 +22,7 @@ from cfgplan_runtime.ros2.host.host import Host
 
 LEAST_S, QUIET_S, MOST_S = 2.0, 1.0, 10.0
 """A look takes at least so long, ends when nothing has changed for so long, and takes at most so long."""
-_LOOK_S = 0.05
+_GLANCE_S = 0.05
 _ANSWER_S = 2.0
 """Seconds in which nodes have to answer for their parameters."""
 _INFINITE_S = 1e9
@@ -46,7 +46,7 @@ class GraphLook:
             self._seen, self._changed = seen, now
         is_quiet = now - self._began >= LEAST_S and now - self._changed >= QUIET_S
         if not is_quiet and now - self._began < MOST_S:
-            self._host.waiting.later(_LOOK_S, self._look)
+            self._host.waiting.later(_GLANCE_S, self._look)
             return
         nodes, ends = seen
         silent = self._ask_parameters(nodes)
@@ -114,7 +114,7 @@ class GraphLook:
                 if client.service_is_ready():
                     futures[name] = client.call_async(request)
                     del waiting[name]
-            rclpy.spin_once(self._node, executor=executor, timeout_sec=_LOOK_S)
+            rclpy.spin_once(self._node, executor=executor, timeout_sec=_GLANCE_S)
         for client, _ in clients.values():
             self._node.destroy_client(client)
         return {name: one.result() for name, one in futures.items() if one.done() and one.result() is not None}
