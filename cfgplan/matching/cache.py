@@ -19,7 +19,7 @@ from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.session import Matching
 
 _FOLDER: Final = "matching"
-_FORMAT: Final = "cfgplan-matching/5"
+_KEPT_FORMAT: Final = "cfgplan-matching/5"
 """Raise this number whenever tags or ontologies are read differently: kept answers would be wrong."""
 MOST_FILES: Final = 64
 """The number of answers that are kept; the oldest are dropped first."""
@@ -27,7 +27,7 @@ MOST_FILES: Final = 64
 
 def key_of(ontology: Ontology, reasoner: str, offered: Collection[str], demanded: Collection[str]) -> str:
     """The name under which the answer for these tags is kept."""
-    texts = [_FORMAT, ontology.digest, json.dumps(sorted(ontology.prefixes.items())), reasoner]
+    texts = [_KEPT_FORMAT, ontology.digest, json.dumps(sorted(ontology.prefixes.items())), reasoner]
     texts += [json.dumps(sorted(set(tags))) for tags in (offered, demanded)]
     return hashlib.sha256("\n".join(texts).encode()).hexdigest()
 
@@ -41,7 +41,7 @@ def load(folder: Path, key: str, offered: Collection[str], demanded: Collection[
     try:
         kept = json.loads((folder / _FOLDER / f"{key}.json").read_bytes())
         numbers = kept["rows"]
-        is_ours = (kept["format"], kept["key"], len(numbers)) == (_FORMAT, key, len(demands))
+        is_ours = (kept["format"], kept["key"], len(numbers)) == (_KEPT_FORMAT, key, len(demands))
         if not is_ours or any(number < 0 for row in numbers for number in row):
             return None
         rows = (frozenset(offers[number] for number in row) for row in numbers)
@@ -60,7 +60,7 @@ def store(folder: Path, key: str, offered: Collection[str], demanded: Collection
     number = {tag: index for index, tag in enumerate(sorted(set(offered)))}
     rows = [sorted(number[tag] for tag in matching.similarity.offers[wanted]) for wanted in sorted(set(demanded))]
     kept = {
-        "format": _FORMAT,
+        "format": _KEPT_FORMAT,
         "key": key,
         "rows": rows,
         "warnings": matching.warnings,

@@ -16,8 +16,8 @@ from xml.etree.ElementTree import Element, ParseError, fromstring
 from cfgplan.errors import Fault, InputError
 
 CATALOG: Final = "catalog-v001.xml"
-_NAMESPACE: Final = "{urn:oasis:names:tc:entity:xmlns:xml:catalog}"
-_BASE: Final = "{http://www.w3.org/XML/1998/namespace}base"
+_CATALOG_NAMESPACE: Final = "{urn:oasis:names:tc:entity:xmlns:xml:catalog}"
+_XML_BASE: Final = "{http://www.w3.org/XML/1998/namespace}base"
 
 
 def catalogued(folder: Path) -> Mapping[str, Path]:
@@ -61,13 +61,13 @@ def _read(path: Path, _changed: int) -> Mapping[str, Path]:
 
 def _entries(element: Element, base: str) -> Iterator[tuple[str, str, Path]]:
     """The entries of a catalog that name files: their kind, the name that they map, and the file."""
-    base = urljoin(base, element.get(_BASE) or "")
+    base = urljoin(base, element.get(_XML_BASE) or "")
     for child in element:
-        kind = child.tag.removeprefix(_NAMESPACE)
+        kind = child.tag.removeprefix(_CATALOG_NAMESPACE)
         if kind == "group":
             yield from _entries(child, base)
         target = child.get({"uri": "uri", "nextCatalog": "catalog"}.get(kind, ""))
         if target:
-            parts = urlsplit(urljoin(urljoin(base, child.get(_BASE) or ""), target))
+            parts = urlsplit(urljoin(urljoin(base, child.get(_XML_BASE) or ""), target))
             if parts.scheme == "file":
                 yield kind, child.get("name") or "", Path(unquote(parts.path))

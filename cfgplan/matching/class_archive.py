@@ -29,8 +29,8 @@ _MAKING_S: Final = 60.0
 """How long Java may take for one part of the archive."""
 _ABANDONED_S: Final = 600.0
 """How long after its beginning an archive that is not ready was given up by the process that made it."""
-_FORMAT: Final = "1"
-_BASE: Final = "java.jsa"
+_ARCHIVE_VERSION: Final = "1"
+_JAVA_ARCHIVE: Final = "java.jsa"
 _OWN: Final = "hermit.jsa"
 _QUESTION: Final = """Ontology(<t:o> Declaration(Class(<t:A>)) Declaration(Class(<t:B>)) Declaration(Class(<t:C>))
 Declaration(ObjectProperty(<t:r>)) Declaration(NamedIndividual(<t:i>)) ClassAssertion(<t:A> <t:i>)
@@ -51,7 +51,7 @@ class ClassArchive:
     @property
     def flags(self) -> Sequence[str]:
         """The options that let Java use the archive; none while it is not there."""
-        base, own = self.folder / _BASE, self.folder / _OWN
+        base, own = self.folder / _JAVA_ARCHIVE, self.folder / _OWN
         if not own.exists():
             return ()
         return (
@@ -81,7 +81,7 @@ class ClassArchive:
             if time.time() - self.folder.stat().st_mtime > _ABANDONED_S and not self.flags:
                 shutil.rmtree(self.folder)
         self.folder.mkdir()
-        base, own, question = (self.folder / name for name in (_BASE, f"{_OWN}.part", "question.ofn"))
+        base, own, question = (self.folder / name for name in (_JAVA_ARCHIVE, f"{_OWN}.part", "question.ofn"))
         try:
             question.write_text(_QUESTION, encoding="ascii")
             asked = (self.main, "--consistency=t:A", question.as_uri())
@@ -116,7 +116,7 @@ def archive_for(java: str, options: tuple[str, ...], jar: Path, main: str) -> Cl
         folder = cache_folder() / "hermit"
     except (OSError, RuntimeError):
         return None
-    text = "\n".join((_FORMAT, *marks, *options))
+    text = "\n".join((_ARCHIVE_VERSION, *marks, *options))
     return ClassArchive(folder / hashlib.sha256(text.encode()).hexdigest()[:16], java, options, jar, main)
 
 

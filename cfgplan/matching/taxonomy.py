@@ -12,7 +12,7 @@ from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.suggestions import words_of
 from cfgplan.matching.syntax import parse_tag
 
-_NAMESPACE: Final = "urn:cfgplan:names#"
+_NAMES_IRI: Final = "urn:cfgplan:names#"
 _INDIVIDUAL: Final = re.compile(r"\{\s*([^{}]+?)\s*\}|\bvalue\s+([^\s()]+)")
 _NO_IRI: Final = frozenset('<>"{}|^`\\ ')
 
@@ -31,11 +31,11 @@ def taxonomy(tags: Iterable[str]) -> tuple[str, tuple[str, ...]]:
     kinds = ((classes, "owl:Class"), (roles, "owl:ObjectProperty"), (individuals, "owl:NamedIndividual"))
     above = _above(classes)
     lines = [
-        f"@prefix : <{_NAMESPACE}> .",
+        f"@prefix : <{_NAMES_IRI}> .",
         "@prefix owl: <http://www.w3.org/2002/07/owl#> .",
         "@prefix rdfs: <http://www.w3.org/2000/01/rdf-schema#> .",
         "",
-        f"<{_NAMESPACE.rstrip('#')}> a owl:Ontology .",
+        f"<{_NAMES_IRI.rstrip('#')}> a owl:Ontology .",
         "",
         "# An output feeds an input if its tag is the input's or below it. Each rdfs:subClassOf is guessed from names:",
         "# look at them, and add your own.",
@@ -45,8 +45,8 @@ def taxonomy(tags: Iterable[str]) -> tuple[str, tuple[str, ...]]:
         for name in sorted(names):
             local = _local(name)
             if local is not None:
-                uppers = "".join(f" ; rdfs:subClassOf <{_NAMESPACE}{_local(each)}>" for each in above.get(name, ()))
-                lines.append(f"<{_NAMESPACE}{local}> a {kind}{uppers if kind == 'owl:Class' else ''} .")
+                uppers = "".join(f" ; rdfs:subClassOf <{_NAMES_IRI}{_local(each)}>" for each in above.get(name, ()))
+                lines.append(f"<{_NAMES_IRI}{local}> a {kind}{uppers if kind == 'owl:Class' else ''} .")
     return "\n".join([*lines, ""]), tuple(left_out)
 
 
@@ -65,7 +65,7 @@ def _names(concepts: Iterable[Concept]) -> tuple[set[str], set[str]]:
 
 def _local(name: str) -> str | None:
     """The end of a name's IRI, which tags write as the name; None if there is none."""
-    return name if short_name(_NAMESPACE + name) == name and _NO_IRI.isdisjoint(name) else None
+    return name if short_name(_NAMES_IRI + name) == name and _NO_IRI.isdisjoint(name) else None
 
 
 def _above(classes: Iterable[str]) -> Mapping[str, Sequence[str]]:
