@@ -222,7 +222,8 @@ class _Wiring:
         """The streams of others that come nearest to what an input needs, or else are called nearly so."""
         alike = (Nearest(offered, (port.tag,)) for offered in self._offering if likeness(offered, port.tag) >= ALIKE)
         found: list[NearStream] = []
-        for offers, by_name in ((self._near.get(port.tag, ()), False), (alike, True)):
+        meant = (offer for offer in self._near.get(port.tag, ()) if not offer.by_name)
+        for offers, by_name in ((meant, False), (alike, True)):
             found = found or [
                 NearStream(stream, offer, stream in self._taken, likeness(offer.offered, port.tag), by_name)
                 for offer in offers

@@ -54,11 +54,15 @@ class MatchExplanation:
 
 @dataclass(frozen=True)
 class Nearest:
-    """An offered tag that comes near to a demanded one, the conjuncts it lacks, and those that nobody has decided."""
+    """An offered tag that comes near to a demanded one, the conjuncts it lacks, and those that are not decided.
+
+    One that is near `by_name` lacks them all, and is only spelt much the same.
+    """
 
     offered: str
     missing: tuple[str, ...]
     undecided: tuple[str, ...] = ()
+    by_name: bool = False
 
     @property
     def verdict(self) -> str:
@@ -139,7 +143,9 @@ def _near(parts: Sequence[str], offered_tags: Collection[str], similarity: Simil
 
 
 def _spelt_alike(tag: str, parts: Sequence[str], offered_tags: Collection[str]) -> tuple[Nearest, ...]:
-    return tuple(Nearest(offered, tuple(parts)) for offered in close_names(tag, offered_tags, _MOST_SPELT_ALIKE))
+    return tuple(
+        Nearest(offered, tuple(parts), by_name=True) for offered in close_names(tag, offered_tags, _MOST_SPELT_ALIKE)
+    )
 
 
 def _reason(offered: Concept, demanded: Concept, ontology: Ontology, reasoner: str) -> Derivation:
