@@ -7,17 +7,19 @@ from __future__ import annotations
 
 import time
 import zlib
-from collections.abc import Iterator
-from typing import TypedDict
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
-from cfgplan_runtime import At
 from football import scenario, seeing
 from football.camera import Pose
 from football.field import Bytes
 from football.locating import BallPosition, fused, located
 from football.rendering import Renderer
 from football.scenario import FrameClock
+
+if TYPE_CHECKING:
+    from cfgplan_runtime import At
 from football.walking import Gait
 
 
@@ -38,10 +40,7 @@ class BottomCam:
         self._renderer = Renderer(zlib.crc32(robot.encode()))
 
     def __iter__(self) -> Iterator[At | None]:
-        clock = FrameClock()
-        while True:
-            time_ns = clock.frame(time.time_ns())
-            yield None if time_ns is None else At(time_ns, self.picture(time_ns))
+        return _frames(self.picture)
 
     def picture(self, time_ns: int) -> Bytes:
         """What the camera sees at a time."""
@@ -84,10 +83,7 @@ class SelfLocalization:
         self._gait = Gait(robot)
 
     def __iter__(self) -> Iterator[At | None]:
-        clock = FrameClock()
-        while True:
-            time_ns = clock.frame(time.time_ns())
-            yield None if time_ns is None else At(time_ns, self.pose(time_ns))
+        return _frames(self.pose)
 
     def pose(self, time_ns: int) -> dict[str, float]:
         """What the robot believes at a time."""
@@ -108,6 +104,16 @@ class FuseBallPos:
 
     def __call__(self, first: Position, second: Position) -> Position:
         return _as_value(fused(_from_value(first), _from_value(second)))
+
+
+def _frames(seen: Callable[[int], object]) -> Iterator[At | None]:
+    """What is seen at the time of each frame; nothing between frames."""
+    from cfgplan_runtime import At  # here, since nodes of ROS run in a Python that may have no cfgplan
+
+    clock = FrameClock()
+    while True:
+        time_ns = clock.frame(time.time_ns())
+        yield None if time_ns is None else At(time_ns, seen(time_ns))
 
 
 def _as_value(position: BallPosition) -> Position:

@@ -13,6 +13,7 @@ import pytest
 from ros2_venv import PYTHON, lacks_ros
 
 sys.path.append(str(Path(__file__).parents[1] / "operating"))
+sys.path.append(str(Path(__file__).parents[2] / "models" / "nao"))
 _FIRST_DOMAIN = 40
 
 

@@ -25,6 +25,10 @@ def say(**what: object) -> None:
 
 
 def text_of(message: Any) -> str:
+    """Its text; of a pose when and where it was, in ns and metres."""
+    if hasattr(message, "pose"):
+        stamp, place = message.header.stamp, message.pose.pose.position
+        return f"{stamp.sec * 10**9 + stamp.nanosec} {place.x} {place.y}"
     return str(message.data if hasattr(message, "data") else message.header.frame_id)
 
 

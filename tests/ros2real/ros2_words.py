@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import psutil
 from operated_world import PATIENCE_S
 from ros2_venv import PYTHON
 
@@ -105,3 +106,17 @@ def observing() -> Iterator[Observer]:
                 process.wait(PATIENCE_S)
             finally:
                 process.kill()
+
+
+def pid_of(run: subprocess.Popen[str], what: str) -> int:
+    """The child of a run whose command line has a word; 0 if there is none."""
+    children = psutil.Process(run.pid).children(recursive=True)
+    return next((one.pid for one in children if what in command_of(one)), 0)
+
+
+def command_of(process: psutil.Process) -> list[str]:
+    """The command line of a process; empty if it has ended."""
+    try:
+        return process.cmdline() if process.status() != psutil.STATUS_ZOMBIE else []
+    except psutil.NoSuchProcess:
+        return []

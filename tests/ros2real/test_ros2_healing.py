@@ -12,7 +12,7 @@ from subprocess import Popen
 import psutil
 import pytest
 from operated_world import await_event, eventually, running
-from ros2_words import ENVIRONMENT, Observer, observing, write_words
+from ros2_words import ENVIRONMENT, Observer, command_of, observing, pid_of, write_words
 
 HANG = ENVIRONMENT.replace("params: {rate: 100", "run: {hang: 2}\n    params: {rate: 100")
 
@@ -35,19 +35,6 @@ def run(tmp_path: Path) -> Iterator[Popen[str]]:
     assert process.returncode == 0
 
 
-def pid_of(run: Popen[str], what: str) -> int:
-    """The child of a run whose command line has a word; 0 if there is none."""
-    children = psutil.Process(run.pid).children(recursive=True)
-    return next((one.pid for one in children if what in _command(one)), 0)
-
-
-def _command(process: psutil.Process) -> list[str]:
-    try:
-        return process.cmdline() if process.status() != psutil.STATUS_ZOMBIE else []
-    except psutil.NoSuchProcess:
-        return []
-
-
 def test_nodes_that_die_or_hang_are_replaced_and_the_others_stay(run: Popen[str], observer: Observer) -> None:
     numbers = (int(shout.removesuffix("!")) for shout in observer.listen("/shout"))
     shouter, talker = pid_of(run, "__node:=shouter_1"), pid_of(run, "__node:=talker_1")
@@ -68,7 +55,7 @@ def test_nodes_that_die_or_hang_are_replaced_and_the_others_stay(run: Popen[str]
 def test_a_helper_that_dies_is_made_anew_and_nodes_stay(run: Popen[str], observer: Observer) -> None:
     shouts = observer.listen("/shout")
     next(shouts)
-    main = next(word for word in _command(psutil.Process(pid_of_helper(run))) if word.endswith("main.py"))
+    main = next(word for word in command_of(psutil.Process(pid_of_helper(run))) if word.endswith("main.py"))
     nodes = pid_of(run, "__node:=shouter_1"), pid_of(run, "__node:=talker_1")
     helper = pid_of_helper(run)
     os.kill(helper, signal.SIGKILL)
@@ -81,4 +68,4 @@ def test_a_helper_that_dies_is_made_anew_and_nodes_stay(run: Popen[str], observe
 
 def pid_of_helper(run: Popen[str]) -> int:
     children = psutil.Process(run.pid).children(recursive=True)
-    return next(one.pid for one in children if any(word.endswith("host/main.py") for word in _command(one)))
+    return next(one.pid for one in children if any(word.endswith("host/main.py") for word in command_of(one)))
