@@ -25,6 +25,7 @@ import psutil
 from cfgplan_runtime import Runtime, subscribe
 from cfgplan_runtime.supervision.events import UnitDied
 from measured_units import Ages, payload
+from running_pid import running_pid
 
 from cfgplan import api
 from cfgplan.domain import (
@@ -236,7 +237,7 @@ def updates(times: int) -> list[Row]:
 def _mend(runtime: Runtime, similarity: Any, unit: str, results: Any) -> float:
     """Seconds from the kill to the first element that the new unit has given."""
     begin, begin_ns = time.monotonic(), time.time_ns()
-    os.kill(runtime.pid(unit) or 0, signal.SIGKILL)
+    os.kill(running_pid(runtime, unit), signal.SIGKILL)
     while not isinstance(runtime.events.get(timeout=30), UnitDied):
         pass
     found_ns = time.time_ns()

@@ -27,6 +27,7 @@ import preloaded
 import psutil
 from cfgplan_runtime import ApplyError, Received, Runtime, StaleChangeSetError, subscribe
 from cfgplan_runtime.supervision.events import OutletsLost, UnitDied
+from running_pid import running_pid
 
 from cfgplan.domain import (
     ChangeSet,
@@ -122,7 +123,7 @@ class Soak:
     def kill_unit(self) -> None:
         label = self.rng.choice(["first", "second"])
         begin = time.time_ns()
-        os.kill(self.runtime.pid(self.name(label)) or 0, signal.SIGKILL)
+        os.kill(running_pid(self.runtime, self.name(label)), signal.SIGKILL)
         self._await_death(self.name(label))
         self._replace({label})
         self.kills_ns.append((begin, time.time_ns()))
@@ -158,7 +159,7 @@ class Soak:
             time.sleep(0.005)
         for label in ("first", "second"):
             begin = time.time_ns()
-            os.kill(self.runtime.pid(self.name(label)) or 0, signal.SIGKILL)
+            os.kill(running_pid(self.runtime, self.name(label)), signal.SIGKILL)
             self._await_death(self.name(label))
             self._replace({label})
             self.kills_ns.append((begin, time.time_ns()))
@@ -175,7 +176,7 @@ class Soak:
 
     def kill_outlets(self) -> None:
         begin = time.time_ns()
-        os.kill(self.runtime.pid("") or 0, signal.SIGKILL)
+        os.kill(running_pid(self.runtime, ""), signal.SIGKILL)
         while not isinstance(self.runtime.events.get(timeout=30), OutletsLost):
             pass
         time.sleep(0.1)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import re
-import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
@@ -23,6 +21,7 @@ from cfgplan_runtime.supervision.simulated_backend import Behaviour
 from cfgplan_runtime.testing import FIRST, LAST, Bench, Hosts, check_middleware
 from living import RESULT, source, worker
 from real_run import UNITS
+from unit_signals import signal_unit
 
 from cfgplan import api
 from cfgplan.domain import ChangeSet, Environment, RunOptions, Target, Transformation
@@ -390,7 +389,7 @@ def real_bench(folder: Path) -> Iterator[Bench]:
             source(source="units.py:count", run=RunOptions(rate_hz=100)),
             worker(source=code, params=params),
             worker("broken", source=code, params={**params, "deed": "die at start"}),
-            lambda unit: os.kill(runtime.pid(unit) or 0, signal.SIGKILL),
+            lambda unit: signal_unit(runtime, unit),
             lambda: [
                 name
                 for name in ("count.1", "count.2", "work.1", "work.2", FIRST, LAST)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-import signal
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 from cfgplan_runtime import Runtime
 from cfgplan_runtime.ros1.ros1_backend import Ros1Backend
 from cfgplan_runtime.testing import Bench, check_middleware
+from unit_signals import signal_unit
 from words import NODES, gives, published_topics
 
 from cfgplan.domain import InputPort, OutputPort, Transformation
@@ -48,7 +48,7 @@ def bench() -> Iterator[Bench]:
     with Runtime(backend=lambda: Ros1Backend(folder=NODES.parent)) as runtime:
 
         def crash(unit: str) -> None:
-            os.kill(runtime.pid(unit) or 0, signal.SIGKILL)
+            signal_unit(runtime, unit)
 
         yield Bench(runtime, TALKER, SHOUTER, MUTE, crash, answering_units, published_topics, gives)
 

@@ -18,6 +18,7 @@ from cfgplan_runtime.ros1.ros1_backend import Ros1Backend
 from cfgplan_runtime.ros1.tcpros import answered
 from cfgplan_runtime.testing import Bench, check_middleware
 from operated_world import eventually
+from unit_signals import signal_unit
 from words import NODES, await_pid, gives, messages, pid_of, published_topics
 
 from cfgplan.domain import (
@@ -149,7 +150,7 @@ def bench() -> Iterator[Bench]:
             return nodelets | {f"camera100.{n}" for n in (1, 2) if pid_of(f"/camera100_{n}")}
 
         def crash(unit: str) -> None:
-            os.kill(runtime.pid(unit) or 0, signal.SIGKILL)
+            signal_unit(runtime, unit)
 
         yield Bench(runtime, camera(100), HALVER, BLIND, crash, running, published_topics, gives)
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -13,6 +11,7 @@ from cfgplan_runtime import Runtime
 from cfgplan_runtime.ros2.ros2_backend import Ros2Backend
 from cfgplan_runtime.testing import Bench, check_middleware
 from ros2_words import NODES, Observer, observing
+from unit_signals import signal_unit
 
 from cfgplan.domain import InputPort, OutputPort, Transformation
 
@@ -48,7 +47,7 @@ def bench() -> Iterator[Bench]:
     with observing() as observer, Runtime(backend=lambda: Ros2Backend(folder=NODES.parent)) as runtime:
 
         def crash(unit: str) -> None:
-            os.kill(runtime.pid(unit) or 0, signal.SIGKILL)
+            signal_unit(runtime, unit)
 
         def topics() -> list[str]:
             return published_topics(observer)

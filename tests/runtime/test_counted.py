@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import signal
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -15,6 +13,7 @@ from cfgplan_runtime.streams.element import Element
 from cfgplan_runtime.supervision.backend import Inlet
 from cfgplan_runtime.supervision.events import UnitDied
 from cfgplan_runtime.supervision.wiring import starved_units, wanted_feeds, without_feed
+from unit_signals import signal_unit
 from watching import Listener, StartRuntime, seen
 from world import RESULT, eventually, source, start, unit, worker
 
@@ -207,7 +206,7 @@ def test_streams_come_and_go_at_an_input_of_all_and_the_others_lose_nothing(run_
     runtime.apply(ChangeSet((unit("c.1"),), (gathering("a.1/n", "b.1/n", "c.1/n"),)))
     eventually(lambda: len(came("c")) > 5)
     runtime.apply(ChangeSet(rewired=(gathering("a.1/n", "c.1/n"),), stopped=("b.1",)))
-    os.kill(runtime.pid("c.1") or 0, signal.SIGKILL)
+    signal_unit(runtime, "c.1")
     eventually(lambda: bool(seen(runtime, UnitDied)))
     assert runtime.environment.unit["gather.1"] == gathering("a.1/n")
     before = len(came("a"))

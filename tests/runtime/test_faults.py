@@ -36,6 +36,7 @@ from cfgplan_runtime.supervision.events import (
     UnitTooLarge,
 )
 from cfgplan_runtime.supervision.wiring import starved_units
+from unit_signals import signal_unit
 from watching import Listener, StartRuntime, seen
 from world import PATIENCE_S, eventually, source, start, unit, worker
 
@@ -143,7 +144,7 @@ def test_a_stopped_process_is_noticed_and_killed(run_units: StartRuntime) -> Non
     runtime = run_units(source(), worker(run=RunOptions(hang_us=2_500_000)))
     runtime.apply(start(unit("count.1"), unit("work.1", x="count.1/n")))
     eventually(lambda: any(o.unit == "work.1" and o.steps for o in runtime.observe()))
-    os.kill(runtime.pid("work.1") or 0, signal.SIGSTOP)
+    signal_unit(runtime, "work.1", signal.SIGSTOP)
     eventually(lambda: bool(seen(runtime, UnitDied)))
     assert [event.unit for event in seen(runtime, UnitHung)] == ["work.1"]
     assert re.fullmatch(r"killed by SIGKILL \(in step [1-9]\d* or later\)", seen(runtime, UnitDied)[0].cause)
@@ -240,7 +241,7 @@ def test_the_death_of_the_outlets_is_mended(run_units: StartRuntime) -> None:
     runtime.apply(start(unit("count.1", topic="/result", port="n")))
     listener = Listener("/result")
     eventually(lambda: len(listener.received) > 3)
-    os.kill(runtime.pid("") or 0, signal.SIGKILL)
+    signal_unit(runtime, "")
     eventually(lambda: bool(seen(runtime, OutletsLost)))
     before = len(listener.received)
     eventually(lambda: len(listener.received) > before + 3)
@@ -471,7 +472,7 @@ def test_a_runtime_of_processes_works_in_the_calling_thread_too(run_units: Start
     here = Inline()
     runtime = run_units(source(), worker(), executor=here)
     runtime.apply(start(unit("count.1"), unit("work.1", topic="/result", x="count.1/n")))
-    os.kill(runtime.pid("count.1") or 0, signal.SIGKILL)
+    signal_unit(runtime, "count.1")
     for _ in range(round(10 * PATIENCE_S)):
         if "count.1" not in runtime.environment.unit:
             break

@@ -18,6 +18,7 @@ from cfgplan_runtime import ApplyError, Patience, Runtime
 from cfgplan_runtime.processes import process_backend
 from cfgplan_runtime.processes.process_backend import NURSERY_HELPER, OUTLETS, OUTLETS_HELPER, ProcessBackend
 from cfgplan_runtime.supervision.events import HelperHung, OutletsLost, UnitDied, UnitReady
+from unit_signals import signal_unit
 from watching import Listener, StartRuntime, seen
 from world import PATIENCE_S, eventually, source, start, unit, worker
 
@@ -35,7 +36,7 @@ def heir(tmp_path: Path) -> Iterator[str]:
 
 
 def kill(runtime: Runtime, unit_id: str) -> None:
-    os.kill(runtime.pid(unit_id) or 0, signal.SIGKILL)
+    signal_unit(runtime, unit_id)
     eventually(lambda: unit_id in {event.unit for event in seen(runtime, UnitDied)})
 
 
@@ -101,7 +102,7 @@ def test_outlets_that_can_not_be_made_are_tried_again_ever_more_rarely(
     runtime.apply(ONE)
     listener = Listener("/result")
     full.touch()
-    os.kill(runtime.pid(OUTLETS) or 0, signal.SIGKILL)
+    signal_unit(runtime, OUTLETS)
     eventually(lambda: len(seen(runtime, OutletsLost)) >= 2)
     time.sleep(1.0)
     assert 2 <= len(seen(runtime, OutletsLost)) <= 7
@@ -118,7 +119,7 @@ def test_outlets_that_stop_are_made_anew(run_units: StartRuntime, monkeypatch: p
     runtime.apply(ONE)
     listener = Listener("/result")
     eventually(lambda: len(listener.received) > 200)
-    os.kill(runtime.pid(OUTLETS) or 0, signal.SIGSTOP)
+    signal_unit(runtime, OUTLETS, signal.SIGSTOP)
     eventually(lambda: bool(seen(runtime, OutletsLost)))
     assert [event.helper for event in seen(runtime, HelperHung)] == [OUTLETS_HELPER]
     before = len(listener.received)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import signal
 from itertools import pairwise
 
 import pytest
 from cfgplan_runtime.supervision.events import SourceExhausted, UnitDied
+from unit_signals import signal_unit
 from watching import Listener, StartRuntime, seen
 from world import RESULT, eventually, source, start, unit, worker
 
@@ -91,7 +90,7 @@ def test_a_consumer_keeps_receiving_when_a_killed_unit_is_replaced(run_units: St
     runtime.apply(start(unit("count.1"), unit("work.1", topic="/result", x="count.1/n")))
     listener = Listener("/result")
     eventually(lambda: len(listener.received) > 3)
-    os.kill(runtime.pid("work.1") or 0, signal.SIGKILL)
+    signal_unit(runtime, "work.1")
     eventually(lambda: bool(seen(runtime, UnitDied)))
     assert [unit.id for unit in runtime.environment.units] == ["count.1"]
     before = len(listener.received)
