@@ -26,6 +26,7 @@ from cfgplan.domain import (
 from cfgplan.formats.dump import dump_yaml, plain_environment
 from cfgplan.formats.fields import DEFAULT_HORIZON_S
 from cfgplan.qualities import MICRO
+from cfgplan.ros.code.package_sources import SourcePorts, ports_of_sources
 from cfgplan.ros.graph import RosGraph, RosNode, RosPort
 from cfgplan.ros.guesses import GuessTable
 from cfgplan.ros.sources import REMAPS, NodeKind, NodeSource
@@ -152,24 +153,34 @@ class _Making:
         self._guesses.append(Guessed(about, guess, why))
 
     def _ported(self, graph: RosGraph) -> RosGraph:
-        """The graph with the ports of the nodes for which no source tells any, but the table does."""
-        nodes, silent = [], []
+        """The graph with the ports that the table, or else the nodes' own code, tells of nodes without any."""
+        nodes, silent, notes = [], [], list(graph.notes)
         for node in graph.nodes:
             if not node.ports:
                 known = self._table.ports_of(node)
-                if known is None:
-                    silent.append(node.name)
-                else:
+                if known is not None:
                     what = node.plugin or f"{node.package}/{node.executable}"
                     self._guess(node.name, f"has the ports of {what}", "the table knows it")
-                    node = replace(node, ports=known)
+                else:
+                    told = ports_of_sources(node, graph.parameters)
+                    known = tuple(told.places)
+                    notes += self._told_of_sources(node, told)
+                node = replace(node, ports=known)
+                if not known:
+                    silent.append(node.name)
             nodes.append(node)
-        if not silent:
-            return replace(graph, nodes=tuple(nodes))
-        note = (
-            f"which ports {some(silent)} have: name a live graph too, or say it under `nodes` in a file for --guesses"
-        )
-        return replace(graph, nodes=tuple(nodes), notes=(*graph.notes, note))
+        if silent:
+            mend = "name a live graph too, or say it under `nodes` in a file for --guesses"
+            notes.append(f"which ports {some(silent)} have: {mend}")
+        return replace(graph, nodes=tuple(nodes), notes=tuple(notes))
+
+    def _told_of_sources(self, node: RosNode, told: SourcePorts) -> Iterator[str]:
+        """Tell each port of a node's sources as a guess; returns notes of those that are computed."""
+        says = "a source of its package says so" if told.is_whole_package else "its source says so"
+        for port, place in sorted(told.places.items(), key=lambda item: (item[1].file, item[1].line, item[0].name)):
+            self._guess(node.name, f"{port.role.value} {port.name}", f"{says}: {place}")
+        if told.unclear:
+            yield f"which topics of {node.name} its code computes: {some(told.unclear, 3)}"
 
     def _without_noise(self, graph: RosGraph) -> RosGraph:
         table = self._table

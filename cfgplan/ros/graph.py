@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from operator import attrgetter
+from pathlib import Path
 
 from cfgplan.canonical import store_sorted
 from cfgplan.ros.qos import ServiceQuality
@@ -64,7 +65,8 @@ class RosNode:
     full names, from the node's own to those used; `parameters` are as a launch file writes them. A `player` stands for
     the unknown publishers of what was recorded. `runs` is None where no source looked whether the node runs. `machine`
     is the computer that it runs on; None: the one that starts the graph. `shared` are the own names in `remappings`
-    that a launch file renames for all nodes of a group, whether or not each has them.
+    that a launch file renames for all nodes of a group, whether or not each has them. `file` is the launch file that
+    starts the node: its package is looked for near it.
     """
 
     name: str
@@ -80,6 +82,7 @@ class RosNode:
     runs: bool | None = None
     machine: str | None = None
     shared: frozenset[str] = frozenset()
+    file: Path | None = None
 
     def __post_init__(self) -> None:
         unique = {_port_key(port): port for port in reversed(self.ports)}
@@ -95,12 +98,14 @@ class RosGraph:
     """The nodes of one or several sources.
 
     `notes` say what the sources could not tell, and `dropped` what they say that no environment has a word for.
+    `parameters` are those that launch files set outside nodes, by their full names.
     """
 
     nodes: tuple[RosNode, ...] = ()
     sources: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     dropped: tuple[str, ...] = ()
+    parameters: Mapping[str, object] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
         store_sorted(self, "nodes", self.nodes, attrgetter("name"))
@@ -138,6 +143,7 @@ def merged(graphs: Iterable[RosGraph]) -> RosGraph:
         tuple(source for graph in graphs for source in graph.sources),
         tuple(dict.fromkeys(note for graph in graphs for note in graph.notes)),
         tuple(each for graph in graphs for each in graph.dropped),
+        {name: value for graph in reversed(graphs) for name, value in graph.parameters.items()},
     )
 
 
@@ -149,7 +155,7 @@ def _joined(one: RosNode, other: RosNode) -> RosNode:
             ports.append(port)
         else:
             ports[same] = _filled(ports[same], port)
-    names = ("package", "executable", "plugin", "container", "machine")
+    names = ("package", "executable", "plugin", "container", "machine", "file")
     known = {name: getattr(one, name) or getattr(other, name) for name in names}
     return replace(
         one,
@@ -208,3 +214,9 @@ def resolved(name: str, namespace: str, node: str) -> str:
     elif not name.startswith("/"):
         name = f"{namespace}/{name}"
     return "/" + "/".join(part for part in name.split("/") if part)
+
+
+def node_port(node: RosNode, role: Role, own: str, kind: MessageType | None) -> RosPort:
+    """A port that a node's code calls `own`, by its full name after the node's remappings."""
+    full = resolved(own, node.name.rpartition("/")[0], node.name)
+    return RosPort(role, dict(node.remappings).get(full, full), kind, own)

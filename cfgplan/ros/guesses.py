@@ -16,7 +16,7 @@ from pydantic_core import PydanticCustomError
 from cfgplan.errors import InputError
 from cfgplan.formats.files import read_source
 from cfgplan.formats.schema_faults import schema_faults
-from cfgplan.ros.graph import Role, RosNode, RosPort, resolved
+from cfgplan.ros.graph import Role, RosNode, RosPort, node_port
 from cfgplan.ros.types import MessageType
 
 TABLE = Path(__file__).with_name("guesses.yaml")
@@ -117,13 +117,11 @@ class GuessTable(_Rows):
         known = self.nodes.get(node.plugin or f"{node.package}/{node.executable}")
         if known is None:
             return None
-        renamed = dict(node.remappings)
         ports = []
         for role, own, kind in known.ports:
             with suppress(IndexError):
                 meant = _ARGUMENT.sub(lambda found: node.arguments[int(found[1]) - 1], own)
-                full = resolved(meant, node.name.rpartition("/")[0], node.name)
-                ports.append(RosPort(role, renamed.get(full, full), kind, meant))
+                ports.append(node_port(node, role, meant, kind))
         return tuple(ports)
 
     def is_noise(self, node: str) -> bool:

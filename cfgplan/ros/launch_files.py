@@ -99,7 +99,11 @@ class _Walk:
         if left:
             self._notes.append(f"who reads the parameters that {path} sets outside nodes: {some(left, 3)}")
         return RosGraph(
-            tuple(nodes), (f"the launch file {path}",), tuple(dict.fromkeys(self._notes)), tuple(self._dropped)
+            tuple(nodes),
+            (f"the launch file {path}",),
+            tuple(dict.fromkeys(self._notes)),
+            tuple(self._dropped),
+            dict(self._parameters),
         )
 
     def _own(self, node: RosNode) -> dict[str, object]:
@@ -210,6 +214,7 @@ class _Walk:
             parameters=parameters,
             machine=self._machine(element, scope),
             shared=frozenset(own for own, _ in renamed if own not in said_here),
+            file=scope.file,
         )
         if (package, kind) == (_NODELETS, _NODELETS):
             node = _nodelet(node, scope.namespace)

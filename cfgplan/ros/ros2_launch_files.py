@@ -215,7 +215,7 @@ class _Launch:
         renamed = tuple((a, b) for a, b in full.items() if a != b)
         said_here = {resolved(a, space, name) for a, _ in remaps}
         shared = frozenset(own for own, _ in renamed if own not in said_here)
-        return RosNode(name, (), package, remappings=renamed, parameters=parameters, shared=shared)
+        return RosNode(name, (), package, remappings=renamed, parameters=parameters, shared=shared, file=state.file)
 
     def _parameter(self, element: Element, state: _State, node: str = "") -> dict[str, object]:
         """The parameters that an element sets for a node, by their names; dots join the parts of nested names."""

@@ -124,16 +124,20 @@ def variable(name: str) -> str:
 
 
 def package_folder(name: str, near: Path) -> Path | None:
-    """The folder of a package: in ROS_PACKAGE_PATH, in the workspace of the file `near`, or installed."""
+    """The folder of a package: where the environment says, in the workspace of the file `near`, or installed."""
     own = next((folder for folder in near.resolve().parents if (folder / "package.xml").is_file()), None)
-    roots = [Path(root) for root in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if root]
-    for root in [*roots, *([own.parent] if own is not None else [])]:
+    workspace = [own.parent] if own is not None else []
+    for root in [*_roots("ROS_PACKAGE_PATH"), *workspace, *_roots("AMENT_PREFIX_PATH"), *_roots("COLCON_PREFIX_PATH")]:
         if name in _packages(root):
             return _packages(root)[name]
     for pattern in _INSTALLED:
         for manifest in sorted(Path("/").glob(f"{pattern[1:-1]}{name}/package.xml")):
             return manifest.parent
     return None
+
+
+def _roots(variable: str) -> list[Path]:
+    return [Path(root) for root in os.environ.get(variable, "").split(os.pathsep) if root]
 
 
 @cache
