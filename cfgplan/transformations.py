@@ -126,7 +126,8 @@ class RunOptions:
     `tolerance_us`, or a port's name. `rate_hz` is a source's. `queue` elements wait at each input; when full,
     the oldest is dropped, or the producer waits if it `blocks`. A unit that is silent for `hang_us` (0: it
     may be silent) or takes more than `memory_mb` megabytes is killed. With `state`, a new unit goes on with the
-    state of the last. Raises InvalidValueError for a `hang_us` of less than 2 s.
+    state of the last. A `lifecycle` node of ROS 2 is configured as a cold spare, and activated as a unit.
+    Raises InvalidValueError for a `hang_us` of less than 2 s.
     """
 
     start: str = "all"
@@ -137,6 +138,7 @@ class RunOptions:
     hang_us: Natural | None = None
     memory_mb: Natural | None = None
     state: bool = False
+    lifecycle: bool = False
 
     def __post_init__(self) -> None:
         if self.hang_us is not None and self.hang_us != 0 and self.hang_us < LEAST_HANG_S * 1_000_000:

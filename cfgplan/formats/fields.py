@@ -287,6 +287,7 @@ class RunPart(Part):
         "the most memory that a unit may take, in megabytes", None, "memory_mb", Use.BOTH, ge=1, le=LONGEST_QUEUE
     )
     state: bool = row("a new unit goes on with the state of the last", False)
+    lifecycle: bool = row("cold spares of this ROS 2 node are configured, and activated when they are needed", False)
 
 
 class ConflictsPart(Part):

@@ -9,6 +9,7 @@ from contextlib import suppress
 
 import rclpy
 from geometry_msgs.msg import PointStamped
+from rclpy.lifecycle import LifecycleNode, State, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import String
@@ -91,6 +92,21 @@ class Mapper(Node):
         self.maps.publish(String(data=str(self.declare_parameter("first", 0).value)))
 
 
+class Worker(LifecycleNode):
+    """Shouts while it is active, by ports that it makes when it is configured. It is lame if `lame` is set."""
+
+    def __init__(self) -> None:
+        super().__init__("worker")
+        self.declare_parameter("lame", False)
+
+    def on_configure(self, state: State) -> TransitionCallbackReturn:
+        if self.get_parameter("lame").value:
+            return TransitionCallbackReturn.FAILURE
+        self.loud = self.create_lifecycle_publisher(String, "~/loud", DEEP)
+        self.create_subscription(String, "quiet", lambda word: self.loud.publish(String(data=word.data + "!")), DEEP)
+        return super().on_configure(state)
+
+
 class Mute(Node):
     def __init__(self) -> None:
         sys.exit("has no voice")
@@ -98,7 +114,7 @@ class Mute(Node):
 
 def main() -> None:
     rclpy.init()
-    kinds = (Talker, Whisperer, Shouter, Eager, Clock, Mapper, Mute)
+    kinds = (Talker, Whisperer, Shouter, Eager, Clock, Mapper, Worker, Mute)
     node = {each.__name__.lower(): each for each in kinds}[sys.argv[1]]()
     with suppress(KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
         rclpy.spin(node)

@@ -23,16 +23,19 @@ def with_parent(command: list[str]) -> list[str]:
 class NodeProcess:
     """A process in a session of its own, which ends with the thread that made it. Raises OSError if it can't start.
 
-    The descriptor `ended` becomes readable when it has ended.
+    It inherits the descriptors `passed`. The descriptor `ended` becomes readable when it has ended.
     """
 
-    def __init__(self, command: Sequence[str], environment: Mapping[str, str], folder: Path) -> None:
+    def __init__(
+        self, command: Sequence[str], environment: Mapping[str, str], folder: Path, passed: Sequence[int] = ()
+    ) -> None:
         ours, theirs = socket.socketpair()
         try:
             self._process: subprocess.Popen[bytes] = subprocess.Popen(
                 with_parent(list(command)),
                 env=dict(environment),
                 cwd=folder,
+                pass_fds=passed,
                 stdin=subprocess.DEVNULL,
                 stdout=theirs.fileno(),
                 stderr=theirs.fileno(),

@@ -22,10 +22,10 @@ class PortTopic(msgspec.Struct, frozen=True):
 
 
 class Attend(msgspec.Struct, tag=True):
-    """Tell when the ports of a unit's node are there.
+    """Tell when the ports of a unit's node are there. At most `queue` messages wait at each input.
 
-    At most `queue` messages wait at each input. With `is_again` a node of this name was there before, and endpoints
-    that the graph has by now are of that one.
+    With `waits` it is a cold spare of a lifecycle node, which is only configured. With `asks` the node is asked each
+    second whether it still answers.
     """
 
     unit: str
@@ -34,9 +34,15 @@ class Attend(msgspec.Struct, tag=True):
     outputs: list[PortTopic]
     queue: int
     is_foreign: bool = False
-    is_again: bool = False
     asks: bool = False
-    """Whether the node is asked each second whether it still answers."""
+    waits: bool = False
+
+
+class Begin(msgspec.Struct, tag=True):
+    """A cold spare is a unit from now on: activate it."""
+
+    spare: str
+    unit: str
 
 
 class Listening(msgspec.Struct, tag=True):
@@ -49,6 +55,19 @@ class Attended(msgspec.Struct, tag=True):
     """A unit's node is there, with its ports, or late with some of them."""
 
     unit: str
+
+
+class Configured(msgspec.Struct, tag=True):
+    """A cold spare is configured, and waits."""
+
+    unit: str
+
+
+class Failed(msgspec.Struct, tag=True):
+    """A lifecycle node does not let itself be configured or activated."""
+
+    unit: str
+    cause: str
 
 
 class Gone(msgspec.Struct, tag=True):
@@ -70,4 +89,6 @@ class Told(msgspec.Struct, tag=True):
     text: str
 
 
-FromHost: TypeAlias = Listening | Attended | Gone | Answered | Told | Switched | Lost | Passed | Refused
+FromHost: TypeAlias = (
+    Listening | Attended | Configured | Failed | Gone | Answered | Told | Switched | Lost | Passed | Refused
+)

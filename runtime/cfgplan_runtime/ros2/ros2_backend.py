@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,9 +18,20 @@ from cfgplan_runtime.nodes.watched_processes import WatchedProcesses
 from cfgplan_runtime.processes.child_process import cpu_us, memory_bytes
 from cfgplan_runtime.ros2.fast_dds import FastDdsProfiles, clean_memory
 from cfgplan_runtime.ros2.host_link import HostLink
-from cfgplan_runtime.ros2.host_messages import Answered, Attend, Attended, FromHost, Gone, Told
+from cfgplan_runtime.ros2.host_messages import (
+    Answered,
+    Attend,
+    Attended,
+    Begin,
+    Configured,
+    Failed,
+    FromHost,
+    Gone,
+    Told,
+)
 from cfgplan_runtime.ros2.ros2_unit import Ros2Unit, message_of, node_source
 from cfgplan_runtime.ros2.ros_python import RosPython, ros_python
+from cfgplan_runtime.ros2.warm_nodes import WarmNode, is_python
 from cfgplan_runtime.streams.ends import Bell, Ends
 from cfgplan_runtime.streams.run_folder import RunFolder
 from cfgplan_runtime.supervision import events
@@ -28,6 +39,8 @@ from cfgplan_runtime.supervision.backend import Inlet, Usage
 
 _ALIVE_S = 1.0
 """Seconds from one sign of life of a node to the next."""
+_WARM_S = 3.0
+"""Seconds after a start after which a process is made that waits: starts need the computer for themselves."""
 
 
 @dataclass(slots=True, eq=False)
@@ -39,6 +52,11 @@ class _UnitNode:
     process: NodeProcess | None = None
     is_ready: bool = False
     is_stopping: bool = False
+    is_spare: bool = False
+    """Whether it waits, configured, as a cold spare."""
+    is_configured: bool = False
+    was_warm: bool = False
+    """Whether it has begun in a process that waited."""
     has_answered: bool = False
     """Whether it has answered when the present helper asked: a node that never spins does not."""
 
@@ -47,10 +65,10 @@ class Ros2Backend:
     """A backend of ROS 2 nodes. All its methods are called from one thread, which must outlive it.
 
     The helper runs in the Python that has rclpy: `python`, or the one that is found. `folder` is what `node:./FILE` is
-    relative to. Raises InputError.
+    relative to. With `warm`, a process waits to replace any node in Python that dies. Raises InputError.
     """
 
-    def __init__(self, *, folder: Path | None = None, python: RosPython | None = None) -> None:
+    def __init__(self, *, folder: Path | None = None, python: RosPython | None = None, warm: bool = True) -> None:
         self._python = python or ros_python()
         self.run_folder = RunFolder()
         self._folder = (folder or Path.cwd()).resolve()
@@ -59,8 +77,13 @@ class Ros2Backend:
         self._ends.watch(self._bell.socket, self._bell.hear)
         self._events: list[events.Event] = []
         self._nodes: dict[str, _UnitNode] = {}
-        self._names: set[str] = set()
-        """The nodes that the present helper has been told of: some may have died, and still be in its graph."""
+        self._keeps_warm, self._warm_due_s = warm, self.now() + _WARM_S
+        self._warm: dict[str, WarmNode] = {}
+        """Processes that wait to be nodes, by the cold spare that each is for; the run's own one by ""."""
+        self._cold: set[str] = set()
+        """Transformations whose nodes fail to begin in a process that waited."""
+        self._messages: set[str] = set()
+        """The message types of nodes that were started."""
         self._processes = WatchedProcesses(self._ends, self._events)
         self._unnumbered: set[str] = set()
         """Transformations whose nodes fail to start with a participant number of their own."""
@@ -88,6 +111,7 @@ class Ros2Backend:
         self._wires.start_if_due()
         if self._sign_due_s <= self.now():
             self._sign_due_s = self.now() + _ALIVE_S
+            self._keep_warm()
             for node in self._nodes.values():
                 if node.is_ready and not node.has_answered and _is_going(node.process):
                     self._events.append(self._status(node))
@@ -101,21 +125,48 @@ class Ros2Backend:
         transformation: Transformation,
         state: bytes | None,  # noqa: ARG002
         host: str | None,  # noqa: ARG002
-        spare: str | None = None,  # noqa: ARG002
+        spare: str | None = None,
     ) -> None:
+        waiting = self._nodes.get(spare or "")
+        if spare is not None and waiting is not None and waiting.is_configured:
+            self._begin_spare(unit, waiting)
+            return
+        warm = None if spare is None else self._warm.get(spare)
+        if spare is not None and (warm is None or not warm.is_ready):
+            self.discard(spare)
+            warm = spare = None
         try:
             source = node_source(transformation)
             name = source.name if source.kind == "external" else self._free_name(unit)
-            self._begin(_UnitNode(unit, Ros2Unit(name, source, transformation)))
+            self._begin(_UnitNode(unit, Ros2Unit(name, source, transformation)), spare or "")
         except (InputError, OSError) as error:
             self._wires.close_inlets(unit)
             self._events.append(events.UnitDied(unit, f"can't be started: {error}"))
 
-    def prepare(self, spare: str, transformation: Transformation, host: str | None) -> None:
-        """Do nothing: a node that waits would run."""
+    def prepare(self, spare: str, transformation: Transformation, host: str | None) -> None:  # noqa: ARG002
+        """Configure a lifecycle node; of any other node in Python have a process wait. Do nothing for others."""
+        self.discard(spare)
+        try:
+            source = node_source(transformation)
+            ros = Ros2Unit(self._free_name(spare), source, transformation)
+            if source.kind == "external":
+                return
+            if transformation.run.lifecycle:
+                self._begin(_UnitNode(spare, ros, is_spare=True), None)
+            elif is_python(ros.program(self._folder)) and transformation.label not in self._cold:
+                self._begin_warm(spare, {port.message for port in (*ros.heard, *ros.published) if port.message})
+        except (InputError, OSError) as error:
+            self._events.append(events.SpareLost(spare, f"can't be prepared: {error}"))
 
     def discard(self, spare: str) -> None:
-        """Do nothing: nothing is prepared."""
+        node = self._nodes.get(spare)
+        if node is not None and node.is_spare:
+            del self._nodes[spare]
+            self._wires.close_inlets(spare)
+            if node.process is not None:
+                self._processes.last_words(node.process, spare)
+        if spare in self._warm:
+            self._end_warm(spare)
 
     def stop(self, unit: str) -> None:
         node = self._nodes.get(unit)
@@ -161,19 +212,20 @@ class Ros2Backend:
 
     def usage(self, unit: str) -> Usage | None:
         """What a node has used; zero if somebody else runs it."""
-        node = self._nodes.get(unit)
-        if node is None:
-            return None
-        if node.process is None:
-            return Usage(0, 0)
-        cpu, memory = cpu_us(node.process.pid), memory_bytes(node.process.pid)
-        return None if cpu is None or memory is None else Usage(cpu, memory, node.process.pid)
+        node, warm = self._nodes.get(unit), self._warm.get(unit)
+        process = warm.process if warm is not None else None if node is None else node.process
+        if process is None:
+            return None if node is None else Usage(0, 0)
+        cpu, memory = cpu_us(process.pid), memory_bytes(process.pid)
+        return None if cpu is None or memory is None else Usage(cpu, memory, process.pid)
 
     def pid(self, unit: str) -> int | None:
         node = self._nodes.get(unit)
         return None if node is None or node.process is None else node.process.pid
 
     def close(self) -> None:
+        for spare in list(self._warm):
+            self._end_warm(spare)
         for node in list(self._nodes.values()):
             if node.process is not None:
                 self._processes.last_words(node.process, node.unit)
@@ -192,25 +244,28 @@ class Ros2Backend:
         return HostLink(python, f"cfgplan_relay_{word(self.id)}", FromHost)
 
     def _attend_all(self) -> None:
-        self._names.clear()
         for node in self._nodes.values():
-            node.has_answered = False
+            node.has_answered = node.is_configured = False
             self._attend(node)
 
     def _attend(self, node: _UnitNode) -> None:
-        ros = node.ros
-        run = ros.transformation.run
-        is_again = ros.name in self._names
-        self._names.add(ros.name)
-        is_asked = run.hang_us is not None
+        ros, run = node.ros, node.ros.transformation.run
+        is_asked = run.hang_us is not None and not node.is_spare
         self._wires.tell(
-            Attend(node.unit, ros.name, ros.heard, ros.published, run.queue, ros.is_foreign, is_again, is_asked)
+            Attend(node.unit, ros.name, ros.heard, ros.published, run.queue, ros.is_foreign, is_asked, node.is_spare)
         )
 
     def _hear(self, message: object) -> None:
         match message:
             case Attended(unit) if unit in self._nodes:
                 self._note_ready(self._nodes[unit])
+            case Configured(unit) if unit in self._nodes:
+                self._nodes[unit].is_configured = True
+                usage = self.usage(unit)
+                self._events.append(events.SparePrepared(unit, 0 if usage is None else usage.cpu_us))
+            case Failed(unit, cause) if unit in self._nodes:
+                self._events.append(events.UnitPrinted(unit, f"cfgplan: {cause}"))
+                self.kill(unit)
             case Answered(unit) if unit in self._nodes:
                 self._nodes[unit].has_answered = True
                 if self._nodes[unit].is_ready:
@@ -246,37 +301,115 @@ class Ros2Backend:
         names = (first, *(f"{first}_{number}" for number in range(2, len(taken) + 3)))
         return next(name for name in names if name not in taken)
 
-    def _begin(self, node: _UnitNode) -> None:
-        """Have the helper listen for a node, and start it."""
+    def _begin(self, node: _UnitNode, spare: str | None) -> None:
+        """Have the helper listen for a node, and start it: in the process that waits for `spare`, if it may."""
         ros = node.ros
         self._nodes[node.unit] = node
         try:
             self._attend(node)
             if not ros.is_foreign:
+                self._messages |= {port.message for port in (*ros.heard, *ros.published) if port.message}
                 command = ros.command(self._folder, self.run_folder.path / f"{word(node.unit)}.yaml")
-                process = node.process = NodeProcess(command, self._environment(node), self._folder)
-                self._processes.attend(process, lambda: self._end_of(node, process), lambda: node.unit)
+                node.process = self._process(node, command, spare)
         except (InputError, OSError):
             del self._nodes[node.unit]
             raise
 
-    def _environment(self, node: _UnitNode) -> Mapping[str, str]:
-        has_number = node.ros.transformation.label not in self._unnumbered
-        profile = self._profiles.environment(word(node.unit), has_number=has_number)
-        return {**self._python.environment, **profile}
+    def _process(self, node: _UnitNode, command: list[str], spare: str | None) -> NodeProcess:
+        label = node.ros.transformation.label
+        warm = None if spare is None else self._warm.get(spare)
+        if (
+            spare is not None
+            and warm is not None
+            and warm.is_ready
+            and label not in self._cold
+            and is_python(command[0])
+        ):
+            del self._warm[spare]
+            node.was_warm = True
+            self._warm_due_s = self.now() + _WARM_S
+            if spare:
+                self._events.append(events.SpareUsed(node.unit, spare))
+            return warm.become(command, {})
+        profile = self._profiles.environment(word(node.unit), has_number=label not in self._unnumbered)
+        process = NodeProcess(command, {**self._python.environment, **profile}, self._folder)
+        self._watch(process)
+        return process
 
-    def _end_of(self, node: _UnitNode, process: NodeProcess) -> None:
+    def _begin_spare(self, unit: str, node: _UnitNode) -> None:
+        """Let a spare that is configured be a unit. It keeps its name and its topics."""
+        del self._nodes[node.unit]
+        self._events.append(events.SpareUsed(unit, node.unit))
+        self._wires.tell(Begin(node.unit, unit))
+        node.unit, node.is_spare = unit, False
+        self._nodes[unit] = node
+
+    def _watch(self, process: NodeProcess) -> None:
+        self._processes.attend(process, lambda: self._end_of(process), lambda: self._unit_of(process))
+
+    def _unit_of(self, process: NodeProcess) -> str:
+        """The unit or cold spare that a process is for."""
+        units = (node.unit for node in self._nodes.values() if node.process is process)
+        return next(units, next((spare for spare, warm in self._warm.items() if warm.process is process), ""))
+
+    def _end_of(self, process: NodeProcess) -> None:
         """Read the last lines of a process that has ended, then report its end."""
-        if not node.is_ready and not node.is_stopping:
-            self._unnumbered.add(node.ros.transformation.label)
-        self._bury(node, self._processes.last_words(process, node.unit))
+        owner = self._unit_of(process)
+        cause = self._processes.last_words(process, owner)
         clean_memory()
+        node = self._nodes.get(owner)
+        if node is None or node.process is not process:
+            self._lose_warm(owner, cause)
+            return
+        if not node.is_ready and not node.is_stopping and not node.is_spare:
+            (self._cold if node.was_warm else self._unnumbered).add(node.ros.transformation.label)
+        self._bury(node, cause)
+
+    # Processes that wait.
+
+    def _keep_warm(self) -> None:
+        """Have a process wait for any node, once nothing has been started for a while."""
+        if self._keeps_warm and "" not in self._warm and self._warm_due_s <= self.now() and self._messages:
+            self._warm_due_s = self.now() + _WARM_S
+            try:
+                self._begin_warm("", self._messages)
+            except OSError:
+                return
+
+    def _begin_warm(self, spare: str, messages: set[str]) -> None:
+        environment = {**self._python.environment, **self._profiles.environment(f"warm_{word(spare or 'run')}")}
+        python = RosPython(self._python.program, environment)
+        warm = WarmNode(self._ends, python, self._folder, messages, lambda: self._note_warm(spare))
+        self._warm[spare] = warm
+        self._watch(warm.process)
+
+    def _note_warm(self, spare: str) -> None:
+        if spare:
+            usage = self.usage(spare)
+            self._events.append(events.SparePrepared(spare, 0 if usage is None else usage.cpu_us))
+
+    def _end_warm(self, spare: str) -> None:
+        warm = self._warm.pop(spare)
+        warm.close()
+        self._processes.last_words(warm.process, spare)
+
+    def _lose_warm(self, spare: str, cause: str) -> None:
+        warm = self._warm.pop(spare, None)
+        if warm is not None:
+            warm.close()
+        if spare:
+            self._events.append(events.SpareLost(spare, cause))
 
     def _bury(self, node: _UnitNode, cause: str) -> None:
         """Forget a node that is gone, or given up."""
         del self._nodes[node.unit]
         self._wires.close_inlets(node.unit)
-        self._events.append(events.UnitStopped(node.unit) if node.is_stopping else events.UnitDied(node.unit, cause))
+        if node.is_spare:
+            self._events.append(events.SpareLost(node.unit, cause))
+        elif node.is_stopping:
+            self._events.append(events.UnitStopped(node.unit))
+        else:
+            self._events.append(events.UnitDied(node.unit, cause))
 
     def _end(self, node: _UnitNode, end: Callable[[NodeProcess], None]) -> None:
         """Call `end` with a node's process, or give up a node that somebody else runs."""

@@ -67,9 +67,12 @@ class Ros2Unit:
 
         Parameters are written to the file `parameters`, if the node has any.
         """
+        return [self.program(folder), *self.source.arguments, *self.arguments(parameters)]
+
+    def program(self, folder: Path) -> str:
+        """The file that the command runs. Raises InputError if it can't be found."""
         source = self.source
-        program = node_file(folder, source.name) if not source.package else executable(source.package, source.name)
-        return [str(program), *source.arguments, *self.arguments(parameters)]
+        return str(executable(source.package, source.name) if source.package else node_file(folder, source.name))
 
     def arguments(self, parameters: Path) -> list[str]:
         """What its command line says of names and parameters."""

@@ -8,6 +8,7 @@ from typing import Any
 
 from cfgplan_runtime.ros2.host.endpoints import Publication, Source, UnknownTypeError, message_class
 from cfgplan_runtime.ros2.host.host import Host
+from cfgplan_runtime.ros2.host.lifecycle import ACTIVE, INACTIVE, Lifecycle
 from cfgplan_runtime.ros2.host.relays import SIGN_S, Relays
 
 _LOOK_S = 0.05
@@ -21,12 +22,14 @@ _IDLE_S = 3.0
 _FOREIGN_S = 4.0
 """Seconds that the graph takes to tell of the nodes of others."""
 _MOST_MISSED = 2
+_GHOST_S = 4.0
+"""Seconds for which the graph may have the name of a node that has died: its lease is 3 s by the run's own profile."""
 _CLOCK, _SIM_TIME = "/clock", "use_sim_time"
 
 
 @dataclass(eq=False)
 class AttendedNode:
-    """A unit's node. `known` are the endpoints on its topics that were there before it: those of one that has died."""
+    """A unit's node, or a cold spare that `waits`. `gids` are its endpoints, by the last look."""
 
     unit: str
     name: str
@@ -36,8 +39,9 @@ class AttendedNode:
     begun_s: float
     sources: list[Source] = field(default_factory=list)
     publications: list[Publication] = field(default_factory=list)
-    known: set[tuple[int, ...]] = field(default_factory=set)
-    namesakes: int = 0
+    gids: set[tuple[int, ...]] = field(default_factory=set)
+    waits: bool = False
+    life: Lifecycle | None = None
     seen_s: float | None = None
     """When there was a first sign of it."""
     is_ready: bool = False
@@ -54,20 +58,21 @@ class Attendance:
         self._begun_s = time.monotonic()
         self._nodes: dict[str, AttendedNode] = {}
         self._is_looking = False
+        self._dead: set[tuple[int, ...]] = set()
+        """Endpoints of nodes that have died: the graph has them for a while."""
+        self._ghosts: dict[str, float] = {}
+        """By names of nodes that have died: until when they may still be in the graph."""
         self._forget_wires = host.handlers["CloseInlets"]
-        host.handlers.update(Attend=self._attend, CloseInlets=self._forget)
+        host.handlers.update(Attend=self._attend, CloseInlets=self._forget, Begin=self._begin)
         host.on_match = self._look
         host.waiting.later(SIGN_S, self._sign)
 
     def _attend(self, order: dict[str, Any]) -> None:
         inputs, outputs = order["inputs"], order["outputs"]
         node = AttendedNode(order["unit"], order["node"], inputs, outputs, order["is_foreign"], time.monotonic())
+        node.waits = order["waits"]
         self._nodes[node.unit] = node
         if not node.is_foreign:
-            if order["is_again"]:
-                node.namesakes = self._namesakes(node.name)
-                ends = [end for port in (*inputs, *outputs) for end in self._ends(port["topic"])]
-                node.known = {tuple(end.endpoint_gid) for end in ends}
             for port in outputs:
                 node.sources.append(self._relays.hold_source(node.unit, port["topic"], port["key"], port["message"]))
             for port in inputs:
@@ -79,11 +84,27 @@ class Attendance:
             self._make_client(node)
         self._look_again()
 
+    def _begin(self, order: dict[str, Any]) -> None:
+        """Let a cold spare be a unit."""
+        node = self._nodes.pop(order["spare"], None)
+        if node is not None:
+            self._relays.rename_holder(node.unit, order["unit"])
+            node.unit, node.waits = order["unit"], False
+            node.is_ready = False
+            self._nodes[node.unit] = node
+            self._look()
+
     def _forget(self, order: dict[str, Any]) -> None:
         node = self._nodes.pop(order["unit"], None)
-        if node is not None and node.client is not None:
-            self._host.waiting.unwatch("client", node.client.handle)
-            self._host.node.destroy_client(node.client)
+        if node is not None:
+            self._dead |= node.gids
+            if not node.is_foreign:
+                self._ghosts[node.name] = time.monotonic() + _GHOST_S
+            if node.client is not None:
+                self._host.waiting.unwatch("client", node.client.handle)
+                self._host.node.destroy_client(node.client)
+            if node.life is not None:
+                node.life.close()
         self._forget_wires(order)
 
     def _look_again(self) -> None:
@@ -110,15 +131,52 @@ class Attendance:
 
     def _look_at(self, node: AttendedNode) -> None:
         missing = self._missing(node)
-        if node.seen_s is None and (
-            len(missing) < len(node.inputs) + len(node.outputs) or self._namesakes(node.name) > node.namesakes
-        ):
+        if node.seen_s is None and (node.gids or self._has_name(node)):
             node.seen_s = time.monotonic()
-        if node.seen_s is not None and (not missing or time.monotonic() - node.seen_s > _PORTS_S):
+        if node.seen_s is None:
+            return
+        if node.life is None and f"{node.name}/change_state" in self._services():
+            node.life = Lifecycle(self._host, node.name, lambda: self._note_state(node))
+        is_late = time.monotonic() - node.seen_s > _PORTS_S
+        if node.life is not None:
+            self._lead(node, node.life)
+            if node.waits or node.life.state != ACTIVE:
+                return
+        elif node.waits:
+            if is_late:
+                self._fail(node, "is no lifecycle node: leave out `lifecycle`")
+            return
+        if not missing or is_late:
             self._note_ready(node)
 
+    def _lead(self, node: AttendedNode, life: Lifecycle) -> None:
+        """Lead a lifecycle node to where it is to be: configured if it waits, else active."""
+        if life.cause:
+            self._fail(node, life.cause)
+        elif node.waits and life.state == INACTIVE:
+            node.is_ready = True
+            self._host.say("Configured", unit=node.unit)
+        else:
+            life.go(INACTIVE if node.waits else ACTIVE)
+
+    def _note_state(self, node: AttendedNode) -> None:
+        if self._nodes.get(node.unit) is node:
+            node.seen_s = time.monotonic()  # it may make its ports only now
+            self._look()
+
+    def _fail(self, node: AttendedNode, cause: str) -> None:
+        node.is_ready = True
+        self._host.say("Failed", unit=node.unit, cause=f"{node.name} {cause}")
+
+    def _services(self) -> set[str]:
+        return {name for name, _ in self._host.node.get_service_names_and_types()}
+
+    def _has_name(self, node: AttendedNode) -> bool:
+        """Whether the graph has a node of this name that is not one that has died."""
+        return self._namesakes(node.name) > (time.monotonic() < self._ghosts.get(node.name, 0.0))
+
     def _missing(self, node: AttendedNode) -> list[str]:
-        """The topics of ports that the node does not have yet, or that have not matched."""
+        """The topics of ports that the node does not have yet, or that have not matched. Its `gids` are found too."""
         services: set[str] | None = None
         found = []
         for port in node.outputs:
@@ -126,7 +184,7 @@ class Attendance:
             if self._news(node, self._host.node.get_publishers_info_by_topic(topic)):
                 continue
             if services is None:
-                services = {name for name, _ in self._host.node.get_service_names_and_types()}
+                services = self._services()
             if topic not in services:
                 found.append(topic)
         matches = {publication.topic: publication.matches() for publication in node.publications}
@@ -139,11 +197,10 @@ class Attendance:
         return found
 
     def _news(self, node: AttendedNode, ends: list[Any]) -> bool:
-        return any(tuple(end.endpoint_gid) not in node.known and not self._host.is_own(end) for end in ends)
-
-    def _ends(self, topic: str) -> list[Any]:
-        of = self._host.node
-        return [*of.get_publishers_info_by_topic(topic), *of.get_subscriptions_info_by_topic(topic)]
+        """Whether one of the endpoints on its topics is the node's: all are, but for the helper's and the dead's."""
+        own = {tuple(end.endpoint_gid) for end in ends if not self._host.is_own(end)} - self._dead
+        node.gids |= own
+        return bool(own)
 
     def _namesakes(self, name: str) -> int:
         """How many nodes of a full name the graph has: one that has died stays in it for a while."""
@@ -182,6 +239,8 @@ class Attendance:
     def _sign(self) -> None:
         self._host.waiting.later(SIGN_S, self._sign)
         for node in list(self._nodes.values()):
+            if not node.is_foreign and len(node.gids) < len(node.inputs) + len(node.outputs):
+                self._missing(node)
             if node.is_foreign and node.is_ready:
                 node.missed = 0 if self._namesakes(node.name) else node.missed + 1
                 if node.missed == _MOST_MISSED:

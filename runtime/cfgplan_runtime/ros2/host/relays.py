@@ -126,6 +126,13 @@ class Relays:
             source.holders.discard(unit)
             self._drop_unused(source)
 
+    def rename_holder(self, old: str, new: str) -> None:
+        """A spare is a unit from now on."""
+        ends: list[Source | Publication] = [*self._sources.values(), *self._publications.values()]
+        for end in ends:
+            if old in end.holders:
+                end.holders = end.holders - {old} | {new}
+
     def look(self) -> None:
         """Look for publishers and subscriptions on all topics, and open endpoints whose types are known now."""
         ends: list[Source | Publication] = [*self._sources.values(), *self._publications.values()]

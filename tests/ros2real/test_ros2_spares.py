@@ -1,0 +1,167 @@
+"""Cold spares of ROS 2 nodes: lifecycle nodes are configured and wait, other nodes begin in a process that waits."""
+
+from __future__ import annotations
+
+import os
+import queue
+import signal
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from itertools import islice
+
+import psutil
+import pytest
+from cfgplan_runtime import ApplyError, Runtime
+from cfgplan_runtime.ros2.ros2_backend import Ros2Backend
+from cfgplan_runtime.supervision.events import Event, SpareLost, SparePrepared, SpareUsed, UnitDied, UnitPrinted
+from operated_world import PATIENCE_S, eventually
+from ros2_words import NODES, Observer, observing
+
+from cfgplan.domain import (
+    ChangeSet,
+    ComputationUnit,
+    InputPort,
+    OutputPort,
+    Publication,
+    RunOptions,
+    Stream,
+    Subscription,
+    Target,
+    Transformation,
+)
+
+STRING = "std_msgs/String"
+TALKER = Transformation(
+    "talker",
+    (),
+    (OutputPort("words", "Word", remap="chatter", type=STRING),),
+    source="node:./talking.py talker",
+    params={"rate": 100, "first": 1000},
+)
+WORKER = Transformation(
+    "worker",
+    (InputPort("quiet", "Word", type=STRING),),
+    (OutputPort("loud", "LoudWord", remap="~loud", type=STRING),),
+    source="node:./talking.py worker",
+    run=RunOptions(lifecycle=True),
+    standby_us=1,
+)
+SHOUTER = replace(WORKER, label="shouter", source="node:./talking.py shouter", run=RunOptions())
+SHOUT = Target("shout", "LoudWord", "/shout")
+
+
+@pytest.fixture
+def observer() -> Iterator[Observer]:
+    with observing() as observer:
+        yield observer
+
+
+@pytest.fixture
+def runtime() -> Iterator[Runtime]:
+    with Runtime(backend=lambda: Ros2Backend(folder=NODES.parent)) as runtime:
+        yield runtime
+
+
+@pytest.fixture
+def told(runtime: Runtime) -> Callable[[type[Event]], Event]:
+    """The next event of a kind that is told."""
+    heard: queue.SimpleQueue[Event] = queue.SimpleQueue()
+    runtime.listen(heard.put)
+
+    def next_of(kind: type[Event]) -> Event:
+        return next(event for event in iter(lambda: heard.get(timeout=PATIENCE_S), None) if isinstance(event, kind))
+
+    return next_of
+
+
+def worker(of: str) -> ComputationUnit:
+    feeds = (Subscription("quiet", Stream("talker.1", "words")),)
+    return ComputationUnit(of, of.partition(".")[0], feeds, (Publication("loud", "/shout"),))
+
+
+def begin(runtime: Runtime, transformation: Transformation) -> None:
+    started = (ComputationUnit("talker.1", "talker"), worker(f"{transformation.label}.1"))
+    runtime.apply(ChangeSet(started, added_transformations=(TALKER, transformation), added_targets=(SHOUT,)))
+
+
+def processes(word: str) -> set[int]:
+    """Children whose command line has this word."""
+    found = set()
+    for child in psutil.Process().children(recursive=True):
+        if child.status() != psutil.STATUS_ZOMBIE and any(word in part for part in child.cmdline()):
+            found.add(child.pid)
+    return found
+
+
+def test_a_lifecycle_node_is_configured_and_activated(runtime: Runtime, observer: Observer) -> None:
+    begin(runtime, WORKER)
+    numbers = [int(shout.removesuffix("!")) for shout in islice(observer.listen("/shout"), 20)]
+    assert numbers == list(range(numbers[0], numbers[0] + 20))
+
+
+def test_a_lifecycle_node_that_can_not_be_configured_is_told_of(
+    runtime: Runtime, told: Callable[[type[Event]], Event]
+) -> None:
+    with pytest.raises(ApplyError, match="died"):
+        begin(runtime, replace(WORKER, params={"lame": True}))
+    line = told(UnitPrinted)
+    while "does not let itself be configured: it is unconfigured" not in str(line):
+        line = told(UnitPrinted)
+
+
+@pytest.mark.parametrize("transformation", [WORKER, SHOUTER], ids=["lifecycle", "warm"])
+def test_a_spare_waits_and_is_the_unit_that_replaces_another(
+    transformation: Transformation, runtime: Runtime, observer: Observer, told: Callable[[type[Event]], Event]
+) -> None:
+    label = transformation.label
+    begin(runtime, transformation)
+    shouts = observer.listen("/shout")
+    next(shouts)
+    runtime.apply(ChangeSet((ComputationUnit(f"{label}.2", label, standby=True),)))
+    prepared = told(SparePrepared)
+    assert isinstance(prepared, SparePrepared)
+    assert prepared.unit == f"{label}.2"
+    assert prepared.labor_us > 0
+    waiting = processes("__node:=worker_2" if transformation is WORKER else "warm.py")
+    os.kill(runtime.pid(f"{label}.1") or 0, signal.SIGKILL)
+    told(UnitDied)
+    runtime.apply(ChangeSet((worker(f"{label}.3"),)))
+    assert told(SpareUsed) == SpareUsed(f"{label}.3", f"{label}.2")
+    assert runtime.pid(f"{label}.3") in waiting
+    reached = max(int(shout.removesuffix("!")) for shout in islice(shouts, 100))
+    assert reached < int(next(shouts).removesuffix("!")), "the words go on"
+
+
+def test_a_spare_that_dies_is_told_and_one_that_is_not_wanted_ends(
+    runtime: Runtime, told: Callable[[type[Event]], Event]
+) -> None:
+    begin(runtime, WORKER)
+    runtime.apply(ChangeSet((ComputationUnit("worker.2", "worker", standby=True),)))
+    told(SparePrepared)
+    (waiting,) = processes("__node:=worker_2")
+    os.kill(waiting, signal.SIGKILL)
+    lost = told(SpareLost)
+    assert isinstance(lost, SpareLost)
+    assert (lost.unit, lost.cause) == ("worker.2", "killed by SIGKILL")
+    told(SparePrepared)
+    runtime.apply(ChangeSet(stopped=("worker.2",)))
+    eventually(lambda: not processes("__node:=worker_2"))
+
+
+def test_a_process_waits_for_any_node_and_has_its_parameters_and_names(
+    runtime: Runtime, observer: Observer, told: Callable[[type[Event]], Event]
+) -> None:
+    begin(runtime, SHOUTER)
+    shouts = observer.listen("/shout")
+    eventually(lambda: "_cfgplan_warm" in " ".join(observer.look()["nodes"]))
+    waiting = processes("warm.py")
+    os.kill(runtime.pid("talker.1") or 0, signal.SIGKILL)
+    told(UnitDied)
+    runtime.apply(ChangeSet((ComputationUnit("talker.2", "talker"),), rewired=(fed_by("talker.2"),)))
+    assert runtime.pid("talker.2") in waiting
+    assert "/talker_2" in observer.look()["nodes"]
+    assert next(number for number in (int(shout.removesuffix("!")) for shout in shouts) if number < 1050) >= 1000
+
+
+def fed_by(talker: str) -> ComputationUnit:
+    return replace(worker("shouter.1"), subscriptions=(Subscription("quiet", Stream(talker, "words")),))
