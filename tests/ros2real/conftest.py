@@ -5,19 +5,39 @@ CFGPLAN_TEST_ROS2 is a venv with the Jazzy wheels; `.ci/run` makes one in the ca
 
 from __future__ import annotations
 
+import fcntl
 import os
 import sys
+import tempfile
+from contextlib import suppress
 from pathlib import Path
+from typing import TextIO
 
 import pytest
 from ros2_venv import PYTHON, lacks_ros
 
 sys.path.append(str(Path(__file__).parents[1] / "operating"))
 sys.path.append(str(Path(__file__).parents[2] / "models" / "nao"))
-_FIRST_DOMAIN = 40
+_DOMAINS = range(20, 100)
 
 
 LACKS_ROS = lacks_ros()
+
+
+def _own_domain() -> int:
+    """A domain that no other process of tests on this computer uses as long as this one runs."""
+    for domain in _DOMAINS:
+        lock = (Path(tempfile.gettempdir()) / f"cfgplan-test-domain-{domain}").open("w")
+        with suppress(BlockingIOError):
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            _held.append(lock)
+            return domain
+        lock.close()
+    raise RuntimeError("every domain is in use")
+
+
+_held: list[TextIO] = []
+_DOMAIN = 0 if LACKS_ROS else _own_domain()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -31,8 +51,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def surroundings(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in [name for name in os.environ if name.startswith(("ROS_", "FASTRTPS_", "FASTDDS_"))]:
         monkeypatch.delenv(name)
-    worker = os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(_FIRST_DOMAIN + int(worker)))
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(_DOMAIN))
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path_factory.mktemp("log")))
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))

@@ -109,9 +109,21 @@ def observing() -> Iterator[Observer]:
 
 
 def pid_of(run: subprocess.Popen[str], what: str) -> int:
-    """The child of a run whose command line has a word; 0 if there is none."""
+    """The child of a run whose command line has a word; 0 if there is none.
+
+    A node `__node:=NAME` that has begun in a process that waited has that name instead, as far as the system keeps it.
+    """
+    name = what.removeprefix("__node:=")[:15]
     children = psutil.Process(run.pid).children(recursive=True)
-    return next((one.pid for one in children if what in command_of(one)), 0)
+    return next((one.pid for one in children if what in command_of(one) or name_of(one) == name), 0)
+
+
+def name_of(process: psutil.Process) -> str:
+    """The name that a process has given itself; "" if it has ended."""
+    try:
+        return process.name() if process.status() != psutil.STATUS_ZOMBIE else ""
+    except psutil.NoSuchProcess:
+        return ""
 
 
 def command_of(process: psutil.Process) -> list[str]:

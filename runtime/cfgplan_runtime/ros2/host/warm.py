@@ -20,7 +20,8 @@ from typing import Any
 import rclpy
 import rclpy.node
 
-_ROS_ARGS = "--ros-args"
+_ROS_ARGS, _NAME = "--ros-args", "__node:="
+_PR_SET_NAME = 15
 
 
 class _Begun(AbstractContextManager["_Begun"]):
@@ -40,6 +41,14 @@ def load(kind: str) -> None:
         type(of).__import_type_support__()
 
 
+def show_name(name: str) -> None:
+    """Have `top` and `ps -o comm` show a node's name."""
+    if sys.platform == "linux":
+        import ctypes
+
+        ctypes.CDLL(None).prctl(_PR_SET_NAME, name.encode())
+
+
 def become(command: list[str]) -> None:
     """Run a program as if it had been started by this command. Its names and parameters hold for all of its nodes."""
     begin, make = rclpy.init, rclpy.node.Node.__init__
@@ -53,6 +62,7 @@ def become(command: list[str]) -> None:
         make(self, *args, cli_args=[*(cli_args or []), *own], **options)
 
     rclpy.init, rclpy.node.Node.__init__ = init, make_node
+    show_name(next((word.partition(_NAME)[2] for word in own if word.startswith(_NAME)), ""))
     sys.argv = command
     sys.path[0] = os.path.dirname(os.path.realpath(command[0]))  # noqa: PTH120
     runpy.run_path(command[0], run_name="__main__")
