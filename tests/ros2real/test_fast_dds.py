@@ -6,6 +6,7 @@ import fcntl
 import os
 import re
 import socket
+import threading
 import time
 from itertools import pairwise
 from pathlib import Path
@@ -62,3 +63,23 @@ def test_only_memory_without_a_living_owner_is_removed(tmp_path: Path) -> None:
         clean_memory(tmp_path)
         left = {path.name for path in tmp_path.iterdir()}
     assert left == {"fastrtps_ab12", "fastrtps_ab12_el", "fastrtps_new", "other"}
+
+
+def test_memory_may_vanish_while_others_look_at_it(tmp_path: Path) -> None:
+    """Several runs clean at once."""
+    done = threading.Event()
+
+    def churn() -> None:
+        while not done.is_set():
+            for number in range(20):
+                (tmp_path / f"fastrtps_{number}_el").touch()
+                (tmp_path / f"fastrtps_{number}_el").unlink()
+
+    others = threading.Thread(target=churn)
+    others.start()
+    try:
+        for _ in range(300):
+            clean_memory(tmp_path)
+    finally:
+        done.set()
+        others.join()

@@ -33,7 +33,7 @@ def test_nodes_are_started_connected_and_stopped_and_nothing_is_left(env: Path) 
         numbers = [int(word.removesuffix("!")) for word in islice(shouts, 20)]
         assert numbers == list(range(numbers[0], numbers[0] + 20))
         assert numbers[0] >= 1000, "the parameter was taken"
-        assert {"/talker_1", "/shouter_1"} <= set(observer.look()["nodes"])
+        eventually(lambda: {"/talker_1", "/shouter_1"} <= set(observer.look()["nodes"]))
         children = psutil.Process(process.pid).children(recursive=True)
         assert any("talking.py" in " ".join(child.cmdline()) for child in children)
         process.terminate()

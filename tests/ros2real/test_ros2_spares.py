@@ -57,8 +57,18 @@ def observer() -> Iterator[Observer]:
 
 
 @pytest.fixture
-def runtime() -> Iterator[Runtime]:
-    with Runtime(backend=lambda: Ros2Backend(folder=NODES.parent)) as runtime:
+def backends() -> list[Ros2Backend]:
+    """The backend that is made."""
+    return []
+
+
+@pytest.fixture
+def runtime(backends: list[Ros2Backend]) -> Iterator[Runtime]:
+    def make() -> Ros2Backend:
+        backends.append(Ros2Backend(folder=NODES.parent))
+        return backends[0]
+
+    with Runtime(backend=make) as runtime:
         yield runtime
 
 
@@ -149,17 +159,17 @@ def test_a_spare_that_dies_is_told_and_one_that_is_not_wanted_ends(
 
 
 def test_a_process_waits_for_any_node_and_has_its_parameters_and_names(
-    runtime: Runtime, observer: Observer, told: Callable[[type[Event]], Event]
+    runtime: Runtime, backends: list[Ros2Backend], observer: Observer, told: Callable[[type[Event]], Event]
 ) -> None:
     begin(runtime, SHOUTER)
     shouts = observer.listen("/shout")
-    eventually(lambda: "_cfgplan_warm" in " ".join(observer.look()["nodes"]))
+    eventually(lambda: backends[0].has_warm)
     waiting = processes("warm.py")
     os.kill(runtime.pid("talker.1") or 0, signal.SIGKILL)
     told(UnitDied)
     runtime.apply(ChangeSet((ComputationUnit("talker.2", "talker"),), rewired=(fed_by("talker.2"),)))
     assert runtime.pid("talker.2") in waiting
-    assert "/talker_2" in observer.look()["nodes"]
+    eventually(lambda: "/talker_2" in observer.look()["nodes"])
     assert next(number for number in (int(shout.removesuffix("!")) for shout in shouts) if number < 1050) >= 1000
 
 

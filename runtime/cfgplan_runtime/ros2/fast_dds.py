@@ -9,6 +9,7 @@ import time
 from collections.abc import Mapping
 from contextlib import suppress
 from itertools import chain
+from math import inf
 from pathlib import Path
 
 _FILE_VARIABLES = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
@@ -87,7 +88,7 @@ def clean_memory(folder: Path = _MEMORY) -> None:
         locks = [folder / f"{name}_el", folder / f"{name}_sl"]
         paths = [folder / name, folder / f"sem.{name}_mutex", *locks]
         with suppress(OSError):
-            changed_s = max(path.stat().st_mtime for path in paths if path.exists())
+            changed_s = max((path.stat().st_mtime for path in paths if path.exists()), default=inf)
             if time.time() - changed_s > _YOUNG_S and not any(_is_held(lock) for lock in locks if lock.exists()):
                 for path in paths:
                     path.unlink(missing_ok=True)

@@ -95,6 +95,11 @@ class Ros2Backend:
     def id(self) -> str:
         return self.run_folder.id
 
+    @property
+    def has_warm(self) -> bool:
+        """Whether a process waits for any node."""
+        return "" in self._warm and self._warm[""].is_ready
+
     def found(self) -> None:
         return None
 
