@@ -19,28 +19,31 @@ def env(tmp_path: Path) -> Path:
     return write_words(tmp_path)
 
 
-def ports_in_memory() -> list[str]:
+def ports_in_memory() -> set[str]:
     """The files of shared memory that Fast DDS has for this domain."""
     first = 7400 + 250 * int(os.environ["ROS_DOMAIN_ID"])
     memory = Path("/dev/shm")
-    return [str(path) for port in range(first, first + 250) for path in memory.glob(f"*fastrtps_port{port}*")]
+    return {str(path) for port in range(first, first + 250) for path in memory.glob(f"*fastrtps_port{port}*")}
 
 
 def test_nodes_are_started_connected_and_stopped_and_nothing_is_left(env: Path) -> None:
-    with observing() as observer, running("--middleware", "ros2", env) as process:
-        shouts = observer.listen("/shout")
-        await_event(process, "Running")
-        numbers = [int(word.removesuffix("!")) for word in islice(shouts, 20)]
-        assert numbers == list(range(numbers[0], numbers[0] + 20))
-        assert numbers[0] >= 1000, "the parameter was taken"
-        eventually(lambda: {"/talker_1", "/shouter_1"} <= set(observer.look()["nodes"]))
-        children = psutil.Process(process.pid).children(recursive=True)
-        assert any("talking.py" in " ".join(child.cmdline()) for child in children)
-        process.terminate()
-        process.communicate()
-    assert process.returncode == 0
-    eventually(lambda: not any(child.is_running() for child in children))
-    assert not ports_in_memory()
+    with observing() as observer:
+        observer.look()
+        before = ports_in_memory()
+        with running("--middleware", "ros2", env) as process:
+            shouts = observer.listen("/shout")
+            await_event(process, "Running")
+            numbers = [int(word.removesuffix("!")) for word in islice(shouts, 20)]
+            assert numbers == list(range(numbers[0], numbers[0] + 20))
+            assert numbers[0] >= 1000, "the parameter was taken"
+            eventually(lambda: {"/talker_1", "/shouter_1"} <= set(observer.look()["nodes"]))
+            children = psutil.Process(process.pid).children(recursive=True)
+            assert any("talking.py" in " ".join(child.cmdline()) for child in children)
+            process.terminate()
+            process.communicate()
+        assert process.returncode == 0
+        eventually(lambda: not any(child.is_running() for child in children))
+        assert ports_in_memory() <= before
 
 
 def test_nothing_is_left_of_a_run_that_is_killed(env: Path) -> None:
