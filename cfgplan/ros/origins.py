@@ -10,16 +10,21 @@ from cfgplan.errors import InputError
 from cfgplan.ros.graph import RosGraph, merged
 from cfgplan.ros.launch_files import launch_graph
 from cfgplan.ros.master import master_graph
+from cfgplan.ros.pasted import is_pasted, pasted_graph
 from cfgplan.ros.recordings import is_recording, recorded_graph
 from cfgplan.ros.ros2_launch_files import XML_FILES, YAML_FILES, ros2_launch_graph
 from cfgplan.ros.router import router_graph
 from cfgplan.ros.sources import REMAPS
 
 LIVE = "live"
-ROS1_SOURCES = "`live`, the address of a master such as http://localhost:11311, a bag, or a launch file"
+ROS1_SOURCES = (
+    "`live`, the address of a master such as http://localhost:11311, a bag, a launch file, or text (.txt) of "
+    "`rosnode info`; `-` is standard input"
+)
 ROS2_SOURCES = (
-    "`live`, the endpoint of a Zenoh router such as tcp/localhost:7447, a bag, or a launch file in XML or YAML; "
-    "launch files in Python are programs: start them, and name `live`"
+    "`live`, the endpoint of a Zenoh router such as tcp/localhost:7447, a bag, a launch file in XML or YAML, or text "
+    "(.txt) of `ros2 node info` and `ros2 topic info -v`; `-` is standard input; launch files in Python are programs: "
+    "start them, and name `live`"
 )
 _LAUNCH_FILES = (".launch", ".xml", ".test")
 _ENDPOINT = re.compile(r"(tcp|udp|tls|quic|ws|unixsock-stream)/\S+")
@@ -53,6 +58,8 @@ def _merged(
 def _ros1(source: str, arguments: Mapping[str, str]) -> RosGraph:
     if source == LIVE or "://" in source:
         return master_graph(None if source == LIVE else source)
+    if is_pasted(source):
+        return pasted_graph(source, 1)
     if Path(source).suffix in _LAUNCH_FILES and Path(source).is_file():
         return launch_graph(Path(source), arguments)
     return _file(Path(source), ROS1_SOURCES)
@@ -63,6 +70,8 @@ def _ros2(source: str, arguments: Mapping[str, str], live: Callable[[], RosGraph
         return live()
     if _ENDPOINT.fullmatch(source):
         return router_graph(source)
+    if is_pasted(source):
+        return pasted_graph(source, 2)
     path = Path(source)
     if path.suffix == ".py":
         mend = "start it, and name `live`: it is a program, and only running it tells what it starts"
