@@ -13,6 +13,7 @@ from rclpy.lifecycle import LifecycleNode, State, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import String
+from std_srvs.srv import Trigger
 
 TICKS_PER_S = 100
 DEEP = QoSProfile(depth=1000)
@@ -107,6 +108,34 @@ class Worker(LifecycleNode):
         return super().on_configure(state)
 
 
+class Oracle(Node):
+    """Answers with its name, `called`."""
+
+    def __init__(self) -> None:
+        super().__init__("oracle")
+        self.create_service(Trigger, "~/ask", self.answer)
+        self.called = self.declare_parameter("called", "").value
+
+    def answer(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
+        answer.message = self.called
+        return answer
+
+
+class Asker(Node):
+    """Asks again and again, and says who has answered."""
+
+    def __init__(self) -> None:
+        super().__init__("asker")
+        self.answers = self.create_publisher(String, "answers", DEEP)
+        self.client = self.create_client(Trigger, "oracle")
+        self.create_timer(0.02, self.ask)
+
+    def ask(self) -> None:
+        if self.client.service_is_ready():
+            call = self.client.call_async(Trigger.Request())
+            call.add_done_callback(lambda call: self.answers.publish(String(data=call.result().message)))
+
+
 class Mute(Node):
     def __init__(self) -> None:
         sys.exit("has no voice")
@@ -114,7 +143,7 @@ class Mute(Node):
 
 def main() -> None:
     rclpy.init()
-    kinds = (Talker, Whisperer, Shouter, Eager, Clock, Mapper, Worker, Mute)
+    kinds = (Talker, Whisperer, Shouter, Eager, Clock, Mapper, Worker, Oracle, Asker, Mute)
     node = {each.__name__.lower(): each for each in kinds}[sys.argv[1]]()
     with suppress(KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
         rclpy.spin(node)

@@ -124,6 +124,34 @@ def test_an_input_that_takes_several_streams_hears_all_of_them(runtime: Runtime,
             break
 
 
+def test_calls_of_a_service_go_to_the_node_that_offers_it_now(runtime: Runtime, observer: Observer) -> None:
+    asker = Transformation(
+        "asker",
+        (InputPort("oracle", "Oracle", service=True),),
+        (OutputPort("answers", "Answer"),),
+        source="node:./talking.py asker",
+    )
+    library = (asker, oracle("first"), oracle("second"))
+    asking = ComputationUnit("asker.1", "asker", (asks("first.1"),), (Publication("answers", "/answers"),))
+    target = Target("answers", "Answer", "/answers")
+    started = (ComputationUnit("first.1", "first"), asking)
+    runtime.apply(ChangeSet(started, added_transformations=library, added_targets=(target,)))
+    answers = observer.listen("/answers")
+    assert "first" in islice(answers, 500)
+    rewired = replace(asking, subscriptions=(asks("second.1"),))
+    runtime.apply(ChangeSet((ComputationUnit("second.1", "second"),), rewired=(rewired,), stopped=("first.1",)))
+    assert "second" in islice(answers, 500)
+
+
+def asks(provider: str) -> Subscription:
+    return Subscription("oracle", Stream(provider, "ask"))
+
+
+def oracle(label: str) -> Transformation:
+    ask = OutputPort("ask", "Oracle", remap="~ask", type="std_srvs/srv/Trigger")
+    return Transformation(label, (), (ask,), source="node:./talking.py oracle", params={"called": label})
+
+
 def test_what_is_said_once_for_all_comes_later_too(runtime: Runtime, observer: Observer) -> None:
     """A latched message reaches late listeners, topics that are led there later, and who changes its source."""
     first, second = talker("a", 1, "mapper"), talker("b", 2, "mapper")

@@ -73,7 +73,7 @@ class Attendance:
         node.waits = order["waits"]
         self._nodes[node.unit] = node
         if not node.is_foreign:
-            for port in outputs:
+            for port in (one for one in outputs if _is_topic(one)):
                 node.sources.append(self._relays.hold_source(node.unit, port["topic"], port["key"], port["message"]))
             for port in inputs:
                 held = self._relays.hold_publication(
@@ -264,3 +264,8 @@ class Attendance:
         if header is not None:
             node.is_asked = False
             self._host.say("Answered", unit=node.unit)
+
+
+def _is_topic(port: dict[str, Any]) -> bool:
+    """Whether a port may be a topic: its type, if the file says it, is not that of a service or an action."""
+    return port["message"] is None or "/msg/" in port["message"]

@@ -11,6 +11,7 @@ from typing import Any
 from cfgplan_runtime.ros2.host.endpoints import Publication, Sample, Source, UnknownTypeError
 from cfgplan_runtime.ros2.host.host import Host
 from cfgplan_runtime.ros2.host.qos import Quality, mended
+from cfgplan_runtime.ros2.host.services import LedService
 from cfgplan_runtime.streams.element import Element, Moment
 from cfgplan_runtime.streams.inlet import InputQueue
 from cfgplan_runtime.streams.meter import Meter
@@ -88,6 +89,12 @@ class Relays:
         self._inlets: dict[str, LedInlet] = {}
         self._publications: dict[str, Publication] = {}
         self._meters: dict[str, Meter] = {}
+        self._services: dict[str, LedService] = {}
+        """By the name that callers know."""
+        self._service_of: dict[int, dict[str, Any]] = {}
+        """The orders of wires that lead services."""
+        self._waiting_services: dict[int, dict[str, Any]] = {}
+        """Orders to lead services that nobody offers yet, by wire."""
         self._remembered: dict[str, Quality] = {}
         self._refused: set[tuple[str, str]] = set()
         host.handlers.update(
@@ -140,10 +147,47 @@ class Relays:
             self._look_at(end)
         for inlet in list(self._inlets.values()):
             self._tell_switch(inlet)
+        waiting, self._waiting_services = self._waiting_services, {}
+        for order in waiting.values():
+            self._lead_service(order)
 
     # What the run asks.
 
+    def _lead_service(self, order: dict[str, Any]) -> None:
+        """Have calls of a service answered by another one, once its type is known."""
+        found = dict(self._host.node.get_service_names_and_types())
+        kind = next(iter(found.get(order["source"], ())), None)
+        if kind is None:
+            self._waiting_services[order["wire"]] = order
+            return
+        try:
+            led = self._services.get(order["target"]) or LedService(self._host, order["target"], kind)
+        except UnknownTypeError as error:
+            self._refuse(order["target"], str(error))
+            return
+        self._services[order["target"]] = led
+        led.lead(order["source"])
+        self._service_of[order["wire"]] = order
+        self._host.say("Switched", port=order["inlet"], wire=order["wire"])
+
+    def _end_service(self, wire: int, *, drains: bool) -> None:
+        self._waiting_services.pop(wire, None)
+        order = self._service_of.pop(wire, None)
+        if order is not None and drains and self._services[order["target"]].source == order["source"]:
+            self._host.say("Lost", port=order["inlet"], wire=wire)
+
+    def _close_services(self, unit: str) -> None:
+        for wire, order in list(self._service_of.items()):
+            if order["unit"] == unit:
+                del self._service_of[wire]
+                led = self._services.pop(order["target"], None)
+                if led is not None:
+                    led.close()
+
     def _lead(self, order: dict[str, Any]) -> None:
+        if order["is_service"]:
+            self._lead_service(order)
+            return
         if order["inlet"] not in self._inlets:
             publication = self._publication(order["target"], is_own=False)
             publication.holders.add(order["inlet"])
@@ -162,6 +206,7 @@ class Relays:
 
     def _end(self, wire: int, *, drains: bool) -> None:
         if wire not in self._wires:
+            self._end_service(wire, drains=drains)
             return
         source, inlet = self._wires[wire]
         if drains:
@@ -184,6 +229,7 @@ class Relays:
         self._close_inlet(order["topic"])
 
     def _close_inlets(self, order: dict[str, Any]) -> None:
+        self._close_services(order["unit"])
         for name in [name for name, inlet in self._inlets.items() if inlet.unit == order["unit"]]:
             self._close_inlet(name)
         for publication in list(self._publications.values()):
