@@ -29,11 +29,11 @@ _SECTIONS1: dict[str, tuple[Role, TypeKind]] = {
     "Publications": (Role.PUBLISHES, "msg"),
     "Services": (Role.SERVES, "srv"),
 }
-_ENDPOINTS = {"PUBLISHER": Role.PUBLISHES, "SUBSCRIPTION": Role.SUBSCRIBES}
-_PORT = re.compile(r"(/[^\s:]+):\s+(\S+)")
+_ENDPOINT_ROLES = {"PUBLISHER": Role.PUBLISHES, "SUBSCRIPTION": Role.SUBSCRIBES}
+_PORT_LINE = re.compile(r"(/[^\s:]+):\s+(\S+)")
 _PORT1 = re.compile(r"\*\s+(/\S+)(?:\s+\[(.*)\])?")
-_COMMAND = re.compile(r"(?:.*\s)?ros2\s+topic\s+info\b.*?\s(/\S+).*")
-_FIELD = re.compile(r"([A-Z][\w /()]*?):\s*(.*)")
+_TOPIC_INFO = re.compile(r"(?:.*\s)?ros2\s+topic\s+info\b.*?\s(/\S+).*")
+_FIELD_LINE = re.compile(r"([A-Z][\w /()]*?):\s*(.*)")
 _SECONDS = re.compile(r"(\d+)\s+nanoseconds?")
 _NEVER_NS = 9_000_000_000_000_000_000
 """Times from here on stand for none: DDS writes what is infinite as the largest number it has."""
@@ -84,7 +84,7 @@ class _Pasted:
         return replace(merged(RosGraph((node,)) for node in self._nodes), sources=(f"the text {self._name}",))
 
     def of_ros2(self, line: str) -> None:
-        if command := _COMMAND.fullmatch(line):
+        if command := _TOPIC_INFO.fullmatch(line):
             self._end()
             self._topic, self._is_topic = command[1], False
         elif re.fullmatch(r"/[\w/]*\w", line):
@@ -99,8 +99,8 @@ class _Pasted:
             self._node, self._section, self._is_topic = None, None, True
             self._fields = {"Type": line.removeprefix("Type:").strip()}
         elif self._section is not None and line.startswith("/"):
-            self._port(_PORT.fullmatch(line), "`/name: package/msg/Type`", self._section[1])
-        elif self._is_topic and (field := _FIELD.fullmatch(line)):
+            self._port(_PORT_LINE.fullmatch(line), "`/name: package/msg/Type`", self._section[1])
+        elif self._is_topic and (field := _FIELD_LINE.fullmatch(line)):
             self._field(field[1], field[2])
 
     def of_ros1(self, line: str) -> None:
@@ -159,7 +159,7 @@ class _Pasted:
             mend = "paste the command too: a line `ros2 topic info -v /TOPIC` above what it prints"
             self._fault("the topic of this endpoint is not told", mend, begin)
             return
-        role = _ENDPOINTS.get(said.get("Endpoint type", ""))
+        role = _ENDPOINT_ROLES.get(said.get("Endpoint type", ""))
         if role is None:
             self._fault("this endpoint says not whether it publishes", "paste its `Endpoint type:` too", begin)
             return

@@ -10,6 +10,11 @@ from cfgplan.errors import InputError
 from cfgplan.ros.graph import Role, RosNode, RosPort, node_port, resolved
 from cfgplan.ros.types import MessageType, TypeKind
 
+BROADCASTERS = {"TransformBroadcaster": "/tf", "StaticTransformBroadcaster": "/tf_static"}
+"""Classes whose objects publish transforms, and their topics."""
+MOST_STEPS = 25
+"""How many names may stand for each other before a name counts as computed."""
+
 
 @dataclass(frozen=True, slots=True)
 class Parameter:

@@ -11,7 +11,17 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from cfgplan.ros.code.code_ports import CodeName, CodePort, CodeReading, Parameter, Place, action_ports, type_of
+from cfgplan.ros.code.code_ports import (
+    BROADCASTERS,
+    MOST_STEPS,
+    CodeName,
+    CodePort,
+    CodeReading,
+    Parameter,
+    Place,
+    action_ports,
+    type_of,
+)
 from cfgplan.ros.code.cpp_tokens import CppFile
 from cfgplan.ros.graph import Role
 from cfgplan.ros.types import MessageType, TypeKind
@@ -40,7 +50,6 @@ _ENDS = {
     "ActionClient": Role.CALLS,
 }
 """Classes whose objects are ports; actions are the roles of services."""
-_BROADCASTERS = {"TransformBroadcaster": "/tf", "StaticTransformBroadcaster": "/tf_static"}
 _TRANSFORMS = MessageType("tf2_msgs", "TFMessage")
 _IMAGE, _INFO = MessageType("sensor_msgs", "Image"), MessageType("sensor_msgs", "CameraInfo")
 _HANDLES = {
@@ -58,7 +67,6 @@ _PRIVATE = re.compile(r"priv|pnh|^pn_?$|local_n|^n_?p(riv)?_?$|_p$", re.IGNORECA
 """Names of parameters of functions that are private handles."""
 _POINTER = re.compile(r"(?:::)?(?:Const)?(?:Ptr|SharedPtr|UniquePtr|ConstSharedPtr|ConstPtr)$")
 _READ = ("param", "getParam", "get_parameter", "get_parameter_or", "declare_parameter", "get", "getParamCached")
-_MOST_STEPS = 25
 _LONGEST = 200
 """How many tokens an argument may have that is followed."""
 _Spot: TypeAlias = tuple[CppFile, range]
@@ -106,7 +114,7 @@ class _Sources:
                 for at in file.places.get(word, ()):
                     if file.word(at - 2) == "rclcpp_action":
                         yield from self._action2(file, at, is_server=word == "create_server")
-            for word, topic in _BROADCASTERS.items():
+            for word, topic in BROADCASTERS.items():
                 for at in file.places.get(word, ()):
                     if file.word(at - 2) in ("tf", "tf2_ros") and file.sign(at + 1) != ";":
                         yield CodePort(Role.PUBLISHES, (topic,), _TRANSFORMS, self._place(file, at))
@@ -341,7 +349,7 @@ class _Sources:
     def _namespace(self, file: CppFile, places: range, steps: int) -> str | None:
         """The namespace of the handle that an expression is; None if it is none, or computed."""
         places = _bare(file, places)
-        if not len(places) or steps > _MOST_STEPS or len(places) > _LONGEST:
+        if not len(places) or steps > MOST_STEPS or len(places) > _LONGEST:
             return None
         last = file.word(places.stop - 1)
         if len(places) == 1 or file.sign(places.stop - 2) in (".", "->", "::"):
@@ -404,7 +412,7 @@ class _Sources:
         self, file: CppFile, at: int, word: str, steps: int, meaning: Callable[[_Found, int], str | None]
     ) -> str | None:
         """The one meaning of all values of a word at a place; None if they differ."""
-        if not word or steps > _MOST_STEPS:
+        if not word or steps > MOST_STEPS:
             return None
         near = self._nearest(file, at, word)
         told = {meaning(each, steps + 1) for each in near}
@@ -569,7 +577,7 @@ class _Sources:
     def _name(self, file: CppFile, places: range, steps: int) -> CodeName | None:
         """The parts of a text that an expression makes; None if it is computed."""
         places = _bare(file, places)
-        if not len(places) or steps > _MOST_STEPS or len(places) > _LONGEST:
+        if not len(places) or steps > MOST_STEPS or len(places) > _LONGEST:
             return None
         pieces = _split(file, places, "+")
         if len(pieces) > 1:

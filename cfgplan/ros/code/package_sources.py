@@ -26,7 +26,7 @@ MOST_FILES = 2000
 """Files of a package that are looked at."""
 MOST_OF_A_NODE = 60
 """Source files that are read for one node."""
-_COMMAND = re.compile(r"([A-Za-z_]\w*)\s*\(((?:[^()\"]|\"(?:[^\"\\]|\\.)*\"|\([^()]*\))*)\)")
+_CMAKE_COMMAND = re.compile(r"([A-Za-z_]\w*)\s*\(((?:[^()\"]|\"(?:[^\"\\]|\\.)*\"|\([^()]*\))*)\)")
 _WORD = re.compile(r'"((?:[^"\\]|\\.)*)"|([^\s";]+)')
 _VARIABLE = re.compile(r"\$\{([\w.-]+)\}")
 _REGISTERED = re.compile(
@@ -168,7 +168,7 @@ class _Package:
                 continue
             values |= {"CMAKE_CURRENT_SOURCE_DIR": str(path.parent), "PROJECT_SOURCE_DIR": str(self._folder)}
             text = re.sub(r"#[^\n]*", "", _text(path))
-            for command in _COMMAND.finditer(text):
+            for command in _CMAKE_COMMAND.finditer(text):
                 said = _VARIABLE.sub(partial(_known_value, values), command[2])
                 words = [quoted or plain for quoted, plain in _WORD.findall(said)]
                 match command[1].lower(), words:

@@ -9,7 +9,17 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 
-from cfgplan.ros.code.code_ports import CodeName, CodePort, CodeReading, Parameter, Place, action_ports, type_of
+from cfgplan.ros.code.code_ports import (
+    BROADCASTERS,
+    MOST_STEPS,
+    CodeName,
+    CodePort,
+    CodeReading,
+    Parameter,
+    Place,
+    action_ports,
+    type_of,
+)
 from cfgplan.ros.graph import Role
 from cfgplan.ros.types import MessageType, TypeKind
 
@@ -27,20 +37,17 @@ _RCLPY = {
 }
 _FILTER = "message_filters.Subscriber"
 _ACTIONS = {"SimpleActionServer": True, "ActionServer": True, "SimpleActionClient": False, "ActionClient": False}
-_BROADCASTERS = {"TransformBroadcaster": "/tf", "StaticTransformBroadcaster": "/tf_static"}
-_NAMES = ("name", "topic", "topic_name", "srv_name", "action_name", "ns")
-_TYPES = ("data_class", "service_class", "msg_type", "srv_type", "action_type", "ActionSpec")
+_NAME_WORDS = ("name", "topic", "topic_name", "srv_name", "action_name", "ns")
+_TYPE_WORDS = ("data_class", "service_class", "msg_type", "srv_type", "action_type", "ActionSpec")
 _PARAMETERS = ("get_param", "declare_parameter", "get_parameter", "get_parameter_or")
 _VALUES = ("value", "string_value", "get_parameter_value")
-_MOST_STEPS = 25
-"""How many names may stand for each other before a name counts as computed."""
 _PYTHON2 = (
     (re.compile(r"^(\s*)print\s+(?![(=.]).*$|^(\s*)print\s*>>.*$", re.MULTILINE), r"\1\2pass"),
     (re.compile(r"^(\s*except\s+[\w.() ,]+?),\s*(\w+)\s*:", re.MULTILINE), r"\1 as \2:"),
     (re.compile(r"^(\s*raise\s+[\w.]+)\s*,.*$", re.MULTILINE), r"\1"),
 )
 """Statements of Python 2 that Python 3 does not parse, and what stands for them; lines keep their numbers."""
-_Scope = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef | ast.Module
+_Block = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef | ast.Module
 
 
 def python_ports(text: str, file: str) -> CodeReading:
@@ -104,27 +111,29 @@ class _Source:
         last = path.rpartition(".")[2]
         if role := _ROSPY.get(path):
             kind: TypeKind = "srv" if role.is_service else "msg"
-            yield from self._port(call, role, self._argument(call, 0, _NAMES), self._argument(call, 1, _TYPES), kind)
+            yield from self._port(
+                call, role, self._argument(call, 0, _NAME_WORDS), self._argument(call, 1, _TYPE_WORDS), kind
+            )
         elif path == _FILTER and (call.args or call.keywords):
             shift = 1 if len(call.args) > 2 and not isinstance(call.args[0], ast.Constant) else 0
             name, kinds = (2, 1) if shift and self._type(call.args[1], "msg") else (0, 1)
-            ends = self._argument(call, name, _NAMES), self._argument(call, kinds, _TYPES)
+            ends = self._argument(call, name, _NAME_WORDS), self._argument(call, kinds, _TYPE_WORDS)
             yield from self._port(call, Role.SUBSCRIBES, *ends, "msg")
         elif isinstance(call.func, ast.Attribute) and last in _RCLPY:
             role = _RCLPY[last]
-            ends = self._argument(call, 1, _NAMES), self._argument(call, 0, _TYPES)
+            ends = self._argument(call, 1, _NAME_WORDS), self._argument(call, 0, _TYPE_WORDS)
             if ends[0] is not None and ends[1] is not None:
                 yield from self._port(call, role, *ends, "srv" if role.is_service else "msg")
         elif last in _ACTIONS and path.startswith("actionlib."):
-            ends = self._argument(call, 0, _NAMES), self._argument(call, 1, _TYPES)
+            ends = self._argument(call, 0, _NAME_WORDS), self._argument(call, 1, _TYPE_WORDS)
             for port in self._port(call, Role.SERVES, *ends, "msg"):
                 yield from action_ports(_ACTIONS[last], port)
         elif last in _ACTIONS and path.startswith("rclpy.action."):
-            ends = self._argument(call, 2, _NAMES), self._argument(call, 1, _TYPES)
+            ends = self._argument(call, 2, _NAME_WORDS), self._argument(call, 1, _TYPE_WORDS)
             for port in self._port(call, Role.SERVES, *ends, "action"):
                 yield from action_ports(_ACTIONS[last], port)
-        elif last in _BROADCASTERS and path.partition(".")[0] in ("tf", "tf2_ros"):
-            yield CodePort(Role.PUBLISHES, (_BROADCASTERS[last],), MessageType("tf2_msgs", "TFMessage"), self._at(call))
+        elif last in BROADCASTERS and path.partition(".")[0] in ("tf", "tf2_ros"):
+            yield CodePort(Role.PUBLISHES, (BROADCASTERS[last],), MessageType("tf2_msgs", "TFMessage"), self._at(call))
 
     def _port(
         self, call: ast.Call, role: Role, name: ast.expr | None, kind: ast.expr | None, words: TypeKind
@@ -191,7 +200,7 @@ class _Source:
 
     def _name(self, node: ast.expr, steps: int) -> CodeName | None:
         """The parts of a text that an expression makes; None if it is computed."""
-        if steps > _MOST_STEPS:
+        if steps > MOST_STEPS:
             return None
         match node:
             case ast.Constant(str(text)):
@@ -315,9 +324,9 @@ class _Source:
             return above.value
         return above.value if isinstance(above, ast.AnnAssign) else None
 
-    def _scope_of(self, node: ast.AST) -> _Scope | None:
+    def _scope_of(self, node: ast.AST) -> _Block | None:
         above = self._above.get(node)
-        while above is not None and not isinstance(above, _Scope):
+        while above is not None and not isinstance(above, _Block):
             above = self._above.get(above)
         return above
 
