@@ -14,6 +14,7 @@ from types import ModuleType, SimpleNamespace
 from typing import Any, List  # noqa: UP035
 
 import pytest
+from cfgplan_runtime.ros2.ros2_unit import Ros2Unit
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -32,6 +33,8 @@ from cfgplan.domain import (
 )
 from cfgplan.errors import InputError
 from cfgplan.ros.launch import launch_text
+from cfgplan.ros.sources import NodeSource
+from cfgplan.ros.topic_names import word
 
 ENVIRONMENT = """\
 format: cfgplan/1
@@ -281,3 +284,34 @@ def test_inputs_hear_just_what_feeds_them_and_topics_have_just_their_stream(envi
             assert comes[hears[unit.id, port.name]] == {*unit.feeds.get(port.name, ())}
         for published in unit.publications:
             assert comes[published.topic] == {Stream(unit.id, published.port)}
+
+
+@settings(max_examples=100, deadline=None)
+@given(configurations())
+def test_a_launch_file_and_a_run_name_nodes_their_ports_and_free_topics_the_same(environment: Environment) -> None:
+    """A run leads inputs and topics of targets by relays; what is left has one name in both."""
+    launched = {given["name"]: given for kind, given in actions_of(launch_text(environment)) if kind == "Node"}
+    labelled = environment.transformation
+    shared = shared_outputs(environment)
+    for unit in environment.units:
+        transformation = labelled[unit.transformation]
+        source = NodeSource.read(transformation.source)
+        if source is None or source.kind != "node":
+            continue
+        arguments = Ros2Unit(f"/{word(unit.id)}", source, transformation).arguments(Path("unused"))
+        said = dict(part.split(":=", 1) for part in arguments[2::2])
+        node = launched[said.pop("__node")]
+        assert said.pop("__ns") == f"/{node.get('namespace', '')}"
+        remapped = dict(node.get("remappings", []))
+        assert remapped.keys() == said.keys()
+        published = {publication.port for publication in unit.publications}
+        for port in transformation.outputs:
+            own = (port.remap or port.name).replace("~", "~/")
+            if port.name not in published and (unit.id, port.name) not in shared:
+                assert remapped[own] == said[own]
+
+
+def shared_outputs(environment: Environment) -> set[tuple[str, str]]:
+    """The outputs that feed an input together with others: in a launch file they may have one topic."""
+    fed = [unit.feeds.get(port, ()) for unit in environment.units for port in unit.feeds]
+    return {(stream.unit, stream.port) for streams in fed if len(streams) > 1 for stream in streams}
