@@ -76,12 +76,13 @@ def checked(target: T) -> T:
 
 def _checked_class(cls: type[Any]) -> type[Any]:
     after: Callable[[Any], None] | None = vars(cls).get("__post_init__")
-    tests: list[Callable[[Any], None]] = []
+    tests: dict[type[Any], Callable[[Any], None]] = {}
 
     def __post_init__(self: Any) -> None:  # noqa: N807
-        if not tests:  # at the first value: names that annotations use may come later than the class
-            tests.append(_test_of(type(self), cls.__module__))
-        tests[0](self)
+        test = tests.get(type(self))
+        if test is None:  # at the first value: names that annotations use may come later than the class
+            test = tests[type(self)] = _test_of(type(self), cls.__module__)
+        test(self)
         if after is not None:
             after(self)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ import pytest
 
 import cfgplan
 from cfgplan import testing
+from cfgplan.arguments import checked
 from cfgplan.errors import InvalidValueError
 from cfgplan.planning import Measured
 from cfgplan.transformations import RunOptions
@@ -159,3 +161,19 @@ def test_a_function_that_is_no_planner_is_told_from_a_name() -> None:
     problem = cfgplan.match(cfgplan.world(cfgplan.Environment(), horizon_s=1))
     with pytest.raises(InvalidValueError, match="planner must be a text or a function, but is 3"):
         cfgplan.plan(problem, planner=3)  # type: ignore[arg-type]
+
+
+def test_the_first_value_may_be_of_a_subclass_with_fields_of_its_own() -> None:
+    @dataclass(frozen=True)
+    @checked
+    class Base:
+        number: int
+
+    @dataclass(frozen=True)
+    class Derived(Base):
+        text: str = ""
+
+    assert Derived(1, "a").text == "a"
+    assert Base(2).number == 2
+    with pytest.raises(InvalidValueError, match="number"):
+        Base("3")  # type: ignore[arg-type]

@@ -102,6 +102,8 @@ def _missing_together(problem: Problem) -> str | None:
             if None not in rooms and needed > most:
                 names = [host.name for host in hosts] if len(hosts) < len(environment.hosts) else ["all hosts"]
                 has = "has" if len(hosts) == 1 < len(environment.hosts) else "have"
+                if not hosts:
+                    return f": {', '.join(there)} may run on no host"
                 return f": {', '.join(there)} need {amount_of(resource, needed)}, but {', '.join(names)} {has} {most}"
     return None
 
