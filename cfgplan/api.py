@@ -20,7 +20,7 @@ from cfgplan.arguments import Natural, Seconds, checked
 from cfgplan.cache_folder import cache_folder
 from cfgplan.canonical import fields_of
 from cfgplan.domain import ENVIRONMENT_HEADS, Environment, Similarity, environment_rows
-from cfgplan.errors import Fault, InputError, known
+from cfgplan.errors import Fault, InputError, UnknownNameError, known
 from cfgplan.extras import is_there
 from cfgplan.matching import (
     REASONERS,
@@ -117,9 +117,20 @@ def ontology_of(document: Document) -> Ontology:
     Raises InputError with the document's faults and those of the ontologies.
     """
     try:
-        return load_ontology(document.ontology_paths, dict(document.imports), ignores_rules=document.ignores_rules)
+        ontology = load_ontology(document.ontology_paths, dict(document.imports), ignores_rules=document.ignores_rules)
     except InputError as error:
         raise InputError((*document.faults, *map(document.at_ontology, error.faults))) from None
+    spaces: list[str] = []
+    faults: list[Fault] = []
+    for written, entry in document.preferred:
+        try:
+            spaces.append(ontology.namespace(written))
+        except UnknownNameError as error:
+            mend = "without `ontology:` no name has a namespace: remove it" if ontology.is_open else error.mend
+            faults.append(document.files[0].source.fault(entry, error.message, mend))
+    if faults:
+        raise InputError((*document.faults, *faults))
+    return ontology.preferring(spaces)
 
 
 def world_of(document: Document, ontology: Ontology) -> World:

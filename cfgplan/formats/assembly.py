@@ -327,6 +327,7 @@ def _build(document: Document, vocabulary: TagVocabulary) -> EnvironmentFile:
         fleet.survive,
         document.imports,
         document.ignores_rules,
+        tuple(written for written, _ in document.preferred),
         names.origins,
     )
 

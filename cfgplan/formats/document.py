@@ -76,6 +76,14 @@ class Document:
         """Whether the rules of the ontology are left out."""
         return self.header.rules == fields.IGNORE
 
+    @property
+    def preferred(self) -> tuple[tuple[str, Path], ...]:
+        """The prefixes and namespaces under `prefer:`, each with its entry."""
+        written = self.header.prefer or []
+        if isinstance(written, str):
+            return ((written, ("prefer",)),)
+        return tuple((each, ("prefer", number)) for number, each in enumerate(written))
+
     def at_ontology(self, fault: Fault) -> Fault:
         """Move a fault of a whole ontology file to the entry that names the file; any other stays as it is."""
         source = self.files[0].source

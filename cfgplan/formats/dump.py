@@ -65,19 +65,20 @@ def plain_environment(
     survive: Failures | None = None,
     imports: Mapping[str, str | None] | None = None,
     ignores_rules: bool = False,
+    preferred: Iterable[str] = (),
 ) -> dict[str, Any]:
     """An environment as the mappings and lists of an environment file; costs are Decimal or int.
 
     Loading it gives the same environment back. `ontology` holds paths as the file is to name them, `imports` the path
     of each IRI, or None where that import is ignored, with ANY_IMPORT for every one that can't be found.
     """
-    ontologies = list(ontology)
     return fields.EnvironmentPart.written(
         environment,
         format=fields.FORMAT,
-        ontology=ontologies[0] if len(ontologies) == 1 else ontologies,
+        ontology=_one_or_all(ontology),
         imports=_imports(imports or {}),
         rules=fields.IGNORE if ignores_rules else None,
+        prefer=_one_or_all(preferred),
         horizon=horizon_s,
         max_cost=None if max_cost_us is None else plain_cost(max_cost_us),
         defaults=None,
@@ -90,6 +91,12 @@ def plain_environment(
         units=[plain_unit(unit) for unit in environment.units],
         targets=[_target(target, environment) for target in environment.targets],
     )
+
+
+def _one_or_all(names: Iterable[str]) -> str | list[str]:
+    """A single name as a text, others as a list."""
+    found = list(names)
+    return found[0] if len(found) == 1 else found
 
 
 def _imports(imports: Mapping[str, str | None]) -> str | dict[str, str]:

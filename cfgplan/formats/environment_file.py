@@ -39,13 +39,14 @@ class EnvironmentFile:
     survive: Failures | None = None
     imports: FoundImports = ()
     ignores_rules: bool = False
+    preferred: tuple[str, ...] = ()
     origins: Mapping[tuple[str, str], Passage] = field(default_factory=dict, repr=False, compare=False)
 
     __getstate__ = fields_of
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 (hex) of all that a plan depends on, the ontology files, `imports` and `rules` too.
+        """SHA-256 (hex) of all that a plan depends on, the ontology files, `imports`, `rules` and `prefer` too.
 
         Comments, the order of lists and fields that planning does not use don't count. Nor do imported files that
         `imports` does not name: to find them would take reading ontologies.
@@ -86,6 +87,7 @@ class EnvironmentFile:
             hashed.update(hashlib.sha256(iri.encode()).digest() + (b"ignored" if imported is None else b"read"))
             hashed.update(b"" if imported is None else _file_digest(imported))
         hashed.update(b"rules ignored" if self.ignores_rules else b"")
+        hashed.update(f"prefers {json.dumps(self.preferred)}".encode() if self.preferred else b"")
         return hashed.hexdigest()
 
     def place(
@@ -124,8 +126,8 @@ def _file_digest(path: FilePath) -> bytes:
 
 
 _HELD: Mapping[type[fields.Part], str] = {
-    fields.EnvironmentPart: "format ontology imports rules horizon max_cost defaults include hosts transfer links "
-    "qualities survive transformations units targets",
+    fields.EnvironmentPart: "format ontology imports rules prefer horizon max_cost defaults include hosts transfer "
+    "links qualities survive transformations units targets",
     fields.HostPart: "name cpu memory",
     fields.LinkPart: "",
     fields.AttributePart: "name better worst best",

@@ -473,6 +473,10 @@ class EnvironmentPart(Part):
         "`ignore` alone: all that can't be found"
     )
     rules: Literal["ignore"] | None = row("`ignore`: the ontology counts without its rules (SWRL)")
+    prefer: OneOrMoreNames | None = row(
+        "prefix or namespace whose name is meant if several ontologies have one; of a list, the first that has it",
+        xml=ELEMENT,
+    )
     horizon: Horizon = row("how far ahead upkeep counts: whole seconds, or `10m`, `1h`", DEFAULT_HORIZON_S, "horizon_s")
     max_cost: Cost | None = row("the most that an update may cost, in CPU seconds", to="max_cost_us")
     defaults: DefaultsPart | None = row("costs of transformations that state none", xml=ELEMENT)

@@ -27,11 +27,10 @@ def dump_xml(data: Mapping[str, Any]) -> str:
 
 def _environment(data: Mapping[str, Any]) -> Iterator[str]:
     yield _opened("environment", _attributes(fields.EnvironmentPart, {**data, "format": None}))
-    ontology = data.get("ontology") or []
-    for path in [ontology] if isinstance(ontology, str) else ontology:
-        yield f"  {_element('ontology', path)}"
-    for path in data.get("include") or ():
-        yield f"  {_element('include', path)}"
+    for key in ("ontology", "prefer", "include"):
+        said = data.get(key) or []
+        for text in [said] if isinstance(said, str) else said:
+            yield f"  {_element(key, text)}"
     if data.get("defaults"):
         yield f"  {_opened('defaults', _attributes(fields.DefaultsPart, data['defaults']))[:-1]}/>"
     for part in data.get("transformations") or ():

@@ -1,7 +1,7 @@
 """The paper's XML specifications (Listings 1 and 2) as plain data in the environment file's form.
 
 What the paper's XML lacks is added as attributes, one for each field that is a text, a number or a flag, and as the
-elements run, unit, ontology, include, and the root environment.
+elements run, unit, ontology, prefer, include, and the root environment.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _CHILDREN = {
 }
 _PARAM_TYPES = {"int": (int,), "double": (int, Decimal), "bool": (bool,), "null": (type(None),)}
 _SEVERAL = ("param", "port", "tag", "input", "topic")
-_ROOT_CHILDREN = ("ontology", "include", "defaults", "transformation", "unit", "target")
+_ROOT_CHILDREN = ("ontology", "prefer", "include", "defaults", "transformation", "unit", "target")
 
 
 def read_xml(content: bytes, file: str) -> Source:
@@ -81,7 +81,7 @@ class _XmlReading:
             self._note(root, f"<{root.name}> has no specification in it", "write a <transformation> or a <target>")
         data |= self._attributes(root, (), fields.EnvironmentPart)
         for child in root.children:
-            if child.name in ("ontology", "include"):
+            if child.name in ("ontology", "prefer", "include"):
                 entries = data.setdefault(child.name, [])
                 entries.append(self._text(child, (child.name, len(entries))))
             elif child.name == "defaults":

@@ -27,7 +27,12 @@ MOST_FILES: Final = 64
 
 def key_of(ontology: Ontology, reasoner: str, offered: Collection[str], demanded: Collection[str]) -> str:
     """The name under which the answer for these tags is kept."""
-    texts = [_KEPT_FORMAT, ontology.digest, json.dumps(sorted(ontology.prefixes.items())), reasoner]
+    texts = [
+        _KEPT_FORMAT,
+        ontology.digest,
+        json.dumps([*sorted(ontology.prefixes.items()), *ontology.preferred]),
+        reasoner,
+    ]
     texts += [json.dumps(sorted(set(tags))) for tags in (offered, demanded)]
     return hashlib.sha256("\n".join(texts).encode()).hexdigest()
 

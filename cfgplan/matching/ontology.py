@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -15,7 +16,7 @@ from cfgplan.errors import UnknownNameError, did_you_mean
 from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI, Concept, in_description_logic
 from cfgplan.matching.functional import Signature, Tree, parse
 from cfgplan.matching.literals import told
-from cfgplan.matching.names import NameTable, expanded, short_name
+from cfgplan.matching.names import NameTable, expanded, namespace_of, short_name
 from cfgplan.selectors import quoted
 
 BRACKETED: Final = re.compile(r"<([^<>\s]+)>")
@@ -30,7 +31,7 @@ class Ontology:
     don't match might by what was dropped. `lost_rules` are the texts of the rules among it, each with the axiom that
     it stands for. `ignored` are the IRIs of imports that are left out on request, `ignored_rules` counts the rules that
     are: what they say is no part of the ontology, so that no pair is open for them. `trees` may have axioms that are
-    parsed already.
+    parsed already. `preferred` are namespaces: the first that has a short name says what it means.
     """
 
     def __init__(
@@ -56,6 +57,7 @@ class Ontology:
         self.ignored = tuple(sorted(set(ignored)))
         self.ignored_rules = ignored_rules
         self._parsed = trees or {}
+        self.preferred: tuple[str, ...] = ()
 
     def __getstate__(self) -> dict[str, object]:
         derived = {name for name, kind in vars(type(self)).items() if isinstance(kind, cached_property)}
@@ -75,10 +77,38 @@ class Ontology:
 
     @property
     def _content(self) -> tuple[object, ...]:
-        return self.axioms, self.prefixes, self.is_open, self.dropped, self.ignored, self.ignored_rules
+        named = self.axioms, self.prefixes, self.preferred, self.is_open
+        return *named, self.dropped, self.ignored, self.ignored_rules
 
     def __repr__(self) -> str:
         return f"<Ontology of {len(self.axioms)} axioms{', open' if self.is_open else ''}>"
+
+    def with_axioms(self, axioms: Iterable[str]) -> Ontology:
+        """This ontology with other axioms."""
+        other = copy(self)
+        other.axioms = frozenset(map(normal, axioms))
+        return other
+
+    def preferring(self, spaces: Iterable[str]) -> Ontology:
+        """This ontology with namespaces of which the first that has a short name says what it means."""
+        other = copy(self)
+        other.preferred = tuple(spaces)
+        return other
+
+    def namespace(self, written: str) -> str:
+        """The namespace that a prefix such as `brick` or `brick:`, or an IRI with or without brackets, stands for.
+
+        Raises UnknownNameError for a prefix that the ontology does not declare, and if no name is in the namespace.
+        """
+        written = normal(written)
+        if ":" not in written.removesuffix(":"):
+            return namespace_of(written.removesuffix(":"), self.prefixes)
+        space = written.removeprefix("<").removesuffix(">")
+        if any(space + short_name(iri) == iri for names in self._vocabularies for iri in names):
+            return space
+        spaces = sorted({iri.removesuffix(short_name(iri)) for names in self._vocabularies for iri in names})
+        mend = did_you_mean(space, spaces, f"the ontology has names in {_few(spaces)}")
+        raise UnknownNameError(f"no name of the ontology is in the namespace <{space}>", mend)
 
     @cached_property
     def trees(self) -> Mapping[str, Tree]:
@@ -110,7 +140,7 @@ class Ontology:
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
-        """A sentence on each kind of thing that no reasoner is told, and on each import that is ignored."""
+        """A sentence on each kind of thing that no reasoner is told, on each ignored import, and on ignored rules."""
         by_reason: dict[str, list[str]] = {}
         for text, why in self.dropped.items():
             by_reason.setdefault(self.shortened(why), []).append(self.shortened(text))
@@ -123,7 +153,12 @@ class Ontology:
                 f"the import <{iri}> is ignored: what matches only by what it says does not match"
                 for iri in self.ignored
             ),
+            *([self._about_ignored_rules()] if self.ignored_rules else []),
         )
+
+    def _about_ignored_rules(self) -> str:
+        rules = "1 rule is" if self.ignored_rules == 1 else f"{self.ignored_rules:,} rules are"
+        return f"{rules} ignored: what matches only by what they say does not match"
 
     @cached_property
     def _signature(self) -> Signature:
@@ -132,17 +167,17 @@ class Ontology:
     @cached_property
     def class_names(self) -> NameTable:
         """The vocabulary of classes."""
-        return NameTable("class", self._signature.classes, self.prefixes)
+        return NameTable("class", self._signature.classes, self.prefixes, self.preferred)
 
     @cached_property
     def individual_names(self) -> NameTable:
         """The vocabulary of individuals."""
-        return NameTable("individual", self._signature.individuals, self.prefixes)
+        return NameTable("individual", self._signature.individuals, self.prefixes, self.preferred)
 
     @cached_property
     def property_names(self) -> NameTable:
         """The vocabulary of object properties."""
-        return NameTable("property", self._signature.roles, self.prefixes)
+        return NameTable("property", self._signature.roles, self.prefixes, self.preferred)
 
     @property
     def _vocabularies(self) -> tuple[NameTable, ...]:
@@ -209,6 +244,10 @@ class Ontology:
 
 def _and_more(number: int) -> str:
     return f" and {number:,} more" if number else ""
+
+
+def _few(namespaces: Sequence[str]) -> str:
+    return (", ".join(f"<{each}>" for each in namespaces[:3]) or "no namespace") + _and_more(len(namespaces[3:]))
 
 
 def _article(noun: str) -> str:

@@ -13,6 +13,7 @@ from loading import load_text
 
 from cfgplan.domain import Environment, OutputPort, Transformation
 from cfgplan.formats.dump import dump_yaml, plain_environment
+from cfgplan.formats.xml_dump import dump_xml
 
 
 @given(environments(), st.integers(0, 10**9), st.none() | st.integers(0, 2**53 - 1))
@@ -54,3 +55,21 @@ def test_that_rules_are_ignored_is_written_and_makes_another_plan_due(tmp_path: 
     ]
     assert [file.ignores_rules for file in loaded] == [False, True]
     assert loaded[0].digest != loaded[1].digest
+
+
+def test_whose_names_are_preferred_is_written_and_makes_another_plan_due(tmp_path: Path) -> None:
+    said: list[tuple[str, ...]] = [
+        (),
+        ("brick",),
+        ("brick", "https://w3id.org/rec#"),
+        ("https://w3id.org/rec#", "brick"),
+    ]
+    plain = [plain_environment(Environment(), horizon_s=60, preferred=each) for each in said]
+    names = ["env.yaml", "env.xml"]
+    loaded = [
+        load_text(tmp_path, dump(each), name)
+        for each in plain
+        for dump, name in zip((dump_yaml, dump_xml), names, strict=True)
+    ]
+    assert [file.preferred for file in loaded] == [each for each in said for _ in names]
+    assert len({file.digest for file in loaded}) == len(said)

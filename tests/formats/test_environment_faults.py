@@ -445,6 +445,7 @@ def test_among_many_names_the_close_one_is_found(tmp_path: Path) -> None:
 
 REPEATED = {
     "ontology": ("ontology: [{0}.ttl, {0}.ttl]", "o.ttl"),
+    "prefer": ("ontology: {0}.ttl\nprefer: [{0}, {0}]", "o"),
     "include": ("include: [{0}.yaml, {0}.yaml]", "o.yaml"),
     "minimise": ("minimise: [rent, rent]", "rent"),
     "labels of a host": ("hosts: [{{name: h, labels: [{0}, {0}]}}]", "o"),

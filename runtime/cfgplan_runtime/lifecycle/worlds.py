@@ -266,7 +266,7 @@ def with_individuals(ontology: Ontology, come: Iterable[changes.Individual], gon
             faults.append(Fault(f"individual {one.name}: {error.message}", mend=error.mend))
     if faults:
         raise InputError(faults)
-    return Ontology(kept, ontology.prefixes, files=ontology.files, dropped=ontology.dropped, ignored=ontology.ignored)
+    return ontology.with_axioms(kept)
 
 
 def _axioms(one: changes.Individual, iris: dict[str, str], ontology: Ontology) -> Iterable[str]:
