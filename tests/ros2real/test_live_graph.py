@@ -10,7 +10,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from cfgplan_runtime.ros2.live_graph import NodeProcess, node_process
+from cfgplan_runtime.ros2.live_graph import Graph, NodeProcess, graph_of, node_process
 from operated_world import eventually
 
 from cfgplan import api
@@ -84,6 +84,11 @@ def test_a_live_graph_becomes_a_file_that_check_understands_and_a_run_can_start(
     assert main(["check", str(env)]) == 1
     first = capsys.readouterr().out.splitlines()[0]
     assert "qos: safety/guard.1 hears nothing of lidar.1/base_scan at base_scan: it asks for reliable messages" in first
+
+
+def test_a_node_that_runs_here_but_is_not_in_the_graph_is_told() -> None:
+    found = graph_of(Graph([], [], [], True), "rmw", {"/lidar": NodeProcess("p", "q")})
+    assert [note.partition(":")[0] for note in found.notes] == ["the ports of /lidar"]
 
 
 @pytest.mark.parametrize(

@@ -114,6 +114,9 @@ def graph_of(told: Graph, rmw: str, running: Mapping[str, NodeProcess]) -> RosGr
     away = sorted(name for name in names if name not in running)
     if away:
         notes.append(f"what starts {some(away)}: no process on this computer says that it is that node")
+    unseen = sorted(running.keys() - names.keys())
+    if unseen:
+        notes.append(f"the ports of {some(unseen)}: a process here is that node, but the graph lacks it; import again")
     if not told.is_at_rest:
         notes.append("whether the graph is complete: it has not come to rest")
     nodes = [_node(node, ends, running.get(node.name)) for node in told.nodes]
