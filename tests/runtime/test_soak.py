@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 
 
@@ -14,6 +16,7 @@ def test_random_faults_and_swaps_cost_no_element_without_cause() -> None:
 
 
 def test_whatever_real_machines_do_a_run_ends_up_at_the_cost_of_a_fresh_plan() -> None:
+    pytest.importorskip("mcap", reason="the soak records: it needs cfgplan[record]")
     told = soaked("operating", "--minutes", "0", "--seed", "3")
     assert "'stop_nursery': 1" in told
     assert "as a fresh plan" in told
