@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 FEWEST_EXAMPLES = 10
 """A property with fewer examples draws all of them."""
@@ -66,7 +66,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 def _share_of(whole: settings) -> settings:
     number = max(min(FEWEST_EXAMPLES, whole.max_examples), whole.max_examples // SHARE)
-    return settings(whole, max_examples=number, derandomize=False, database=None)
+    # A busy computer draws slowly, which says nothing about a strategy.
+    ignored = {*whole.suppress_health_check, HealthCheck.too_slow}
+    return settings(whole, max_examples=number, derandomize=False, database=None, suppress_health_check=ignored)
 
 
 def pytest_xdist_auto_num_workers() -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import subprocess
 import sys
@@ -22,7 +23,6 @@ from cfgplan_runtime.fleet.local import LocalAgents
 from cfgplan_runtime.streams.run_folder import RunFolder, base_folder, remove_dead_runs
 from cfgplan_runtime.streams.subscription import RunPlace, SubscriptionToTopic
 from cfgplan_runtime.supervision.events import Event
-from unit_signals import signal_unit
 
 from cfgplan.domain import (
     ChangeSet,
@@ -221,7 +221,9 @@ def seen(runtime: Runtime, kind: type[Event]) -> list[Any]:
 def kill_unit(runtime: Runtime, name: str) -> None:
     """Kill a unit's process as something else would."""
     eventually(lambda: runtime.pid(name) is not None)
-    signal_unit(runtime, name)
+    pid = runtime.pid(name)
+    assert pid, f"{name} has no process"
+    os.kill(pid, 9)
 
 
 def moved(one: ComputationUnit, unit_id: str, host: str) -> ComputationUnit:

@@ -59,7 +59,7 @@ class PlannerSession:
         clock = Clock(time_limit_s, stop, self._tuning)
         part = _reduced(problem, clock)
         if not part.is_roomy and time_limit_s is not None:
-            clock = Clock(time_limit_s * ROOM_SHARE, stop, self._tuning)
+            clock = clock.with_limit(time_limit_s * ROOM_SHARE, self._tuning)
         standing = Standing(part.problem, clock, part.reporting(report), problem)
         answer = self._planned(part, standing)
         if answer is not None and (answer.ties_proven or not standing.are_ties_proven):
@@ -113,10 +113,7 @@ class PlannerSession:
     ) -> Plan:
         """Plan a problem of which a part gave no answer, or one whose ties may not be the best."""
         problem = before.whole
-        left_s = None if time_limit_s is None else time_limit_s - known.clock.elapsed_s()
-        clock = Clock(left_s, known.clock.stop, self._tuning)
-        clock.seconds |= known.clock.seconds
-        clock.is_interrupted = known.clock.is_interrupted
+        clock = known.clock.with_limit(time_limit_s, self._tuning)
         part = _reduced(problem, clock, is_certain=True)
         standing = Standing(part.problem, clock, part.reporting(report), problem)
         is_about_cost = not problem.environment.required and Feature.ORDER not in problem.features

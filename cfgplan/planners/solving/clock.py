@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator
+from copy import copy
 from math import inf
 from threading import Event
 from typing import TypeVar
@@ -41,6 +42,14 @@ class Clock:
         self.seconds: dict[str, float] = {}
         self.is_interrupted = False
         """Whether Ctrl-C was pressed: the next one ends the plan."""
+
+    def with_limit(self, time_limit_s: float | None, tuning: Tuning) -> Clock:
+        """A clock that began when this one did, for a plan that has another limit and has found nothing yet."""
+        other = copy(self)
+        other._limit_s = None if time_limit_s == inf else time_limit_s
+        other._stopped, other.has_plan = None, False
+        other.tuning, other.seconds = tuning, {**self.seconds}
+        return other
 
     def elapsed_s(self) -> float:
         return time.monotonic() - self._began
@@ -84,8 +93,12 @@ class Clock:
         self.stop.set()
 
     def end(self, phase: str) -> dict[str, float]:
-        """Note that a phase ends now; returns the seconds of all phases so far."""
-        now = time.monotonic()
+        """Note that a phase ends now; returns the seconds of all phases so far. A first Ctrl-C here loses no plan."""
+        try:
+            now = time.monotonic()
+        except KeyboardInterrupt:
+            self.interrupt()
+            now = time.monotonic()
         self.seconds[phase] = self.seconds.get(phase, 0.0) + now - self._phase_began
         self._phase_began = now
         return self.seconds
