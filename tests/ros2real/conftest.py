@@ -41,10 +41,13 @@ _DOMAIN = 0 if LACKS_ROS else _own_domain()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Run these tests one after the other: starts of several systems of ROS side by side take each other's time."""
     here = Path(__file__).parent
     for item in items:
-        if LACKS_ROS and here in item.path.parents:
-            item.add_marker(pytest.mark.skip(reason=LACKS_ROS))
+        if here in item.path.parents:
+            item.add_marker(pytest.mark.xdist_group("ros2real"))
+            if LACKS_ROS:
+                item.add_marker(pytest.mark.skip(reason=LACKS_ROS))
 
 
 @pytest.fixture(autouse=True)
