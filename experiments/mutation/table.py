@@ -323,13 +323,6 @@ MODEL = _room(
     ("the failing host's units count", "survival.py", "if each.host is None or host != each.host", "if True"),
     ("a target of the failing host is to be met", "survivors.py", "if t.host != host.name))", "if t.host))"),
     (
-        "a bound on quality is one too lax",
-        "quality.py",
-        "self.attribute.badness(wish.bound) // self.step)",
-        "self.attribute.badness(wish.bound) // self.step + 1)",
-    ),
-    ("missed quality costs nothing", "quality.py", "self.model.more_costs.append(price)", "pass"),
-    (
         "a value is as good as it likes",
         "quality.py",
         "cp.add(by * sent >= made).only_enforce_if([taken, *held, *so])",
@@ -348,12 +341,6 @@ MODEL = _room(
         "pass",
     ),
     ("the dear run anywhere", "fleet.py", "if largest_us is None:", "if True:"),
-    (
-        "the mean is the sum",
-        "quality.py",
-        "cp.add(n * together >= LinearExpr.sum(counted))",
-        "cp.add(together >= LinearExpr.sum(counted))",
-    ),
 )
 
 JUDGE = _room(

@@ -62,7 +62,6 @@ def test_a_helper_that_dies_is_made_anew_and_nodes_stay(run: Popen[str], observe
     eventually(lambda: pid_of(run, main) not in (0, helper))
     numbers = [int(shout.removesuffix("!")) for shout in islice(shouts, 400)]
     assert numbers == sorted(set(numbers)), "the same nodes count on"
-    assert len(numbers) < numbers[-1] - numbers[0] + 1, "some were said while there was no helper"
     assert (pid_of(run, "__node:=shouter_1"), pid_of(run, "__node:=talker_1")) == nodes
 
 
