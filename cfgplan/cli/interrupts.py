@@ -4,11 +4,13 @@ third kills the process.
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
+import sys
+import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
-from threading import current_thread, main_thread
+from contextlib import contextmanager, suppress
 from types import FrameType
 
 from cfgplan.cli.exits import Exit
@@ -46,7 +48,7 @@ def ended_cleanly(*, for_good: bool = False) -> Iterator[Ending]:
     `for_good`: the process ends with the command, and the handlers stay. Otherwise the former handlers are restored.
     """
     ending = Ending()
-    signals = _SIGNALS if current_thread() is main_thread() else ()
+    signals = _SIGNALS if threading.current_thread() is threading.main_thread() else ()
     usual = (signal.SIG_DFL, signal.default_int_handler)
     before = {one: signal.signal(one, ending.hear) for one in signals if signal.getsignal(one) in usual}
     try:
@@ -59,6 +61,21 @@ def ended_cleanly(*, for_good: bool = False) -> Iterator[Ending]:
         elif ending.interrupted:
             # Python gives up its own handlers before it has ended.
             signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def end_below_threads(code: int) -> None:
+    """End the process by this code, if a thread is left that a library may have begun; return otherwise.
+
+    Up to Python 3.13 the end of the interpreter unwinds a thread that comes back from Rust or C++ code, which aborts
+    the process: "FATAL: exception not rethrown" (python/cpython#87135).
+    """
+    if threading.active_count() == 1 and "zenoh" not in sys.modules:
+        return
+    atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(code)
 
 
 class Interrupts:

@@ -14,7 +14,7 @@ from types import MappingProxyType
 from typing import Any, NoReturn, TextIO, cast
 
 from cfgplan.cli.exits import Exit
-from cfgplan.cli.interrupts import Ending, ended_cleanly
+from cfgplan.cli.interrupts import Ending, end_below_threads, ended_cleanly
 from cfgplan.cli.screen import FULL_DISK, Screen
 from cfgplan.errors import CfgplanError, Fault, InputError, known
 from cfgplan.extras import install
@@ -55,15 +55,23 @@ _OTHER_HOMES = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; returns its exit code."""
+    """Run one command; returns its exit code. Without `arguments`, those of the process, which ends with it."""
+    code = Exit.INTERRUPTED.value
     try:
         with ended_cleanly(for_good=arguments is None) as ending:
             _stand_in_for_closed_streams()
             if arguments is None:
                 sys.stderr = cast("TextIO", Chatter(sys.stderr))
-            return _main(sys.argv[1:] if arguments is None else arguments, ending)
+            code = _main(sys.argv[1:] if arguments is None else arguments, ending)
     except KeyboardInterrupt:  # before or after all there is to do
-        return Exit.INTERRUPTED
+        pass
+    except SystemExit as ended:
+        code = ended.code if isinstance(ended.code, int) else Exit.OK
+        if arguments is not None:
+            raise
+    if arguments is None:
+        end_below_threads(code)
+    return code
 
 
 def _main(arguments: Sequence[str], ending: Ending) -> int:

@@ -211,6 +211,32 @@ sys.exit(main())
     assert b"Traceback" not in done.stderr
 
 
+def test_a_thread_that_is_still_inside_a_library_neither_aborts_nor_holds_up_the_end() -> None:
+    """It comes back from Rust while the interpreter ends."""
+    pytest.importorskip("zenoh", reason="needs the extra fleet")
+    code = """
+import sys, threading, time
+import zenoh
+from cfgplan.cli import main
+
+class Late:
+    def __del__(self, sleep=time.sleep):
+        sleep(1.0)
+
+late = Late()
+alone = '{"scouting": {"multicast": {"enabled": false}}, "listen": {"endpoints": []}}'
+session = zenoh.open(zenoh.Config.from_json5(alone))
+held = session.declare_queryable("slow", lambda query: time.sleep(0.7))
+threading.Thread(target=lambda: [*session.get("slow", timeout=0.6)], daemon=True).start()
+time.sleep(0.1)
+sys.argv[1:] = ["--version"]
+sys.exit(main())
+"""
+    done = subprocess.run([sys.executable, "-c", code], check=False, timeout=30, capture_output=True)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert done.stdout.startswith(b"cfgplan ")
+
+
 def test_sigterm_lets_a_command_clear_away_what_it_has_made() -> None:
     before = signal.getsignal(signal.SIGTERM)
     with pytest.raises(SystemExit, match="143"), ended_cleanly():

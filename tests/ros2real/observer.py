@@ -8,6 +8,7 @@ told that comes, `{"look": true}` the graph.
 from __future__ import annotations
 
 import json
+import os
 import sys
 import threading
 from contextlib import suppress
@@ -19,9 +20,14 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 
+TOLD = os.fdopen(os.dup(1), "w")
+"""What is told; the middleware's own lines go where errors go."""
+os.dup2(2, 1)
+
+
 def say(**what: object) -> None:
-    sys.stdout.write(json.dumps(what) + "\n")
-    sys.stdout.flush()
+    TOLD.write(json.dumps(what) + "\n")
+    TOLD.flush()
 
 
 def text_of(message: Any) -> str:
