@@ -19,7 +19,6 @@ import rclpy
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-
 TOLD = os.fdopen(os.dup(1), "w")
 """What is told; the middleware's own lines go where errors go."""
 os.dup2(2, 1)
