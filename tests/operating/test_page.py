@@ -143,6 +143,12 @@ def test_a_run_that_ends_is_told(page: PageServer, server: ControlServer) -> Non
     assert "ended" in (kind for kind, _ in told)
 
 
+def test_who_looks_when_the_run_has_ended_is_told_too(page: PageServer, server: ControlServer) -> None:
+    server.close()
+    eventually(page.watched.has_ended.is_set)
+    assert "ended" in (kind for kind, _ in messages(page))
+
+
 @contextmanager
 def browser(page: PageServer, **context: Any) -> Iterator[tuple[Any, list[str]]]:
     """A tab with the page, and what its console complains of."""

@@ -51,6 +51,7 @@ class Watched:
         self._somebody_looks = threading.Event()
         self._events: deque[ToViewer] = deque(maxlen=_MOST_NEWS)
         self._picture: ToViewer | None = None
+        self._end: ToViewer | None = None
         self._wanted: tuple[Environment, Environment] | None = None
         self._is_wanted = threading.Condition(self._lock)
         self.has_ended = threading.Event()
@@ -79,12 +80,12 @@ class Watched:
 
     @contextmanager
     def viewer(self, loop: AbstractEventLoop) -> Iterator[Queue[ToViewer]]:
-        """A queue of messages for one viewer: the picture and the last events, then what comes."""
+        """A queue of messages for one viewer: the picture, the last events, the end if the run is over, then news."""
         messages: Queue[ToViewer] = Queue()
         with self._lock:
-            for message in ([] if self._picture is None else [self._picture], self._events):
-                for each in message:
-                    messages.put_nowait(each)
+            for message in (self._picture, *self._events, self._end):
+                if message is not None:
+                    messages.put_nowait(message)
             self._viewers[messages] = loop
             self._somebody_looks.set()
         try:
@@ -158,6 +159,8 @@ class Watched:
                 self._events.append(message)
             elif message[0] == "picture":
                 self._picture = message
+            elif message[0] == "ended":
+                self._end = message
             viewers = list(self._viewers.items())
         for messages, loop in viewers:
             with suppress(RuntimeError):  # its loop has just been closed

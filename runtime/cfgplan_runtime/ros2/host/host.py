@@ -23,6 +23,8 @@ from rclpy.signals import SignalHandlerOptions
 
 from cfgplan_runtime.ros2.host.waiting import Waiting
 
+NAMELESS = "_NODE_NAME_UNKNOWN_"
+"""The name in rmw of a node whose endpoint has been found before it has."""
 _PR_SET_PDEATHSIG = 1
 _HAS_MATCHED = "matched" in inspect.signature(SubscriptionEventCallbacks.__init__).parameters
 

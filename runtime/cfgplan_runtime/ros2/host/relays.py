@@ -9,7 +9,7 @@ import time
 from typing import Any
 
 from cfgplan_runtime.ros2.host.endpoints import Publication, Sample, Source, UnknownTypeError
-from cfgplan_runtime.ros2.host.host import Host
+from cfgplan_runtime.ros2.host.host import NAMELESS, Host
 from cfgplan_runtime.ros2.host.qos import Quality, mended
 from cfgplan_runtime.ros2.host.services import LedService
 from cfgplan_runtime.streams.element import Element, Moment
@@ -319,7 +319,12 @@ class Relays:
         self._tell_of_ends(source, publication)
 
     def _tell_of_ends(self, source: Source, publication: Publication) -> None:
-        """Tell what the relay makes good between two topics, and whose types differ."""
+        """Tell what the relay makes good between two topics, and whose types differ.
+
+        An endpoint is found before its node's name is. The next sign tells of it.
+        """
+        if not publication.ends or any(one.node_name == NAMELESS for one in publication.ends):
+            return
         for one in publication.ends:
             if one.topic_type != publication.kind:
                 wants = f"{one.node_name} wants {one.topic_type}, and what comes there is {publication.kind}"
