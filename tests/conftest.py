@@ -1,7 +1,10 @@
-"""For all tests: how many run at a time, signals as at a shell, and which examples property tests draw.
+"""For all tests: how many run at a time, signals as at a shell, reruns, and which examples property tests draw.
 
 A push draws a sixth of each property's examples, with a seed made of the commit: the next commit draws others, and the
 same commit draws the same ones again. `CFGPLAN_SHARE=1` draws all of them, `CFGPLAN_SEED=N` repeats those of a seed.
+
+`CFGPLAN_RERUNS=1`, which `.ci/run` sets, runs a test once more if it fails and waits for processes: the computer of the
+CI stops whole processes for seconds. pytest lists each such test, and each is a race to mend.
 """
 
 from __future__ import annotations
@@ -18,6 +21,8 @@ from hypothesis import HealthCheck, settings
 FEWEST_EXAMPLES = 10
 """A property with fewer examples draws all of them."""
 SHARE = 1 if "CFGPLAN_EXAMPLES" in os.environ else int(os.environ.get("CFGPLAN_SHARE", "6"))
+RERUNS = int(os.environ.get("CFGPLAN_RERUNS", "0"))
+_ROOMS_WITH_PROCESSES = {"cli", "fleet", "lifecycle", "nao", "operating", "ros1", "ros2", "ros2real", "runtime"}
 _OF_FUNCTIONS = "_hypothesis_internal_use_settings"
 
 
@@ -47,9 +52,11 @@ def pytest_report_header(config: pytest.Config) -> str:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Lower the number of examples of each property and of each stateful test, once."""
+    """Lower the number of examples of each property and of each stateful test, once; mark what may be run again."""
     lowered: set[int] = set()
     for item in items:
+        if RERUNS and item.path.parent.name in _ROOMS_WITH_PROCESSES:
+            item.add_marker(pytest.mark.flaky(reruns=RERUNS))
         method = getattr(item, "obj", None)
         test = getattr(method, "__func__", method)
         machine: Any = getattr(item, "cls", None)
