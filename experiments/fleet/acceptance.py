@@ -392,7 +392,7 @@ def partition(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
         fleet.network.mend("r1")
         larger.await_text("host r1 is there")
         path("old", "  - {label: other, tag: Other, topic: /other, host: r1}\n")
-        took_s = old.await_text("host r1 is gone: it obeys a later manager")
+        took_s = old.await_text("host r1 is gone: it obeys another manager")
         listener.await_more(RATE_HZ)
         units = sorted(unit.partition(".")[0] for host in HOSTS for unit in fleet.units(host))
     is_refused = "1 of 3 hosts can be reached" in smaller.said.read_text()

@@ -1,4 +1,7 @@
-"""A manager to be killed: arguments are how far its clock is behind, its hosts with commas, and the endpoints."""
+"""A manager to be killed: arguments are how far its clock is behind, its hosts with commas, and the endpoints.
+
+It says `applied`, and the cause when it has lost a host.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from cfgplan_runtime import Runtime
 from cfgplan_runtime.fleet.fleet_backend import FleetBackend
 from cfgplan_runtime.fleet.fleet_runtime import linked
 from cfgplan_runtime.streams.run_folder import RunFolder
-from cfgplan_runtime.supervision.events import SparePrepared
+from cfgplan_runtime.supervision.events import HostLost, SparePrepared
 from small_fleet import FOLDER, PATIENCE_S, RESULT, cold, eventually, seen, source, unit, worker
 
 from cfgplan.domain import ChangeSet, Host
@@ -28,5 +31,8 @@ with Runtime(backend=backend) as runtime:
     runtime.apply(ChangeSet(units, added_transformations=library, added_targets=(RESULT,), added_hosts=everywhere))
     eventually(lambda: bool(seen(runtime, SparePrepared)))
     sys.stdout.write("applied\n")
+    sys.stdout.flush()
+    eventually(lambda: bool(seen(runtime, HostLost)))
+    sys.stdout.write(f"{seen(runtime, HostLost)[0].cause}\n")
     sys.stdout.flush()
     time.sleep(PATIENCE_S)

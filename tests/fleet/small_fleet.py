@@ -101,7 +101,8 @@ class SmallFleet:
             known = {one.label: one for one in library}
             more = {"folder": FOLDER, "library": known, "wait_s": wait_s, "takes_over": takes_over}
             with Runtime(backend=partial(FleetBackend, named, run, link, **more)) as runtime:
-                runtime.apply(ChangeSet(added_transformations=library, added_targets=(RESULT,), added_hosts=everywhere))
+                targets = (RESULT,) if RESULT.host in named else ()
+                runtime.apply(ChangeSet(added_transformations=library, added_targets=targets, added_hosts=everywhere))
                 yield runtime
 
     @contextmanager

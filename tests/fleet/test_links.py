@@ -116,6 +116,22 @@ def test_an_agent_of_a_name_that_the_fleet_has_already_is_refused(tmp_path: Path
             one.terminate()
 
 
+def test_of_two_agents_of_one_name_that_meet_late_the_second_ends(tmp_path: Path) -> None:
+    first, second = (f"tcp/127.0.0.1:{free_port()}" for _ in range(2))
+    agent = [*CFGPLAN, "agent", "--name=r1", f"--folder={tmp_path}"]
+    with subprocess.Popen([*agent, f"--listen={first}"], stderr=subprocess.PIPE, text=True) as one:
+        try:
+            assert one.stderr is not None and one.stderr.readline()
+            late = f"from cfgplan_runtime.fleet.agent import Agent; Agent._refuse_twin = lambda *_: None; {CFGPLAN[2]}"
+            command = [*CFGPLAN[:2], late, *agent[3:], f"--listen={second}", f"--connect={first}"]
+            done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+            assert done.returncode == 30
+            assert "the fleet has an agent 'r1' that began earlier" in done.stderr
+            assert one.poll() is None
+        finally:
+            one.terminate()
+
+
 def test_an_agent_listens_at_all_addresses_of_its_computer_if_none_is_named() -> None:
     one = reach(["tls/0.0.0.0:7447"], ["tls/10.0.0.2:7447"])
     assert all(place.endswith(" 7447") and not place.startswith("127.") for place in one.listens)

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from cfgplan_runtime.errors import StaleChangeSetError
 from cfgplan_runtime.fleet.certificates import MANAGER
-from cfgplan_runtime.fleet.links import config
+from cfgplan_runtime.fleet.links import LEASE_S, config
 from cfgplan_runtime.fleet.ways import alive_key
 from cfgplan_runtime.operating.flows import Flows
 from cfgplan_runtime.streams.run_folder import address, base_folder, topics_of
@@ -46,7 +46,7 @@ from small_fleet import (
     worker,
 )
 
-from cfgplan.domain import ChangeSet, ComputationUnit, InputPort, Publication, RunOptions, Target, Transformation
+from cfgplan.domain import ChangeSet, ComputationUnit, Host, InputPort, Publication, RunOptions, Target, Transformation
 from cfgplan.errors import InputError
 
 COUNT = unit("count.1", "r1")
@@ -273,7 +273,7 @@ def test_who_takes_over_is_obeyed_and_the_other_is_refused() -> None:
             eventually(lambda: fleet.units() == [])
             eventually(lambda: bool(seen(runtime, HostLost)))  # though it has given no order since
             (lost,) = seen(runtime, HostLost)
-            assert lost.cause == "it obeys a later manager"
+            assert lost.cause == "it obeys another manager"
             with pytest.raises(StaleChangeSetError):
                 runtime.apply(ChangeSet(started=(unit("count.2", "r1"),)))
             assert fleet.units() == []
@@ -441,3 +441,64 @@ def test_who_sees_fewer_than_half_of_the_hosts_does_not_take_over() -> None:
         with pytest.raises(InputError, match="1 of 3 hosts"), taking:
             pass
         assert fleet.units() == ["count.1"]
+
+
+def test_a_run_takes_the_hosts_that_it_names_and_another_run_has_the_others() -> None:
+    with small_fleet("r1", "r2") as fleet, fleet.runtime(source(), hosts=("r1",)) as first:
+        first.apply(ChangeSet(started=(COUNT,)))
+        with fleet.runtime(source("other"), hosts=("r2",)) as second:
+            second.apply(ChangeSet(started=(unit("other.1", "r2"),)))
+            assert sorted(fleet.units()) == ["count.1", "other.1"]
+            assert {event.host for event in seen(first, HostJoined)} == {"r1"}
+            assert {event.host for event in seen(second, HostJoined)} == {"r2"}
+
+
+def test_a_host_that_an_update_adds_is_used_at_once_and_one_that_it_removes_is_free_for_another_run() -> None:
+    with small_fleet("r1", "r2") as fleet, fleet.runtime(source(), hosts=("r1",)) as runtime:
+        there = unit("count.1", "r2")
+        runtime.apply(ChangeSet(started=(there,), added_hosts=(Host("r2"),)))
+        assert fleet.units() == ["count.1"]
+        runtime.apply(ChangeSet(stopped=("count.1",), removed_hosts=("r2",)))
+        with fleet.runtime(source(), hosts=("r2",)) as other:
+            other.apply(ChangeSet(started=(there,)))
+            assert fleet.units() == ["count.1"]
+            assert not seen(runtime, HostLost)
+
+
+def test_an_added_host_that_another_run_has_or_that_has_no_agent_is_lost_before_anything_starts_there() -> None:
+    with (
+        small_fleet("r1", "r2") as fleet,
+        fleet.runtime(source(), hosts=("r1",)) as runtime,
+        fleet.runtime(source(), hosts=("r2",)) as other,
+    ):
+        other.apply(ChangeSet(started=(unit("count.1", "r2"),)))
+        for host in ("r2", "r3"):
+            with pytest.raises(StaleChangeSetError, match=host):
+                runtime.apply(ChangeSet(started=(unit("count.2", host),), added_hosts=(Host(host),)))
+        causes = {event.host: event.cause for event in seen(runtime, HostLost)}
+        assert causes == {"r2": "it obeys another manager", "r3": "it has no agent"}
+        assert fleet.units() == ["count.1"]
+
+
+def test_a_unit_that_any_host_may_have_dies_with_its_host() -> None:
+    with small_fleet("r1", "r2") as fleet, fleet.runtime(source()) as runtime:
+        runtime.apply(ChangeSet(started=(unit("count.1", None),)))
+        fleet.agents.processes["r1"].kill()
+        eventually(lambda: bool(seen(runtime, UnitDied)))
+        (died,) = seen(runtime, UnitDied)
+        assert died.unit == "count.1" and died.cause.startswith("host r1 is gone: ")
+        assert not runtime.environment.units
+        runtime.apply(ChangeSet(started=(unit("count.2", None),)))
+        assert fleet.units() == ["count.2"]
+
+
+def test_a_manager_that_was_suspended_while_another_took_over_is_told_when_it_goes_on() -> None:
+    with small_fleet("r1") as fleet, fleet.other_manager() as process:
+        process.send_signal(signal.SIGSTOP)
+        with fleet.backend("r1", takes_over=True) as later:
+            end_s = time.monotonic() + 2 * LEASE_S
+            while time.monotonic() < end_s:
+                later.wait(0.1)
+            process.send_signal(signal.SIGCONT)
+            assert process.stdout is not None
+            assert process.stdout.readline() == b"it obeys another manager\n"

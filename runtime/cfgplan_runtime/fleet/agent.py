@@ -23,6 +23,7 @@ from cfgplan_runtime.fleet.clocks import HostClock, clock_key
 from cfgplan_runtime.fleet.links import LEASE_S, PRIVATE, Lives, config, sign_period_s
 from cfgplan_runtime.fleet.relay import Relay
 from cfgplan_runtime.fleet.tunnels import TunnelServer
+from cfgplan_runtime.fleet.twins import Twins
 from cfgplan_runtime.fleet.ways import Way, alive_key
 from cfgplan_runtime.processes.cpu_group import CpuGroup
 from cfgplan_runtime.processes.process_backend import RELAY, ProcessBackend
@@ -32,6 +33,7 @@ from cfgplan_runtime.supervision import events
 from cfgplan_runtime.supervision.backend import Inlet
 
 USAGE_PERIOD_S = 0.5
+_MOST_SUPERSEDED = 16
 LINK_S = 2.0
 """Seconds that an agent which starts waits for a first link."""
 
@@ -93,9 +95,10 @@ class Agent:
         self._managers = Lives()
         self._is_left = False
         """Whether this talk's manager has said that its run is over. Its key may stay alive for a moment."""
-        self._superseded: tuple[float, orders.Session] | None = None
-        """The session before this one, and when its manager is told that it is over. Told at once, that manager would
-        plan anew with the hosts that have not heard of the new one yet.
+        self._superseded: dict[str, tuple[float, orders.Session]] = {}
+        """For each manager that was obeyed before: when it is told next that its session is over, and the session. Told
+        at once, it would plan anew with the hosts that have not heard of the new one yet. Told once, it might be
+        suspended.
         """
         self._usage_due_s = 0.0
         self._failure: BaseException | None = None
@@ -114,9 +117,10 @@ class Agent:
             stack.callback(self._relay.close)
             life = secrets.token_hex(4)
             stack.callback(TunnelServer(self._link, name, life, self._backend.run_folder.path).close)
-            key = f"{alive_key(name)}/{life}"
+            key, twins = f"{alive_key(name)}/{life}", Twins(name, life, self._note_failure)
             self._link.live(key)
-            self._link.give_signs(key, sign_period_s())
+            self._link.give_signs(key, sign_period_s(), twins.sign)
+            self._link.hear(f"{alive_key(name)}/*", lambda key, _, payload: twins.hear(key.rpartition("/")[2], payload))
             stack.callback(Way(self._link, key, listen, connect, certificates, self._note_failure, say).close)
             self._stack = stack.pop_all()
 
@@ -192,9 +196,7 @@ class Agent:
                 self._obey(self._orders.popleft())
         self._stop_due()
         now_s = time.monotonic()
-        if self._superseded is not None and self._talk is not None and now_s >= self._superseded[0]:
-            self._refuse(self._superseded[1], self._talk.session, is_obeyed=True)
-            self._superseded = None
+        self._tell_superseded(now_s)
         if now_s >= self._usage_due_s:
             self._usage_due_s = now_s + USAGE_PERIOD_S
             self._tell_usage([*self._held.units, *self._held.spares])
@@ -221,11 +223,12 @@ class Agent:
             if kind == orders.HEARD:
                 return
             if talk is not None and not _supersedes(session, talk.session):
-                is_alive = self._managers.has(f"{alive_key(MANAGER)}/{talk.session.manager}", time.monotonic())
-                self._refuse(session, talk.session, is_obeyed=is_alive and not self._is_left)
+                self._refuse(session, talk.session, is_obeyed=self._has_living_manager)
                 return
             if talk is not None and session.manager != talk.session.manager:
-                self._superseded = time.monotonic() + LEASE_S, talk.session
+                self._superseded[talk.session.manager] = time.monotonic() + LEASE_S, talk.session
+                if len(self._superseded) > _MOST_SUPERSEDED:
+                    del self._superseded[next(iter(self._superseded))]
                 self._held.term = talk.session.term
             talk = self._talk = orders.Talk(self._link, self.name, MANAGER, session, orders.Order)
             self._orders.clear()
@@ -236,6 +239,24 @@ class Agent:
             self._is_left = self._is_left or any(isinstance(order, orders.LeaveOrder) for order in heard)
         except msgspec.MsgspecError as error:
             self._tell_user(f"an order of another version of cfgplan is not carried out: {error}")
+
+    def _is_alive(self, manager: str) -> bool:
+        return self._managers.has(f"{alive_key(MANAGER)}/{manager}", time.monotonic())
+
+    @property
+    def _has_living_manager(self) -> bool:
+        """Whether the manager of this talk is alive, and its run not over."""
+        return self._talk is not None and not self._is_left and self._is_alive(self._talk.session.manager)
+
+    def _tell_superseded(self, now_s: float) -> None:
+        """Tell the earlier managers that are alive, again and again, that a later one is obeyed as long as it is."""
+        if self._talk is None:
+            return
+        for manager, (due_s, session) in self._superseded.items():
+            if now_s >= due_s and manager != self._talk.session.manager:
+                self._superseded[manager] = now_s + LEASE_S / 2, session
+                if self._is_alive(manager) and self._has_living_manager:
+                    self._refuse(session, self._talk.session, is_obeyed=True)
 
     def _refuse(self, session: orders.Session, later: orders.Session, *, is_obeyed: bool) -> None:
         """Tell a manager that a later one is obeyed, and whether that one is alive (`is_obeyed`)."""

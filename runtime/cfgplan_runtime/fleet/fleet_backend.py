@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import inf
 from pathlib import Path
@@ -27,6 +27,7 @@ from cfgplan_runtime.supervision.backend import Found, Inlet, Usage
 
 WAIT_S = 3.0
 """Seconds that a run waits for its hosts when it begins."""
+_NO_AGENT = "it has no agent"
 
 
 @dataclass(slots=True)
@@ -64,6 +65,10 @@ class FleetBackend:
         self._told: dict[str, _Told] = {}
         self._units: dict[str, str] = {}
         self._spares: dict[str, str] = {}
+        self._anywhere: set[str] = set()
+        """Units and spares that any host may have. No supervisor knows on which they are, and that they die with it."""
+        self._awaited: set[str] = set()
+        """Hosts that are used from now on and have not answered yet."""
         self._topics: dict[str, tuple[str | None, str]] = {}
         """For each topic the host that was asked for, and the host where it is."""
         self._unplaced: set[str] = set()
@@ -84,7 +89,7 @@ class FleetBackend:
         for one in happened:
             self._take(one)
         joined = {one.host.name for one in happened if isinstance(one, presence.AgentJoined)}
-        self._events += [events.HostLost(host, "it has no agent") for host in hosts if host not in joined]
+        self._events += [events.HostLost(host, _NO_AGENT) for host in hosts if host not in joined]
 
     @property
     def id(self) -> str:
@@ -118,6 +123,18 @@ class FleetBackend:
         told, self._events = self._events, []
         return told
 
+    def take_hosts(self, hosts: Collection[str]) -> Collection[str]:
+        greeted, absent = self._presence.take(hosts)
+        self._awaited |= set(greeted)
+        self._events += [events.HostLost(host, _NO_AGENT) for host in absent]
+        return [*greeted, *absent]
+
+    def leave_hosts(self, hosts: Collection[str]) -> None:
+        self._presence.leave(hosts)
+        for host in hosts:
+            self._told.pop(host, None)
+            self._give(self._routes.forget_host(host))
+
     def start(
         self, unit: str, transformation: Transformation, state: bytes | None, host: str | None, spare: str | None = None
     ) -> None:
@@ -129,6 +146,7 @@ class FleetBackend:
         if there is None:
             return
         self._units[unit] = there
+        self._note_place(unit, host)
         order = unit_order(unit, transformation, state)
         self._presence.say(there, orders.StartOrder(transformation.label, order, self._digest(transformation), spare))
 
@@ -137,6 +155,7 @@ class FleetBackend:
         if there is None:
             return
         self._spares[spare] = there
+        self._note_place(spare, host)
         order = unit_order(spare, transformation, None)
         self._presence.say(there, orders.PrepareOrder(transformation.label, order, self._digest(transformation)))
 
@@ -206,6 +225,7 @@ class FleetBackend:
     def _take(self, news: presence.AgentNews) -> None:
         match news:
             case presence.AgentJoined(host, day_ahead_ns):
+                self._awaited.discard(host.name)
                 self._events.append(events.HostJoined(host.name, day_ahead_ns // 1000))
                 if self._unplaced:
                     unplaced, self._unplaced = self._unplaced, set()
@@ -227,11 +247,20 @@ class FleetBackend:
         helpers = self._told.pop(host.name, _Told()).helpers
         self._events += [events.HelperAlive(f"{host.name}: {helper}", inf) for helper in helpers]
         if not host.is_there:
+            if host.name in self._awaited:
+                self._awaited.discard(host.name)
+                self._events.append(events.HostLost(host.name, cause))
             return
+        self._events.append(events.HostLost(host.name, cause))
+        told = f"host {host.name} is gone: {cause}"
+        for unit in sorted(self._anywhere):
+            if self._units.get(unit) == host.name:
+                self._events.append(events.UnitDied(unit, told))
+            elif self._spares.get(unit) == host.name:
+                self._events.append(events.SpareLost(unit, told))
         self._units = {unit: at for unit, at in self._units.items() if at != host.name}
         self._spares = {spare: at for spare, at in self._spares.items() if at != host.name}
         self._give(self._routes.forget_host(host.name))
-        self._events.append(events.HostLost(host.name, cause))
         moved = [topic for topic, (asked, at) in self._topics.items() if at == host.name and asked is None]
         for topic in [topic for topic, (_, at) in self._topics.items() if at == host.name]:
             self._topics_elsewhere.hide(topic)
@@ -288,6 +317,9 @@ class FleetBackend:
     def _digest(self, transformation: Transformation) -> str | None:
         file = source_file(transformation.source or "", self._folder)
         return None if file is None else digest_of(file)
+
+    def _note_place(self, unit: str, host: str | None) -> None:
+        (self._anywhere.add if host is None else self._anywhere.discard)(unit)
 
     def _place(self, host: str | None) -> str | None:
         """This host, or the first of all if None is given. None if it is not there."""

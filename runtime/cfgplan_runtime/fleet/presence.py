@@ -5,7 +5,7 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from math import inf
@@ -94,7 +94,10 @@ _Arrival: TypeAlias = "tuple[str, bytes, bytes] | tuple[str, bool] | tuple[str, 
 
 
 class Presence:
-    """The hosts that are linked with the manager `run`. All methods but `wake` are for the thread that made it.
+    """The hosts of the manager `run` that are linked with it. All methods but `wake` are for the thread that made it.
+
+    Other hosts of the network are let alone: they may be those of another run. An agent is greeted while no other agent
+    of its name gives signs of life.
 
     `tell_clock` is called with how many nanoseconds the run's clock is ahead of the monotonic one of this computer. The
     run's clock may be an earlier manager's.
@@ -115,8 +118,10 @@ class Presence:
         """True until all hosts were waited for. What a host runs is adopted while this is true, later it is ended."""
         self._takes_over = False
         """Whether hosts are taken from a living manager: at the beginning only, or two managers would take turns."""
+        self._own: set[str] = set()
+        """The hosts that this manager uses."""
         self._seen: dict[str, str] = {}
-        """Hosts that were alive before any was greeted, and the ids of their agents."""
+        """Hosts that are alive and were not greeted, with the ids of their agents: others', or all before any is."""
         self._is_greeting = False
         self._has_left = threading.Event()
         self._round_s = inf
@@ -171,18 +176,19 @@ class Presence:
         than half of the hosts. A manager that was just killed seems alive for a lease.
         """
         self._takes_over = takes_over
+        self._own |= set(hosts)
         end_s = time.monotonic() + wait_s
-        while not self._seen.keys() >= set(hosts) and time.monotonic() < end_s:
+        while not self._seen.keys() >= self._own and time.monotonic() < end_s:
             self._hear_once(end_s)
         few = [host for host in hosts if host in self._seen]
         if takes_over and 2 * len(few) < len(hosts):
             message = f"{len(few)} of {len(hosts)} hosts can be reached: who sees fewer than half does not take over"
             raise InputError.of(message, mend="run it where more hosts can be reached")
         self._is_greeting = True
-        for name, life in self._seen.items():
-            self._greet(name, life, "")
+        for name in few:
+            self._greet(name, self._seen.pop(name), "")
         refused_s = time.monotonic() + LEASE_S + sign_period_s()
-        while not self.there.keys() >= self._seen.keys() and time.monotonic() < max(end_s, refused_s) + _MARGIN_S:
+        while not self.there.keys() >= set(few) and time.monotonic() < max(end_s, refused_s) + _MARGIN_S:
             self._hear_once(end_s + _MARGIN_S)
             if self._refusing and time.monotonic() > refused_s:
                 mend = "stop the other run first, or add --take-over"
@@ -197,14 +203,38 @@ class Presence:
         happened, self._happened = self._happened, []
         return happened
 
-    def leave(self) -> None:
-        """Tell all hosts that the run is over, and wait until they have heard, at most _LEAVE_S seconds."""
-        self._has_left.set()
-        for host in self._hosts.values():
+    def take(self, hosts: Collection[str]) -> tuple[list[str], list[str]]:
+        """Use these hosts too. Returns the new ones: with an agent, which is greeted, and without."""
+        self._hear_all()
+        new = sorted(set(hosts) - self._own)
+        self._own |= set(new)
+        greeted = [host for host in new if host in self._seen]
+        for host in greeted:
+            self._greet(host, self._seen.pop(host), "")
+        return greeted, [host for host in new if host not in greeted]
+
+    def leave(self, hosts: Collection[str] | None = None) -> None:
+        """Tell these hosts, or all, that their run is over, and wait until they have heard, at most _LEAVE_S seconds.
+
+        What else arrives meanwhile is told by the next `wait`.
+        """
+        if hosts is None:
+            self._has_left.set()
+            left = list(self._hosts.values())
+        else:
+            self._own -= set(hosts)
+            left = [self._hosts[host] for host in sorted(hosts) if host in self._hosts]
+        for host in left:
             self.say(host.name, orders.LeaveOrder())
         end_s = time.monotonic() + _LEAVE_S
-        while any(not host.talk.is_done for host in self._hosts.values()) and time.monotonic() < end_s:
-            self.wait(min(end_s, time.monotonic() + 0.05))
+        while time.monotonic() < end_s:
+            if all(host.talk.is_done or self._hosts.get(host.name) is not host for host in left):
+                break
+            self._hear_once(min(end_s, time.monotonic() + 0.05))
+        if hosts is not None:
+            for host in left:
+                if self._hosts.pop(host.name, None) is host:
+                    self._seen[host.name] = host.life
 
     def _hear_once(self, end_s: float) -> bool:
         """Wait until something arrives or is due to be sent, and handle it. Returns whether `wake` was called."""
@@ -262,14 +292,14 @@ class Presence:
         if name == MANAGER:
             return
         host = self._hosts.get(unquote(name))
-        if not self._is_greeting:
+        if not self._is_greeting or unquote(name) not in self._own:
             if is_alive:
                 self._seen[unquote(name)] = life
-            else:
-                self._seen.pop(unquote(name), None)
-        elif is_alive and (host is None or host.life != life):
-            self._greet(unquote(name), life, "its agent was started again")
-        elif is_alive and host is not None:
+            elif self._seen.get(unquote(name)) == life:
+                del self._seen[unquote(name)]
+        elif is_alive and host is None:
+            self._greet(unquote(name), life, "")
+        elif is_alive and host is not None and host.life == life:
             host.pulse.note(time.monotonic())
         elif not is_alive and host is not None and host.life == life and host.pulse.is_steady(time.monotonic()):
             self._lose(host, "its agent is gone")
@@ -330,7 +360,7 @@ class Presence:
         if is_obeyed and self._is_beginning and not self._takes_over:
             self._refusing.append(host)
         elif is_obeyed and not self._takes_over:
-            self.leave_alone(host, "it obeys a later manager")
+            self.leave_alone(host, "it obeys another manager")
         else:
             self._term = max(self._term, term + 1)
             self._greet(host.name, host.life, "it obeyed a manager that is gone")

@@ -6,7 +6,7 @@ import errno
 import resource
 import socket
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from contextlib import suppress
 from math import inf
 from pathlib import Path
@@ -138,6 +138,12 @@ class ProcessBackend:
             self._watch_spares()
         happened, self._events = self._events, []
         return happened
+
+    def take_hosts(self, hosts: Collection[str]) -> Collection[str]:  # noqa: ARG002
+        return ()
+
+    def leave_hosts(self, hosts: Collection[str]) -> None:
+        """There is one computer, which stays."""
 
     def start(
         self,

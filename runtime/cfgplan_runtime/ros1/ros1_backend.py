@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
@@ -134,6 +134,12 @@ class Ros1Backend:
         happened = list(self._events)
         self._events.clear()
         return happened
+
+    def take_hosts(self, hosts: Collection[str]) -> Collection[str]:  # noqa: ARG002
+        return ()
+
+    def leave_hosts(self, hosts: Collection[str]) -> None:
+        """There is one computer, which stays."""
 
     def start(
         self,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -123,6 +123,12 @@ class Ros2Backend:
         happened = list(self._events)
         self._events.clear()
         return happened
+
+    def take_hosts(self, hosts: Collection[str]) -> Collection[str]:  # noqa: ARG002
+        return ()
+
+    def leave_hosts(self, hosts: Collection[str]) -> None:
+        """There is one computer, which stays."""
 
     def start(
         self,

@@ -182,14 +182,14 @@ class ZenohLink:
         """Be alive under a key until the link is closed or cut."""
         self._declare(lambda session: session.liveliness().declare_token(key))
 
-    def give_signs(self, key: str, period_s: float) -> None:
+    def give_signs(self, key: str, period_s: float, sign: Callable[[], bytes] = bytes) -> None:
         """Put a sign of life at a key again and again, until the link is closed."""
         put = self.publisher(key, "orders")
 
         def run() -> None:
             with suppress(RuntimeFaultError):  # it was closed
                 while not self._is_closed.wait(period_s):
-                    put(b"", b"")
+                    put(b"", sign())
 
         threading.Thread(target=run, daemon=True).start()
 

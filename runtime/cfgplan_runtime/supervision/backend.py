@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -93,6 +93,12 @@ class Backend(Protocol):
 
     def wake(self) -> None:
         """Let `wait` return; for any thread."""
+
+    def take_hosts(self, hosts: Collection[str]) -> Collection[str]:
+        """Use these hosts too. Returns those of which HostJoined or HostLost follows; on one computer none."""
+
+    def leave_hosts(self, hosts: Collection[str]) -> None:
+        """Leave these hosts to others. What runs there is ended."""
 
     def start(
         self, unit: str, transformation: Transformation, state: bytes | None, host: str | None, spare: str | None = None

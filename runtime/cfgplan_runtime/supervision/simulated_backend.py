@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 
 from cfgplan.domain import InputPort, Stream, Transformation
@@ -175,6 +175,12 @@ class SimulatedBackend:
         """The stream that feeds an inlet now; None if there is none."""
         active = self._inputs.get(inlet, _Input()).active
         return None if active is None else self.wires[active][0]
+
+    def take_hosts(self, hosts: Collection[str]) -> Collection[str]:  # noqa: ARG002
+        return ()
+
+    def leave_hosts(self, hosts: Collection[str]) -> None:
+        """There is one computer, which stays."""
 
     def start(
         self, unit: str, transformation: Transformation, state: bytes | None, host: str | None, spare: str | None = None

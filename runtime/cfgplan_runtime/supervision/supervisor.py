@@ -21,6 +21,8 @@ HANG_S = 10.0
 """Seconds that a unit may be silent if its transformation does not say. A source without a rate may be for ever."""
 
 WATCH_PERIOD_S = 0.25
+_HOSTS_S = 5.0
+"""Seconds that an update waits until the backend has told of each host that it adds."""
 _LONGEST_ROUND_S = 1.0
 """A longer round is a gap: this process was suspended, and has seen nothing meanwhile."""
 _DRY_S = 2.5
@@ -88,6 +90,7 @@ class Supervisor:
             return self._applied[id]
         if basis is not None and basis.units != self.environment.units:
             raise StaleChangeSetError("the change set was planned for other running units than there are now")
+        self._take_hosts(change_set)
         after = updates.environment_after(self.environment, change_set, self.lost_hosts)
         name = id or uuid.uuid4().hex[:12]
         self.cause_of_death.clear()
@@ -104,6 +107,7 @@ class Supervisor:
         finally:
             self.is_abandoned = False
             self.wiring.settle()
+        self.backend.leave_hosts([host for host in change_set.removed_hosts if host not in carried.environment.host])
         self.environment = carried.environment
         self.spares.keep(self.environment, self.now())
         applied = self._applied[name] = events.Applied(name, dict(carried.seconds), carried.unswitched)
@@ -111,6 +115,13 @@ class Supervisor:
             del self._applied[next(iter(self._applied))]
         self._report(applied)
         return applied
+
+    def _take_hosts(self, change_set: ChangeSet) -> None:
+        """Have the backend use the hosts that a change set adds, and wait until it has told of each."""
+        told_of = self.backend.take_hosts([host.name for host in change_set.added_hosts])
+        for host in told_of:
+            self.hosts.pop(host, None)
+        self._wait(updates.WaitUntil(lambda: self.hosts.keys() >= set(told_of), _HOSTS_S))
 
     def pump(self, timeout_s: float) -> None:
         """Handle events; waits up to `timeout_s` for the first of them, but never longer than WATCH_PERIOD_S."""
