@@ -81,7 +81,10 @@ def add_planning(parser: argparse.ArgumentParser, what_if: str | None = None) ->
     )
     parser.add_argument("--max-cost", type=cost, metavar="S", help="largest cost in CPU seconds, instead of the file's")
     parser.add_argument(
-        "--timeout", type=positive, metavar="S", help="stop planning after S seconds with the best plan so far"
+        "--timeout",
+        type=not_negative,
+        metavar="S",
+        help="stop planning after S seconds with the best plan so far, or else the first (0: the first)",
     )
     supposing = parser.add_argument_group("what if", what_if)
     gone = "plan as if this transformation, running unit or target were gone"
@@ -245,6 +248,13 @@ def port(text: str) -> int:
     if not text.isdecimal() or int(text) > 65535:
         raise argparse.ArgumentTypeError(f"{text!r} is no port: write a number from 0 to 65535")
     return int(text)
+
+
+def not_negative(text: str) -> float:
+    value = _decimal(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{text!r} is negative")
+    return float(value)
 
 
 def positive(text: str) -> float:

@@ -381,7 +381,7 @@ def _settings(options: argparse.Namespace, screen: Screen) -> Settings:
         guess=options.guess,
         estimates=None if options.no_estimates else kept,
         policy=Policy(
-            time_limit_s=options.timeout or Policy().time_limit_s,
+            time_limit_s=Policy().time_limit_s if options.timeout is None else options.timeout,
             match_limit_s=options.reasoner_timeout,
             reasoner=options.reasoner,
             hosts_s=None if _fleet(options) is None else _HOSTS_S,

@@ -53,7 +53,10 @@ class PlannerSession:
         report: OnProgress | None = None,
         stop: Event | None = None,
     ) -> Plan:
-        """The optimal update. Stopped by the clock, by `stop` or by Ctrl-C it is the best one so far."""
+        """The optimal update. Stopped by the clock, by `stop` or by Ctrl-C it is the best one so far.
+
+        If the time limit leaves no plan, a first one is looked for, as long as `Clock.for_a_first_plan` lasts.
+        """
         if problem.similarity.open:
             return Deciding(partial(self.plan, stop=stop))(problem, time_limit_s=time_limit_s, report=report)
         clock = Clock(time_limit_s, stop, self._tuning)
@@ -62,9 +65,11 @@ class PlannerSession:
             clock = clock.with_limit(time_limit_s * ROOM_SHARE, self._tuning)
         standing = Standing(part.problem, clock, part.reporting(report), problem)
         answer = self._planned(part, standing)
-        if answer is not None and (answer.ties_proven or not standing.are_ties_proven):
-            return answer
-        return self._planned_again(part, standing, answer, time_limit_s, report)
+        if answer is None or (standing.are_ties_proven and not answer.ties_proven):
+            answer = self._planned_again(part, standing, answer, time_limit_s, report)
+        if answer.status is Status.UNKNOWN and time_limit_s is not None and not clock.stop.is_set():
+            return self._planned_first(problem, clock.for_a_first_plan(problem), report)
+        return answer
 
     def _planned(self, part: Reduced, standing: Standing) -> Plan | None:
         """The answer to the whole problem by a plan of the part; None if it gives none."""
@@ -125,6 +130,13 @@ class PlannerSession:
         if is_about_cost and standing.is_at_bound:
             standing.prove_cost()
         found = PlannerSession(self._tuning, is_asked_once=True)._planned(part, standing)
+        assert found is not None
+        return found
+
+    def _planned_first(self, problem: Problem, clock: Clock, report: OnProgress | None) -> Plan:
+        """A first plan of a problem, and what is proven until it is there."""
+        part = _reduced(problem, clock, is_certain=True)
+        found = self._planned(part, Standing(part.problem, clock, part.reporting(report), problem))
         assert found is not None
         return found
 

@@ -11,11 +11,14 @@ from typing import TypeVar
 
 from cfgplan.errors import CfgplanError
 from cfgplan.planners.tuning import USUAL, Tuning
-from cfgplan.planning import Plan, PlannerFaultError
+from cfgplan.planning import Plan, PlannerFaultError, Problem
 
 STOPPING_S = 10.0
 """For so long after `stop` a first plan may still be looked for, if there is none yet."""
-
+FIRST_PLAN_S, FIRST_PLAN_PART_S = 1.0, 0.0002
+"""Seconds of CPU time for a first plan after the limit: in all, and for each transformation, unit and host."""
+_SLOWEST = 20.0
+"""A second of CPU time may take so many seconds on a busy computer."""
 
 Item = TypeVar("Item")
 
@@ -35,6 +38,7 @@ class Clock:
         self._began = self._phase_began = time.monotonic()
         self._limit_s = None if time_limit_s == inf else time_limit_s
         self._stopped: float | None = None
+        self._cpu_end_s: float | None = None
         self.tuning = tuning
         self.stop = stop or Event()
         self.has_plan = False
@@ -51,11 +55,23 @@ class Clock:
         other.tuning, other.seconds = tuning, {**self.seconds}
         return other
 
+    def for_a_first_plan(self, problem: Problem) -> Clock:
+        """A clock that began when this one did and is over once there is a plan, or when this process has used as much
+        CPU time as a first plan may take. So the load of the computer does not decide whether there is a plan.
+        """
+        environment = problem.environment
+        parts = len(environment.library) + len(environment.units) + len(environment.hosts)
+        other = self.with_limit(None, self.tuning)
+        other._cpu_end_s = time.process_time() + FIRST_PLAN_S + FIRST_PLAN_PART_S * parts
+        return other
+
     def elapsed_s(self) -> float:
         return time.monotonic() - self._began
 
     def left_s(self) -> float | None:
         """Seconds until the limit, None without one."""
+        if self._cpu_end_s is not None:
+            return 0.0 if self.has_plan else max(0.0, (self._cpu_end_s - time.process_time()) * _SLOWEST)
         return None if self._limit_s is None else max(0.0, self._limit_s - self.elapsed_s())
 
     def has_steps(self, steps: float) -> bool:
@@ -77,7 +93,7 @@ class Clock:
             yield item
 
     def _check(self) -> None:
-        if self._limit_s is not None and time.monotonic() - self._began >= self._limit_s:
+        if self.left_s() == 0.0:
             raise OutOfTimeError
         if self.stop.is_set():
             if self._stopped is None:

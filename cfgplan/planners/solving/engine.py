@@ -164,7 +164,7 @@ def _solve_in_a_thread(
     while True:
         try:
             while not done.wait(0.05):
-                if clock.stop.is_set():
+                if clock.is_over():
                     solver.stop_search()
             break
         except KeyboardInterrupt:
