@@ -1,0 +1,70 @@
+"""The smallest files in which a planner once answered wrongly, late or not at all, each with its right answer."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from cfgplan import api
+from cfgplan.planning import Status
+from cfgplan.validity import plan_violations
+
+CASES = Path(__file__).parents[3] / "shared" / "cases" / "3" / "planner"
+ANSWERS = {
+    "1": (Status.INFEASIBLE, None),
+    "1-pinned-variant": (Status.OPTIMAL, 100_005_000_000),
+    "2": (Status.INFEASIBLE, None),
+    "3": (Status.OPTIMAL, 3_000_000),
+    "3b": (Status.OPTIMAL, 3_000_000),
+    "bnb-110236": (Status.TOO_EXPENSIVE, 120_000_000),
+    "false-700049": (Status.OPTIMAL, 5_666_665),
+    "false-infeasible-600088": (Status.OPTIMAL, 99_999_100_000),
+    "slow-10279": (Status.OPTIMAL, 1_000_000),
+    "slow-30011": (Status.INFEASIBLE, None),
+    "timeout-75192": (Status.OPTIMAL, 0),
+    "zero": (Status.OPTIMAL, 0),
+}
+
+
+def case(name: str) -> api.World:
+    path = CASES / f"{name}.yaml"
+    if not path.is_file():
+        pytest.skip(f"{path.name} is not there: the cases of wrong answers are no part of the project")
+    return api.load(path)
+
+
+@pytest.mark.parametrize("name", ANSWERS)
+def test_a_case_that_was_answered_wrongly_has_its_right_answer_now(name: str) -> None:
+    world = case(name)
+    problem = api.match(world)
+    found = api.plan(problem)
+    assert plan_violations(problem, found) == []
+    assert (found.status, found.cost_us) == ANSWERS[name]
+
+
+def test_branch_and_bound_claims_nothing_where_required_ones_are_left_out() -> None:
+    world = case("bnb-110236")
+    problem = api.match(world)
+    assert api.plan(problem, planner="branch-and-bound").status is Status.UNKNOWN
+
+
+GREEDY = """
+from cfgplan.domain import ComputationUnit
+from cfgplan.planning import Plan, Status
+
+def plan(problem, *, time_limit_s=None, report=None):
+    return Plan("greedy", Status.FEASIBLE, problem.environment.change_to(list(problem.environment.units)), 0)
+"""
+
+
+def test_a_planner_of_ones_own_may_call_a_plan_of_cost_0_feasible(tmp_path: Path) -> None:
+    case("zero")
+    (tmp_path / "greedy.py").write_text(GREEDY, encoding="utf-8")
+    code = "import sys; from cfgplan.cli import main; sys.exit(main())"
+    command = [sys.executable, "-c", code, "solve", str(CASES / "zero.yaml"), "--planner", "greedy:plan"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
+    assert done.returncode == 20, done.stderr
+    assert "has not proven it optimal" in done.stdout
