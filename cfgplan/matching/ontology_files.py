@@ -17,7 +17,7 @@ from cfgplan.matching.catalog import catalogued
 from cfgplan.matching.functional import LOGICAL, parse, rule_text
 from cfgplan.matching.names import short_name
 from cfgplan.matching.ontology import Ontology
-from cfgplan.matching.rdf import ANONYMOUS, TripleGraph, ontology_iri, restored
+from cfgplan.matching.rdf import ANONYMOUS, Triple, TripleGraph, ontology_iri, restored
 
 EXTENSIONS: Final = {
     ".ttl": "ttl", ".nt": "ttl", ".n3": "ttl", ".owl": "rdf", ".rdf": "rdf", ".xml": "rdf",
@@ -31,6 +31,8 @@ _PREFIX: Final = re.compile(
     r"""(?:@prefix|\bPREFIX|^Prefix:)\s*([\w.-]*):\s*<([^<>]*)>|\bxmlns:([\w.-]+)\s*=\s*["']([^"']*)["']""",
     re.MULTILINE,
 )
+_MOST_REFUSED: Final = 20
+"""An ontology with more axioms that make py-horned-owl refuse it is refused."""
 _ANONYMOUS: Final = re.compile(r'"(?:[^"\\]|\\.)*"|<[^>]*>|_:([\w.-]+)')
 _PLACE: Final = re.compile(r"^Parser error (?:at|between) [^:]*: ")
 _ANONYMOUS_IRI: Final = re.compile(f"<{ANONYMOUS}([^>]*)>")
@@ -236,7 +238,7 @@ def _parse_rdf(text: str, syntax: str, base: str, shown: str) -> _Document:
             message = f"the ontology can't be read as {name}: its `@context` is another document"
             mend = "write the `@context` into the file: web addresses are not fetched"
         raise InputError([Fault(message, file=shown, line=line, column=column, mend=mend)]) from None
-    parsed = _parsed(graph.lossless(), "ttl", text, syntax, shown)
+    parsed = _parsed_graph(graph, text, syntax, shown)
     components = [str(component.component) for component in parsed.get_components()]
     document = _document(parsed, components, syntax, shown)
     unread = {f"{said} in {Path(shown).name}": "that is no axiom of OWL 2" for said in graph.unread(components)}
@@ -245,6 +247,32 @@ def _parse_rdf(text: str, syntax: str, base: str, shown: str) -> _Document:
     axioms = [axiom for axiom in axioms if not axiom.startswith("Declaration(NamedIndividual(_:")]
     dropped = {**document.dropped, **unread}
     return replace(document, axioms=tuple(axioms), prefixes=_prefixes_in(text, syntax), dropped=dropped)
+
+
+def _parsed_graph(graph: TripleGraph, text: str, syntax: str, shown: str) -> Any:
+    """py-horned-owl's reading of a graph, without the axioms for which it would refuse the whole, which are told."""
+    try:
+        return _parsed(graph.lossless(), "ttl", text, syntax, shown)
+    except InputError as error:
+        refusal = error
+    kept: list[list[Triple]] = []
+    lost: list[list[Triple]] = []
+    waiting = [graph.parts()]
+    while waiting:
+        parts = waiting.pop()
+        try:
+            _parsed(graph.text_of([*kept, *parts]), "ttl", text, syntax, shown)
+        except InputError:
+            if len(parts) == 1:
+                lost += parts
+            else:
+                waiting += [parts[len(parts) // 2 :], parts[: len(parts) // 2]]
+            if len(lost) > _MOST_REFUSED:
+                raise refusal from None
+        else:
+            kept += parts
+    graph.leave_out(lost, kept)
+    return _parsed(graph.text_of(kept), "ttl", text, syntax, shown)
 
 
 def _prefixes_in(text: str, syntax: str) -> dict[str, str]:
@@ -358,6 +386,8 @@ def _xml_error_place(text: str) -> tuple[int | None, int | None]:
         parser.Parse(text.encode(), True)
     except expat.ExpatError as error:
         return error.lineno, error.offset + 1
+    except LookupError:  # Python does not know the encoding that the first line names
+        return 1, None
     return None, None
 
 

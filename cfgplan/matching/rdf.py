@@ -12,8 +12,8 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterator
-from typing import TYPE_CHECKING, Final
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from cfgplan.matching.literals import XSD
 from cfgplan.matching.names import short_name
@@ -85,6 +85,9 @@ _ROOTS: Final = {
 _RDF_NAME: Final = r"<[^<>]*>"
 _PLACES: Final = re.compile(rf"(\w+)\(({_RDF_NAME})?.*?({_RDF_NAME})?\)$", re.DOTALL)
 
+Triple: TypeAlias = tuple[str, str, str]
+"""Subject, predicate and object."""
+
 
 class TripleGraph:
     """The triples of a document, terms in N-Triples; blank nodes are numbered in order of appearance."""
@@ -97,7 +100,7 @@ class TripleGraph:
             written = str(value)
             return numbers.setdefault(written, f"_:b{len(numbers)}") if written.startswith("_:") else written
 
-        self._triples: list[tuple[str, str, str]] = [
+        self._triples: list[Triple] = [
             (term(quad.subject), term(quad.predicate), term(quad.object)) for quad in _quads(text, syntax, base)
         ]
         self.axioms: list[str] = []
@@ -116,7 +119,39 @@ class TripleGraph:
         self._write_disjointness_as_axioms()
         self._give_expressions_a_type()
         self._individuals = self._anonymous_individuals()
-        return "".join(f"{self._named(s)} {p} {self._named(o)} .\n" for s, p, o in self._triples)
+        return self.text_of([self._triples])
+
+    def text_of(self, parts: Iterable[Sequence[Triple]]) -> str:
+        """Some triples in N-Triples."""
+        triples = dict.fromkeys(triple for part in parts for triple in part)
+        return "".join(f"{self._named(s)} {p} {self._named(o)} .\n" for s, p, o in triples)
+
+    def parts(self) -> list[list[Triple]]:
+        """The triples of `lossless` by axiom: each with all that its blank nodes stand for. Types come first."""
+        self._index()
+        inside = {o for s, _, o in self._triples if self._is_part(o) and o != s}
+        heads = [triple for triple in self._triples if not (self._is_part(triple[0]) and triple[0] in inside)]
+        heads.sort(key=lambda triple: triple[1] != _TYPE or triple[2].startswith("_:"))
+        return [[head, *self._parts_of(head[2], {head[0]})] for head in heads]
+
+    def _parts_of(self, term: str, seen: set[str]) -> Iterator[Triple]:
+        waiting = [term]
+        while waiting:
+            node = waiting.pop()
+            if self._is_part(node) and node not in seen:
+                seen.add(node)
+                yield from ((node, predicate, value) for predicate, value in self._of[node])
+                waiting += (value for _, value in self._of[node])
+
+    def leave_out(self, lost: Iterable[Sequence[Triple]], kept: Iterable[Sequence[Triple]]) -> None:
+        """Note that some parts could not be read, so that `unread` tells of them, and go on with the others."""
+        self._refused += [(subject, predicate) for (subject, predicate, _), *_ in lost]
+        self._triples = [*dict.fromkeys(triple for part in kept for triple in part)]
+        self._index()
+
+    def _is_part(self, term: str) -> bool:
+        """Whether a term is a blank node that stands for a part of an axiom."""
+        return term.startswith("_:") and term not in self._individuals
 
     def _drop_what_means_nothing(self) -> None:
         """Drop what has no meaning: what is said of the ontology itself, deprecations, restrictions as classes."""
@@ -231,7 +266,7 @@ class TripleGraph:
         """The triples that each stand for an axiom: no annotations, declarations or parts of expressions."""
         annotations = {s for s, p, o in self._triples if p == _TYPE and o == _PROPERTY_TYPES[2]}
         for subject, predicate, value in self._triples:
-            is_part = subject.startswith("_:") and subject not in self._individuals
+            is_part = self._is_part(subject)
             if predicate == _TYPE:
                 is_of_owl = value.startswith(_BUILT_IN)
                 is_meant = (value in _ROOTS or value in _CHARACTERISTICS) if is_of_owl else not is_part
@@ -240,8 +275,7 @@ class TripleGraph:
             elif predicate in _OF_EXPRESSIONS:
                 is_meant = not is_part
             else:
-                is_expression = value.startswith("_:") and value not in self._individuals
-                is_free = not (is_part or is_expression or predicate in annotations)
+                is_free = not (is_part or self._is_part(value) or predicate in annotations)
                 is_meant = is_free and not predicate.startswith(_BUILT_IN)
             if is_meant:
                 yield subject, predicate, value

@@ -564,6 +564,9 @@ def test_warnings_of_one_kind_are_one_line_with_a_count() -> None:
         ':Camera rdfs:subClassOf "x" .',
         ':Camera owl:disjointUnionOf "x" .',
         ':Camera rdfs:subClassOf [ a owl:Restriction ; owl:onProperty :d ; owl:minCardinality "x" ] .',
+        ":Camera owl:unionOf owl:Class .",
+        ":Camera owl:equivalentClass [ a rdfs:Datatype ; owl:onProperty :hasSource ; owl:someValuesFrom :Device ] .",
+        ":Camera owl:equivalentClass [ rdfs:comment 3 ] .",
     ],
 )
 def test_one_bad_axiom_is_a_loss_and_the_rest_is_read(bad: str, tmp_path: Path) -> None:
