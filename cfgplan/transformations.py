@@ -125,7 +125,8 @@ class RunOptions:
     `start` says what starts a step: `all` inputs fresh, `any` input, inputs `aligned` in time within
     `tolerance_us`, or a port's name. `rate_hz` is a source's. `queue` elements wait at each input; when full,
     the oldest is dropped, or the producer waits if it `blocks`. A unit that is silent for `hang_us` (0: it
-    may be silent) or takes more than `memory_mb` megabytes is killed. With `state`, a new unit goes on with the
+    may be silent) or takes more than `memory_mb` megabytes is killed; so is one that was told to end and has not within
+    `stop_us` (None: as long as the runtime usually allows, 2 s). With `state`, a new unit goes on with the
     state of the last. A `lifecycle` node of ROS 2 is configured as a cold spare, and activated as a unit.
     Raises InvalidValueError for a `hang_us` of less than 2 s.
     """
@@ -139,6 +140,7 @@ class RunOptions:
     memory_mb: Natural | None = None
     state: bool = False
     lifecycle: bool = False
+    stop_us: Natural | None = None
 
     def __post_init__(self) -> None:
         if self.hang_us is not None and self.hang_us != 0 and self.hang_us < LEAST_HANG_S * 1_000_000:

@@ -283,6 +283,9 @@ class RunPart(Part):
     hang: HangTime | None = row(
         "kill a unit that is silent for so many seconds, at least 2; 0: never; 10 if absent", to="hang_us"
     )
+    stop: TimeSpan | None = row(
+        "how long a unit that is told to end may take, such as 500ms; then it is killed; 2s if absent", to="stop_us"
+    )
     memory: Whole | None = row(
         "the most memory that a unit may take, in megabytes", None, "memory_mb", Use.BOTH, ge=1, le=LONGEST_QUEUE
     )

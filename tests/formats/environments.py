@@ -54,6 +54,8 @@ def run_options(inputs: list[str]) -> st.SearchStrategy[RunOptions]:
         st.sampled_from([None, 0, 2_000_000, 2_500_001, 10**12]),
         st.none() | st.integers(1, 1000),
         st.booleans(),
+        st.booleans(),
+        st.sampled_from([None, 1, 2_000_000, 10**12]),
     )
 
 

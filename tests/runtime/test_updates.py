@@ -15,12 +15,14 @@ from cfgplan_runtime.supervision.updates import (
     CloseTopic,
     Command,
     Connect,
+    CutShort,
     Disconnect,
     Dump,
     EndUnit,
     GoOver,
     OpenTopic,
     StartUnit,
+    StopAgain,
     StopUnit,
     WaitUntil,
     carry_out,
@@ -36,6 +38,7 @@ NEW = unit("work.2", topic="/result", x="count.1/n")
 SWAP = ChangeSet(started=(NEW,), stopped=("work.1",))
 WIRED = "count.1/n > work.1/x, work.1/y > /result"
 BESIDE = "start work.2, wait, count.1/n > work.2/x, work.2/y > /result"
+IN_VAIN = "wait in vain, stop work.1 again, wait in vain, cut work.1 short"
 RUNNING = Environment((COUNT, WORK), (source(), worker()), (RESULT,))
 
 
@@ -50,6 +53,7 @@ class Scene:
     quiet: Set[str] = frozenset()
     stubborn: Set[str] = frozenset()
     dry: Set[str] = frozenset()
+    limits: dict[str, float] = field(default_factory=dict)
     is_abandoned: bool = False
     cause_of_death: dict[str, str] = field(default_factory=dict)
 
@@ -62,6 +66,9 @@ class Scene:
         wanted = wanted_feeds(self.environment)
         self.feeds = {inlet: Wire(0, stream, inlet, has_switched=True) for inlet, stream in wanted.items()}
         self.said: list[str] = []
+
+    def stop_s(self, unit: str) -> float | None:
+        return self.limits.get(unit)
 
     def dry_units(self) -> Set[str]:
         return self.dry
@@ -87,6 +94,11 @@ class Scene:
                 self.said.append(f"stop {name}")
                 if name not in self.stubborn:
                     self._end(name)
+            case StopAgain(name):
+                self.said.append(f"stop {name} again")
+            case CutShort(name, after_s):
+                self.said.append(f"cut {name} short after {after_s:g} s")
+                self._end(name)
             case EndUnit(name):
                 self.said.append(f"end {name}")
                 self._end(name)
@@ -128,7 +140,7 @@ class Scene:
         (
             Scene(replace(RUNNING, units=())),
             start(COUNT, WORK),
-            f"open /result, start count.1, start work.1, wait, {WIRED}, wait, wait, wait, wait",
+            f"open /result, start count.1, start work.1, wait, {WIRED}, wait, wait, wait",
             0,
         ),
         (Scene(), SWAP, f"{BESIDE}, wait, stop work.1, wait, wait, wait", 0),
@@ -137,23 +149,38 @@ class Scene:
         (
             Scene(stubborn={"work.1"}),
             ChangeSet(stopped=("work.1",)),
-            "wait, wait, cut /result, stop work.1, wait in vain, end work.1, wait, wait",
+            f"wait, wait, cut /result, stop work.1, {IN_VAIN} after 2 s, wait, wait",
+            0,
+        ),
+        (
+            Scene(stubborn={"work.1"}, limits={"work.1": 0.5}),
+            ChangeSet(stopped=("work.1", "count.1")),
+            f"wait, wait, cut /result, stop count.1, stop work.1, {IN_VAIN} after 0.5 s, wait, wait, wait",
             0,
         ),
         (
             Scene(),
             ChangeSet(removed_targets=("result",), rewired=(replace(WORK, publications=()),)),
-            "wait, wait, cut /result, wait, wait, wait, close /result",
+            "wait, wait, cut /result, wait, wait, close /result",
             0,
         ),
         (
             Scene(replace(RUNNING, library=(*RUNNING.library, source("quiet"))), quiet={"quiet.1"}),
             ChangeSet(started=(unit("quiet.1"),), rewired=(unit("work.1", topic="/result", x="quiet.1/n"),)),
-            "start quiet.1, wait, quiet.1/n > work.1/x, wait in vain, go over work.1/x, wait, wait, wait in vain",
+            "start quiet.1, wait, quiet.1/n > work.1/x, wait in vain, go over work.1/x, wait, wait in vain",
             1,
         ),
     ],
-    ids=["a start", "a swap", "a quiet one", "none to wait for", "a stubborn one", "a topic less", "two that stay"],
+    ids=[
+        "a start",
+        "a swap",
+        "a quiet one",
+        "none to wait for",
+        "a stubborn one",
+        "one with a limit of its own",
+        "a topic less",
+        "two that stay",
+    ],
 )
 def test_an_update_gives_its_commands_in_this_order(
     scene: Scene, change_set: ChangeSet, said: str, unswitched: int

@@ -291,7 +291,13 @@ class Kill(msgspec.Struct, tag=True):
     dump: bool = False
 
 
-ToNursery: TypeAlias = Fork | Kill
+class Interrupt(msgspec.Struct, tag=True):
+    """Have SystemExit raised in the code of a child that was told to finish."""
+
+    serial: int
+
+
+ToNursery: TypeAlias = Fork | Kill | Interrupt
 
 
 class Forked(msgspec.Struct, tag=True):

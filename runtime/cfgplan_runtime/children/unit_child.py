@@ -24,6 +24,8 @@ from cfgplan_runtime.streams.payload import PayloadEncoder, decode
 STATUS_PERIOD_S = 1.0
 _LONGEST_WORK_NS = 1_000_000
 """Nanoseconds of back-to-back steps after which sockets are looked at again."""
+_BLOCKED_NS = 500_000_000
+_NEVER_NS = 1 << 63
 _MOST_REPORTS = 5
 """Failures that are reported one by one between two signs of life."""
 _KINDS_OF_END = ((WrongPortsError, "wrong ports"), (EncodingError, "can't be sent"))
@@ -66,7 +68,9 @@ class UnitChild:
         """How many steps have begun."""
         self._errors = self._reported = 0
         self._suppressed = ("", "")
-        self._is_exhausted = self._is_finishing = False
+        self._is_exhausted = self._is_finishing = self._is_interrupted = False
+        self._since_ns = _NEVER_NS
+        """Since when unit code is at one piece of work; _NEVER_NS while it is not called."""
         self._raised: Exception | None = None
         """The last exception of a source that has given nothing since; the cause if the source then ends."""
         self._tick_ns = 0
@@ -86,14 +90,40 @@ class UnitChild:
         """
         self._ports.say(messages.Ready(time.process_time_ns()))
         self._status_ns = self._tick_ns = time.monotonic_ns()
+        try:
+            self._go_on()
+        except SystemExit:
+            if not self._is_interrupted:
+                raise
+            self._close_code()
+            self._say_status()
+
+    def interrupt(self) -> None:
+        """Leave unit code that blocks. Called by a signal's handler once the unit was told to finish.
+
+        Code that goes from step to step works off what the unit has taken in, and is let alone.
+        """
+        if not self._is_interrupted and time.monotonic_ns() - self._since_ns > _BLOCKED_NS:
+            self._is_interrupted = True
+            raise SystemExit(0)
+
+    def _go_on(self) -> None:
         while not self._ports.has_ended:
             self._ports.ends.wait(self._patience_s())
             self._work()
             if time.monotonic_ns() >= self._status_ns:
                 self._say_status()
             if self._is_finishing and not self._has_work and self._ports.is_flushed:
+                self._close_code()
                 self._say_status()
                 return
+
+    def _close_code(self) -> None:
+        self._since_ns = _NEVER_NS
+        try:
+            self._code.close()
+        except Exception as error:
+            self._fail(error)
 
     def _obey(self, message: messages.ToChild, _: list[socket.socket]) -> None:
         match message:
@@ -126,16 +156,18 @@ class UnitChild:
 
     def _work(self) -> None:
         start = time.monotonic_ns()
-        while not self._ports.must_wait and time.monotonic_ns() - start < _LONGEST_WORK_NS:
+        while not self._ports.must_wait and (now := time.monotonic_ns()) - start < _LONGEST_WORK_NS:
+            self._since_ns = now
             if self._results is not None:
                 self._give_next()
             elif self._pending is not None:
                 self._begin(self._pending)
             elif self._is_source and not self._is_exhausted and not self._is_finishing:
                 if not self._tick():
-                    return
+                    break
             else:
                 break
+        self._since_ns = _NEVER_NS
         self._ports.resume()
 
     def _begin(self, step: Step) -> None:

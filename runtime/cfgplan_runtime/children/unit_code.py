@@ -14,7 +14,7 @@ import importlib.util
 import inspect
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -79,6 +79,19 @@ class UnitCode:
     def can_not_go_on(self) -> bool:
         """Whether a source is a generator that has ended, as it does when it raises."""
         return isinstance(self._produce, GeneratorType) and self._produce.gi_frame is None
+
+    def close(self) -> None:
+        """Let unit code end: close its generator, then call its `close()`, or else its `__exit__`.
+
+        Raises the first of what these raise, once all are done.
+        """
+        with ExitStack() as stack:
+            if (close := getattr(self._object, "close", None)) is not None:
+                stack.callback(close)
+            elif hasattr(self._object, "__exit__"):
+                stack.push(self._object.__exit__)
+            if isinstance(self._produce, GeneratorType):
+                stack.callback(self._produce.close)
 
     def get_state(self) -> object:
         return self._object.get_state()

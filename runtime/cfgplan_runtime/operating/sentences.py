@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cfgplan.domain import ChangeSet
-from cfgplan.summary import some
+from cfgplan.summary import counted, some
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.lifecycle import perturbations as kinds
 from cfgplan_runtime.lifecycle.reports import (
@@ -87,7 +87,9 @@ def level(report: Report) -> int:
             | events.OutOfDescriptors()
         ):
             return ERROR
-        case UnitEvent(events.UnitFailed() | events.SpareLost() | events.InputLost() | events.RolledBack()):
+        case UnitEvent(
+            events.UnitFailed() | events.UnitCutShort() | events.SpareLost() | events.InputLost() | events.RolledBack()
+        ):
             return WARNING
         case BackedOff():
             return WARNING
@@ -259,6 +261,9 @@ def _event(event: events.Event) -> str | None:
             return f"{unit} failed in step {step} ({kind}): {short(text)}"
         case events.UnitHung(unit, silent_s):
             return f"{unit} gave no sign of life for {silent_s:.1f} s and is killed"
+        case events.UnitCutShort(unit, after_s, waiting):
+            lost = f"; {counted(waiting, 'element')} that waited are lost" if waiting else ""
+            return f"{unit} was told to end, has not within {after_s:g} s and is killed (`run: {{stop: ...}}`){lost}"
         case events.UnitTooLarge(unit, memory_bytes):
             return f"{unit} takes {memory_bytes >> 20} MB and is killed"
         case events.UnitPrinted(unit, line):

@@ -5,10 +5,12 @@ However the supervisor ends, the nursery ends too and kills all children.
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import faulthandler
 import gc
 import importlib
+import io
 import os
 import random
 import resource
@@ -16,6 +18,7 @@ import selectors
 import signal
 import socket
 import sys
+import threading
 import time
 import traceback
 from collections.abc import Sequence
@@ -28,6 +31,8 @@ from cfgplan_runtime.children.outlet_child import NO_DESCRIPTOR, OutletChild
 from cfgplan_runtime.children.unit_child import UnitChild
 
 DUMP_SIGNAL = signal.SIGUSR1
+INTERRUPT_SIGNAL = signal.SIGUSR2
+"""Has a unit's code leave whatever it is in, by SystemExit."""
 FAILED = 70
 """Exit status of a child whose unit code failed for good; its last message (Trouble) says why."""
 
@@ -67,7 +72,9 @@ class Nursery:
                     case messages.Fork(serial, order):
                         self._fork(serial, order, sockets)
                     case messages.Kill(serial, dump):
-                        self._kill(serial, dump)
+                        self._signal(serial, DUMP_SIGNAL if dump else signal.SIGKILL)
+                    case messages.Interrupt(serial):
+                        self._signal(serial, INTERRUPT_SIGNAL)
         signal.set_wakeup_fd(-1)
         for pid in self._serials:
             _kill_group(pid)
@@ -108,14 +115,13 @@ class Nursery:
         for bell in (self._bell, self._bell_rope):
             bell.close()
 
-    def _kill(self, serial: int, dump: bool) -> None:
+    def _signal(self, serial: int, number: signal.Signals) -> None:
         for pid, other in self._serials.items():
-            if other == serial:
-                if dump:
-                    with contextlib.suppress(OSError):
-                        os.kill(pid, DUMP_SIGNAL)
-                else:
-                    _kill_group(pid)
+            if other == serial and number == signal.SIGKILL:
+                _kill_group(pid)
+            elif other == serial:
+                with contextlib.suppress(OSError):
+                    os.kill(pid, number)
 
     def _reap(self) -> None:
         for pid, serial in list(self._serials.items()):
@@ -128,6 +134,7 @@ class Nursery:
 def be_child(order: messages.ChildOrder, control_end: socket.socket, printed: socket.socket, *, run: str) -> int:
     """Run as a unit, a spare or the outlets until told to finish. Returns the exit status."""
     _redirect(printed)
+    atexit._clear()  # what the nursery has registered is the nursery's
     random.seed()
     control: ControlConnection[messages.ToChild] = ControlConnection(control_end, messages.ToChild)
     unit: UnitChild | None = None
@@ -141,7 +148,9 @@ def be_child(order: messages.ChildOrder, control_end: socket.socket, printed: so
         of_unit, title = (order.order, "spare ") if isinstance(order, messages.SpareOrder) else (order, "")
         setproctitle(f"cfgplan {run} {title}{of_unit.unit}")
         _limit_memory(of_unit.memory_bytes)
+        signal.signal(INTERRUPT_SIGNAL, signal.SIG_IGN)
         unit = UnitChild(of_unit, control)
+        signal.signal(INTERRUPT_SIGNAL, lambda *_: unit.interrupt())
         if isinstance(order, messages.SpareOrder):
             begun = unit.await_beginning()
             if begun is None:
@@ -155,10 +164,22 @@ def be_child(order: messages.ChildOrder, control_end: socket.socket, printed: so
         _tell(control, messages.Trouble("failed", unit.step if unit else 0, "".join(traceback.format_exception(error))))
         return FAILED
     finally:
-        for stream in (sys.stdout, sys.stderr):
-            with contextlib.suppress(Exception):
-                stream.flush()
+        _end_as_python_does()
     return 0
+
+
+def _end_as_python_does() -> None:
+    """Wait for threads, run what was registered with atexit, and flush all files that are open for writing.
+
+    A child that was forked ends without the rest of Python's own end, which would be the nursery's.
+    """
+    for end in (threading._shutdown, atexit._run_exitfuncs):  # type: ignore[attr-defined]
+        with contextlib.suppress(BaseException):  # atexit has printed what was raised
+            end()
+    for each in gc.get_objects():
+        if isinstance(each, io.IOBase):
+            with contextlib.suppress(Exception):
+                each.flush()
 
 
 def _tell(control: ControlConnection[messages.ToChild], trouble: messages.Trouble) -> None:

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator, Sequence
 
 from cfgplan_runtime.children.control import ControlConnection
-from cfgplan_runtime.children.messages import ChildOrder, Fork, FromNursery, Kill
+from cfgplan_runtime.children.messages import ChildOrder, Fork, FromNursery, Interrupt, Kill
 
 _CODE = "import sys; from cfgplan_runtime.processes.nursery import main; main(sys.argv[1:])"
 _PATIENCE_AT_CLOSE_S = 5.0
@@ -69,6 +69,11 @@ class NurseryLink:
         """Have a child killed; does nothing without a nursery, for then there is no child."""
         if self._control is not None:
             self._control.send(Kill(serial, dump))
+
+    def interrupt(self, serial: int) -> None:
+        """Have the code of a child interrupted that was told to finish."""
+        if self._control is not None:
+            self._control.send(Interrupt(serial))
 
     def hear(self) -> Iterator[FromNursery]:
         """Read the nursery's messages. Sets `has_died` if the connection has ended."""

@@ -220,7 +220,9 @@ class ProcessBackend:
 
     def stop(self, unit: str) -> None:
         child = self._by_name.get(unit)
-        if child is not None:
+        if child is not None and child.is_stopping:
+            self._nursery.interrupt(child.serial)
+        elif child is not None:
             child.is_stopping = True
             self._tell(child, messages.Finish())
 

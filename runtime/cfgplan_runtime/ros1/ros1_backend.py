@@ -164,7 +164,7 @@ class Ros1Backend:
 
     def stop(self, unit: str) -> None:
         node = self._nodes.get(unit)
-        if node is not None:
+        if node is not None and not node.is_stopping:
             node.is_stopping = True
             self._end(node, NodeProcess.interrupt)
 

@@ -120,7 +120,10 @@ class Backend(Protocol):
         """End what was prepared: nothing follows."""
 
     def stop(self, unit: str) -> None:
-        """Ask a unit to process what it has taken in, then end: UnitStopped (or UnitDied) follows."""
+        """Ask a unit to process what it has taken in, then end: UnitStopped (or UnitDied) follows.
+
+        Asked again, code that still blocks is interrupted, where that can be done.
+        """
 
     def kill(self, unit: str, *, dump: bool = False) -> None:
         """End a unit at once: UnitDied follows, or UnitStopped if it had been asked to stop.

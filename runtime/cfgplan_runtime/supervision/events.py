@@ -79,6 +79,17 @@ class UnitTooLarge(Event, frozen=True):
     memory_bytes: int
 
 
+class UnitCutShort(Event, frozen=True):
+    """A unit that was told to end had not ended after so many seconds, and is killed.
+
+    `waiting` elements waited at its inputs when it gave its last sign of life.
+    """
+
+    unit: str
+    after_s: float
+    waiting: int
+
+
 class UnitPrinted(Event, frozen=True):
     """A line that a unit wrote to its standard output or error."""
 

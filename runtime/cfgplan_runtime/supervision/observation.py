@@ -65,6 +65,11 @@ class UnitRecord:
     _counted: tuple[int, float] | None = None
     """The sign of life from which the rate is counted: its steps, and when it came."""
 
+    @property
+    def waiting(self) -> int:
+        """How many elements waited at its inputs at its last sign of life."""
+        return 0 if self.status is None else sum(counts.waiting for counts in self.status.inputs.values())
+
     def note_status(self, status: UnitStatus, now_s: float) -> None:
         """Note the counts of a sign of life."""
         steps, at_s = self._counted or (status.steps, now_s)

@@ -220,7 +220,7 @@ class SimulatedBackend:
     def stop(self, unit: str) -> None:
         self.calls.append(("stop", unit))
         found = self.units.get(unit)
-        if found is not None:
+        if found is not None and not found.is_stopping:
             found.is_stopping = True
             if not found.behaviour.hung:
                 self._later(found.behaviour.stop_s, UnitStopped(unit))

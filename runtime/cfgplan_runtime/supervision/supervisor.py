@@ -220,6 +220,10 @@ class Supervisor:
                 self.backend.stop(unit_id)
             case updates.EndUnit(unit_id):
                 self.backend.kill(unit_id)
+            case updates.StopAgain(unit_id):
+                self.backend.stop(unit_id)
+            case updates.CutShort(unit_id, after_s):
+                self._cut_short(unit_id, after_s)
             case updates.Dump(unit_id):
                 self.backend.kill(unit_id, dump=True)
             case updates.Connect(stream, inlet):
@@ -232,6 +236,17 @@ class Supervisor:
                 self.environment = environment
             case updates.WaitUntil():
                 self._wait(command)
+
+    def stop_s(self, unit: str) -> float | None:
+        """How long its transformation lets a unit take to end; None if it does not say."""
+        stop_us = self._library[unit].run.stop_us if unit in self._library else None
+        return None if stop_us is None else stop_us / 1e6
+
+    def _cut_short(self, unit: str, after_s: float) -> None:
+        """Kill a unit that takes too long to end, and tell how much of its input waited when it last said so."""
+        if unit in self._records:
+            self._report(events.UnitCutShort(unit, after_s, self._records[unit].waiting))
+        self.backend.kill(unit)
 
     def _wait(self, until: updates.WaitUntil) -> None:
         deadline = self.now() + until.patience_s

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterable, Mapping, Set
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Protocol, TypeAlias
 
 import msgspec
@@ -55,6 +56,9 @@ class Actual(Protocol):
     def cause_of_death(self) -> Mapping[str, str]: ...
     @property
     def is_abandoned(self) -> bool: ...
+    def stop_s(self, unit: str) -> float | None:
+        """How long its transformation lets a unit take to end; None if it does not say."""
+
     def dry_units(self) -> Set[str]:
         """Units with outputs that have given nothing for a while."""
 
@@ -96,6 +100,19 @@ class EndUnit(Command, frozen=True):
     """End a unit at once."""
 
     unit: str
+
+
+class StopAgain(Command, frozen=True):
+    """Interrupt the code of a unit that was asked to end and still blocks."""
+
+    unit: str
+
+
+class CutShort(Command, frozen=True):
+    """End a unit that has not ended `after_s` after it was told to."""
+
+    unit: str
+    after_s: float
 
 
 class Dump(Command, frozen=True):
@@ -330,9 +347,17 @@ class _Update:
             yield StopUnit(unit)
             if unit not in actual.ready:
                 yield EndUnit(unit)  # it does not listen yet
-        yield WaitUntil(lambda: actual.alive.isdisjoint(stopped), self.patience.stop_s)
-        for unit in sorted(actual.alive & set(stopped)):
-            yield EndUnit(unit)
+        began_s = actual.now()
+        limits = {unit: _either(actual.stop_s(unit), self.patience.stop_s) for unit in stopped}
+        for limit_s in sorted(set(limits.values())):
+            due = {unit for unit, its_s in limits.items() if its_s == limit_s}
+            for share, command in ((0.5, StopAgain), (1.0, partial(CutShort, after_s=limit_s))):
+                end_s = began_s + share * limit_s
+                yield WaitUntil(lambda due=due: actual.alive.isdisjoint(due), end_s - actual.now())  # type: ignore[misc]
+                if actual.alive.isdisjoint(due):
+                    break
+                for unit in sorted(actual.alive & due):
+                    yield command(unit)
         yield WaitUntil(lambda: actual.alive.isdisjoint(stopped), self.patience.kill_s)
 
     def close_topic_elsewhere(self, topic: str) -> Commands:
@@ -414,6 +439,10 @@ class _Update:
         if dead:
             cause = self.actual.cause_of_death.get(dead[0])
             raise _StepFailedError(f"{dead[0]} died" + (f": {cause}" if cause else ""), dead)
+
+
+def _either(said: float | None, usual: float) -> float:
+    return usual if said is None else said
 
 
 class _StepFailedError(Exception):
