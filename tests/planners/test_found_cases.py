@@ -45,6 +45,23 @@ def test_a_case_that_was_answered_wrongly_has_its_right_answer_now(name: str) ->
     assert (found.status, found.cost_us) == ANSWERS[name]
 
 
+UNFEDABLE = """
+format: cfgplan/1
+qualities: [{name: e, better: lower, rule: add, worst: 9}]
+hosts: [{name: h, labels: [a]}]
+transformations:
+  - {label: t0, on: not a, outputs: {x: {tag: D, quality: {e: 0}, serves: 1}}}
+  - {label: t1, inputs: {a: D}, outputs: {x: A, y: {tag: A, quality: {e: 0}}}}
+targets: [{label: q, topic: /q, tag: A, quality: {e: {weight: 0.2}}}]
+"""
+
+
+def test_an_output_that_no_quality_can_come_to_is_no_error(tmp_path: Path) -> None:
+    path = tmp_path / "env.yaml"
+    path.write_text(UNFEDABLE, encoding="utf-8")
+    assert api.plan(api.match(api.load(path))).status is Status.INFEASIBLE
+
+
 def test_branch_and_bound_claims_nothing_where_required_ones_are_left_out() -> None:
     world = case("bnb-110236")
     problem = api.match(world)

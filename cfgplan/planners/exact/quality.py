@@ -134,6 +134,8 @@ class _Badness:
     def _in_spans(self, number: IntVar, spans: Collection[int]) -> Iterator[tuple[int, list[LiteralT]]]:
         """Those of some spans that a number may be in or be the next before, with the literals that say so."""
         ordered = sorted(spans)
+        if not ordered:
+            return
         is_beyond = [True, *(self._beyond(number, span) for span in ordered[1:]), False]
         for span, (here, worse) in zip(ordered, pairwise(is_beyond), strict=True):
             if here is not False and worse is not True:
