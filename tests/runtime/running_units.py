@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -151,6 +153,47 @@ class Naughty:
             case "start a child":
                 if os.fork() == 0:
                     time.sleep(3600)
+        return x
+
+
+class Scribbler:
+    """Writes garbage into all descriptors that it has, once, as a C library's double close may."""
+
+    def __init__(self, note: str) -> None:
+        self.note = Path(note)
+        self.steps = 0
+
+    def __call__(self, x: int) -> int:
+        self.steps += 1
+        if self.steps == 20 and not self.note.exists():
+            self.note.touch()
+            for number in range(3, 64):
+                with suppress(OSError):
+                    os.write(number, b"\x05\0\0\0\0\0\0\0hello" * 3)
+        return x
+
+
+class Chatterer:
+    """Has a program print without end, as fast as it can."""
+
+    def __init__(self) -> None:
+        subprocess.Popen(["yes", "hello"])
+
+    def __call__(self, x: int) -> int:
+        return x
+
+
+class LeavesAChatterer:
+    """Leaves a program that prints without end in a session of its own, once, and dies; `note` gets its id."""
+
+    def __init__(self, note: str) -> None:
+        self.note = Path(note)
+
+    def __call__(self, x: int) -> int:
+        if not self.note.exists():
+            left = subprocess.Popen(["yes", "hello"], start_new_session=True)
+            self.note.write_text(str(left.pid))
+            os._exit(3)
         return x
 
 

@@ -131,6 +131,44 @@ def test_what_a_unit_prints_is_an_event(run_units: StartRuntime) -> None:
     assert lines == {("naughty.1", "hello from the unit"), ("naughty.1", "and from its stderr")}
 
 
+def test_what_a_unit_prints_without_end_is_left_out_and_counted_and_stops_nobody(run_units: StartRuntime) -> None:
+    runtime = run_units(source(), worker("chatty", "Chatterer"), worker())
+    feeds = unit("chatty.1", x="count.1/n")
+    runtime.apply(start(unit("count.1"), feeds, unit("work.1", topic="/result", x="count.1/n")))
+    left_out = "at most 500 a second are told"
+    eventually(lambda: any(event.line.endswith(left_out) for event in seen(runtime, UnitPrinted)))
+    listener = Listener("/result")
+    eventually(lambda: len(listener.received) > 20)
+    runtime.apply(ChangeSet(started=(unit("work.2", x="count.1/n"),)))
+    runtime.stop()
+    assert seen(runtime, UnitDied) == []
+
+
+def test_who_goes_on_printing_for_a_dead_unit_stops_nobody(run_units: StartRuntime, tmp_path: Path) -> None:
+    note = tmp_path / "pid"
+    runtime = run_units(source(), worker("leaving", "LeavesAChatterer", note=str(note)))
+    try:
+        runtime.apply(start(unit("count.1"), unit("leaving.1", x="count.1/n")))
+        eventually(lambda: [event.unit for event in seen(runtime, UnitDied)] == ["leaving.1"])
+        runtime.apply(start(unit("leaving.2", x="count.1/n")))
+        eventually(lambda: any(o.unit == "leaving.2" and o.steps > 5 for o in runtime.observe()))
+    finally:
+        os.kill(int(note.read_text()), signal.SIGKILL)
+
+
+def test_a_unit_that_writes_into_foreign_descriptors_takes_nobody_with_it(
+    run_units: StartRuntime, tmp_path: Path
+) -> None:
+    runtime = run_units(source(), worker("scribbler", "Scribbler", note=str(tmp_path / "done")), worker())
+    feeds = unit("scribbler.1", x="count.1/n")
+    runtime.apply(start(unit("count.1"), feeds, unit("work.1", topic="/result", x="count.1/n")))
+    eventually(lambda: bool(seen(runtime, UnitDied)))
+    assert {event.unit for event in seen(runtime, UnitDied)} == {"scribbler.1"}
+    assert "descriptors that are not its own" in seen(runtime, UnitDied)[0].cause
+    listener = Listener("/result")
+    eventually(lambda: len(listener.received) > 20)
+
+
 def test_a_hung_unit_is_killed_after_it_has_said_where_it_is(run_units: StartRuntime) -> None:
     run = RunOptions(hang_us=2_500_000)
     runtime = run_units(source(), worker("naughty", "Naughty", run=run, deed="hang"))

@@ -17,6 +17,8 @@ Incoming = TypeVar("Incoming")
 _MESSAGE_HEAD = struct.Struct("<II")
 _MOST_SOCKETS = 64
 _MESSAGE_CHUNK = 1 << 16
+_LONGEST_MESSAGE = 1 << 28
+"""Bytes; the longest messages have the state of a unit."""
 
 
 class ControlConnection(Generic[Incoming]):
@@ -26,6 +28,8 @@ class ControlConnection(Generic[Incoming]):
         end.setblocking(False)
         self.socket = end
         self.has_ended = False
+        self.is_garbled = False
+        """Whether it has ended because what came was no message."""
         self._decoder: msgspec.msgpack.Decoder[Incoming] = msgspec.msgpack.Decoder(incoming)
         self._received = bytearray()
         self._descriptors: deque[int] = deque()
@@ -73,6 +77,8 @@ class ControlConnection(Generic[Incoming]):
     def receive(self) -> Iterator[tuple[Incoming, list[socket.socket]]]:
         """The messages that have come, with their sockets. If `has_ended` is set, there will be no more.
 
+        The other end may be a process with foreign code, which may write into any of its descriptors: what is no
+        message ends the connection.
         A message has fewer sockets than were sent if this process has no descriptor left for them.
         """
         while not self.has_ended:
@@ -99,13 +105,24 @@ class ControlConnection(Generic[Incoming]):
         while len(self._received) >= _MESSAGE_HEAD.size:
             length, count = _MESSAGE_HEAD.unpack_from(self._received)
             end = _MESSAGE_HEAD.size + length
+            if length > _LONGEST_MESSAGE or count > _MOST_SOCKETS:
+                self._garble()
+                return
             if len(self._received) < end:
                 return
-            message = self._decoder.decode(bytes(self._received[_MESSAGE_HEAD.size : end]))
+            try:
+                message = self._decoder.decode(bytes(self._received[_MESSAGE_HEAD.size : end]))
+            except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+                self._garble()
+                return
             del self._received[:end]
             # The system keeps back sockets for which this process has no descriptor left.
             there = min(count, len(self._descriptors))
             yield message, [socket.socket(fileno=self._descriptors.popleft()) for _ in range(there)]
+
+    def _garble(self) -> None:
+        self.is_garbled = True
+        self._end()
 
     def _end(self) -> None:
         self.has_ended = True

@@ -24,15 +24,13 @@ class WatchedProcesses:
     def last_words(self, process: NodeProcess, unit: str) -> str:
         """End a process, and report what it has still printed. Returns how it has ended."""
         process.kill()
-        while self._hear_print(process, unit):
-            pass
+        self._happened.extend(events.UnitPrinted(unit, line) for line in process.printed.rest())
         self._ends.unwatch(process.ended)
         self._ends.unwatch(process.printed.socket)
         return end_of_process(process.reap())
 
-    def _hear_print(self, process: NodeProcess, unit: str) -> bool:
+    def _hear_print(self, process: NodeProcess, unit: str) -> None:
         lines, is_open = process.printed.read()
         self._happened.extend(events.UnitPrinted(unit, line) for line in lines)
         if not is_open:
             self._ends.unwatch(process.printed.socket)
-        return bool(lines) and is_open

@@ -19,29 +19,81 @@ from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.messages import FromChild
 
 _LONGEST_LINE = 1 << 16
+_MOST_BYTES = 1 << 22
+"""What is read of a process in a second. It then waits where it prints, as at a slow terminal."""
+_MOST_READS_AT_THE_END = 64
+"""So many pieces of 64 kB are read after a process has ended."""
+MOST_LINES = 500
+"""Lines of a process that are told in a second. The others are counted."""
 
 
 class PrintedLines:
-    """What a process prints into the other end of a socket, line by line."""
+    """What a process prints into the other end of a socket, line by line: at most MOST_LINES a second."""
 
     def __init__(self, end: socket.socket) -> None:
         end.setblocking(False)
         self.socket = end
         self._line = bytearray()
+        self._second_s = 0.0
+        """When the present second began."""
+        self._bytes = 0
+        """How much was read in this second."""
+        self._told = self._left_out = 0
+        """How many lines were told in this second, and how many were left out since that was last told."""
 
     def read(self) -> tuple[list[str], bool]:
-        """The lines printed since the last call, and whether more may come."""
+        """Some of the lines printed since the last call, and whether more may come."""
+        note = self.left_out()
+        lines, is_open = self._read()
+        return [*filter(None, [note]), *self._told_of(lines or [])], is_open
+
+    @property
+    def is_enough(self) -> bool:
+        """Whether so much was read in this second that the process may wait for the next one."""
+        return self._bytes >= _MOST_BYTES and time.monotonic() - self._second_s < 1.0
+
+    def rest(self) -> list[str]:
+        """The last lines of a process that has ended; one that it has left behind may go on to print."""
+        told: list[str] = []
+        for _ in range(_MOST_READS_AT_THE_END):
+            lines, is_open = self._read()
+            if lines is None:
+                break
+            told += self._told_of(lines)
+            if not is_open:
+                break
+        return [*told, *filter(None, [self.left_out(is_over=True)])]
+
+    def left_out(self, *, is_over: bool = False) -> str:
+        """A note of the lines that were left out, once their second is over or the process is; else nothing."""
+        now_s = time.monotonic()
+        if not is_over and now_s - self._second_s < 1.0:
+            return ""
+        self._second_s, self._told, self._bytes = now_s, 0, 0
+        number, self._left_out = self._left_out, 0
+        return f"cfgplan: {number:,} more lines are left out: at most {MOST_LINES} a second are told" if number else ""
+
+    def _told_of(self, lines: list[bytes]) -> list[str]:
+        """The text of the lines for which there is room in this second; the others are counted."""
+        told = lines[: MOST_LINES - self._told]
+        self._told += len(told)
+        self._left_out += len(lines) - len(told)
+        return [line.decode(errors="backslashreplace") for line in told]
+
+    def _read(self) -> tuple[list[bytes] | None, bool]:
+        """The next lines, None if nothing came, and whether more may come."""
         try:
             data = self.socket.recv(1 << 16)
         except BlockingIOError:
-            return [], True
+            return None, True
         except OSError:
             data = b""
         self._line += data
-        lines = self._line.split(b"\n")
+        self._bytes += len(data)
+        lines = [bytes(line) for line in self._line.split(b"\n")]
         is_cut = not data or len(lines[-1]) > _LONGEST_LINE
-        self._line = bytearray() if is_cut else lines.pop()
-        return [line.decode(errors="backslashreplace") for line in lines if line or not is_cut], bool(data)
+        self._line = bytearray() if is_cut else bytearray(lines.pop())
+        return [line for line in lines if line or not is_cut], bool(data)
 
 
 @dataclass(slots=True, eq=False)
@@ -52,6 +104,8 @@ class ChildProcess:
     name: str
     control: ControlConnection[FromChild]
     printed: PrintedLines
+    is_printing: bool = False
+    """Whether it has printed something and may print more."""
     pid: int | None = None
     labor_us: int | None = None
     """The CPU time of its start, once it is ready."""
@@ -84,6 +138,8 @@ def cause_of_end(child: ChildProcess, status: int) -> str:
     """How a child ended, in words."""
     if child.trouble:
         return child.trouble
+    if child.control.is_garbled:
+        return "what it sent is no message: some code of it writes into descriptors that are not its own"
     end = end_of_process(status)
     return f"{end} (in step {child.steps} or later)" if child.steps else end
 

@@ -136,6 +136,11 @@ class ProcessBackend:
         if self._look_due_s <= self.now():
             self._look_due_s = self.now() + _SPARES_LOOK_S
             self._watch_spares()
+            for child in self._children.values():
+                if note := child.printed.left_out():
+                    self._events.append(events.UnitPrinted(child.name, note))
+                if child.is_printing and not child.printed.is_enough:
+                    self._watch_print(child)
         happened, self._events = self._events, []
         return happened
 
@@ -364,7 +369,7 @@ class ProcessBackend:
         child.is_spare = isinstance(order, messages.SpareOrder)
         self._children[child.serial] = (self._spares if child.is_spare else self._by_name)[name] = child
         self._ends.watch(ours, lambda: self._hear(child))
-        self._ends.watch(printed, lambda: self._hear_print(child))
+        self._watch_print(child)
         self._nursery.fork(child.serial, order, [theirs, printing])
         return child
 
@@ -399,8 +404,7 @@ class ProcessBackend:
         """Read the last messages of a dead child, then report its death."""
         for message, _ in child.control.receive():
             self._understand(child, message)
-        while self._hear_print(child):
-            pass
+        self._events.extend(events.UnitPrinted(child.name, line) for line in child.printed.rest())
         is_wanted = self._spares.get(child.name) is child
         self._forget(child)
         cause = cause_of_end(child, status)
@@ -436,12 +440,15 @@ class ProcessBackend:
         else:
             self._ends.write(child.control.socket, is_waiting=child.control.is_waiting)
 
-    def _hear_print(self, child: ChildProcess) -> bool:
+    def _watch_print(self, child: ChildProcess) -> None:
+        self._ends.watch(child.printed.socket, lambda: self._hear_print(child))
+
+    def _hear_print(self, child: ChildProcess) -> None:
         lines, is_open = child.printed.read()
         self._events.extend(events.UnitPrinted(child.name, line) for line in lines)
-        if not is_open:
+        child.is_printing = is_open
+        if not is_open or child.printed.is_enough:
             self._ends.unwatch(child.printed.socket)
-        return bool(lines) and is_open
 
     def _understand(self, child: ChildProcess, message: messages.FromChild) -> None:
         name = child.name

@@ -17,7 +17,9 @@ class Ends:
         self._calls: dict[object, Callable[[], object]] = {}
 
     def watch(self, end: socket.socket | int, call: Callable[[], object]) -> None:
-        """Call whenever `end` can be read."""
+        """Call whenever `end` can be read, if it is not watched already."""
+        if end in self._calls:
+            return
         self._selector.register(end, selectors.EVENT_READ)
         self._calls[end] = call
 
