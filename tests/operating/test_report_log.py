@@ -51,6 +51,11 @@ def lines(tmp_path: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
 
 
+def test_no_report_has_a_field_that_would_hide_its_kind_or_another_key_of_the_log() -> None:
+    for kind in (*Event.__subclasses__(), *Perturbation.__subclasses__(), *(type(report) for report in REPORTS)):
+        assert not {"kind", "event", "time"} & set(kind.__struct_fields__), kind
+
+
 def test_every_report_but_observations_is_one_line(lines: list[dict[str, Any]]) -> None:
     assert [line["event"] for line in lines] == [
         "Perturbed",

@@ -63,7 +63,7 @@ def test_unit_code_that_fails_in_a_step_is_reported_and_goes_on(
     listener = Listener("/result")
     eventually(lambda: bool(seen(runtime, UnitFailed)) and len(listener.received) > 20)
     failure = seen(runtime, UnitFailed)[0]
-    assert (failure.unit, failure.kind) == ("naughty.1", kind)
+    assert (failure.unit, failure.what) == ("naughty.1", kind)
     assert part in failure.text
     assert failure.step > 0
     assert seen(runtime, UnitDied) == []
@@ -78,7 +78,7 @@ def test_failures_that_are_not_reported_one_by_one_say_what_failed(run_units: St
     runtime.apply(start(unit("count.1"), unit("naughty.1", x="count.1/n")))
     eventually(lambda: any(failure.suppressed for failure in seen(runtime, UnitFailed)))
     failure = next(failure for failure in seen(runtime, UnitFailed) if failure.suppressed)
-    assert failure.kind == "wrong ports"
+    assert failure.what == "wrong ports"
     assert failure.text
 
 

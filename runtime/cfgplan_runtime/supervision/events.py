@@ -59,7 +59,7 @@ class UnitFailed(Event, frozen=True):
     """
 
     unit: str
-    kind: str
+    what: str
     step: int
     text: str
     suppressed: int = 0
