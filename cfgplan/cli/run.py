@@ -441,12 +441,13 @@ def first_review(world: World, settings: Settings, matches: Matches) -> Thought:
     from cfgplan_runtime.lifecycle.basis import preview_of
     from cfgplan_runtime.lifecycle.decisions import first_state
     from cfgplan_runtime.lifecycle.deliberation import Deliberation
+    from cfgplan_runtime.lifecycle.guarded_estimator import GuardedEstimator
 
     estimator = make_estimator(settings.estimator, settings.guess)
     if settings.estimates is not None:
         load(estimator, settings.estimates, time.monotonic())
     policy = replace(settings.policy, hosts_s=None, refuses_hosts=False)  # no host is asked whether it is there
-    deliberation = Deliberation(settings.planner, estimator, policy, matches)
+    deliberation = Deliberation(settings.planner, GuardedEstimator(estimator), policy, matches)
     return preview_of(deliberation, first_state(world, policy).scene, threading.Event()).thought
 
 

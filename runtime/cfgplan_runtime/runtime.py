@@ -15,6 +15,7 @@ from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.streams.closable import Closable
 from cfgplan_runtime.supervision.backend import Backend
 from cfgplan_runtime.supervision.events import SIGNS, Applied, Event
+from cfgplan_runtime.supervision.listeners import Listeners
 from cfgplan_runtime.supervision.observation import Observation
 from cfgplan_runtime.supervision.run_log import RunLog
 from cfgplan_runtime.supervision.simulated_backend import Behaviour, SimulatedBackend
@@ -146,7 +147,9 @@ class Runtime(Closable):
     ) -> None:
         self.events: queue.Queue[Event] = queue.Queue(_MOST_EVENTS)
         self._log = None if log is None else RunLog(Path(log))
-        self._listeners: tuple[Callable[[Event], None], ...] = ()
+        self._listeners: Listeners[Event] = Listeners()
+        self._abandons: list[threading.Event] = []
+        """For each update that was asked for and is not over: whether it is given up."""
         self._executor = executor or OwnThread()
         environment = Environment(library=tuple(library), targets=tuple(targets))
         make = backend or (lambda: _processes(None if folder is None else Path(folder), tuple(preload)))
@@ -172,10 +175,13 @@ class Runtime(Closable):
         keeps_new: bool = False,
     ) -> Applied:
         """Carry out a change set as a whole or not at all; see `Supervisor.apply`."""
-        self.supervisor.is_abandoned = False  # from now on `abandon` is about this one
-        return self._executor.call(
-            lambda: self.supervisor.apply(change_set, id=id, basis=basis, patience=patience, keeps_new=keeps_new)
-        )
+        is_abandoned = threading.Event()
+        self._abandons.append(is_abandoned)
+        more = {"basis": basis, "patience": patience, "keeps_new": keeps_new, "is_abandoned": is_abandoned.is_set}
+        try:
+            return self._executor.call(lambda: self.supervisor.apply(change_set, id=id, **more))  # type: ignore[arg-type]
+        finally:
+            self._abandons.remove(is_abandoned)
 
     def observe(self) -> tuple[Observation, ...]:
         """Every running unit as it is now; upkeep is over the time since the last call."""
@@ -191,13 +197,15 @@ class Runtime(Closable):
         def begin() -> None:
             for last in (*self.supervisor.hosts.values(), *self.supervisor.spares.prepared):
                 listener(last)
-            self._listeners = (*self._listeners, listener)
+            self._listeners.add(listener)
 
         self._executor.call(begin)
 
     def abandon(self) -> None:
-        """Give up the update under way if it still waits for new units: it is undone. For any thread."""
-        self.supervisor.abandon()
+        """Give up the updates under way that still wait for new units: they are undone. For any thread."""
+        for update in list(self._abandons):
+            update.set()
+        self.supervisor.backend.wake()
 
     def kill(self, unit: str) -> None:
         """End a unit at once; UnitDied follows. Does nothing if it does not run."""
@@ -224,8 +232,7 @@ class Runtime(Closable):
             self._log.close()
 
     def _report(self, event: Event) -> None:
-        for listener in self._listeners:
-            listener(event)
+        self._listeners.tell(event)
         if self._log is not None:
             self._log.write(event)
         while not isinstance(event, SIGNS):

@@ -111,10 +111,16 @@ def test_a_plan_can_not_be_written_where_there_is_no_folder(run: Run, tmp_path: 
 
 
 def test_wrong_numbers_are_refused_with_the_option_named(run: Run) -> None:
-    for option, value in (("--horizon", "1.5"), ("--horizon", "-1"), ("--max-cost", "nan"), ("--timeout", "0")):
+    for option, value in (("--horizon", "1.5"), ("--horizon", "-1"), ("--max-cost", "nan"), ("--timeout", "-1")):
         result = run("solve", LOST, option, value)
         assert result.code == 30
         assert f"argument {option}" in result.err
+
+
+def test_without_time_the_first_plan_is_given(run: Run) -> None:
+    result = run("solve", LOST, "--timeout", "0", "--json")
+    assert result.code in (0, 20)
+    assert [unit["id"] for unit in result.document["change_set"]["started"]]
 
 
 def test_progress_is_told_as_json_lines(run: Run) -> None:

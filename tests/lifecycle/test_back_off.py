@@ -256,3 +256,22 @@ def test_the_end_does_not_wait_for_a_slow_start_that_was_just_decided() -> None:
     assert asked
     assert life.manager.snapshot().phase is Phase.STOPPED
     assert life.now < 2
+
+
+def test_an_estimator_that_raises_ends_nothing_and_is_told_in_reviews() -> None:
+    class Bad(DeclaredCosts):
+        def observe(self, *_: object) -> None:
+            raise ZeroDivisionError("a bug of the estimator")
+
+    life: Life = started(estimator=Bad())
+    life.pass_time(3.0)
+    life.fail("work.1")
+    assert life.met == {"result"}
+    assert any("the estimator has failed (ZeroDivisionError" in line for line in life.reviews[-1].warnings)
+
+
+def test_a_report_that_raises_ends_nothing() -> None:
+    life: Life = started()
+    life.manager.listen(lambda _: 1 // 0)
+    life.fail("work.1")
+    assert life.met == {"result"}

@@ -30,9 +30,9 @@ from cfgplan_runtime.lifecycle.configuration import (
     environment_to_plan,
     gone_host,
 )
+from cfgplan_runtime.lifecycle.guarded_estimator import GuardedEstimator
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Decision
-from cfgplan_runtime.lifecycle.seams import Estimator
 from cfgplan_runtime.lifecycle.warm_matching import WarmMatching
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ class Deliberation:
     def __init__(
         self,
         planner: Planner | None,
-        estimator: Estimator,
+        estimator: GuardedEstimator,
         policy: Policy,
         matching: WarmMatching | Matches,
         is_stopped: Callable[[], bool] = lambda: False,
@@ -125,7 +125,8 @@ class Deliberation:
         """
         self._stop = stop
         thought = self._letting_wait(self._think(scene, optimises=optimises), scene)
-        warnings = (*self._matching.warnings, *thought.warnings)
+        estimates = (self._estimator.warning,) if self._estimator.warning else ()
+        warnings = (*self._matching.warnings, *estimates, *thought.warnings)
         out_of_reach = {
             target.label: gone_host(target.host)
             for target in scene.world.environment.targets

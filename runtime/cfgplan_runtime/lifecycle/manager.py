@@ -32,6 +32,7 @@ from cfgplan_runtime.lifecycle.changes import Change, Stop
 from cfgplan_runtime.lifecycle.configuration import as_it_runs
 from cfgplan_runtime.lifecycle.decisions import BreakIn, breaks_in, decide, first_state
 from cfgplan_runtime.lifecycle.deliberation import Deliberation
+from cfgplan_runtime.lifecycle.guarded_estimator import GuardedEstimator
 from cfgplan_runtime.lifecycle.inbox import Asked, Inbox, Item, Leave, Outcome, PreviewAsked, Unusable
 from cfgplan_runtime.lifecycle.perturbations import Started
 from cfgplan_runtime.lifecycle.policy import Policy
@@ -43,6 +44,7 @@ from cfgplan_runtime.lifecycle.views import saving_us, target_views, unit_views
 from cfgplan_runtime.lifecycle.warm_matching import WarmMatching
 from cfgplan_runtime.lifecycle.worlds import LivingWorld
 from cfgplan_runtime.supervision.events import SIGNS, Event
+from cfgplan_runtime.supervision.listeners import Listeners
 
 _LONG_S = 3600.0
 _UNDONE = (ApplyError, NoSourceError, StaleChangeSetError)
@@ -71,8 +73,8 @@ class Manager:
     ) -> None:
         self._middleware = middleware
         self._clock = clock or SystemClock()
-        self._estimator = estimator or DeclaredCosts()
-        self._listeners = () if report is None else (report,)
+        self._estimator = GuardedEstimator(estimator or DeclaredCosts())
+        self._listeners: Listeners[Report] = Listeners(() if report is None else (report,))
         self._inbox = Inbox()
         self._interrupt, self._ending = threading.Event(), threading.Event()
         """`_interrupt`: something has come that the plan under way can't know. `_ending`: the end was asked for."""
@@ -126,8 +128,8 @@ class Manager:
         self._put(Unusable(by, faults))
 
     def listen(self, listener: Callable[[Report], None]) -> None:
-        """Call `listener` with every report, from several threads; it returns at once and never raises."""
-        self._listeners = (*self._listeners, listener)
+        """Call `listener` with every report, from several threads; it returns at once."""
+        self._listeners.add(listener)
 
     def snapshot(self) -> Snapshot:
         """Everything there is to know now."""
@@ -376,8 +378,7 @@ class Manager:
             self._middleware.abandon()
 
     def _tell(self, report: Report) -> None:
-        for listener in self._listeners:
-            listener(report)
+        self._listeners.tell(report)
 
 
 def _running_cost_us(running: Environment, state: State) -> int:

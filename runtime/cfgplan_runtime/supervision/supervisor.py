@@ -13,6 +13,7 @@ from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Transformati
 from cfgplan_runtime.errors import ApplyError, RuntimeFaultError, StaleChangeSetError
 from cfgplan_runtime.supervision import events, updates
 from cfgplan_runtime.supervision.backend import Backend, Found, Inlet
+from cfgplan_runtime.supervision.listeners import LOG
 from cfgplan_runtime.supervision.observation import Observation, UnitRecord
 from cfgplan_runtime.supervision.spares import MEGABYTE, Spares
 from cfgplan_runtime.supervision.wiring import Wire, Wiring, without_feed
@@ -48,7 +49,8 @@ class Supervisor:
         """The last that was heard of each host; nothing of hosts that the backend does not tell of."""
         self.cause_of_death: dict[str, str] = {}
         self.is_ending = False
-        self.is_abandoned = False
+        self._is_abandoned: Callable[[], bool] = lambda: False
+        """Whether the update under way is given up, as who has asked for it says."""
         self._report = report
         self._applied: dict[str, events.Applied] = {}
         self._update_patience = updates.Patience()
@@ -79,11 +81,13 @@ class Supervisor:
         basis: Environment | None = None,
         patience: updates.Patience | None = None,
         keeps_new: bool = False,
+        is_abandoned: Callable[[], bool] = lambda: False,
     ) -> events.Applied:
         """Carry out a change set as a whole or not at all; the same `id` is carried out once.
 
         `basis` is the environment that it was planned for. Raises StaleChangeSetError if that, or what the
-        change set names, is not what runs; ApplyError if a step failed, or `abandon` was called, and all was undone.
+        change set names, is not what runs; ApplyError if a step failed, or the update `is_abandoned` while it waits for
+        new units, and all was undone.
         With `keeps_new`, new units that have not failed then stay in the environment, unconnected.
         """
         if id is not None and id in self._applied:
@@ -97,6 +101,7 @@ class Supervisor:
         self._update_patience = patience or updates.Patience()
         again = self._stopping.keys() & {unit.id for unit in change_set.started}
         self._wait(updates.WaitUntil(lambda: self._stopping.keys().isdisjoint(again), self._update_patience.kill_s))
+        self._is_abandoned = is_abandoned
         try:
             commands = updates.carry_out(self, change_set, after, self._update_patience, keeps_new=keeps_new)
             carried = self._drive(commands)
@@ -105,7 +110,7 @@ class Supervisor:
             self._report(events.RolledBack(name, str(error)))
             raise
         finally:
-            self.is_abandoned = False
+            self._is_abandoned = lambda: False
             self.wiring.settle()
         self.backend.leave_hosts([host for host in change_set.removed_hosts if host not in carried.environment.host])
         self.environment = carried.environment
@@ -140,10 +145,10 @@ class Supervisor:
                 observations.append(self._records[unit].observe(unit, usage, self.backend.now()))
         return tuple(observations)
 
-    def abandon(self) -> None:
-        """Give up the update under way if it still waits for new units; for any thread."""
-        self.is_abandoned = True
-        self.backend.wake()
+    @property
+    def is_abandoned(self) -> bool:
+        """Whether the update under way is to be given up if it still waits for new units."""
+        return self._is_abandoned()
 
     def end(self) -> None:
         """Make the update under way fail with RuntimeFaultError; for any thread."""
@@ -197,13 +202,36 @@ class Supervisor:
                 record.labor_us = found.labor_us[unit.id]
 
     def _drive(self, commands: Generator[updates.Command, None, updates.CarriedOut]) -> updates.CarriedOut:
-        while True:
-            try:
-                command = next(commands)
-            except StopIteration as end:
-                carried: updates.CarriedOut = end.value
-                return carried
+        """Carry out an update. The first command that fails is thrown into it, so that all is undone.
+
+        What fails while that is done, or after Commit, is told in the log, and the rest is carried out.
+        """
+        fault: Exception | None = None
+        may_be_undone = True
+        try:
+            while True:
+                if fault is not None and may_be_undone:
+                    may_be_undone = False
+                    command = commands.throw(fault)
+                else:
+                    command = next(commands)
+                may_be_undone = may_be_undone and not isinstance(command, updates.Commit)
+                fault = self._fault_of(command, may_be_undone=may_be_undone)
+        except StopIteration as end:
+            carried: updates.CarriedOut = end.value
+            return carried
+
+    def _fault_of(self, command: updates.Command, *, may_be_undone: bool) -> Exception | None:
+        """Carry out a command of an update. Returns what it raises, but the end of the runtime, which is raised."""
+        try:
             self._obey(command)
+        except Exception as error:
+            if self.is_ending:
+                raise
+            if not may_be_undone:
+                LOG.exception("%s has failed, and the update goes on", type(command).__name__)
+            return error
+        return None
 
     def _obey(self, command: updates.Command) -> None:
         match command:
@@ -267,7 +295,11 @@ class Supervisor:
         self._library[unit.id] = transformation
         self._records[unit.id] = UnitRecord(transformation.label, unit.host, sign_s=self.now())
         spare = self.spares.take(transformation, unit.host)
-        self.backend.start(unit.id, transformation, self._states.get(transformation.label), unit.host, spare)
+        try:
+            self.backend.start(unit.id, transformation, self._states.get(transformation.label), unit.host, spare)
+        except Exception:
+            self._bury(unit.id)
+            raise
 
     def _hear(self, timeout_s: float) -> None:
         happened = self.backend.wait(timeout_s)

@@ -146,6 +146,10 @@ class Believe(Command, frozen=True):
     environment: Environment
 
 
+class Commit(Command, frozen=True):
+    """All new units are there and wired: nothing is undone from here on."""
+
+
 class WaitUntil(Command, frozen=True):
     """Wait until a condition on what runs holds, at most `patience_s`."""
 
@@ -195,6 +199,8 @@ def carry_out(
 ) -> Generator[Command, None, CarriedOut]:
     """The commands that lead to `after`. Raises ApplyError when a step failed and all was undone.
 
+    Who drives it throws in what a command raises, until Commit.
+
     With `keeps_new`, new units that have not failed then run on, unconnected.
     """
     wanted = wiring.wanted_feeds(after, {inlet: wire.stream for inlet, wire in actual.feeds.items()})
@@ -206,6 +212,10 @@ def carry_out(
         yield from update.undo(error.units, keeps_new=keeps_new)
         kind = AbandonedError if error.is_abandoned else ApplyError
         raise kind(f"the update was undone: {error}", error.units) from None
+    except Exception as error:  # thrown in: a command could not be carried out
+        yield from update.undo([], keeps_new=keeps_new)
+        raise ApplyError(f"the update was undone: {type(error).__name__}: {error}") from error
+    yield Commit()
     unswitched = len(update.switching())
     yield from _timed("stop", update.stop(), actual, seconds)
     yield WaitUntil(update.may_end, patience.stop_s)
