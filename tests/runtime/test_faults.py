@@ -24,7 +24,7 @@ from cfgplan_runtime import ApplyError, Patience, SimulatedRuntime, StaleChangeS
 from cfgplan_runtime.errors import NoSuchTopicError, RuntimeFaultError, UnsupportedPlatformError
 from cfgplan_runtime.processes.nursery_link import start_helper
 from cfgplan_runtime.runtime import Inline, OwnThread
-from cfgplan_runtime.streams.run_folder import topics_of
+from cfgplan_runtime.streams.run_folder import base_folder, remove_dead_runs, topics_of
 from cfgplan_runtime.supervision.events import (
     OutletsLost,
     RolledBack,
@@ -328,6 +328,36 @@ def test_nothing_outlives_a_killed_supervisor(run_units: StartRuntime, nothing_i
         subscribe("/result")
     runtime = run_units(source())
     assert [path.name for path in runs.iterdir()] == [runtime.id]
+
+
+FORKING = SUPERVISOR.replace('deed="hang"', 'deed="start a child"')
+
+
+def relatives(process: psutil.Process) -> list[psutil.Process]:
+    with suppress(psutil.Error):
+        return process.children(recursive=True)
+    return []
+
+
+@pytest.mark.parametrize("killed", ["the supervisor", "the nursery"])
+def test_what_units_have_started_outlives_nobody_who_is_killed(nothing_is_left_behind: Path, killed: str) -> None:
+    assert nothing_is_left_behind
+    script = FORKING.format(tests=str(Path(__file__).parent))
+    with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE) as supervisor:
+        try:
+            assert supervisor.stdout is not None
+            assert supervisor.stdout.readline() == b"running\n"
+            one = psutil.Process(supervisor.pid)
+            eventually(lambda: len(relatives(one)) >= 5)
+            family = relatives(one)
+            nursery = next(each for each in one.children() if "nursery" in " ".join(each.cmdline()))
+            victim, left = (one, family) if killed == "the supervisor" else (nursery, relatives(nursery))
+            victim.kill()
+            eventually(lambda: not any(p.is_running() and p.status() != psutil.STATUS_ZOMBIE for p in left))
+        finally:
+            supervisor.kill()
+    eventually(lambda: not any(p.is_running() and p.status() != psutil.STATUS_ZOMBIE for p in family))
+    remove_dead_runs(base_folder())
 
 
 def test_two_runtimes_do_not_disturb_each_other(run_units: StartRuntime) -> None:

@@ -6,9 +6,11 @@ Usage comes from its CPU clock where the platform has one, from psutil elsewhere
 from __future__ import annotations
 
 import os
+import signal
 import socket
 import sys
 import time
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
 from math import inf
@@ -146,9 +148,14 @@ def cause_of_end(child: ChildProcess, status: int) -> str:
 
 def end_of_process(status: int) -> str:
     """What an exit status says, in words."""
-    import signal
-
     return f"killed by {signal.Signals(-status).name}" if status < 0 else f"ended with exit status {status}"
+
+
+def kill_group(pid: int) -> None:
+    """Kill a child and all that it has started."""
+    for kill in (os.killpg, os.kill):
+        with suppress(OSError):
+            kill(pid, signal.SIGKILL)
 
 
 _CLOCK_OF_ALL_THREADS = 2

@@ -29,6 +29,7 @@ from cfgplan_runtime.children import messages
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.outlet_child import NO_DESCRIPTOR, OutletChild
 from cfgplan_runtime.children.unit_child import UnitChild
+from cfgplan_runtime.processes.child_process import kill_group
 
 DUMP_SIGNAL = signal.SIGUSR1
 INTERRUPT_SIGNAL = signal.SIGUSR2
@@ -48,6 +49,8 @@ class Nursery:
         self._control: ControlConnection[messages.ToNursery] = ControlConnection(end, messages.ToNursery)
         self._serials: dict[int, int] = {}
         self._selector = selectors.DefaultSelector()
+        self._is_left = False
+        """Whether the supervisor is gone."""
         self._sign_s = 0.0
         """When the next sign of life is due."""
         self._bell, self._bell_rope = socket.socketpair()
@@ -55,11 +58,14 @@ class Nursery:
             bell.setblocking(False)
 
     def run(self) -> None:
+        # A kill from the kernel would leave what the children have started: their groups are killed first.
+        signal.signal(signal.SIGTERM, lambda *_: self._leave())
+        tell_of_parents_death(signal.SIGTERM)
         signal.signal(signal.SIGCHLD, lambda *_: None)
         signal.set_wakeup_fd(self._bell_rope.fileno(), warn_on_full_buffer=False)
         self._selector.register(self._bell, selectors.EVENT_READ)
         self._selector.register(self._control.socket, selectors.EVENT_READ)
-        while not self._control.has_ended:
+        while not (self._control.has_ended or self._is_left):
             if time.monotonic() >= self._sign_s:
                 self._sign_s = time.monotonic() + _SIGN_PERIOD_S
                 self._control.send(messages.Alive())
@@ -77,7 +83,10 @@ class Nursery:
                         self._signal(serial, INTERRUPT_SIGNAL)
         signal.set_wakeup_fd(-1)
         for pid in self._serials:
-            _kill_group(pid)
+            kill_group(pid)
+
+    def _leave(self) -> None:
+        self._is_left = True
 
     def _fork(self, serial: int, order: messages.ChildOrder, sockets: list[socket.socket]) -> None:
         parent = os.getpid()
@@ -107,7 +116,8 @@ class Nursery:
     def _become_child(self, parent: int) -> None:
         die_with_parent(parent)
         signal.set_wakeup_fd(-1)
-        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        for number in (signal.SIGCHLD, signal.SIGTERM):
+            signal.signal(number, signal.SIG_DFL)
         with contextlib.suppress(OSError):
             os.setpgid(0, 0)
         self._selector.close()
@@ -118,7 +128,7 @@ class Nursery:
     def _signal(self, serial: int, number: signal.Signals) -> None:
         for pid, other in self._serials.items():
             if other == serial and number == signal.SIGKILL:
-                _kill_group(pid)
+                kill_group(pid)
             elif other == serial:
                 with contextlib.suppress(OSError):
                     os.kill(pid, number)
@@ -215,16 +225,9 @@ def _end_of(pid: int) -> int | None:
     if hasattr(os, "waitid"):
         if os.waitid(os.P_PID, pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
             return None
-        _kill_group(pid)
+        kill_group(pid)
     found, status = os.waitpid(pid, os.WNOHANG)
     return os.waitstatus_to_exitcode(status) if found == pid else None
-
-
-def _kill_group(pid: int) -> None:
-    """Kill a child and all that it has started."""
-    for kill in (os.killpg, os.kill):
-        with contextlib.suppress(OSError):
-            kill(pid, signal.SIGKILL)
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -251,8 +254,14 @@ def die_with_parent(parent: int) -> None:
     """
     if sys.platform != "linux":
         return
-    import ctypes
-
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    tell_of_parents_death(signal.SIGKILL)
     if os.getppid() != parent:
         os._exit(1)
+
+
+def tell_of_parents_death(number: signal.Signals) -> None:
+    """Have the kernel send this signal when the thread that made this process ends; only Linux can."""
+    if sys.platform == "linux":
+        import ctypes
+
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)

@@ -23,6 +23,7 @@ from cfgplan_runtime.processes.child_process import (
     cause_of_end,
     changed_ns,
     cpu_us,
+    kill_group,
     memory_bytes,
 )
 from cfgplan_runtime.processes.cpu_group import CpuGroup
@@ -397,6 +398,8 @@ class ProcessBackend:
         self._nursery.close()
         self._events.append(events.HelperAlive(NURSERY_HELPER, inf))
         for child in [child for child in self._children.values() if child.serial != _NO_PROCESS]:
+            if child.pid is not None:
+                kill_group(child.pid)  # the child is dead, but what it has started may live
             child.trouble = child.trouble or "killed together with the nursery"
             self._bury(child, 0)
 
