@@ -553,7 +553,7 @@ SUPERVISION = _room(
     (
         "a unit that does not stop is not killed",
         "updates.py",
-        "in sorted(actual.alive & set(stopped)):",
+        "in sorted(actual.alive & due):",
         "in ():",
     ),
     ("a dead unit fails no update", "updates.py", "        if dead:", "        if False:"),

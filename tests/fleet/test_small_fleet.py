@@ -455,6 +455,8 @@ def test_a_run_takes_the_hosts_that_it_names_and_another_run_has_the_others() ->
 
 def test_a_host_that_an_update_adds_is_used_at_once_and_one_that_it_removes_is_free_for_another_run() -> None:
     with small_fleet("r1", "r2") as fleet, fleet.runtime(source(), hosts=("r1",)) as runtime:
+        with fleet.backend("r2"):
+            pass  # its agent is there
         there = unit("count.1", "r2")
         runtime.apply(ChangeSet(started=(there,), added_hosts=(Host("r2"),)))
         assert fleet.units() == ["count.1"]

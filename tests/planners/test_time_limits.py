@@ -170,12 +170,10 @@ def test_what_runs_is_kept_at_a_limit_of_0_whatever_is_asked(running: tuple[Prob
 def test_a_limit_of_0_gives_a_plan_if_there_is_one_and_no_false_proof(problem: Problem) -> None:
     best, found = plan(problem), plan(problem, time_limit_s=0)
     assert plan_violations(problem, found) == []
+    has_both = problem.max_cost_us is not None and bool(problem.environment.required)
+    assert found.change_set is not None or best.change_set is None or has_both
     if found.change_set is None:
-        assert best.change_set is None
         assert found.status in (best.status, Status.UNKNOWN)
-    elif best.change_set is None:
-        assert best.status is Status.TOO_EXPENSIVE
-        assert found.unused_required
     elif len(found.unused_required) == len(best.unused_required):
         assert best.cost_us is not None
         assert found.cost_us is not None

@@ -68,7 +68,7 @@ class PlannerSession:
         if answer is None or (standing.are_ties_proven and not answer.ties_proven):
             answer = self._planned_again(part, standing, answer, time_limit_s, report)
         if answer.status is Status.UNKNOWN and time_limit_s is not None and not clock.stop.is_set():
-            return self._planned_first(problem, clock.for_a_first_plan(problem), report)
+            return self._planned_first(problem, clock.for_a_first_plan(problem), report) or answer
         return answer
 
     def _planned(self, part: Reduced, standing: Standing) -> Plan | None:
@@ -133,12 +133,16 @@ class PlannerSession:
         assert found is not None
         return found
 
-    def _planned_first(self, problem: Problem, clock: Clock, report: OnProgress | None) -> Plan:
-        """A first plan of a problem, and what is proven until it is there."""
+    def _planned_first(self, problem: Problem, clock: Clock, report: OnProgress | None) -> Plan | None:
+        """A first plan of a problem, and what is proven until it is there.
+
+        Required transformations come before the largest cost: None if a plan within it leaves some unused.
+        """
         part = _reduced(problem, clock, is_certain=True)
         found = self._planned(part, Standing(part.problem, clock, part.reporting(report), problem))
         assert found is not None
-        return found
+        is_too_cheap = found.unused_required and not found.required_proven and problem.max_cost_us is not None
+        return None if is_too_cheap else found
 
 
 def _reduced(problem: Problem, clock: Clock, *, is_certain: bool = False) -> Reduced:

@@ -247,7 +247,7 @@ class FleetBackend:
         helpers = self._told.pop(host.name, _Told()).helpers
         self._events += [events.HelperAlive(f"{host.name}: {helper}", inf) for helper in helpers]
         if not host.is_there:
-            if host.name in self._awaited:
+            if host.name in self._awaited and not self._presence.greets(host.name):
                 self._awaited.discard(host.name)
                 self._events.append(events.HostLost(host.name, cause))
             return

@@ -151,6 +151,10 @@ class Presence:
         found = self._hosts.get(host)
         return found if found is not None and found.is_there else None
 
+    def greets(self, host: str) -> bool:
+        """Whether a host is there, or has been greeted and may still answer."""
+        return host in self._hosts
+
     def say(self, host: str | None, order: orders.Order) -> None:
         """Give an order to a host with the next `wait`. Does nothing if the host is None or not there."""
         found = None if host is None else self.find(host)
