@@ -131,7 +131,7 @@ def _configurations(
                 continue
             if spares is None:
                 spares = justified_spares(after, similarity, problem.survive)
-            if not violations(after, similarity, None, problem.horizon_s, spares):
+            if not violations(after, similarity, None, problem.horizon_s, spares, problem.environment):
                 yield rank, after
 
 

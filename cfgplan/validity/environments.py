@@ -23,9 +23,11 @@ def violations(
     survive: Failures | None = None,
     horizon_s: Natural = 0,
     spares: Collection[str] = (),
+    before: Environment | None = None,
 ) -> list[Violation]:
     """Every rule that the running configuration violates; empty when it is valid (Definition 9).
 
+    If it is what an update makes of `before`, pinned units that do not run yet have to be needed as others are.
     With `survive`, it must bear every single failure of that kind too; the energy of hosts has to last for the horizon.
     Whoever knows that it does, and which are its `justified_spares`, passes these instead.
     """
@@ -45,7 +47,7 @@ def violations(
         *link_violations(environment),
         *instance_violations(environment),
         *survival_violations(environment, similarity, survive),
-        *_needless_units(environment, similarity, survive, spares),
+        *_needless_units(environment, similarity, survive, spares, environment if before is None else before),
     ]
 
 
@@ -147,9 +149,16 @@ def _indistinct_feeds(environment: Environment) -> Iterator[Violation]:
 
 
 def _needless_units(
-    environment: Environment, similarity: Similarity, survive: Failures | None, spares: Collection[str]
+    environment: Environment,
+    similarity: Similarity,
+    survive: Failures | None,
+    spares: Collection[str],
+    before: Environment,
 ) -> Iterator[Violation]:
-    kept = {unit.id for unit, transformation in known_units(environment) if transformation.pinned and not unit.standby}
+    pinned = {
+        unit.id for unit, transformation in known_units(environment) if transformation.pinned and not unit.standby
+    }
+    kept = pinned & before.unit.keys()
     kept |= asked_by_number(environment)
     company = company_of(environment)
     needed = needed_by(environment, meeting_targets(environment).union(kept, spares), company)

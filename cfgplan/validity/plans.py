@@ -35,7 +35,7 @@ def plan_violations(problem: Problem, plan: Plan) -> list[Violation]:
     except InvalidValueError as error:
         return [Violation(Rule.CONSISTENT, str(error))]
     return [
-        *violations(after, problem.similarity, problem.survive, problem.horizon_s),
+        *violations(after, problem.similarity, problem.survive, problem.horizon_s, before=problem.environment),
         *_bad_change_set(problem.environment, plan, after),
         *_dropped_pinned_units(problem, plan, after),
         *_misreported_required(plan, after),

@@ -35,7 +35,7 @@ class Kind:
 def as_good(plan: Plan) -> tuple[object, ...]:
     """What two optimal plans have in common."""
     changes = plan.change_set
-    counts = changes and (len(changes.rewired), len(changes.started))
+    counts = None if changes is None else (len(changes.rewired), len(changes.started))
     return plan.status, len(plan.unused_required), plan.cost_us, counts, plan.ties_proven, plan.objectives
 
 

@@ -9,7 +9,19 @@ from pathlib import Path
 import pytest
 
 from cfgplan import api
-from cfgplan.planning import Status
+from cfgplan.domain import (
+    ComputationUnit,
+    Environment,
+    Host,
+    InputPort,
+    OutputPort,
+    Similarity,
+    Stream,
+    Subscription,
+    Target,
+    Transformation,
+)
+from cfgplan.planning import Problem, Status
 from cfgplan.validity import plan_violations
 
 CASES = Path(__file__).parents[3] / "shared" / "cases" / "3" / "planner"
@@ -60,6 +72,44 @@ def test_an_output_that_no_quality_can_come_to_is_no_error(tmp_path: Path) -> No
     path = tmp_path / "env.yaml"
     path.write_text(UNFEDABLE, encoding="utf-8")
     assert api.plan(api.match(api.load(path))).status is Status.INFEASIBLE
+
+
+NEW_PINNED = """
+format: cfgplan/1
+horizon: 0
+qualities: [{name: e, better: lower, rule: add, worst: 9}]
+transformations:
+  - {label: t0, pinned: true, labor: 0, outputs: {x: {tag: B, quality: {e: 0}}}}
+  - {label: t1, labor: 0, inputs: {a: {tag: B, optional: true}}, outputs: {x: A}}
+  - {label: t2, labor: 0, outputs: {x: {tag: A, quality: {e: 0.000001}}}}
+targets: [{label: q, topic: /q, tag: A, quality: {e: {weight: 0.2}}}]
+"""
+
+
+def test_a_new_unit_of_a_pinned_transformation_has_to_be_needed(tmp_path: Path) -> None:
+    path = tmp_path / "env.yaml"
+    path.write_text(NEW_PINNED, encoding="utf-8")
+    agree(api.match(api.load(path)))
+
+
+def test_units_in_a_ring_of_inputs_that_lack_a_stream_are_no_error() -> None:
+    feeds = [(Subscription("b", Stream(f"t.{other}", "x")),) for other in (2, 1)]
+    ring = [ComputationUnit(f"t.{number}", "t", fed, host="h") for number, fed in enumerate(feeds, 1)]
+    inputs = InputPort("a", "A", optional=True), InputPort("b", "A", optional=True, count=2)
+    library = (
+        Transformation("t", inputs, (OutputPort("x", "A"),), labor_us=0),
+        Transformation("u", (InputPort("a", "A"), InputPort("c", "A", count=2)), (OutputPort("x", "A"),), labor_us=0),
+    )
+    targets = Target("p", "A", "/p"), Target("q", "A", "/q")
+    environment = Environment(tuple(ring), library, targets, (Host("h", cpu_us=9),))
+    agree(Problem(environment, Similarity({"A": frozenset({"A"})}), 0))
+
+
+def agree(problem: Problem) -> None:
+    """Planner and oracle have answers of one cost that the judge accepts."""
+    found, oracle = api.plan(problem), api.plan(problem, planner="exhaustive")
+    assert plan_violations(problem, found) == plan_violations(problem, oracle) == []
+    assert (found.status, found.cost_us) == (oracle.status, oracle.cost_us)
 
 
 def test_branch_and_bound_claims_nothing_where_required_ones_are_left_out() -> None:

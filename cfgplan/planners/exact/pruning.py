@@ -104,7 +104,8 @@ class _Pruning:
             ports = self._environment.transformation[unit.transformation].input
             taken = [s for s in unit.subscriptions if s.stream.unit == unit_id]
             if not taken or not all(
-                ports[s.port].count == ALL and any(o.unit != unit_id for o in unit.feeds[s.port]) for s in taken
+                s.port in ports and ports[s.port].count == ALL and any(o.unit != unit_id for o in unit.feeds[s.port])
+                for s in taken  # a unit may still take what its transformation has no input for any more
             ):
                 yield other
 
