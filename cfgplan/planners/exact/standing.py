@@ -93,7 +93,8 @@ class Standing:
         key = key_of(self.problem, units)
         if self.best is None or key < self.best.key:
             self.best = Incumbent(key, units)
-            self.clock.has_plan = True
+            most_us = self.problem.max_cost_us
+            self.clock.has_plan = most_us is None or key.cost_us <= most_us
             self.tell()
         return key
 
