@@ -7,7 +7,7 @@ import queue
 import signal
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from itertools import islice
+from itertools import islice, pairwise
 
 import psutil
 import pytest
@@ -170,7 +170,8 @@ def test_a_process_waits_for_any_node_and_has_its_parameters_and_names(
     runtime.apply(ChangeSet((ComputationUnit("talker.2", "talker"),), rewired=(fed_by("talker.2"),)))
     assert runtime.pid("talker.2") in waiting
     eventually(lambda: "/talker_2" in observer.look()["nodes"])
-    assert next(number for number in (int(shout.removesuffix("!")) for shout in shouts) if number < 1050) >= 1000
+    numbers = pairwise(int(shout.removesuffix("!")) for shout in shouts)
+    assert next(after for before, after in numbers if after < before) >= 1000, "it begins anew, with its parameter"
 
 
 def fed_by(talker: str) -> ComputationUnit:
