@@ -94,6 +94,17 @@ class FailsToClose:
         raise OSError("the motor does not answer")
 
 
+class FailsBesideAThread:
+    """Exits at its first input, while a thread of it goes on."""
+
+    def __init__(self, notes: str) -> None:
+        self.notes = notes
+        threading.Thread(target=time.sleep, args=(3600,)).start()
+
+    def __call__(self, x: Any) -> Any:  # noqa: ARG002
+        raise SystemExit(7)
+
+
 class Steady:
     """Takes a tenth of a second for each input, and writes what it has done."""
 

@@ -113,6 +113,12 @@ def test_what_waited_at_a_unit_that_is_killed_is_counted(runtime: Runtime, tmp_p
     assert cut.waiting >= 20
 
 
+def test_a_unit_that_exits_waits_for_no_thread(runtime: Runtime, tmp_path: Path) -> None:
+    failing = worker("FailsBesideAThread", tmp_path, hang_us=0)
+    run(runtime, source("motor", tmp_path), failing)
+    eventually(lambda: [event.unit for event in seen(runtime, UnitDied)] == ["FailsBesideAThread.1"])
+
+
 def test_code_that_fails_to_close_is_told_of_and_its_unit_has_stopped_as_asked(
     runtime: Runtime, tmp_path: Path
 ) -> None:

@@ -148,6 +148,7 @@ def be_child(order: messages.ChildOrder, control_end: socket.socket, printed: so
     random.seed()
     control: ControlConnection[messages.ToChild] = ControlConnection(control_end, messages.ToChild)
     unit: UnitChild | None = None
+    is_well = False
     try:
         if isinstance(order, messages.OutletOrder):
             setproctitle(f"cfgplan {run} outlets")
@@ -167,6 +168,7 @@ def be_child(order: messages.ChildOrder, control_end: socket.socket, printed: so
                 return 0
             setproctitle(f"cfgplan {run} {begun}")
         unit.run()
+        is_well = True
     except SystemExit as error:
         _tell(control, messages.Trouble("exited", unit.step if unit else 0, "".join(traceback.format_exception(error))))
         return error.code if isinstance(error.code, int) else int(error.code is not None)
@@ -174,16 +176,17 @@ def be_child(order: messages.ChildOrder, control_end: socket.socket, printed: so
         _tell(control, messages.Trouble("failed", unit.step if unit else 0, "".join(traceback.format_exception(error))))
         return FAILED
     finally:
-        _end_as_python_does()
+        _end_as_python_does(waits=is_well)
     return 0
 
 
-def _end_as_python_does() -> None:
-    """Wait for threads, run what was registered with atexit, and flush all files that are open for writing.
+def _end_as_python_does(*, waits: bool) -> None:
+    """Wait for threads, if asked to, run what was registered with atexit, and flush all files open for writing.
 
-    A child that was forked ends without the rest of Python's own end, which would be the nursery's.
+    A child that was forked ends without the rest of Python's own end, which would be the nursery's. One that has failed
+    waits for no thread, since that may never end.
     """
-    for end in (threading._shutdown, atexit._run_exitfuncs):  # type: ignore[attr-defined]
+    for end in (threading._shutdown, atexit._run_exitfuncs)[not waits :]:  # type: ignore[attr-defined]
         with contextlib.suppress(BaseException):  # atexit has printed what was raised
             end()
     for each in gc.get_objects():
