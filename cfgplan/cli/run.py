@@ -137,6 +137,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     else:
         if not options.dry_run:
             _refuse_nodes(options, loaded)
+            _check_programs(options, loaded)
         _check_ros2(options, loaded)
     said = loaded.environment if options.compared else None
     if loaded.environment.units and said is None:
@@ -212,14 +213,35 @@ def _check_ros2(options: argparse.Namespace, world: World) -> None:
     from cfgplan_runtime.ros2.targets import check_targets
     from cfgplan_runtime.ros2.units import check_unit
 
-    folder, faults = _folder(options), list[Fault]()
-    checks: list[Callable[[], None]] = [partial(check_unit, each, folder) for each in units]
+    folder = _folder(options)
+    checks: list[Callable[[], object]] = [partial(check_unit, each, folder) for each in units]
     checks += [partial(check_targets, world.environment, folder)] if options.ros2 else []
+    _tell_faults(checks, options.env)
+
+
+def _check_programs(options: argparse.Namespace, world: World) -> None:
+    """Have all that is wrong with programs told before anything is started; other hosts look for their files."""
+    from cfgplan_runtime.children.program_source import ProgramSource
+
+    def check(label: str, source: str | None) -> None:
+        try:
+            program = ProgramSource.read(source)
+            if program is not None and _fleet(options) is None:
+                program.file(_folder(options))
+        except InputError as error:
+            raise InputError([replace(fault, message=f"{label}: {fault.message}") for fault in error.faults]) from None
+
+    _tell_faults([partial(check, each.label, each.source) for each in world.environment.library], options.env)
+
+
+def _tell_faults(checks: list[Callable[[], object]], file: str) -> None:
+    """Raises InputError with all the faults that checks raise, those without a file in this one."""
+    faults = list[Fault]()
     for check in checks:
         try:
             check()
         except InputError as error:
-            faults += (fault if fault.file else replace(fault, file=options.env) for fault in error.faults)
+            faults += (fault if fault.file else replace(fault, file=file) for fault in error.faults)
     if faults:
         raise InputError(faults)
 

@@ -317,7 +317,8 @@ class TransformationPart(Part):
 
     label: Name = row("unique; mentions every template variable of the transformation", ..., use=Use.BOTH, xml=ELEMENT)
     source: Name | None = row(
-        "package.module:Class, or units.py:Class relative to this file; in ROS node:PACKAGE/EXECUTABLE and others",
+        "package.module:Class, units.py:Class relative to this file, or program:./FILE; in ROS node:PACKAGE/EXECUTABLE "
+        "and others",
         use=Use.RUNNING,
         xml=ELEMENT,
     )

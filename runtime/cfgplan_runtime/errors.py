@@ -58,6 +58,18 @@ class WrongPortsError(RuntimeFaultError):
     """Unit code returned something other than values for its output ports."""
 
 
+class ProgramEndedError(RuntimeFaultError):
+    """A program that is a unit can't be started, or has ended unasked."""
+
+
+class ProgramFaultError(RuntimeFaultError):
+    """A program breaks its protocol, and goes on; `what` is the kind of fault, `line` what it has written."""
+
+    def __init__(self, what: str, told: str, line: str = "") -> None:
+        super().__init__(f"{told}: {line}" if line else told)
+        self.what = what
+
+
 class NoSuchTopicError(RuntimeFaultError):
     """Nothing that runs publishes the topic."""
 

@@ -86,3 +86,19 @@ def test_a_new_environment_is_named_with_its_folder(run: Run, env: Path) -> None
     env.unlink()
     assert run("init").out.startswith("Wrote env.yaml, kitchen.ttl, units.py. Next:")
     assert run("init", "other").out.startswith("Wrote other/env.yaml, ")
+
+
+def test_all_that_is_wrong_with_programs_is_told_before_anything_is_started(
+    run: Run, write: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write(
+        "transformations: [{label: a, source: program:./absent, outputs: {o: X}}, "
+        '{label: b, source: "program:\'", outputs: {o: X}}]\ntargets: [{label: t, topic: /t, tag: X}]\n'
+    )
+    monkeypatch.chdir(path.parent)
+    result = run("run", path.name)
+    assert result.code == 30
+    assert "a: there is no file ./absent" in result.err
+    assert "files are relative to the environment file" in result.err
+    assert f"{path.name}: b: source `program:'`" in result.err
+    assert "Traceback" not in result.err

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -50,6 +51,21 @@ class Worker:
         return [self.name, x if isinstance(x, int) else x[1]]
 '''
 
+PROGRAM = '''
+"""The worker as a program, which knows nothing of cfgplan."""
+
+import json, os, sys
+
+params = json.loads(os.environ["CFGPLAN_PARAMS"])
+if params.get("deed") == "die at start":
+    sys.exit("no such device")
+print('{"ready": true}', flush=True)
+for line in sys.stdin:
+    x = json.loads(line)["inputs"]["x"]
+    print(json.dumps({"outputs": {"y": [params["name"], x if isinstance(x, int) else x[1]]}}), flush=True)
+'''
+PROGRAM_SOURCE = f"program:{sys.executable} worker_program.py"
+
 Transformations = dict[str, dict[str, Any]]
 
 
@@ -90,6 +106,7 @@ class RealRun:
         self._stack = ExitStack()
         self._listeners: dict[str, Listener] = {}
         (folder / "units.py").write_text(UNITS)
+        (folder / "worker_program.py").write_text(PROGRAM)
 
     def write(
         self, *parts: Transformations, horizon: int = 600, targets: dict[str, str] | None = None, **more: Any

@@ -20,7 +20,7 @@ from cfgplan_runtime.streams.run_folder import base_folder, topics_of
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
 from cfgplan_runtime.testing import FIRST, LAST, Bench, Hosts, check_middleware
 from living import RESULT, source, worker
-from real_run import UNITS
+from real_run import PROGRAM, PROGRAM_SOURCE, UNITS
 from unit_signals import signal_unit
 
 from cfgplan import api
@@ -380,9 +380,10 @@ def gives(topic: str, run: str) -> bool:
 
 
 @contextmanager
-def real_bench(folder: Path) -> Iterator[Bench]:
+def real_bench(folder: Path, code: str) -> Iterator[Bench]:
     (folder / "units.py").write_text(UNITS)
-    code, params = "units.py:Worker", {"name": "x"}
+    (folder / "worker_program.py").write_text(PROGRAM)
+    params = {"name": "x"}
     with Runtime(folder=folder) as runtime:
         yield Bench(
             runtime,
@@ -405,11 +406,12 @@ def test_a_middleware_keeps_its_promises(make: Callable[[], AbstractContextManag
     check_middleware(make)
 
 
+@pytest.mark.parametrize("code", ["units.py:Worker", PROGRAM_SOURCE], ids=["Python", "program"])
 def test_the_runtime_keeps_its_promises(
-    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+    code: str, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))
-    check_middleware(lambda: real_bench(tmp_path))
+    check_middleware(lambda: real_bench(tmp_path, code))
 
 
 def test_without_wires_a_middleware_is_checked_by_its_elements() -> None:

@@ -14,9 +14,11 @@ from cfgplan.domain import ALL
 from cfgplan_runtime.children import messages
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.ports import Ports, UnitInput, UnitOutput
+from cfgplan_runtime.children.program import ProgramCode
+from cfgplan_runtime.children.program_source import names_program
 from cfgplan_runtime.children.steps import Step, StepQueue
 from cfgplan_runtime.children.unit_code import Given, UnitCode, imported_files
-from cfgplan_runtime.errors import EncodingError, WrongPortsError
+from cfgplan_runtime.errors import EncodingError, ProgramEndedError, ProgramFaultError, WrongPortsError
 from cfgplan_runtime.streams.element import Element, Moment, Outgoing
 from cfgplan_runtime.streams.inlet import InputQueue, port_of
 from cfgplan_runtime.streams.payload import PayloadEncoder, decode
@@ -40,7 +42,9 @@ def _value(element: Element) -> object:
 class UnitChild:
     """One unit. Constructing it constructs the unit code, and raises whatever that raises."""
 
-    def __init__(self, order: messages.UnitOrder, control: ControlConnection[messages.ToChild]) -> None:
+    def __init__(
+        self, order: messages.UnitOrder, control: ControlConnection[messages.ToChild], *, is_spare: bool = False
+    ) -> None:
         self._order = order
         self._ports = Ports(control, self._obey, self._one_more_input, order.clock_offset_ns)
         self._is_source = not order.inputs
@@ -53,7 +57,24 @@ class UnitChild:
             services=order.services,
             counts=order.counts,
         )
-        self._code = UnitCode(order.source, order.params, order.outputs, folder=order.folder, is_source=self._is_source)
+        self._errors = self._reported = 0
+        self._program_faults = set[str]()
+        """The kinds of faults of a program that were told."""
+        self.step = 0
+        """How many steps have begun."""
+        self._moment: Moment | None = None
+        self._begun: str | None = None if is_spare else order.unit
+        self._program: ProgramCode | None = None
+        self._stateful: UnitCode | None = None
+        """The unit code whose state is kept."""
+        if names_program(order.source):
+            self._code: ProgramCode | UnitCode = ProgramCode(order, self._time_of_step, self._fail)
+            self._program = self._code
+        else:
+            self._code = code = UnitCode(
+                order.source, order.params, order.outputs, folder=order.folder, is_source=self._is_source
+            )
+            self._stateful = code if order.keeps_state and code.has_state else None
         self._set_state(order.state)
         for inlet in self._steps.inlets:
             self._ports.inputs[inlet] = self._input_port(inlet)
@@ -62,24 +83,21 @@ class UnitChild:
         self._encoder = PayloadEncoder()
         self._last: dict[str, Moment] = {}
         self._results: Iterator[Given] | None = None
-        self._moment: Moment | None = None
         self._next_step: Step | None = None
-        self.step = 0
-        """How many steps have begun."""
-        self._errors = self._reported = 0
         self._suppressed = ("", "")
-        self._is_exhausted = self._is_finishing = self._is_interrupted = False
+        self._is_exhausted = self._is_finishing = self._is_interrupted = self._is_closing = False
         self._since_ns = _NEVER_NS
         """Since when unit code is at one piece of work; _NEVER_NS while it is not called."""
         self._raised: Exception | None = None
         """The last exception of a source that has given nothing since; the cause if the source then ends."""
         self._tick_ns = 0
-        self._begun: str | None = None
 
     def await_beginning(self) -> str | None:
         """Wait, as a spare, until told to be a unit. Returns its id; None if the supervisor is gone."""
-        self._ports.say(messages.Prepared(time.process_time_ns(), imported_files(Path(self._order.folder))))
+        files = imported_files(Path(self._order.folder)) | (self._program.files() if self._program else {})
+        self._ports.say(messages.Prepared(self._cpu_ns(), files))
         while self._begun is None and not self._ports.has_ended:
+            self._watch_program()
             self._ports.ends.wait(None)
         return self._begun
 
@@ -88,7 +106,7 @@ class UnitChild:
 
         Raises SystemExit if unit code does, and the last exception of a source that gives nothing after it.
         """
-        self._ports.say(messages.Ready(time.process_time_ns()))
+        self._ports.say(messages.Ready(self._cpu_ns()))
         self._status_ns = self._tick_ns = time.monotonic_ns()
         try:
             self._go_on()
@@ -103,12 +121,15 @@ class UnitChild:
 
         Code that goes from step to step works off what the unit has taken in, and is let alone.
         """
-        if not self._is_interrupted and time.monotonic_ns() - self._since_ns > _BLOCKED_NS:
+        if self._is_closing and self._program is not None:
+            self._program.interrupt()
+        elif not self._is_interrupted and time.monotonic_ns() - self._since_ns > _BLOCKED_NS:
             self._is_interrupted = True
             raise SystemExit(0)
 
     def _go_on(self) -> None:
         while not self._ports.has_ended:
+            self._watch_program()
             self._ports.ends.wait(self._patience_s())
             self._work()
             if time.monotonic_ns() >= self._status_ns:
@@ -118,8 +139,29 @@ class UnitChild:
                 self._say_status()
                 return
 
+    def _cpu_ns(self) -> int:
+        return time.process_time_ns() + (self._program.cpu_ns() if self._program else 0)
+
+    def _time_of_step(self) -> int:
+        return self._ports.now_ns() if self._moment is None else self._moment[0]
+
+    def _watch_program(self) -> None:
+        """Hear what a program says, but a source only as long as nothing of it waits."""
+        if self._program is None:
+            return
+        if self._program.is_heard:
+            self._ports.ends.watch(self._program.end, self._hear_program)
+        else:
+            self._ports.ends.unwatch(self._program.end)
+
+    def _hear_program(self) -> None:
+        assert self._program is not None
+        self._program.hear(is_spare=self._begun is None)
+
     def _close_code(self) -> None:
-        self._since_ns = _NEVER_NS
+        self._since_ns, self._is_closing = _NEVER_NS, True
+        if self._program is not None:
+            self._ports.ends.unwatch(self._program.end)
         try:
             self._code.close()
         except Exception as error:
@@ -144,13 +186,17 @@ class UnitChild:
             self._next_step = self._steps.next()
         return self._next_step
 
+    @property
+    def _may_tick(self) -> bool:
+        return self._is_source and not self._is_exhausted and not self._is_finishing and self._code.has_more
+
     def _patience_s(self) -> float:
         now = time.monotonic_ns()
         until = self._status_ns
         if not self._ports.must_wait:
             if self._has_work:
                 return 0.0
-            if self._is_source and not self._is_exhausted and not self._is_finishing:
+            if self._may_tick:
                 until = min(until, self._tick_ns)
         return max(0.0, (until - now) / 1e9)
 
@@ -162,7 +208,7 @@ class UnitChild:
                 self._give_next()
             elif self._pending is not None:
                 self._begin(self._pending)
-            elif self._is_source and not self._is_exhausted and not self._is_finishing:
+            elif self._may_tick:
                 if not self._tick():
                     break
             else:
@@ -238,7 +284,15 @@ class UnitChild:
         return moment
 
     def _fail(self, error: Exception) -> None:
+        """Count and report a failure. Raises the error if unit code can't go on after it."""
+        if isinstance(error, ProgramEndedError):
+            raise error
         self._errors += 1
+        if isinstance(error, ProgramFaultError):
+            if error.what not in self._program_faults:
+                self._program_faults.add(error.what)
+                self._ports.say(messages.Trouble(error.what, self.step, str(error)))
+            return
         self._reported += 1
         if self._reported > _MOST_REPORTS + 1:
             return
@@ -275,14 +329,14 @@ class UnitChild:
         return counts
 
     def _set_state(self, state: bytes | None) -> None:
-        if self._order.keeps_state and state is not None and self._code.has_state:
-            self._code.set_state(msgspec.msgpack.decode(state))
+        if self._stateful is not None and state is not None:
+            self._stateful.set_state(msgspec.msgpack.decode(state))
 
     def _state(self) -> bytes | None:
-        if not (self._order.keeps_state and self._code.has_state):
+        if self._stateful is None:
             return None
         try:
-            return msgspec.msgpack.encode(self._code.get_state())
+            return msgspec.msgpack.encode(self._stateful.get_state())
         except Exception as error:
             self._fail(error)
             return None

@@ -11,8 +11,8 @@ from typing import Protocol
 import msgspec
 
 from cfgplan_runtime.children import messages
+from cfgplan_runtime.children.exit_status import end_of_process
 from cfgplan_runtime.nodes.relay_messages import CloseInlets, Lead, Passed, Refused
-from cfgplan_runtime.processes.child_process import end_of_process
 from cfgplan_runtime.streams.ends import Ends
 from cfgplan_runtime.supervision import events
 from cfgplan_runtime.supervision.backend import Inlet

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from cfgplan_runtime.children.exit_status import end_of_process
 from cfgplan_runtime.nodes.node_process import NodeProcess
-from cfgplan_runtime.processes.child_process import end_of_process
 from cfgplan_runtime.streams.ends import Ends
 from cfgplan_runtime.supervision import events
 

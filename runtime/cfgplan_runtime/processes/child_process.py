@@ -18,7 +18,9 @@ from pathlib import Path
 
 from cfgplan.costs import MICROSECONDS
 from cfgplan_runtime.children.control import ControlConnection
+from cfgplan_runtime.children.exit_status import end_of_process
 from cfgplan_runtime.children.messages import FromChild
+from cfgplan_runtime.children.started_usage import started_usage
 
 _LONGEST_LINE = 1 << 16
 _MOST_BYTES = 1 << 22
@@ -116,12 +118,24 @@ class ChildProcess:
     """The number of steps begun, by its last sign of life."""
     trouble: str = ""
     """The cause of its end, as it told it."""
+    is_program: bool = False
+    """Whether it hosts a program, whose CPU time and memory are its own."""
     is_spare: bool = False
     """Whether it waits to be a unit. Until then its name is that of a cold spare."""
     due_s: float = inf
     """When a spare has to be prepared, or has to have said where it hangs; infinite once it is prepared."""
     changed_ns: dict[str, int] = field(default_factory=dict)
     """The files of its code, as far as known, and when each was last changed, as the spare has read it."""
+
+    def usage(self) -> tuple[int, int] | None:
+        """CPU time in microseconds and memory in bytes; None if it has not begun or has ended."""
+        if self.pid is None:
+            return None
+        cpu, memory = cpu_us(self.pid), memory_bytes(self.pid)
+        if cpu is None or memory is None:
+            return None
+        more_cpu, more_memory = started_usage(self.pid) if self.is_program else (0, 0)
+        return cpu + more_cpu, memory + more_memory
 
     def changed_file(self) -> str | None:
         """A file of a spare's code that has changed since it was read; None if none has."""
@@ -144,11 +158,6 @@ def cause_of_end(child: ChildProcess, status: int) -> str:
         return "what it sent is no message: some code of it writes into descriptors that are not its own"
     end = end_of_process(status)
     return f"{end} (in step {child.steps} or later)" if child.steps else end
-
-
-def end_of_process(status: int) -> str:
-    """What an exit status says, in words."""
-    return f"killed by {signal.Signals(-status).name}" if status < 0 else f"ended with exit status {status}"
 
 
 def kill_group(pid: int) -> None:

@@ -29,6 +29,7 @@ from cfgplan_runtime.children import messages
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.outlet_child import NO_DESCRIPTOR, OutletChild
 from cfgplan_runtime.children.unit_child import UnitChild
+from cfgplan_runtime.errors import ProgramEndedError
 from cfgplan_runtime.processes.child_process import kill_group
 
 DUMP_SIGNAL = signal.SIGUSR1
@@ -160,7 +161,7 @@ def be_child(order: messages.ChildOrder, control_end: socket.socket, printed: so
         setproctitle(f"cfgplan {run} {title}{of_unit.unit}")
         _limit_memory(of_unit.memory_bytes)
         signal.signal(INTERRUPT_SIGNAL, signal.SIG_IGN)
-        unit = UnitChild(of_unit, control)
+        unit = UnitChild(of_unit, control, is_spare=isinstance(order, messages.SpareOrder))
         signal.signal(INTERRUPT_SIGNAL, lambda *_: unit.interrupt())
         if isinstance(order, messages.SpareOrder):
             begun = unit.await_beginning()
@@ -172,6 +173,9 @@ def be_child(order: messages.ChildOrder, control_end: socket.socket, printed: so
     except SystemExit as error:
         _tell(control, messages.Trouble("exited", unit.step if unit else 0, "".join(traceback.format_exception(error))))
         return error.code if isinstance(error.code, int) else int(error.code is not None)
+    except ProgramEndedError as error:
+        _tell(control, messages.Trouble("failed", unit.step if unit else 0, str(error)))
+        return FAILED
     except BaseException as error:
         _tell(control, messages.Trouble("failed", unit.step if unit else 0, "".join(traceback.format_exception(error))))
         return FAILED

@@ -16,15 +16,14 @@ import msgspec
 from cfgplan.domain import Stream, Transformation
 from cfgplan_runtime.children import messages
 from cfgplan_runtime.children.control import ControlConnection
+from cfgplan_runtime.children.program_source import code_file, names_program
 from cfgplan_runtime.children.unit_order import unit_order
 from cfgplan_runtime.processes.child_process import (
     ChildProcess,
     PrintedLines,
     cause_of_end,
     changed_ns,
-    cpu_us,
     kill_group,
-    memory_bytes,
 )
 from cfgplan_runtime.processes.cpu_group import CpuGroup
 from cfgplan_runtime.processes.nursery_link import NurseryLink
@@ -181,7 +180,7 @@ class ProcessBackend:
         """Prepare a spare with this computer's code and clock; see `Backend.prepare`."""
         self.discard(order.unit)
         child = self._fork(order.unit, messages.SpareOrder(self._here(order)))
-        place = Path(self._code_folder, order.source.rpartition(":")[0])
+        place = code_file(order.source, self.code_folder)
         changed = changed_ns(place)
         if child is not None:
             child.due_s = self.now() + PREPARE_S
@@ -296,10 +295,8 @@ class ProcessBackend:
 
     def usage(self, unit: str) -> Usage | None:
         child = self._by_name.get(unit) or self._spares.get(unit)
-        if child is None or child.pid is None:
-            return None
-        cpu, memory = cpu_us(child.pid), memory_bytes(child.pid)
-        return None if cpu is None or memory is None else Usage(cpu, memory, child.pid)
+        used = None if child is None else child.usage()
+        return None if child is None or used is None else Usage(*used, child.pid)
 
     def pid(self, unit: str) -> int | None:
         child = self._by_name.get(unit)
@@ -368,6 +365,8 @@ class ProcessBackend:
         ours, theirs, printed, printing = ends
         child = ChildProcess(self._serial, name, ControlConnection(ours, messages.FromChild), PrintedLines(printed))
         child.is_spare = isinstance(order, messages.SpareOrder)
+        of_unit = order.order if isinstance(order, messages.SpareOrder) else order
+        child.is_program = isinstance(of_unit, messages.UnitOrder) and names_program(of_unit.source)
         self._children[child.serial] = (self._spares if child.is_spare else self._by_name)[name] = child
         self._ends.watch(ours, lambda: self._hear(child))
         self._watch_print(child)

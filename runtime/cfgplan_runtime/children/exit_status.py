@@ -1,0 +1,10 @@
+"""How processes end, in words."""
+
+from __future__ import annotations
+
+import signal
+
+
+def end_of_process(status: int) -> str:
+    """What an exit status says, in words."""
+    return f"killed by {signal.Signals(-status).name}" if status < 0 else f"ended with exit status {status}"
