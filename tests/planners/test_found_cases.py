@@ -112,6 +112,26 @@ def agree(problem: Problem) -> None:
     assert (found.status, found.cost_us) == (oracle.status, oracle.cost_us)
 
 
+@pytest.mark.parametrize(
+    "inputs",
+    ["{a: {tag: A, optional: true}, b: {tag: A, optional: true}}", "{a: {tag: A, count: all, optional: true}}"],
+)
+@pytest.mark.parametrize("of", ["mean", "sum", "best", "worst"])
+def test_a_unit_whose_optional_inputs_only_it_could_feed_runs_without_them(
+    of: str, inputs: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "env.yaml"
+    text = """
+format: cfgplan/1
+qualities: [{name: e, better: lower, rule: add, worst: 9}]
+transformations: [{label: t0, inputs: INPUTS, outputs: {x: {tag: A, quality: {e: {add: 0, of: OF}}}}}]
+targets: [{label: q0, tag: A, topic: /0, quality: {e: {weight: 0.2}}}]
+"""
+    path.write_text(text.replace("INPUTS", inputs).replace("OF", of), encoding="utf-8")
+    found = api.plan(api.match(api.load(path)))
+    assert (found.status, found.cost_us) == (Status.OPTIMAL, 1_000_000)
+
+
 def test_branch_and_bound_claims_nothing_where_required_ones_are_left_out() -> None:
     world = case("bnb-110236")
     problem = api.match(world)

@@ -198,6 +198,8 @@ class _Badness:
         found = [one for port in making.inputs for one in self._counted(unit, port)]
         if making.inputs and all(so for _, so in found):
             yield 1, numbers.at_least(making.alone), [~counts for _, so in found for counts in so]
+        if not found:
+            return
         images = numbers.images[transformation.label, stream.port]
         common = gcd(making.gain * numbers.step, MICRO * numbers.step, making.shift)
         gain, by = making.gain * numbers.step // common, MICRO * numbers.step // common
