@@ -412,7 +412,7 @@ class PlainModel:
                 no_better_than(mean, is_number)
 
     def _are_needed(self) -> None:
-        """Each unit that runs is needed by a target, a pin or a number; those that only targets need are known too."""
+        """Each unit that runs is needed by a target, a number, or a pin if it ran before; those that targets need are known too."""
         roots: dict[int, list[IntVar]] = defaultdict(list)
         for (_, j, _), publishes in self.publishes.items():
             roots[j].append(publishes)
@@ -426,7 +426,8 @@ class PlainModel:
             is_few = self.bool()
             self.cp.add(sum(self.runs[i] for i in units) <= t.min_instances).only_enforce_if(is_few)
             for i in units:
-                roots[i].append(self.cp.new_constant(1) if t.pinned else is_few)
+                is_kept = t.pinned and self.units[i].now is not None
+                roots[i].append(self.cp.new_constant(1) if is_kept else is_few)
         needed = self._needed(roots, list(self._company()))
         for runs, is_needed in zip(self.runs, needed, strict=True):
             self.cp.add_implication(runs, is_needed)
