@@ -412,7 +412,7 @@ class PlainModel:
                 no_better_than(mean, is_number)
 
     def _are_needed(self) -> None:
-        """Each unit that runs is needed by a target, a number, or a pin if it ran before; those that targets need are known too."""
+        """Each unit that runs is needed by a target, a number, or its pin if it ran; what targets need is known."""
         roots: dict[int, list[IntVar]] = defaultdict(list)
         for (_, j, _), publishes in self.publishes.items():
             roots[j].append(publishes)
