@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from threading import Event
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 from cfgplan.api import World, accepted, interruptible, near_offers, nearest_offers
 from cfgplan.arguments import AtLeast, Seconds, checked
+from cfgplan.domain import Environment
 from cfgplan.errors import InputError, known
 from cfgplan.planners.undecided import Deciding
 from cfgplan.planning import Decider, Plan, Planner, Problem, Progress
 from cfgplan.reasons import pinned_reasons
-from cfgplan.validity import violations
+from cfgplan.validity import Rule, Violation, violations
 
 if TYPE_CHECKING:
     from cfgplan.explaining import Alternatives, BestEffort, Front, Sensitivity, Unreachable, Why, WhyNot, WiringFault
@@ -78,10 +79,22 @@ def wiring_faults(
     from cfgplan import explaining
 
     environment = problem.environment
-    found = violations(environment, problem.similarity, problem.survive, problem.horizon_s)
+    left_out = world.environment.left_out
+    found = [
+        _with_reason(each, environment, left_out)
+        for each in violations(environment, problem.similarity, problem.survive, problem.horizon_s)
+    ]
     demands = explaining.wiring_demands(environment, found)
     near = near_offers(world, demands, reasoner=reasoner, time_limit_s=reasoner_limit_s)
     return explaining.wiring_faults(environment, found, near)
+
+
+def _with_reason(violation: Violation, environment: Environment, left_out: Mapping[str, str]) -> Violation:
+    """The violation, with the fact by which a unit may not run if that is what is wrong."""
+    unit = environment.unit.get(violation.unit or "")
+    if violation.rule is not Rule.KNOWN or unit is None or unit.transformation not in left_out:
+        return violation
+    return replace(violation, text=f"unit {unit.id} may not run now: {left_out[unit.transformation]}")
 
 
 Subject: TypeAlias = Literal["unit", "transformation", "stream"]

@@ -148,8 +148,8 @@ def world_of(document: Document, ontology: Ontology) -> World:
 def what_if(world: World, *, without: Collection[str] = (), settings: Mapping[str, str] | None = None) -> World:
     """The world without some transformations, units or targets, and with other values of `settings`.
 
-    Settings are `horizon`, `max_cost`, `T.labor`, `T.upkeep`, `T.pinned`, `T.required` and `T.priority`, with
-    values as they are written in files. Raises InputError.
+    Settings are `horizon`, `max_cost`, `facts.NAME`, `T.labor`, `T.upkeep`, `T.pinned`, `T.required` and `T.priority`,
+    with values as they are written in files. Raises InputError.
     """
     from cfgplan.explaining import what_if as supposing
 
@@ -232,7 +232,7 @@ def near_offers(
     """For each of some demanded tags all offered ones that hold a part of it, the nearest first."""
     from cfgplan.matching import near_offers as near
 
-    offered, _ = _tags(world.environment)
+    offered, _ = _tags(world.environment.possible)
     return near(demanded, offered, world.ontology, reasoner=reasoner, time_limit_s=time_limit_s)
 
 
@@ -282,9 +282,12 @@ def problem(
     max_cost_us: Natural | None = None,
     survive: Failures | Literal[0] | None = None,
 ) -> Problem:
-    """The planning problem of a matched world; what is given here wins over the file (0: survive no failure)."""
+    """The planning problem of a matched world; what is given here wins over the file (0: survive no failure).
+
+    The library has no transformation that facts leave out.
+    """
     return Problem(
-        world.environment,
+        world.environment.possible,
         similarity,
         world.horizon_s if horizon_s is None else horizon_s,
         world.max_cost_us if max_cost_us is None else max_cost_us,

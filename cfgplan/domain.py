@@ -18,6 +18,7 @@ from typing import Annotated, TypeVar
 from cfgplan.arguments import AtLeast, Natural, checked
 from cfgplan.canonical import fields_of, refuse_duplicates, store_resources, store_sorted
 from cfgplan.errors import InvalidValueError
+from cfgplan.facts import Fact, FactValue, requirement, why_left_out
 from cfgplan.qualities import LARGEST_QUALITY, MICRO, Better, QualityAttribute, Wish
 from cfgplan.selectors import check_selector, selector
 from cfgplan.summary import Summary, counted, cpu, summarised, summary
@@ -352,6 +353,7 @@ _NAMED = (
     ("targets", "label", "target"),
     ("hosts", "name", "host"),
     ("qualities", "name", "quality attribute"),
+    ("facts", "name", "fact"),
 )
 """The parts of an environment, what each is named by, and what one of them is called."""
 
@@ -365,7 +367,8 @@ class Environment:
     Without `hosts` nothing is placed; with them every unit has one. `transfer_us` is what it costs to carry a megabyte
     (10**6 bytes) from host to host, in microseconds of CPU time, where no link says otherwise: of `links`, which are in
     order, the first that joins two hosts counts. `minimise` says what an update minimises, the most important
-    objective first; the cost ends it where it is not named, and rewired and started units break ties.
+    objective first; the cost ends it where it is not named, and rewired and started units break ties. What is planned
+    is `possible`: the library without the transformations that require other `facts`.
     """
 
     units: tuple[ComputationUnit, ...] = ()
@@ -376,6 +379,7 @@ class Environment:
     transfer_us: Natural = 0
     links: tuple[Link, ...] = ()
     minimise: tuple[Objective, ...] = (Objective.COST,)
+    facts: tuple[Fact, ...] = ()
 
     def __post_init__(self) -> None:
         if Objective.COST not in self.minimise:
@@ -474,6 +478,37 @@ class Environment:
     def quality(self) -> Mapping[str, QualityAttribute]:
         """The quality attributes by name."""
         return MappingProxyType({attribute.name: attribute for attribute in self.qualities})
+
+    @cached_property
+    def fact(self) -> Mapping[str, Fact]:
+        """The facts by name."""
+        return MappingProxyType({fact.name: fact for fact in self.facts})
+
+    @cached_property
+    def left_out(self) -> Mapping[str, str]:
+        """Why transformations may not run as the facts are, by label: `visibility is 1 m`.
+
+        Raises InvalidValueError where one requires what the facts can't say.
+        """
+        asked = {t.label: t.requires for t in self.library if t.requires is not None}
+        for label, requires in asked.items():
+            for comparison in requirement(requires).comparisons:
+                if misfit := comparison.misfit(self.fact):
+                    raise InvalidValueError(f"transformation {label!r}: {misfit[0]}")
+        why = {label: why_left_out(requires, self.fact) for label, requires in asked.items()}
+        return MappingProxyType({label: reason for label, reason in why.items() if reason is not None})
+
+    def with_facts(self, values: Mapping[str, FactValue]) -> Environment:
+        """The environment in which facts have other values."""
+        facts = (replace(f, declared=values[f.name]) if f.name in values else f for f in self.facts)
+        return replace(self, facts=tuple(facts))
+
+    @property
+    def possible(self) -> Environment:
+        """The environment without the transformations that may not run as the facts are."""
+        if not self.left_out:
+            return self
+        return replace(self, library=tuple(t for t in self.library if t.label not in self.left_out))
 
     def hosts_for(self, transformation: Transformation) -> tuple[str | None, ...]:
         """Where units of a transformation may run, in order; only None if there are no hosts."""

@@ -23,7 +23,6 @@ DEEPEST_EXPRESSION: Final = 100
 """How deeply an expression may be nested."""
 
 _TOKEN: Final = r"<[^<>\s]+>|'[^']*'|:?[^\W](?:[{0}-]*[{0}])?(?::[{0}](?:[{0}-]*[{0}])?)?|\S"
-_PLAIN_TOKEN: Final = re.compile(_TOKEN.format(r"\w"))
 _JOINERS: Final = "\u200c\u200d"
 _JOINING: Final = {"and": "⊓", "that": "⊓", "&": "⊓", "∧": "⊓", "or": "⊔", "|": "⊔", "∨": "⊔"}
 _NEGATING: Final = {"not": "¬", "~": "¬", "!": "¬"}
@@ -47,6 +46,8 @@ class ExpressionReader(ABC, Generic[Meaning]):
     examples: ClassVar[str] = "a name"
     signs: ClassVar[Mapping[str, str]] = MappingProxyType({**_JOINING, **_NEGATING})
     """The signs that words and other signs stand for."""
+    more_tokens: ClassVar[str] = ""
+    """A pattern of words that only these expressions have, ending in `|`."""
     restrictions: ClassVar[frozenset[str]] = frozenset()
     """Words that stand between a role and an operand or a number."""
     top: Meaning
@@ -54,7 +55,7 @@ class ExpressionReader(ABC, Generic[Meaning]):
 
     def __init__(self, text: str) -> None:
         self._text = text
-        self._token = _token_of(text)
+        self._token = _token_of(text, self.more_tokens)
         self._words: list[str] = [*self._token.findall(text), ""]
         self._tokens: list[str] = [self.signs.get(word, word) for word in self._words]
         self._at = 0
@@ -190,12 +191,17 @@ def quoted(name: str) -> str | None:
     return None if "'" in name or not name else f"'{name}'"
 
 
-def _token_of(text: str) -> re.Pattern[str]:
+def _token_of(text: str, more: str = "") -> re.Pattern[str]:
     """What is one word of a text: vowel signs and accents, which are no letters, belong to the letter before them."""
-    if text.isascii():
-        return _PLAIN_TOKEN
-    marks = {character for character in text if category(character).startswith("M") or character in _JOINERS}
-    return re.compile(_TOKEN.format("\\w" + "".join(sorted(marks)))) if marks else _PLAIN_TOKEN
+    marks: set[str] = set()
+    if not text.isascii():
+        marks = {character for character in text if category(character).startswith("M") or character in _JOINERS}
+    return _compiled(more, "".join(sorted(marks)))
+
+
+@lru_cache(maxsize=256)
+def _compiled(more: str, marks: str) -> re.Pattern[str]:
+    return re.compile(more + _TOKEN.format("\\w" + marks))
 
 
 _WORD: Final = re.compile(r"[^\s()]+")

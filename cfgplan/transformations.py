@@ -12,6 +12,7 @@ from typing import Annotated
 from cfgplan.arguments import AtLeast, Natural, checked
 from cfgplan.canonical import fields_of, refuse_duplicates, store_resources, store_sorted
 from cfgplan.errors import InvalidValueError
+from cfgplan.facts import check_requirement
 from cfgplan.qualities import Contribution, units
 from cfgplan.selectors import check_selector
 
@@ -168,7 +169,8 @@ class Transformation:
     transformation in `conflicts_on_host`;
     on its host there runs a unit of each in `beside`. At least `min_instances` units run; at
     most `max_instances` are there, and at most `per_host` on one host, cold spares counted; without hosts all are on
-    one. A cold spare takes `standby_us` each second; None: it has none.
+    one. A cold spare takes `standby_us` each second; None: it has none. Units run only while facts of the world meet
+    what it `requires`, an expression such as `visibility >= 2.25 and not night`.
     """
 
     label: str
@@ -195,6 +197,7 @@ class Transformation:
     conflicts_on_host: tuple[str, ...] = ()
     on: str | None = None
     beside: tuple[str, ...] = ()
+    requires: str | None = None
 
     def __post_init__(self) -> None:
         store_sorted(self, "inputs", self.inputs, attrgetter("name"))
@@ -217,6 +220,8 @@ class Transformation:
             raise InvalidValueError(f"transformation {self.label!r} asks for more instances than it allows")
         if self.on is not None:
             check_selector(self.on)
+        if self.requires is not None:
+            check_requirement(self.requires)
 
     __getstate__ = fields_of
 

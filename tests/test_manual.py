@@ -37,6 +37,7 @@ PARTS: dict[str, type[Part]] = {
     "A host": fields.HostPart,
     "A link": fields.LinkPart,
     "A quality attribute": fields.AttributePart,
+    "A fact": fields.FactPart,
     "`defaults`": fields.DefaultsPart,
 }
 YAML_ONLY = (
@@ -46,6 +47,7 @@ YAML_ONLY = (
     fields.HostPart,
     fields.LinkPart,
     fields.AttributePart,
+    fields.FactPart,
 )
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import Exit
-from cfgplan.cli.plan_text import nothing_wanted
+from cfgplan.cli.plan_text import left_out_lines, nothing_wanted
 from cfgplan.cli.screen import Screen, counted
 from cfgplan.summary import some
 
@@ -59,6 +59,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
             "unfed": [_as_json(world, fault) for fault in found if fault.suspicion is Suspicion.PERHAPS],
             "untaken": untaken,
             "remaps": [_as_json(world, fault) for fault in found if fault.suspicion is Suspicion.REMAP],
+            **_left_out(world),
         }
         screen.show_json(told if options.against is None else {**told, "against": options.against, "gone": gone})
     else:
@@ -67,6 +68,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
                 screen.show(_text(world, fault))
         if untaken:
             screen.show(f"nobody takes {counted(len(untaken), 'stream')}: {some(untaken)}")
+        for line in left_out_lines(world.environment):
+            screen.show(line)
         screen.show(_verdict(options, world, broken, gone))
     if is_open:
         return Exit.NOT_PROVEN
@@ -76,13 +79,22 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 def _nothing_runs(options: argparse.Namespace, world: World, screen: Screen) -> Exit:
     """Say that the file itself is valid, where it names no running units whose wiring could be wrong."""
     if screen.json:
-        screen.show_json({"valid": True, "violations": [], "unfed": [], "untaken": [], "remaps": []})
+        told = {"valid": True, "violations": [], "unfed": [], "untaken": [], "remaps": []}
+        screen.show_json({**told, **_left_out(world)})
         return Exit.OK
+    for line in left_out_lines(world.environment):
+        screen.show(line)
     plans = f"`cfgplan solve {options.env}` plans what to start"
     screen.show(_bold(world, f"the file is valid. Nothing runs yet: {plans}", "green"))
-    if told := nothing_wanted(world.environment):
-        screen.warn(told)
+    if nothing := nothing_wanted(world.environment):
+        screen.warn(nothing)
     return Exit.OK
+
+
+def _left_out(world: World) -> dict[str, object]:
+    """For JSON: why transformations are left out for now, where any is."""
+    left_out = world.environment.left_out
+    return {"left_out": dict(left_out)} if left_out else {}
 
 
 def _faults(options: argparse.Namespace, screen: Screen) -> tuple[World, tuple[WiringFault, ...]]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from rich.text import Text
@@ -11,7 +12,7 @@ from rich.text import Text
 from cfgplan.canonical import normal
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import OF_STATUS, Exit
-from cfgplan.cli.plan_text import cpu
+from cfgplan.cli.plan_text import cpu, left_out_lines
 from cfgplan.cli.screen import Screen
 from cfgplan.domain import Environment
 from cfgplan.errors import known
@@ -58,12 +59,20 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
     task = shared.task(options, screen)
     world, planning, reasoning = task.world, task.planning, task.reasoning
+    left_out = world.environment.left_out
+    asked_for = options.subject or options.transformation
+    if asked_for in left_out and not options.stream:
+        if screen.json:
+            screen.show_json({"left_out": {asked_for: left_out[asked_for]}})
+        else:
+            screen.show(f"{asked_for} is left out for now: {left_out[asked_for]}")
+        return Exit.OK
     with task.planned(screen) as work:
         problem, plan = api.solved(task.problem, **planning, report=work.report)
     if plan.change_set is None:
         with screen.phase("explain"):
             why = answers.why_not(world, problem, **reasoning, **planning)
-        _show_why_not(problem, why, screen)
+        _show_why_not(problem, why, screen, left_out)
         return OF_STATUS[plan.status]
     with screen.phase("explain"):
         whys = [answers.why(problem, plan, kind, name, **planning) for kind, name in _subjects(options, problem, plan)]
@@ -73,7 +82,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     named = (options.unit, options.subject)
     asked = {unit: reason for unit, reason in pinned.items() if unit in named or not names_one}
     if screen.json:
-        screen.show_json({"plan": plan, "why": whys, "unused": unused, "unfed": asked})
+        told = {"plan": plan, "why": whys, "unused": unused, "unfed": asked}
+        screen.show_json({**told, "left_out": dict(left_out)} if left_out else told)
         return OF_STATUS[plan.status]
     from cfgplan.cli.plan_text import verdict
 
@@ -85,12 +95,14 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         screen.show("\n".join(pinned_lines(problem.environment, unit, reason)))
     for each in unused:
         screen.show("\n".join(unused_lines(problem, each)))
+    for line in () if names_one else left_out_lines(world.environment):
+        screen.show(line)
     return OF_STATUS[plan.status]
 
 
-def _show_why_not(problem: Problem, why: WhyNot, screen: Screen) -> None:
+def _show_why_not(problem: Problem, why: WhyNot, screen: Screen, left_out: Mapping[str, str]) -> None:
     if screen.json:
-        screen.show_json(why)
+        screen.show_json({**asdict(why), "left_out": dict(left_out)} if left_out else why)
         return
     from cfgplan.cli.plan_text import undecided_lines, verdict
 
@@ -100,6 +112,8 @@ def _show_why_not(problem: Problem, why: WhyNot, screen: Screen) -> None:
     text = why_not_text(problem, why)
     if text:
         screen.show(text)
+    for label, reason in left_out.items():
+        screen.show(f"left out for now: {label}, {reason}")
 
 
 def _subjects(options: argparse.Namespace, problem: Problem, plan: Plan) -> list[tuple[Subject, str]]:

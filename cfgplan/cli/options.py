@@ -89,7 +89,10 @@ def add_planning(parser: argparse.ArgumentParser, what_if: str | None = None) ->
     supposing = parser.add_argument_group("what if", what_if)
     gone = "plan as if this transformation, running unit or target were gone"
     also = "plan as if the environment included this file of transformations or targets"
-    others = "plan with another horizon, max_cost, T.labor, T.upkeep, T.pinned, T.required, or T.priority of a target"
+    others = (
+        "plan with another horizon, max_cost, facts.NAME, T.labor, T.upkeep, T.pinned, T.required, "
+        "or T.priority of a target"
+    )
     add_several(supposing, "--without", "NAME", gone, kind=normal)
     add_several(supposing, "--with", "FILE", also, dest="also")
     add_several(supposing, "--set", "KEY=VALUE", others, kind=setting, dest="settings")

@@ -29,6 +29,11 @@ def update_text(problem: Problem, plan: Plan, given_up: Collection[str] = ()) ->
     return Text("\n").join([*changes, *_summary(problem, plan, given_up)])
 
 
+def left_out_lines(environment: Environment) -> list[str]:
+    """Which transformations may not run as the facts are, and why."""
+    return [f"left out for now: {label}, {why}" for label, why in environment.left_out.items()]
+
+
 def changes_text(before: Environment, changes: ChangeSet) -> Text:
     """What a change set starts, rewires, stops and keeps of an environment; ends with an empty line."""
     return Text("\n").join(_changes(before, changes))

@@ -110,7 +110,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan_runtime.lifecycle.worlds import refuse_hosts
 
     from cfgplan.api import FEW_PAIRS
-    from cfgplan.cli.plan_text import nothing_wanted
+    from cfgplan.cli.plan_text import left_out_lines, nothing_wanted
 
     if options.page is not None:
         shared.needed_for_pages()
@@ -146,6 +146,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         screen.note(f"The file names {count}, but a run starts from nothing: `units:` does not count; {mend}.")
     if told := nothing_wanted(loaded.environment):
         screen.warn(told)
+    for line in left_out_lines(loaded.environment):
+        screen.note(line)
     world = replace(loaded, environment=replace(loaded.environment, units=()))
     if options.dry_run or options.strict:
         settings = _settings(options, screen)

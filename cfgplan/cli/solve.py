@@ -81,7 +81,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
 def _solve(options: argparse.Namespace, screen: Screen, task: shared.Task) -> Exit:
     from cfgplan import answers, api
-    from cfgplan.cli.plan_text import update_text
+    from cfgplan.cli.plan_text import left_out_lines, update_text
 
     world, is_proven = task.world, True
     undecided: tuple[Pair, ...] = ()
@@ -116,6 +116,8 @@ def _solve(options: argparse.Namespace, screen: Screen, task: shared.Task) -> Ex
             screen.warn(f"whether more can be met hangs on {counted(len(undecided), 'pair')} of tags not decided")
         elif not is_proven:
             screen.warn("time ran out before it was proven that no better set of targets can be met")
+        for line in left_out_lines(world.environment):
+            screen.note(line)
         if options.verbose:
             screen.note("\n".join(f"  {name:32} {count}" for name, count in plan.counts.items()))
         screen.times()

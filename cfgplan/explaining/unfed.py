@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 
-from cfgplan.domain import Environment, InputPort, Transformation
+from cfgplan.domain import A_UNIT_OF, Environment, InputPort, Transformation
 from cfgplan.matching import Nearest
 from cfgplan.planning import Problem
 from cfgplan.reasons import Givers, assign_different, distinct_groups, forward_closure, startable
@@ -192,6 +192,7 @@ class DeadEnds:
 
     def _unfed(self, tag: str, port: str | None) -> Unfed:
         givers = self._givers.of(tag)
-        nearest = () if givers or self._nearest is None else self._nearest(tag)
+        is_tag = not tag.startswith(A_UNIT_OF)
+        nearest = self._nearest(tag) if is_tag and not givers and self._nearest is not None else ()
         undecided = (giver for giver in givers if giver not in self._decided.of(tag))
         return Unfed(tag, port, givers, nearest, tuple(undecided))

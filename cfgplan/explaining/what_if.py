@@ -51,10 +51,10 @@ def without(environment: Environment, names: Collection[str]) -> Environment:
 
 
 def with_settings(supposed: Supposed, settings: Mapping[str, str]) -> Supposed:
-    """The same with other values: of `horizon`, `max_cost`, and of a transformation's or target's properties.
+    """The same with other values: of `horizon`, `max_cost`, facts, and a transformation's or target's properties.
 
-    Keys of those are `T.labor`, `T.upkeep` (CPU seconds), `T.pinned`, `T.required` (true or false) and, for a target,
-    `T.priority`. Raises InputError with every setting that can't be made.
+    Keys are `facts.NAME`, `T.labor`, `T.upkeep` (CPU seconds), `T.pinned`, `T.required` (true or false) and, for a
+    target, `T.priority`. Raises InputError with every setting that can't be made.
     """
     faults = []
     for key, value in settings.items():
@@ -76,9 +76,13 @@ def _with_setting(supposed: Supposed, key: str, value: str) -> Supposed:
     if key == "max_cost":
         return replace(supposed, max_cost_us=_cost_us(value))
     label, _, name = key.rpartition(".")
+    kind, _, fact = key.partition(".")
+    if kind == "facts" and (fact in environment.fact or name not in _SETTINGS):
+        known(fact, environment.fact, "fact")
+        return replace(supposed, environment=environment.with_facts({fact: environment.fact[fact].read(value)}))
     if name not in _SETTINGS:
         settable = ", ".join(f"T.{each}" for each in _SETTINGS)
-        raise InputError.of(f"{key!r} can't be set", mend=f"set horizon, max_cost, {settable}")
+        raise InputError.of(f"{key!r} can't be set", mend=f"set horizon, max_cost, facts.NAME, {settable}")
     attribute, read = _SETTINGS[name]
     if name == "priority":
         known(label, environment.target, "target")

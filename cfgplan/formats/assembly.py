@@ -160,7 +160,11 @@ class Expander:
             return
         ports = {key: tuple(self._ports(entry.at(key), key, part, filled, values)) for key in _PORT_TYPES}
         hosts = self._hosts(entry.at("host"), filled.host)
-        if not (_is_well_numbered(entry, part) & self._fleet.is_selector(entry.at("on"), filled.on)):
+        if not (
+            _is_well_numbered(entry, part)
+            & self._fleet.is_selector(entry.at("on"), filled.on)
+            & self._fleet.is_requirement(entry.at("requires"), filled.requires)
+        ):
             self._left_out.add("transformations", filled.label)
             return
         run = _run_options(entry.at("run"), filled)
@@ -317,6 +321,7 @@ def _build(document: Document, vocabulary: TagVocabulary) -> EnvironmentFile:
         document.header.transfer,
         fleet.links,
         tuple(map(Objective, document.header.minimise)),
+        tuple(fleet.facts.values()),
     )
     return EnvironmentFile(
         document.path,

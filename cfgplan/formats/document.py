@@ -195,7 +195,7 @@ def _file(source: Source, model: Any, data: Mapping[str, Any], bad: Mapping[Any,
         for key in names
         if key in bad
     }
-    broken |= {key: (Broken(),) for key in ("hosts", "qualities") if key in bad}
+    broken |= {key: (Broken(),) for key in ("hosts", "qualities", "facts") if key in bad}
     return File(source, tuple(indexed("transformations")), tuple(indexed("units")), tuple(indexed("targets")), broken)
 
 

@@ -86,6 +86,7 @@ def plain_environment(
         hosts=[fields.HostPart.written(host, copies=None) for host in environment.hosts],
         links=[fields.LinkPart.written(link) for link in environment.links],
         qualities=[_attribute(attribute) for attribute in environment.qualities],
+        facts={fact.name: fields.FactPart.written(fact) for fact in environment.facts},
         survive=None if survive is None else survive.value,
         transformations=[_transformation(t, environment) for t in environment.library],
         units=[plain_unit(unit) for unit in environment.units],

@@ -48,6 +48,7 @@ class EnvironmentFile:
     def digest(self) -> str:
         """SHA-256 (hex) of all that a plan depends on, the ontology files, `imports`, `rules` and `prefer` too.
 
+        Of facts it counts which transformations they leave out, not their values.
         Comments, the order of lists and fields that planning does not use don't count. Nor do imported files that
         `imports` does not name: to find them would take reading ontologies.
         """
@@ -127,7 +128,7 @@ def _file_digest(path: FilePath) -> bytes:
 
 _HELD: Mapping[type[fields.Part], str] = {
     fields.EnvironmentPart: "format ontology imports rules prefer horizon max_cost defaults include hosts transfer "
-    "links qualities survive transformations units targets",
+    "links qualities facts survive transformations units targets",
     fields.HostPart: "name cpu memory",
     fields.LinkPart: "",
     fields.AttributePart: "name better worst best",
@@ -172,6 +173,8 @@ def _later_parts(environment: Environment) -> Iterator[list[object]]:
         for name, value in values if _later_rows(part) else ():
             if said := later_fields(part, value):
                 yield [part.__name__, name, said]
+    if environment.left_out:
+        yield ["left out", "", sorted(environment.left_out)]
 
 
 def _beyond_the_paper(environment: Environment, survive: Failures | None) -> list[object]:

@@ -24,6 +24,7 @@ from cfgplan.formats.schema_values import (
     BetterName,
     Cost,
     Count,
+    Fact,
     FileList,
     FileName,
     HangTime,
@@ -38,6 +39,7 @@ from cfgplan.formats.schema_values import (
     PositiveMicro,
     QosText,
     Rate,
+    RequirementText,
     Resources,
     RuleName,
     Seconds,
@@ -328,6 +330,9 @@ class TransformationPart(Part):
     params: Params = row("the configuration its units are started with", {}, use=Use.RUNNING, xml=ELEMENT)
     labor: Cost | None = row("CPU seconds of one start", to="labor_us")
     upkeep: Cost | None = row("CPU seconds that a running unit takes per second", to="upkeep_us")
+    requires: RequirementText | None = row(
+        "its units run only while facts meet it: an expression such as `visibility >= 2.25 and not night`", xml=UNSAID
+    )
     pinned: bool = row("running units are kept even where no target needs them", False)
     required: bool = row("must be used wherever that is possible at all", False)
     memory: Whole | None = row(
@@ -450,6 +455,13 @@ class AttributePart(Part):
     best: PositiveMicro | None = row("the best value, from which weights count")
 
 
+class FactPart(Part):
+    """A fact of the world that transformations may require."""
+
+    declared: Fact = row("what is so: a number, true, false or a word", ...)
+    unit: Name | None = row("what it is measured in, free text", use=Use.NONE)
+
+
 class DefaultsPart(Part):
     """Costs of the transformations that do not say their own."""
 
@@ -492,6 +504,7 @@ class EnvironmentPart(Part):
         "what is minimised, the most important first; the cost follows if it is not named", ["cost"]
     )
     qualities: list[AttributePart] | None = row("the quality attributes of streams")
+    facts: dict[Name, FactPart] | None = row("facts of the world, which `requires` of transformations asks about")
     survive: Survived = row("single failures to survive; 1: of hosts where hosts are declared, else of units", 0)
     transformations: list[TransformationPart] | None = row("what can be started", xml=ELEMENT)
     units: list[UnitPart] | None = row("what runs", xml=ELEMENT)

@@ -7,6 +7,7 @@ from typing import Any
 
 from cfgplan.domain import MANAGER, Host, Link
 from cfgplan.errors import Fault, InvalidValueError, TagError, did_you_mean
+from cfgplan.facts import Fact, requirement
 from cfgplan.formats.document import Document
 from cfgplan.formats.fields import ContributionPart, HostPart, LinkPart, TargetPart, UnitPart, WishPart
 from cfgplan.formats.left_out import LeftOut
@@ -26,6 +27,7 @@ class FleetReader:
         """The hosts that have a name together, by that name, such as `node` for `node.1` and `node.2`."""
         self.attributes: dict[str, QualityAttribute] = {}
         self.links: tuple[Link, ...] = ()
+        self.facts: dict[str, Fact] = {}
         header = document.header
         main = Passage(document.files[0].source, (), faults) if document.files else None
         if main is None:  # a folder of the paper's XML has no header
@@ -53,6 +55,7 @@ class FleetReader:
                 except InvalidValueError as error:
                     entry.note(str(error), "exchange worst and best")
                     left_out.add("qualities", part.name)
+        self.facts |= {name: Fact(name, **part.values()) for name, part in (header.facts or {}).items()}
         for index, link in enumerate(header.links or ()):
             ends = [main.at("links", index, "between", number) for number in range(len(link.between))]
             if sum(map(self.is_selector, ends, link.between)) == len(ends) and self._may_add(
@@ -110,6 +113,22 @@ class FleetReader:
             entry.note(error.message, error.mend, text_column=error.column)
             return False
         return True
+
+    def is_requirement(self, entry: Passage, text: str | None) -> bool:
+        """Whether an expression over facts can be read and asks about declared facts; None does."""
+        if text is None:
+            return True
+        try:
+            asked = requirement(text)
+        except TagError as error:
+            entry.note(error.message, error.mend, text_column=error.column)
+            return False
+        if self._left_out.any_of("facts"):
+            return True
+        misfits = [misfit for each in asked.comparisons if (misfit := each.misfit(self.facts)) is not None]
+        for message, mend in dict.fromkeys(misfits):
+            entry.note(message, mend)
+        return not misfits
 
     def host_of(self, entry: Passage, part: UnitPart, only: str | None) -> str | None:
         """Where a unit runs: where it says, or the only host that its transformation allows."""

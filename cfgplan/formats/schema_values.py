@@ -16,6 +16,7 @@ from cfgplan.canonical import normal
 from cfgplan.costs import LARGEST_COST_US, LONGEST_HORIZON_S, MICROSECONDS, SPAN, microseconds, seconds, span_s
 from cfgplan.domain import Objective
 from cfgplan.errors import InvalidValueError
+from cfgplan.facts import FactValue
 from cfgplan.qualities import LARGEST_QUALITY, MICRO, Better, QualityRule, micro_units, units
 from cfgplan.transformations import ALL, CPU, LEAST_HANG_S, RunOptions
 
@@ -130,6 +131,21 @@ def _rate(value: object) -> float:
 
 def _micro(value: object) -> int:
     return _taken(micro_units, _number(value, "a quality is a number"))
+
+
+def _fact_value(value: object) -> FactValue:
+    """True or false, a number in millionths, or a word."""
+    if type(value) is bool:
+        return value
+    if type(value) is str and value.strip():
+        return normal(value)
+    if type(value) is int or type(value) is Decimal:
+        return _micro(value)
+    raise _refusal("this is no value of a fact", "write a number, true, false or a word")
+
+
+def _plain_fact(value: FactValue) -> object:
+    return plain_quality(value) if type(value) is int else value
 
 
 def _positive_micro(value: object) -> int:
@@ -265,6 +281,9 @@ TagText = Annotated[
 SelectorText = Annotated[
     str, Field(min_length=1, description="labels joined by and, or and not"), AfterValidator(normal)
 ]
+RequirementText = Annotated[
+    str, Field(min_length=1, description="comparisons of facts joined by and, or and not"), AfterValidator(normal)
+]
 QosText = Annotated[str, Field(pattern=QOS, description="words of a quality of service in ROS 2")]
 Whole = Annotated[int, BeforeValidator(_whole)]
 _SECONDS = {"type": "number", "minimum": 0, "maximum": LARGEST_COST_US / MICROSECONDS}
@@ -304,6 +323,21 @@ Micro = Annotated[
     Written(plain_quality),
 ]
 PositiveMicro = Annotated[int, PlainValidator(_positive_micro), WithJsonSchema(_QUALITY), Written(plain_quality)]
+Fact = Annotated[
+    bool | int | str,
+    PlainValidator(_fact_value),
+    WithJsonSchema(
+        {
+            "anyOf": [
+                {"type": "boolean"},
+                {**_QUALITY, "minimum": -LARGEST_QUALITY // MICRO},
+                {"type": "string", "pattern": r"\S"},
+            ]
+        }
+    ),
+    Written(_plain_fact),
+]
+"""What is so of a fact."""
 Speed = Annotated[
     int,
     PlainValidator(_speed),

@@ -50,7 +50,7 @@ def preview_of(deliberation: Deliberation, scene: Scene, stop: threading.Event) 
 def basis_of(world: World, running: Environment) -> Basis:
     """What a plan for a world, in which `running` runs, is made for."""
     wanted = world.environment
-    settings = {
+    settings: dict[str, object] = {
         "horizon": world.horizon_s,
         "max_cost": world.max_cost_us,
         "survive": world.survive,
@@ -61,6 +61,8 @@ def basis_of(world: World, running: Environment) -> Basis:
         "qualities": wanted.qualities,
         "ontology": (sorted(world.ontology.axioms), world.ontology.ignored),
     }
+    if wanted.left_out:
+        settings["left out by facts"] = sorted(wanted.left_out)
     kinds = (("unit", running.unit), ("transformation", wanted.transformation), ("target", wanted.target))
     named = {kind: {name: _digest(value) for name, value in values.items()} for kind, values in kinds}
     return {**named, "setting": {name: _digest(value) for name, value in settings.items()}}

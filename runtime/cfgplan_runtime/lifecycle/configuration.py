@@ -141,7 +141,7 @@ def _capped(cost_us: int) -> int:
 def avoided_now(scene: Scene) -> dict[str, str]:
     """Why transformations are left out, by label. One that backs off is not, while a good unit of it runs."""
     world, situation = scene.world.environment, scene.situation
-    avoided: dict[str, str] = {}
+    avoided = dict(world.left_out)
     sound = {
         situation.units[unit.id].transformation.label: situation.units[unit.id].transformation
         for unit in scene.running.units
@@ -149,6 +149,8 @@ def avoided_now(scene: Scene) -> dict[str, str]:
     }
     for label, transformation in world.transformation.items():
         places = world.hosts_for(transformation) if world.hosts else (transformation.host,)
+        if label in avoided:
+            continue
         if places and all(map(situation.is_lost, places)):
             avoided[label] = gone_host(*places)
         elif label in situation.back_offs.avoided:

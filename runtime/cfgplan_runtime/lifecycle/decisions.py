@@ -373,7 +373,7 @@ def _record(state: State, planning: Planning, thought: Thought, failed: UpdateFa
         thought.change_set,
         tuple(label for label in thought.met if label not in silent),
         {**{label: reason for label, reason in silent.items() if label in thought.met}, **thought.unmet},
-        tuple(sorted(thought.avoided)),
+        dict(sorted(thought.avoided.items())),
         {"detect": planning.detect_s, "match": state.match_s, **thought.seconds},
         thought.warnings,
         "" if failed is None else failed.cause,

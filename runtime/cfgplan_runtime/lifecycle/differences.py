@@ -33,6 +33,7 @@ def difference(before: World, after: World) -> Difference:
         "links": before.environment.links != after.environment.links,
         "minimise": before.environment.minimise != after.environment.minimise,
         "qualities": before.environment.qualities != after.environment.qualities,
+        "facts": before.environment.facts != after.environment.facts,
         "survive": before.survive != after.survive,
     }
     return Difference(

@@ -58,8 +58,8 @@ class Review:
     change_set: ChangeSet | None = None
     met: tuple[str, ...] = ()
     unmet: Mapping[str, str] = field(default_factory=dict, hash=False)
-    avoided: tuple[str, ...] = ()
-    """Transformations that were left out because they keep failing or their host is gone."""
+    avoided: Mapping[str, str] = field(default_factory=dict, hash=False)
+    """The transformations that were left out, with the reason: failures, a host that is gone, or facts."""
     seconds: Mapping[str, float] = field(default_factory=dict, compare=False)
     warnings: tuple[str, ...] = ()
     cause: str = ""

@@ -108,7 +108,7 @@ def review_sentence(review: Review) -> str:
     if review.unmet:
         parts += [f"{label} is not met: {reason}" for label, reason in sorted(review.unmet.items())]
     elif review.avoided:
-        parts.append(f"without {named(review.avoided)}, which failed or whose host is gone")
+        parts.append(f"without {some(f'{label} ({why})' for label, why in review.avoided.items())}")
     if review.undecided:
         (offered, demanded), more = review.undecided[0], len(review.undecided) - 1
         others = f", nor of {more} more such pairs" if more else ""

@@ -131,7 +131,8 @@ function reviews() {
       proven: review.cost_us == null ? "" : review.is_proven ? "no plan is cheaper" : `none costs less than ${costs(review.bound_us)}`,
       started: changes.started.map((unit) => unit.id).join(", "),
       rewired: changes.rewired.map((unit) => unit.id).join(", "), stopped: changes.stopped.join(", "),
-      took: seconds, "left out": (review.avoided || []).join(", "), failed: review.cause,
+      took: seconds, failed: review.cause,
+      "left out": Object.entries(review.avoided || {}).map(([label, why]) => `${label} (${why})`).join(", "),
       "not met": Object.entries(review.unmet || {}).map(([label, why]) => `${label}: ${why}`).join("; ") };
     for (const [name, value] of Object.entries(rows)) if (value) about.append(made("dt", name), made("dd", String(value)));
     more.append(line, about);

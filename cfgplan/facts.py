@@ -1,0 +1,191 @@
+"""Facts of the world, and what transformations require of them.
+
+requirement = comparisons joined by and, or, not and brackets, as in selectors
+comparison  = NAME | NAME ( >= | <= | > | < | == ) VALUE
+
+A value is a number, true, false, or a word; a name alone says that a fact is true.
+"""
+
+from __future__ import annotations
+
+import operator
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from decimal import Decimal
+from functools import lru_cache
+from itertools import chain
+from types import MappingProxyType
+from typing import Final, TypeAlias
+
+from cfgplan.arguments import checked
+from cfgplan.errors import InvalidValueError, TagError, did_you_mean
+from cfgplan.qualities import micro_units, units
+from cfgplan.selectors import ExpressionReader
+
+FactValue: TypeAlias = bool | int | str
+"""True or false, a number in millionths, or a word."""
+
+_NUMBER: Final = re.compile(r"-?[0-9]+(\.[0-9]+)?")
+_TRUTH: Final = {"true": True, "false": False}
+_SIGNS: Final[Mapping[str, Callable[[int, int], bool]]] = MappingProxyType(
+    {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
+)
+"""The comparisons of numbers alone."""
+
+
+def said(value: FactValue) -> str:
+    """A fact's value as files and people write it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return format(units(value).normalize(), "f") if isinstance(value, int) else value
+
+
+def kind_of(value: FactValue) -> str:
+    """What kind of value it is, in words."""
+    return "true or false" if isinstance(value, bool) else "a number" if isinstance(value, int) else "a word"
+
+
+@dataclass(frozen=True, slots=True)
+@checked
+class Fact:
+    """Something that is so in the world, or is not: its value while nobody has said another, and its unit."""
+
+    name: str
+    declared: FactValue
+    unit: str | None = None
+
+    def __str__(self) -> str:
+        return f"{self.name} is {said(self.declared)}{f' {self.unit}' if self.unit else ''}"
+
+    def read(self, text: str) -> FactValue:
+        """The value that a text says, of the kind of the declared one. Raises InvalidValueError."""
+        value = _value(text)
+        if isinstance(self.declared, str):
+            return text
+        if kind_of(value) != kind_of(self.declared):
+            raise InvalidValueError(f"fact {self.name!r} is {kind_of(self.declared)}, not {text!r}")
+        return value
+
+
+def _value(text: str) -> FactValue:
+    """The value of a word of a requirement; in quotes it is always a word. Raises InvalidValueError."""
+    if text in _TRUTH:
+        return _TRUTH[text]
+    if text[:1] == "'":
+        return text[1:-1]
+    return micro_units(Decimal(text)) if _NUMBER.fullmatch(text) else text
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """What one fact is compared with, and how."""
+
+    fact: str
+    sign: str
+    value: FactValue
+
+    def holds(self, value: FactValue) -> bool:
+        """Whether a value of the fact meets it."""
+        if self.sign == "==":
+            return kind_of(value) == kind_of(self.value) and value == self.value
+        return isinstance(value, int) and isinstance(self.value, int) and _SIGNS[self.sign](value, self.value)
+
+    def misfit(self, facts: Mapping[str, Fact]) -> tuple[str, str | None] | None:
+        """Why it can't be asked of these facts, and the mend; None if it can."""
+        if self.fact not in facts:
+            mend = did_you_mean(self.fact, facts, "declare it under `facts:` in the main file")
+            return f"there is no fact `{self.fact}`", mend
+        kind = kind_of(facts[self.fact].declared)
+        if kind == kind_of(self.value):
+            return None
+        example = {"a number": f"{self.fact} >= 1", "a word": f"{self.fact} == WORD"}.get(kind, self.fact)
+        return f"fact `{self.fact}` is {kind}, but is compared with {said(self.value)}", f"write `{example}`"
+
+
+Blamed: TypeAlias = tuple[str, ...] | None
+"""The facts by which a requirement is not met; None if it is."""
+
+
+@dataclass(frozen=True, slots=True)
+class Requirement:
+    """What an expression over facts asks."""
+
+    comparisons: tuple[Comparison, ...]
+    blamed: Callable[[Mapping[str, FactValue]], Blamed]
+    """By which facts it is not met, given their values; None if it is."""
+
+
+@lru_cache(maxsize=4096)
+def requirement(text: str) -> Requirement:
+    """The requirement that an expression means. Raises TagError."""
+    return _RequirementReader(text).whole()
+
+
+def check_requirement(text: str) -> None:
+    """Raises InvalidValueError if an expression over facts can't be read."""
+    try:
+        requirement(text)
+    except TagError as error:
+        raise InvalidValueError(f"{text!r} requires nothing: {error}") from error
+
+
+def why_left_out(text: str, facts: Mapping[str, Fact]) -> str | None:
+    """Why a requirement is not met, such as `visibility is 1 m`; None if it is. All facts that it names are there."""
+    blamed = requirement(text).blamed({name: fact.declared for name, fact in facts.items()})
+    if blamed is None:
+        return None
+    return " and ".join(str(facts[name]) for name in dict.fromkeys(blamed)) or f"{text} never holds"
+
+
+def _all_names(parts: Iterable[Blamed]) -> tuple[str, ...]:
+    return tuple(chain.from_iterable(blamed for blamed in parts if blamed is not None))
+
+
+class _RequirementReader(ExpressionReader[Requirement]):
+    what = "requirement"
+    wanted = "a fact"
+    examples = "a fact, such as `night` or `visibility >= 2.25`"
+    more_tokens = r"-?\d+(?:\.\d+)?(?![\w.-])|[<>=]=|[<>]|"
+    top = Requirement((), lambda _: None)
+    bottom = Requirement((), lambda _: ())
+
+    def all_of(self, parts: Sequence[Requirement]) -> Requirement:
+        def blamed(values: Mapping[str, FactValue]) -> Blamed:
+            broken = [found for part in parts if (found := part.blamed(values)) is not None]
+            return _all_names(broken) if broken else None
+
+        return Requirement(_comparisons(parts), blamed)
+
+    def any_of(self, parts: Sequence[Requirement]) -> Requirement:
+        def blamed(values: Mapping[str, FactValue]) -> Blamed:
+            found = [part.blamed(values) for part in parts]
+            return None if None in found else _all_names(found)
+
+        return Requirement(_comparisons(parts), blamed)
+
+    def none_of(self, part: Requirement) -> Requirement:
+        names = tuple(comparison.fact for comparison in part.comparisons)
+        return Requirement(part.comparisons, lambda values: names if part.blamed(values) is None else None)
+
+    def other(self, token: str) -> Requirement:
+        fact, sign, value = self._name(token, self._at - 1), "==", "true"
+        if self._written() in (*_SIGNS, "=="):
+            sign = self._written()
+            self._at += 1
+            value = self._written()
+            if value[:1] in ("", "<", ">", "=", "(", ")"):
+                raise self._error(f"a value is wanted after {sign}", "write a number, true, false or a word")
+            self._at += 1
+        try:
+            comparison = Comparison(fact, sign, _value(value))
+        except InvalidValueError as error:
+            message, _, mend = str(error).partition(": ")
+            raise self._error(message, mend, self._at - 1) from None
+        if sign in _SIGNS and kind_of(comparison.value) != "a number":
+            raise self._error(f"{value!r} is no number", f"only == takes a word; {sign} takes a number", self._at - 1)
+        return Requirement((comparison,), lambda values: None if comparison.holds(values[fact]) else (fact,))
+
+
+def _comparisons(parts: Sequence[Requirement]) -> tuple[Comparison, ...]:
+    return tuple(comparison for part in parts for comparison in part.comparisons)

@@ -1,0 +1,153 @@
+"""Facts of the world: what transformations require of them, and that the rest of the library is what is planned."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cfgplan import api
+from cfgplan.domain import Environment, Transformation
+from cfgplan.errors import InputError, InvalidValueError
+from cfgplan.facts import Fact, FactValue
+from cfgplan.planning import Status
+
+SURVEY = """
+format: cfgplan/1
+qualities: [{name: coverage, better: higher, rule: limit, worst: 0, best: 1}]
+facts: {visibility: {declared: 1, unit: m}, night: {declared: false}, mode: {declared: survey}}
+transformations:
+  - {label: high, requires: visibility >= 3.25 and not night, outputs: {p: {tag: Path, quality: {coverage: 1}}}}
+  - {label: low, requires: not night, outputs: {p: {tag: Path, quality: {coverage: 0.4}}}}
+targets: [{label: path, topic: /path, tag: Path, quality: {coverage: {weight: 0.1}}}]
+"""
+FACTS: dict[str, st.SearchStrategy[FactValue]] = {
+    "v": st.integers(-3, 3).map(lambda value: value * 500_000),
+    "night": st.booleans(),
+    "mode": st.sampled_from(["survey", "transit"]),
+}
+COMPARISONS = st.one_of(
+    st.builds(
+        "v {} {}".format, st.sampled_from([">=", "<=", "<", ">", "=="]), st.sampled_from(["-1", "0", "0.5", "1.5"])
+    ),
+    st.sampled_from(["night", "night == true", "night == false", "mode == survey", "mode == transit"]),
+)
+EXPRESSIONS = st.recursive(
+    COMPARISONS,
+    lambda parts: st.one_of(
+        st.builds("({} and {})".format, parts, parts),
+        st.builds("({} or {})".format, parts, parts),
+        st.builds("not ({})".format, parts),
+    ),
+    max_leaves=6,
+)
+
+
+@pytest.fixture
+def survey(tmp_path: Path) -> Path:
+    path = tmp_path / "survey.yaml"
+    path.write_text(SURVEY, encoding="utf-8")
+    return path
+
+
+@given(requires=st.lists(EXPRESSIONS, min_size=1, max_size=4), values=st.fixed_dictionaries(FACTS))
+def test_what_is_left_out_is_what_python_says_is_false(requires: list[str], values: dict[str, FactValue]) -> None:
+    library = tuple(Transformation(f"t{number}", requires=text) for number, text in enumerate(requires))
+    facts = tuple(Fact(name, value) for name, value in values.items())
+    names = {"v": values["v"] / 1_000_000, "night": values["night"], "mode": values["mode"]}  # type: ignore[operator]
+    words = {"true": True, "false": False, "survey": "survey", "transit": "transit"}
+    wrong = {f"t{number}" for number, text in enumerate(requires) if not eval(text, {**names, **words})}
+    environment = Environment(library=library, facts=facts)
+    assert set(environment.left_out) == wrong
+    assert {t.label for t in environment.possible.library} == {t.label for t in library} - wrong
+
+
+def test_the_plan_is_that_of_a_file_without_what_is_left_out(survey: Path) -> None:
+    world = api.load(survey)
+    found, other = api.plan(api.match(world)), api.plan(api.match(api.what_if(world, without=["high"])))
+    assert (found.status, found.change_set, found.cost_us) == (other.status, other.change_set, other.cost_us)
+    assert dict(world.environment.left_out) == {"high": "visibility is 1 m"}
+
+
+@pytest.mark.parametrize(
+    ("settings", "started", "left_out"),
+    [
+        ({"facts.visibility": "4"}, "high.1", {}),
+        ({"facts.visibility": "3.25"}, "high.1", {}),
+        ({"facts.night": "true"}, None, {"high": "visibility is 1 m and night is true", "low": "night is true"}),
+        ({"facts.mode": "transit"}, "low.1", {"high": "visibility is 1 m"}),
+    ],
+)
+def test_other_facts_give_another_plan(
+    survey: Path, settings: dict[str, str], started: str | None, left_out: dict[str, str]
+) -> None:
+    world = api.what_if(api.load(survey), settings=settings)
+    assert world.environment.left_out == left_out
+    plan = api.plan(api.match(world))
+    if started is None:
+        assert plan.status is Status.INFEASIBLE
+    else:
+        assert plan.change_set is not None
+        assert [unit.id for unit in plan.change_set.started] == [started]
+
+
+@pytest.mark.parametrize("setting", [("facts.nite", "true"), ("facts.night", "3"), ("facts.visibility", "dark")])
+def test_a_fact_that_can_not_be_so_is_not_supposed(survey: Path, setting: tuple[str, str]) -> None:
+    with pytest.raises(InputError, match=re.escape(f"--set {setting[0]}={setting[1]}: ")):
+        api.what_if(api.load(survey), settings=dict([setting]))
+
+
+def test_a_running_unit_that_may_not_run_any_more_is_stopped(survey: Path) -> None:
+    world = api.what_if(api.load(survey), settings={"facts.visibility": "4"})
+    plan = api.plan(api.match(world))
+    assert plan.change_set is not None
+    running = replace(world, environment=world.environment.update(plan.change_set))
+    changed = api.plan(api.match(api.what_if(running, settings={"facts.visibility": "1"}))).change_set
+    assert changed is not None
+    assert ([unit.id for unit in changed.started], list(changed.stopped)) == (["low.1"], ["high.1"])
+
+
+@pytest.mark.parametrize(
+    ("requires", "message"),
+    [
+        ("nihgt", "there is no fact `nihgt`"),
+        ("visibility", "fact `visibility` is a number, but is compared with true"),
+        ("visibility > deep", "'deep' is no number"),
+        ("visibility >", "a value is wanted after >"),
+        ("mode >= 3", "fact `mode` is a word, but is compared with 3"),
+        ("not (night or", "the requirement ends where a fact is wanted"),
+        ("night == 1", "fact `night` is true or false, but is compared with 1"),
+    ],
+)
+def test_what_no_fact_can_say_is_refused_with_its_place(survey: Path, requires: str, message: str) -> None:
+    survey.write_text(SURVEY.replace("requires: not night", f'requires: "{requires}"'), encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        api.load(survey)
+    (fault,) = refused.value.faults
+    assert message in fault.message
+    assert fault.line == 7
+    assert fault.mend
+
+
+def test_a_fact_that_is_none_hides_no_other_fault_and_makes_none(survey: Path) -> None:
+    survey.write_text(SURVEY.replace("declared: false", "declared: []"), encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        api.load(survey)
+    assert [fault.message for fault in refused.value.faults] == ["this is no value of a fact"]
+
+
+def test_an_environment_made_in_python_asks_only_about_its_facts() -> None:
+    with pytest.raises(InvalidValueError, match="there is no fact `night`"):
+        _ = Environment(library=(Transformation("t", requires="night"),)).left_out
+
+
+def test_the_digest_knows_the_side_of_a_comparison_not_the_number(survey: Path) -> None:
+    digests = {}
+    for value in ("1", "2", "4"):
+        survey.write_text(SURVEY.replace("declared: 1,", f"declared: {value},"), encoding="utf-8")
+        digests[value] = api.load(survey).digest
+    assert digests["1"] == digests["2"] != digests["4"]
