@@ -42,6 +42,12 @@ def add_page(parser: argparse.ArgumentParser, about: str) -> None:
     parser.add_argument("--page", type=port, nargs="?", const=0, metavar="N", help=means)
 
 
+def add_allow_code(parser: argparse.ArgumentParser) -> None:
+    """`--allow-code`: the page may add unit code."""
+    means = "let whoever has the page's token add transformations with a `source`, which run as you"
+    parser.add_argument("--allow-code", action="store_true", help=means)
+
+
 def needed_for_pages() -> None:
     """Raises InputError if what pages need is not installed."""
     needed("pages", "pygraphviz", "starlette", "uvicorn")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import nullcontext
+from pathlib import Path
 
 from cfgplan.cli import options as shared
 from cfgplan.cli.agent import add_links, reached
@@ -13,6 +15,7 @@ _OF_A_PAGE = """\
 example:
   cfgplan run env.yaml --page
   cfgplan page                (for a run that goes on)
+  cfgplan page --address 10.0.0.3 --certificates /etc/cfgplan/base
 
 Whoever opens the address that is printed can steer the run; without what follows its #, only look at it."""
 
@@ -20,8 +23,11 @@ Whoever opens the address that is printed can steer the run; without what follow
 def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _OF_A_PAGE
     parser.add_argument("--run", dest="run_id", metavar="ID", help="the run, if several are live")
-    parser.add_argument("--address", default="127.0.0.1", metavar="IP", help="where to serve it (127.0.0.1)")
+    parser.add_argument(
+        "--address", default="127.0.0.1", metavar="IP", help="where to serve it (127.0.0.1); by TLS elsewhere"
+    )
     parser.add_argument("--port", type=shared.port, default=0, metavar="N", help="(0: any that is free)")
+    shared.add_allow_code(parser)
     add_links(parser)
     parser.set_defaults(run=run)
 
@@ -29,11 +35,19 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
     shared.needed_for_pages()
     from cfgplan_runtime.operating.control_client import connect
-    from cfgplan_runtime.page.server import PageServer
+    from cfgplan_runtime.page.server import PageServer, is_loopback
 
+    is_local = not options.connect and not is_loopback(options.address)
+    certificates = None if options.certificates is None else Path(options.certificates)
     with (
-        reached(options) as fleet,
-        PageServer(lambda: connect(options.run_id, fleet), options.address, options.port) as server,
+        nullcontext() if is_local else reached(options) as fleet,
+        PageServer(
+            lambda: connect(options.run_id, fleet),
+            options.address,
+            options.port,
+            certificates=None if is_loopback(options.address) else certificates,
+            allows_code=options.allow_code,
+        ) as server,
     ):
         screen.tell(f"The page is at {server.url}; Ctrl-C ends it, not the run.")
         try:

@@ -87,6 +87,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     shared.add_time(parser, "--back-off", 3.0, longest)
     shared.add_several(parser, "--preload", "MODULE", "import this module before units start (repeat)")
     shared.add_page(parser, "the run")
+    shared.add_allow_code(parser)
     parser.add_argument(
         "--ros2", action="store_true", help="publish targets that say their message type as ROS 2 topics (rmw_zenoh)"
     )
@@ -299,7 +300,7 @@ def _page(options: argparse.Namespace, operation: Operation) -> Iterator[str | N
     from cfgplan_runtime.operating.control_client import connect
     from cfgplan_runtime.page.server import PageServer
 
-    with PageServer(lambda: connect(operation.id), port=options.page) as server:
+    with PageServer(lambda: connect(operation.id), port=options.page, allows_code=options.allow_code) as server:
         yield server.url
 
 

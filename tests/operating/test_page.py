@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import ssl
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,13 +13,15 @@ from typing import Any
 
 import httpx
 import pytest
+from cfgplan_runtime.fleet.certificates import make
 from cfgplan_runtime.lifecycle.changes import Declare, KillUnit, LoseHost, Withdraw
 from cfgplan_runtime.lifecycle.deliberation import Thought
 from cfgplan_runtime.lifecycle.reports import Decision, UnitView
 from cfgplan_runtime.operating.control_client import connect
 from cfgplan_runtime.operating.control_server import ControlServer
+from cfgplan_runtime.operating.methods import Methods
 from cfgplan_runtime.operating.records import snapshot_record
-from cfgplan_runtime.page.server import PageServer
+from cfgplan_runtime.page.server import METHODS, PageServer
 from cfgplan_runtime.page.watched import configuration, svg
 from fake_manager import DETECTOR, FORESEEN_IN, SNAPSHOT, FakeManager, observation
 from operated_world import PATIENCE_S, eventually
@@ -27,6 +30,7 @@ from cfgplan.domain import ChangeSet, ComputationUnit, Publication, Stream, Subs
 from cfgplan.errors import InputError
 
 CHROMIUM = Path("/usr/bin/chromium")
+UNIT = {"unit": "camera.1"}
 MARKUP = "<img src=x onerror=alert(1)> & \\N"
 
 
@@ -37,10 +41,10 @@ def page(server: ControlServer) -> Iterator[PageServer]:
         yield serving
 
 
-def asking(page: PageServer, method: str, **more: str) -> httpx.Response:
+def asking(page: PageServer, method: str, params: dict[str, str] | None = None, **more: str) -> httpx.Response:
     origin, _, token = page.url.partition("/#")
     headers = {"Origin": origin, "X-Token": token, **more}
-    return httpx.post(f"{origin}/do", json={"method": method, "params": {"unit": "camera.1"}}, headers=headers)
+    return httpx.post(f"{origin}/do", json={"method": method, "params": params or UNIT}, headers=headers)
 
 
 def messages(page: PageServer) -> Iterator[tuple[str, Any]]:
@@ -92,6 +96,42 @@ def test_what_the_run_refuses_is_an_answer(page: PageServer, manager: FakeManage
     assert reply.status_code == 200
     assert "there is no parameter `unit`" in reply.json()["refused"]
     assert manager.requested == []
+
+
+CODE = "transformations: [{label: spy, source: 'spy.py:Spy', outputs: {o: O}}]"
+
+
+@pytest.mark.parametrize("text", [CODE, '{"transformations": [{"label": "spy", "source": "program:./spy"}]}'])
+def test_a_page_adds_no_unit_code(page: PageServer, manager: FakeManager, text: str) -> None:
+    reply = asking(page, "add", {"text": text})
+    assert "--allow-code" in reply.json()["refused"]
+    assert manager.requested == []
+
+
+def test_a_page_adds_targets_and_code_if_it_may(page: PageServer, manager: FakeManager) -> None:
+    asking(page, "add", {"name": "more", "text": "targets: []"})
+    with PageServer(connect, allows_code=True) as other:
+        asking(other, "add", {"name": "spy", "text": CODE})
+    assert [added.name for added in manager.requested if isinstance(added, Declare)] == ["more", "spy"]
+
+
+def test_a_page_does_what_it_lists_and_no_other_method_of_a_run(page: PageServer, manager: FakeManager) -> None:
+    others = Methods(manager).by_name().keys() - set(METHODS)
+    assert others == {"state", "plan", "apply", "remove_individual"}
+    assert {asking(page, method).status_code for method in others} == {400}
+
+
+def test_a_page_beyond_loopback_is_served_by_tls_or_refused(server: ControlServer, tmp_path: Path) -> None:
+    assert server is not None
+    with pytest.raises(InputError, match="--certificates"):
+        PageServer(connect, "0.0.0.0")
+    make(tmp_path / "secrets", {"here": ["127.0.0.1"]}, days=1)
+    with PageServer(connect, "0.0.0.0", certificates=tmp_path / "secrets" / "here") as page:
+        port = page.url.partition("/#")[0].rpartition(":")[2]
+        trusted = ssl.create_default_context(cafile=tmp_path / "secrets" / "here" / "authority.pem")
+        assert page.url.startswith("https://")
+        assert httpx.get(f"https://127.0.0.1:{port}/", verify=trusted).status_code == 200
+        assert httpx.get(f"https://127.0.0.1:{port}/messages", verify=trusted).status_code == 403
 
 
 def test_a_page_loads_nothing_from_elsewhere_and_runs_no_other_script(page: PageServer) -> None:

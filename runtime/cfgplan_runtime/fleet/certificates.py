@@ -103,6 +103,12 @@ def tls(folder: Path) -> dict[str, Any]:
     }
 
 
+def shown(folder: Path) -> tuple[Path, Path]:
+    """The certificate of the host whose folder it is, and its private key. Raises InputError."""
+    options = tls(folder)
+    return Path(options["listen_certificate"]), Path(options["listen_private_key"])
+
+
 def access_control(folder: Path) -> dict[str, Any]:
     """Zenoh's `access_control`: listed hosts may listen to the fleet and write their own keys; others may do nothing.
 

@@ -1,4 +1,4 @@
-"""The page's server: loopback unless told otherwise, and nobody changes the run without its token."""
+"""The page's server: loopback unless told otherwise, TLS elsewhere, and nobody changes the run without its token."""
 
 from __future__ import annotations
 
@@ -22,7 +22,9 @@ from starlette.routing import Route
 
 from cfgplan.errors import InputError
 from cfgplan_runtime.errors import ControlError
+from cfgplan_runtime.fleet.certificates import shown
 from cfgplan_runtime.operating.control_client import Control
+from cfgplan_runtime.operating.declaration import declaration
 from cfgplan_runtime.operating.protocol import RefusedError
 from cfgplan_runtime.page.watched import Watched
 
@@ -53,17 +55,36 @@ _HEADERS = {
 }
 
 
+def is_loopback(address: str) -> bool:
+    """Whether only this computer reaches an address."""
+    return address in (THIS_COMPUTER, "localhost", "::1")
+
+
 class PageServer:
     """Serves the page of a run from a thread of its own until it is closed; a context manager.
 
     Anybody who reaches a loopback address may look; elsewhere looking needs the token too, as changing the run does
-    everywhere. Port 0 is any that is free. Raises InputError if the address can't be used, ControlError if there is
-    no run.
+    everywhere. An address that is no loopback needs the folder of a host's `certificates`. The page adds
+    transformations with a `source`, which is code, only if it `allows_code`. Port 0 is any that is free. Raises
+    InputError if the address can't be used, ControlError if there is no run.
     """
 
-    def __init__(self, reach: Callable[[], Control], address: str = THIS_COMPUTER, port: int = 0) -> None:
+    def __init__(
+        self,
+        reach: Callable[[], Control],
+        address: str = THIS_COMPUTER,
+        port: int = 0,
+        *,
+        certificates: Path | None = None,
+        allows_code: bool = False,
+    ) -> None:
+        self._allows_code = allows_code
         self._token = secrets.token_urlsafe(16)
-        self._is_open = address in (THIS_COMPUTER, "localhost", "::1")
+        self._is_open = is_loopback(address)
+        if not self._is_open and certificates is None:
+            mend = "name this computer's folder of `cfgplan certificates` by --certificates, or leave --address out"
+            raise InputError.of(f"--address {address}: others would read the page's token on its way", mend=mend)
+        identity = None if certificates is None else shown(certificates)
         family = socket.AF_INET6 if ":" in address else socket.AF_INET
         self._socket = socket.socket(family, socket.SOCK_STREAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -80,7 +101,7 @@ class PageServer:
             self._socket.close()
             raise
         name = f"[{address}]" if ":" in address else address
-        self._origin = f"http://{name}:{self._socket.getsockname()[1]}"
+        self._origin = f"http{'s' if identity else ''}://{name}:{self._socket.getsockname()[1]}"
         hosts = [name, "localhost"] if self._is_open else ["*"]
         app = Starlette(
             routes=[
@@ -92,7 +113,15 @@ class PageServer:
             ],
             middleware=[Middleware(TrustedHostMiddleware, allowed_hosts=hosts)],
         )
-        config = uvicorn.Config(app, log_level="warning", lifespan="off", timeout_graceful_shutdown=1)
+        certificate, key = identity or (None, None)
+        config = uvicorn.Config(
+            app,
+            log_level="warning",
+            lifespan="off",
+            timeout_graceful_shutdown=1,
+            ssl_certfile=certificate,
+            ssl_keyfile=key,
+        )
         self._server = uvicorn.Server(config)
         self._thread = threading.Thread(target=self._server.run, args=([self._socket],), daemon=True)
 
@@ -149,6 +178,9 @@ class PageServer:
             return JSONResponse({"message": "this is no request"}, 400, headers=_HEADERS)
         if method not in METHODS:
             return JSONResponse({"message": f"the page does not do {method}"}, 400, headers=_HEADERS)
+        if method == "add" and not self._allows_code and _names_code(params.get("text")):
+            refused = "a `source` is code, which this page does not add: use `cfgplan ctl add`, or --allow-code"
+            return JSONResponse({"refused": refused}, headers=_HEADERS)
         try:
             return JSONResponse(await asyncio.to_thread(self.watched.call, method, params), headers=_HEADERS)
         except RefusedError as error:
@@ -157,6 +189,16 @@ class PageServer:
             refused = str(error)
         # What the run refuses is an answer, and none of the page's own errors, which browsers tell.
         return JSONResponse({"refused": refused}, headers=_HEADERS)
+
+
+def _names_code(text: object) -> bool:
+    """Whether an addition has a transformation with unit code. What can't be read is refused by the run."""
+    try:
+        added = declaration("page", text).change.document if isinstance(text, str) else {}
+    except InputError:
+        return False
+    written = added.get("transformations")
+    return isinstance(written, list) and any(isinstance(one, dict) and "source" in one for one in written)
 
 
 def _event(kind: str, data: str) -> str:
