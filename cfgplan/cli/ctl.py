@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,6 +30,7 @@ example:
   cfgplan ctl withdraw robot2
   cfgplan ctl remove-target ball
   cfgplan ctl kill camera.1            (it is replaced at once)
+  cfgplan ctl fact visibility=1.5      (transformations may require it)
   cfgplan ctl review
   cfgplan ctl plan --out plan.json     (what a review would do now)
   cfgplan ctl why camera.1
@@ -66,6 +67,7 @@ _COMMANDS = (
     _Command("kill", "end a unit at once", "UNIT", "its id, such as camera.1", "kill", "unit"),
     _Command("lose-host", "do without a host", "HOST", "its name", "lose_host", "host"),
     _Command("regain-host", "use a host again", "HOST", "its name", "regain_host", "host"),
+    _Command("fact", "say what is so of a fact of the world", "NAME=VALUE", "such as visibility=1.5"),
     _Command("review", "plan now, as if the horizon were reached", method="review"),
     _Command("plan", "say what a review would do now, and change nothing"),
     _Command("why", "say why a unit runs, and what doing without it would cost", "UNIT", "its id, such as camera.1"),
@@ -92,13 +94,14 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         add_links(each, default=argparse.SUPPRESS)
         each.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="print JSON for machines")
         if command.operand:
-            kind = str if command.operand == "FILE" else normal
+            kinds: dict[str, Callable[[str], Any]] = {"FILE": str, "NAME=VALUE": shared.setting}
+            kind = kinds.get(command.operand, normal)
             each.add_argument("operand", type=kind, metavar=command.operand, help=command.means)
         if command.name == "add":
             each.add_argument("--name", type=normal, metavar="NAME", help="the name to add it under (the file's)")
         if command.name == "plan":
             shared.add_out(each)
-        if command.method or command.name in ("add", "plan", "why", "apply"):
+        if command.method or command.name in ("add", "fact", "plan", "why", "apply"):
             shared.add_time(each, "--wait", 60.0, "how long to wait for the review (60s)")
 
 
@@ -122,6 +125,9 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
                     name = options.name or _name(options.operand)
                     params = {"name": name, "text": text}
                     return _change(control, screen, "add", params, f"Added {name}.", options.wait)
+                case "fact":
+                    params = dict(zip(("name", "value"), options.operand, strict=True))
+                    return _change(control, screen, "fact", params, "Done.", options.wait)
                 case "plan":
                     return _plan(control, screen, options)
                 case "why":

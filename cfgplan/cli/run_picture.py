@@ -70,6 +70,10 @@ def _whole(run: str, environment: str, pid: int, state: Mapping[str, Any]) -> It
     yield _units(state)
     if state["lost_hosts"]:
         yield Text(f"Hosts that are gone: {', '.join(state['lost_hosts'])}.", style="yellow")
+    if state["facts"]:
+        yield Text(f"Facts: {', '.join(f'{name} is {value}' for name, value in state['facts'].items())}.")
+    for label, why in state["left_out"].items():
+        yield Text(f"Left out for now: {label}, {why}.", style="yellow")
     if state["clocks_ahead_us"]:
         clocks = (f"{host} {ahead_us / 1e6:+.4f} s" for host, ahead_us in sorted(state["clocks_ahead_us"].items()))
         yield Text(f"Clocks of hosts against this one: {', '.join(clocks)} (corrected).")

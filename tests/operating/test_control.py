@@ -104,6 +104,7 @@ def test_the_state_is_plain_json(control: Control) -> None:
         ("kill", {"unit": "camera.1"}, changes.KillUnit("camera.1")),
         ("lose_host", {"host": "nao1"}, changes.LoseHost("nao1", "told through the control socket")),
         ("regain_host", {"host": "nao1"}, changes.RegainHost("nao1")),
+        ("fact", {"name": "visibility", "value": "1.5"}, changes.SetFact("visibility", "1.5")),
         ("review", {}, changes.ReviewNow("the control socket")),
     ],
 )

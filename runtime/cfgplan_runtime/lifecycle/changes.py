@@ -98,6 +98,14 @@ class RegainHost:
 
 
 @dataclass(frozen=True, slots=True)
+class SetFact:
+    """A fact of the world has a value from now on, written as in a file, whatever the file says."""
+
+    name: str
+    value: str
+
+
+@dataclass(frozen=True, slots=True)
 class ReviewNow:
     """Optimise now, as if the horizon were reached. Back-offs are forgiven."""
 
@@ -119,4 +127,4 @@ class Stop:
 
 
 WorldChange: TypeAlias = Add | Remove | Declare | Withdraw | Restore | ReplaceWorld
-Change: TypeAlias = WorldChange | KillUnit | LoseHost | RegainHost | ReviewNow | ApplyPlan | Stop
+Change: TypeAlias = WorldChange | KillUnit | LoseHost | RegainHost | SetFact | ReviewNow | ApplyPlan | Stop

@@ -9,6 +9,7 @@ from typing import TypeVar
 from cfgplan.api import World
 from cfgplan.costs import labor_us, upkeep_us
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Host, Transformation
+from cfgplan.facts import FactValue
 from cfgplan.ros.sources import NodeSource
 from cfgplan_runtime.lifecycle.back_off import BackOffs
 from cfgplan_runtime.lifecycle.differences import runs_alike
@@ -47,6 +48,8 @@ class Situation:
     """By host that is there: how far its clock is ahead of the manager's, in microseconds."""
     awaits_hosts: bool = False
     """Whether a host of which the middleware has said nothing is not there yet."""
+    facts: Mapping[str, FactValue] = field(default_factory=dict)
+    """The facts of the world that have been set since the run began, by name."""
     given_up_hosts: frozenset[str] = frozenset()
     """Hosts that are to be done without, by request."""
     prepared: frozenset[str] = frozenset()
@@ -58,6 +61,12 @@ class Situation:
         """The label of a unit's transformation; None if the unit is not known."""
         running = self.units.get(unit)
         return None if running is None else running.transformation.label
+
+    def as_it_is(self, world: World) -> World:
+        """The world with the facts as they have been set."""
+        environment = world.environment
+        values = {name: value for name, value in self.facts.items() if name in environment.fact}
+        return replace(world, environment=environment.with_facts(values)) if values else world
 
     def is_lost(self, host: str | None) -> bool:
         """Whether nothing may be planned on a host, since it is not there or was given up."""

@@ -22,6 +22,7 @@ from cfgplan_runtime.lifecycle.configuration import Situation, external_units, w
 from cfgplan_runtime.lifecycle.deliberation import Thought
 from cfgplan_runtime.lifecycle.inbox import Asked, Item, Leave, PreviewAsked, Unusable
 from cfgplan_runtime.lifecycle.perturbations import (
+    FactsChanged,
     HorizonReached,
     MayStartAgain,
     PlanGiven,
@@ -59,7 +60,7 @@ from cfgplan_runtime.lifecycle.worlds import LivingWorld
 from cfgplan_runtime.supervision.delays import doubling_s
 from cfgplan_runtime.supervision.events import HostJoined, HostLost, InputLost, UnitDied
 
-_OPTIMISING = (Started, HorizonReached, ReviewRequested, MayStartAgain)
+_OPTIMISING = (Started, FactsChanged, HorizonReached, ReviewRequested, MayStartAgain)
 
 
 class BreakIn(Flag):
@@ -210,7 +211,7 @@ def _seen_to(turn: Turn, time_s: float) -> Turn:
     assert isinstance(request.change, ApplyPlan)
     turn = turn.to(replace(state, given=tuple(others)))
     world, given = state.living.world, request.change
-    if faults := staleness(given.basis, basis_of(world, state.running)):
+    if faults := staleness(given.basis, basis_of(state.scene.world, state.running)):
         return turn.also(Respond(request.outcome, InputError(faults)))
     entry = Entry(PlanGiven(given.by), at_s, at_s, (request.outcome,))
     planning = Planning(state.number + 1, at_s, time_s, 0.0, world, (entry,), plans=1)

@@ -134,7 +134,7 @@ class Manager:
     def snapshot(self) -> Snapshot:
         """Everything there is to know now."""
         state, running, now = self._state, self._middleware.environment, self._clock.now()
-        world, situation = state.living.world, state.situation
+        world, situation, seen = state.living.world, state.situation, state.scene.world.environment
         return Snapshot(
             now,
             state.phase,
@@ -153,6 +153,8 @@ class Manager:
             state.faults,
             state.living.removed,
             situation.clocks_ahead_us,
+            seen.facts,
+            seen.left_out,
         )
 
     @property

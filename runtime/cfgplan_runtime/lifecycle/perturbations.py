@@ -95,6 +95,13 @@ class HostBack(Perturbation, frozen=True):
     host: str
 
 
+class FactsChanged(Perturbation, frozen=True):
+    """Facts have changed which transformations may run: those `left_out` may not any more, those `back` may again."""
+
+    left_out: tuple[str, ...] = ()
+    back: tuple[str, ...] = ()
+
+
 class HorizonReached(Perturbation, frozen=True):
     """The time that the last update was planned for is over."""
 

@@ -10,6 +10,7 @@ import msgspec
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Stream
 from cfgplan.errors import Fault
+from cfgplan.facts import Fact
 from cfgplan.planning import Pair
 from cfgplan_runtime.lifecycle.perturbations import Perturbation
 from cfgplan_runtime.supervision.events import Event
@@ -148,6 +149,10 @@ class Snapshot:
     """Labels and names that were removed on request."""
     clocks_ahead_us: Mapping[str, int] = field(default_factory=dict)
     """By host that is there: how far its clock is ahead of the manager's, in microseconds."""
+    facts: tuple[Fact, ...] = ()
+    """The facts of the world as they are now."""
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    """Why transformations may not run as the facts are, by label."""
 
 
 class Report(msgspec.Struct, frozen=True):

@@ -131,7 +131,7 @@ class State:
     @property
     def scene(self) -> Scene:
         """What a plan is made from now."""
-        return Scene(self.living.world, self.running, self.situation)
+        return Scene(self.situation.as_it_is(self.living.world), self.running, self.situation)
 
     @property
     def phase(self) -> Phase:

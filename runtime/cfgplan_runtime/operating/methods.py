@@ -64,6 +64,7 @@ class Methods:
         return {
             "state": self._state,
             "add": self._add,
+            "fact": self._fact,
             "review": self._review,
             "plan": self._plan,
             "apply": self._apply,
@@ -95,6 +96,10 @@ class Methods:
     def _free_name(self) -> str:
         taken = self._manager.snapshot().declared
         return next(name for number in itertools.count(1) if (name := f"addition-{number}") not in taken)
+
+    def _fact(self, params: Mapping[str, Any]) -> Record:
+        _only(params, "name", "value", "wait_s")
+        return self._ask(changes.SetFact(_text(params, "name"), _text(params, "value")), params)
 
     def _review(self, params: Mapping[str, Any]) -> Record:
         _only(params, "wait_s")

@@ -15,6 +15,7 @@ from typing import Any
 import msgspec
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Stream
+from cfgplan.facts import said
 from cfgplan.formats.dump import plain_unit
 from cfgplan_runtime.lifecycle import reports
 from cfgplan_runtime.lifecycle.perturbations import Perturbation
@@ -38,6 +39,8 @@ def snapshot_record(snapshot: reports.Snapshot, flows: Mapping[str, Record] | No
         "reviews": [review_record(review) for review in snapshot.reviews],
         "backing_off": [plain(backing_off) for backing_off in snapshot.backing_off],
         "lost_hosts": list(snapshot.lost_hosts),
+        "facts": {fact.name: said(fact.declared) for fact in snapshot.facts},
+        "left_out": dict(snapshot.left_out),
         "clocks_ahead_us": dict(snapshot.clocks_ahead_us),
         "declared": list(snapshot.declared),
         "removed": list(snapshot.removed),

@@ -166,6 +166,8 @@ def _cause(perturbation: kinds.Perturbation) -> str:
             return f"host {host} is gone"
         case kinds.HostBack(host):
             return f"host {host} is there"
+        case kinds.FactsChanged():
+            return "facts have changed"
         case kinds.HorizonReached():
             return "horizon reached"
         case kinds.UpdateFailed():
@@ -218,6 +220,9 @@ def _perturbation(perturbation: kinds.Perturbation) -> str | None:
             return f"host {host} is gone{f': {cause}' if cause else ''}"
         case kinds.HostBack(host):
             return f"host {host} is there"
+        case kinds.FactsChanged(left_out, back):
+            parts = [(left_out, "may not run any more"), (back, "may run again")]
+            return "facts have changed: " + ", ".join(f"{named(labels)} {says}" for labels, says in parts if labels)
         case kinds.HorizonReached(horizon_s):
             return f"the horizon of {horizon_s} s is reached"
         case kinds.MayStartAgain(transformations):
