@@ -5,13 +5,18 @@ same commit draws the same ones again. `CFGPLAN_SHARE=1` draws all of them, `CFG
 
 `CFGPLAN_RERUNS=1`, which `.ci/run` sets, runs a test once more if it fails and waits for processes: the computer of the
 CI stops whole processes for seconds. pytest lists each such test, and each is a race to mend.
+
+`CFGPLAN_SKIPS=listed`, which `.ci/run` sets, fails a test that is skipped for a reason outside `ALLOWED_SKIPS`: the
+packages that other reasons name are installed there.
 """
 
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +27,21 @@ FEWEST_EXAMPLES = 10
 """A property with fewer examples draws all of them."""
 SHARE = 1 if "CFGPLAN_EXAMPLES" in os.environ else int(os.environ.get("CFGPLAN_SHARE", "6"))
 RERUNS = int(os.environ.get("CFGPLAN_RERUNS", "0"))
+ALLOWED_SKIPS = (
+    "reelay is not installed",
+    "it has no bound for long",
+    "does not know .*use the planner cpsat",
+    "Web Service Challenge|the WSC 2008 sets|the sets are not beside the checkout",
+    "no control groups",
+    "no network namespaces",
+    "root may (read|write) every",
+    "only root can become another user",
+    "the cases of wrong answers are no part of the project",
+    "this version of OR-Tools answers right by itself",
+    "only who sees wires can tell",
+)
+"""Reasons for which a test may be skipped in CI, as regular expressions: the machine, the data or a peer lacks it."""
+SKIPS_ARE_LISTED = os.environ.get("CFGPLAN_SKIPS") == "listed"
 _ROOMS_WITH_PROCESSES = {"cli", "fleet", "lifecycle", "nao", "operating", "ros1", "ros2", "ros2real", "runtime"}
 _OF_FUNCTIONS = "_hypothesis_internal_use_settings"
 
@@ -81,3 +101,29 @@ def _share_of(whole: settings) -> settings:
 def pytest_xdist_auto_num_workers() -> int:
     """One more than there are cores, since many tests wait for processes that they have started."""
     return (os.cpu_count() or 1) + 1
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    report = yield
+    if SKIPS_ARE_LISTED:
+        fail_unlisted_skip(report)
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report() -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    report = yield
+    if SKIPS_ARE_LISTED:
+        fail_unlisted_skip(report)
+    return report
+
+
+def fail_unlisted_skip(report: pytest.TestReport | pytest.CollectReport) -> None:
+    """Turn a skip for a reason outside `ALLOWED_SKIPS` into a failure that names the reason."""
+    if report.outcome != "skipped" or hasattr(report, "wasxfail"):
+        return
+    reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
+    if not any(re.search(allowed, reason) for allowed in ALLOWED_SKIPS):
+        report.outcome = "failed"
+        report.longrepr = f"ALLOWED_SKIPS of tests/conftest.py does not list the reason of this skip: {reason}"
