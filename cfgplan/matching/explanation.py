@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import re
-import time
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from cfgplan.domain import Similarity
 from cfgplan.errors import close_names
-from cfgplan.matching.concepts import BOTTOM, Concept, Intersection, conjunction, in_functional_syntax, negation
-from cfgplan.matching.derivations import Derivation, derivation, fewest, is_minimal
-from cfgplan.matching.faults import ReasonerError
+from cfgplan.matching.concepts import BOTTOM, Concept, Intersection
+from cfgplan.matching.derivations import Derivation, derivation, is_minimal
+from cfgplan.matching.justifications import justification
 from cfgplan.matching.matrix import match
 from cfgplan.matching.ontology import Ontology
-from cfgplan.matching.reference import Reference, reference_named, satisfiable
+from cfgplan.matching.reference import reference_named
 from cfgplan.matching.syntax import parse_tag
 
 
@@ -170,42 +168,3 @@ def conjuncts(concept: Concept, ontology: Ontology) -> list[str]:
 
 
 _MOST_SPELT_ALIKE: Final = 3
-EXPLANATION_PATIENCE_S: Final = 20.0
-"""Seconds for leaving out axioms to see whether they are needed; each try is a call of the reasoner."""
-
-_IRI_IN_BRACKETS: Final = re.compile(r"<[^<>\s]+>")
-
-
-def justification(offered: Concept, demanded: Concept, ontology: Ontology, reference: Reference) -> tuple[str, ...]:
-    """Axioms from which offered ⊑ demanded follows, as few as are found in PATIENCE_S; all if none can be left out."""
-    deadline = time.monotonic() + EXPLANATION_PATIENCE_S
-    axioms = [axiom for axiom in sorted(ontology.axioms) if not axiom.startswith("Declaration(")]
-
-    question = conjunction((offered, negation(demanded)))
-
-    def follows(some: Sequence[str]) -> bool:
-        left_s = deadline - time.monotonic()
-        if left_s <= 0:
-            return False
-        try:
-            return satisfiable(reference, Ontology(some), [question], left_s).get(question) is False
-        except ReasonerError:
-            return False
-
-    for connected in _nearest_first(axioms, in_functional_syntax(offered) + in_functional_syntax(demanded)):
-        if follows(connected):
-            axioms = connected
-            break
-    return tuple(fewest(axioms, follows))
-
-
-def _nearest_first(axioms: Sequence[str], tags: str) -> list[list[str]]:
-    """Growing parts of the axioms: none, those that share a name with the tags, with those, and so on."""
-    parts: list[list[str]] = [[]]
-    reached = set(_IRI_IN_BRACKETS.findall(tags))
-    while True:
-        connected = [axiom for axiom in axioms if not reached.isdisjoint(_IRI_IN_BRACKETS.findall(axiom))]
-        if len(connected) == len(parts[-1]):
-            return parts
-        parts.append(connected)
-        reached.update(name for axiom in connected for name in _IRI_IN_BRACKETS.findall(axiom))

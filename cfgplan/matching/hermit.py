@@ -150,9 +150,7 @@ def _error_of(errors: str, return_code: int) -> ReasonerError:
     found = _EXCEPTION.search(errors)
     kind, message = (found[1], found[2].strip()) if found else ("", "")
     if kind == "InconsistentOntologyException":
-        return InconsistentOntologyError(
-            "the ontology contradicts itself, so that everything would match", "remove one of the axioms that clash"
-        )
+        return InconsistentOntologyError("HermiT finds that the ontology contradicts itself")
     if "simple" in message and "propert" in message:
         return ReasonerError(
             f"a property that is transitive or made of a chain is counted or excluded, which OWL forbids: {message}",

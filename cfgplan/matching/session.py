@@ -17,6 +17,7 @@ from cfgplan.matching.derivations import contradiction
 from cfgplan.matching.engine import FastEngine, MatchedRows, roles_in
 from cfgplan.matching.faults import InconsistentOntologyError
 from cfgplan.matching.functional import parse
+from cfgplan.matching.justifications import clash
 from cfgplan.matching.losses import Losses
 from cfgplan.matching.modules import Module, Modules, individuals_in, names_in
 from cfgplan.matching.ontology import Ontology
@@ -265,7 +266,7 @@ class Matcher:
             roles = set().union(*map(roles_in, (*self._offered.texts, *self._demanded.texts)))
             engine = FastEngine(module.ontology.trees, roles, self._losses.of(module))
             if engine.is_inconsistent:
-                raise self._input_error(self._contradiction())
+                raise self._input_error(InconsistentOntologyError("the fast engine finds a contradiction"))
             self._engine = engine
         return self._engine
 
@@ -406,13 +407,19 @@ class Matcher:
         return {name: count for name, count in counts.items() if count}
 
     def _contradiction(self) -> InconsistentOntologyError:
-        steps = "; ".join(contradiction(self._ontology))
+        """The error that names the axioms that clash: those of the fast engine, else those that the reference finds."""
+        steps = contradiction(self._ontology)
+        if not steps and self._reference is not None:
+            steps = clash(self._ontology, self._reference)
+        told = f": {'; '.join(steps)}" if steps else ""
         return InconsistentOntologyError(
-            f"the ontology contradicts itself, so that everything would match: {steps}",
+            f"the ontology contradicts itself, so that everything would match{told}",
             "remove one of the axioms that clash",
         )
 
     def _input_error(self, error: MatchingError) -> InputError:
+        if isinstance(error, InconsistentOntologyError):
+            error = self._contradiction()
         here, files = Path.cwd(), self._ontology.files
         file = str(files[0].relative_to(here) if files[0].is_relative_to(here) else files[0]) if files else None
         return InputError([Fault(self._ontology.shortened(error.message), file=file, mend=error.mend)])

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 from realistic import realistic_world
 
-from cfgplan.matching import Ontology, explain_match, explanation, match, near_offers
+from cfgplan.matching import Ontology, explain_match, justifications, match, near_offers
 
 
 def test_a_match_is_derived_step_by_step_from_axioms(streams: Ontology) -> None:
@@ -44,7 +44,7 @@ def test_a_miss_names_the_conjuncts_that_are_missing(streams: Ontology) -> None:
 def test_a_match_that_only_the_reference_finds_names_the_axioms_it_needs(
     streams: Ontology, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(explanation, "EXPLANATION_PATIENCE_S", 600.0)
+    monkeypatch.setattr(justifications, "EXPLANATION_PATIENCE_S", 600.0)
     told = explain_match("RawRGB", "¬Device", streams)
     assert told.matches
     assert told.steps == (

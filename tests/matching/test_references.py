@@ -39,6 +39,22 @@ def test_hermit_says_that_an_ontology_contradicts_itself(streams: Ontology) -> N
     assert not leftovers()
 
 
+def test_a_contradiction_that_only_hermit_finds_names_the_axioms_that_clash_and_no_others(streams: Ontology) -> None:
+    clash = (
+        "ClassAssertion(ObjectUnionOf(<w#Device> <w#Room>) <w#thing>)",
+        "ClassAssertion(ObjectComplementOf(<w#Device>) <w#thing>)",
+        "ClassAssertion(ObjectComplementOf(<w#Room>) <w#thing>)",
+    )
+    with pytest.raises(InputError) as refused:
+        match(["Image"], ["Image"], Ontology([*streams.axioms, *clash]))
+    (fault,) = refused.value.faults
+    assert fault.message == (
+        "the ontology contradicts itself, so that everything would match: "
+        "ClassAssertion(ObjectComplementOf(Device) thing); ClassAssertion(ObjectComplementOf(Room) thing); "
+        "ClassAssertion(ObjectUnionOf(Device Room) thing)"
+    )
+
+
 def test_a_counted_transitive_property_is_an_error_that_names_the_axiom(streams: Ontology) -> None:
     axioms = [*streams.axioms, "TransitiveObjectProperty(<w#hasSource>)"]
     counted = Ontology([*axioms, "SubClassOf(<w#Image> ObjectMaxCardinality(1 <w#hasSource> <w#Device>))"])
