@@ -53,6 +53,14 @@ class Shouter(Node):
         self.loud.publish(String(data=word.data + "!"))
 
 
+class Stubborn(Shouter):
+    """Does not let itself be unloaded."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.declare_parameter("stays", True)
+
+
 class Eager(Shouter):
     """Wants to hear what was said before it came, too."""
 

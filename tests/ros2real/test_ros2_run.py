@@ -74,6 +74,12 @@ def test_nodes_that_are_run_as_processes_are_told_of_their_middleware(
         ("topic: /shout", "topic: /sh-out", "shout: `/sh-out` can't be the name of a ROS 2 topic"),
         ("type: std_msgs/String, remap: chatter", "type: String, remap: chatter", "`String` is no message type"),
         ("rate: 100", "rate: [1, two]", "talker: params: rate: `[1, 'two']` can't be a parameter of ROS 2"),
+        (
+            "node:./talking.py talker",
+            "component:talking/Talker loud",
+            "talker: a component takes no arguments, and `component:talking/Talker loud` has some",
+        ),
+        ("node:./talking.py talker", "component:talking/Talker@a-b", "talker: `a-b` can't be the name of a container"),
         ("rate: 100", "rate: null", "talker: params: rate: `None` can't be a parameter of ROS 2"),
     ],
 )

@@ -11,7 +11,7 @@ from typing import Protocol
 import msgspec
 
 from cfgplan_runtime.children import messages
-from cfgplan_runtime.children.exit_status import end_of_process
+from cfgplan_runtime.children.exit_status import clause_of, end_of_process
 from cfgplan_runtime.nodes.relay_messages import CloseInlets, Lead, Passed, Refused
 from cfgplan_runtime.streams.ends import Ends
 from cfgplan_runtime.supervision import events
@@ -162,7 +162,7 @@ class RelayedWires:
         self._plan()
         self._happened += [
             events.HelperAlive(_HELPER, inf),
-            events.OutletsLost(f"the relay {end if end.startswith('ended') else f'was {end}'}{said}"),
+            events.OutletsLost(f"the relay {clause_of(end)}{said}"),
         ]
 
     def close(self) -> None:

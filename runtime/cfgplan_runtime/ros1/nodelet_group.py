@@ -10,11 +10,10 @@ from collections.abc import Callable, Sequence
 from cfgplan.ros.graph import resolved
 from cfgplan.ros.node_api import SilentError
 from cfgplan_runtime.nodes.node_process import NodeProcess
-from cfgplan_runtime.processes.child_process import cpu_us, memory_bytes
+from cfgplan_runtime.nodes.shared_process import SharedProcess
 from cfgplan_runtime.ros1.node_watch import NodeWatch
 from cfgplan_runtime.ros1.ros_unit import RosUnit
 from cfgplan_runtime.ros1.tcpros import answered, service_end
-from cfgplan_runtime.supervision.backend import Usage
 
 _MANAGER_START_S = 30.0
 _MANAGER_LOOK_S = 0.05
@@ -25,27 +24,21 @@ _SEE = "can't be loaded: see what it printed"
 
 
 class NodeletGroup:
-    """The manager `name`. It runs in `process`; None if somebody else runs it.
-
-    `used_us` is the CPU time of each nodelet, by unit: all nodelets of a manager get equal parts of its own.
-    """
+    """The manager `name`. It runs in `process`; None if somebody else runs it. `units` are those of its nodelets."""
 
     def __init__(self, name: str, master: str, process: NodeProcess | None) -> None:
         self.name, self.process = name, process
+        self.units = SharedProcess(process)
         self.watch: NodeWatch | None = None
         self.address: str | None = None
         """Its address, once it has told the master of itself."""
-        self.used_us: dict[str, int] = {}
         self._master = master
-        self._cpu_us = 0
-        """The CPU time that was shared out by now."""
 
     def load(self, unit: str, ros: RosUnit, tell: Callable[[str, int], None]) -> None:
         """Load a nodelet once the manager is there. A thread calls `tell` with the cause of a failure, or "", and with
         the labor.
         """
-        self._share()
-        self.used_us[unit] = 0
+        self.units.add(unit)
         namespace = ros.name.rpartition("/")[0]  # the manager would take names for its own
         remaps = sorted((resolved(own, namespace, ros.name), topic) for own, topic in ros.remappings.items())
         request = b"".join(
@@ -56,7 +49,7 @@ class NodeletGroup:
                 _text(""),
             )
         )
-        before_us = 0 if len(self.used_us) == 1 else self._now_us()
+        before_us = 0 if len(self.units) == 1 else self.units.cpu_us()
 
         def work() -> None:
             try:
@@ -64,7 +57,7 @@ class NodeletGroup:
                 cause = "" if self._asked("load_nodelet", request, _LOAD_S) else _SEE
             except (SilentError, OSError) as error:
                 cause = f"can't be loaded: {error}" if str(error) else _SEE
-            tell(cause, max(0, self._now_us() - before_us))
+            tell(cause, max(0, self.units.cpu_us() - before_us))
 
         threading.Thread(target=work, daemon=True).start()
 
@@ -78,29 +71,6 @@ class NodeletGroup:
             return self._asked("unload_nodelet", _text(ros.name))
         except (SilentError, OSError):
             return False
-
-    def forget(self, unit: str) -> None:
-        """Stop counting a nodelet."""
-        self._share()
-        self.used_us.pop(unit, None)
-
-    def usage(self, unit: str) -> Usage | None:
-        """A nodelet's part of what its manager uses; zero if somebody else runs that. None if it has ended."""
-        if self.process is None:
-            return Usage(0, 0)
-        self._share()
-        memory = memory_bytes(self.process.pid)
-        return None if memory is None else Usage(self.used_us[unit], memory // len(self.used_us), self.process.pid)
-
-    def _share(self) -> None:
-        now_us = self._now_us()
-        if self.used_us:
-            part_us = max(0, now_us - self._cpu_us) // len(self.used_us)
-            self.used_us = {unit: used_us + part_us for unit, used_us in self.used_us.items()}
-        self._cpu_us = now_us
-
-    def _now_us(self) -> int:
-        return 0 if self.process is None else cpu_us(self.process.pid) or 0
 
     def _await_services(self) -> None:
         """Wait until the manager answers. Before that the master may know the services of one that has died."""

@@ -17,6 +17,7 @@ from cfgplan.ros.node_api import SilentError
 from cfgplan.ros.topic_names import word
 from cfgplan_runtime.children import messages
 from cfgplan_runtime.children.control import ControlConnection
+from cfgplan_runtime.children.exit_status import clause_of
 from cfgplan_runtime.nodes.node_process import NodeProcess
 from cfgplan_runtime.nodes.relay_messages import Lead
 from cfgplan_runtime.nodes.relayed_wires import RelayedWires
@@ -211,7 +212,7 @@ class Ros1Backend:
         if node is None:
             return None
         if node.group is not None:
-            return node.group.usage(unit)
+            return node.group.units.usage(unit)
         if node.process is None:
             return Usage(0, 0)
         cpu, memory = cpu_us(node.process.pid), memory_bytes(node.process.pid)
@@ -260,7 +261,7 @@ class Ros1Backend:
     def _post(self, node: str, call: Callable[[_UnitNode], None]) -> None:
         def do() -> None:
             """Call it for the node; for a nodelet manager, for each of its nodelets that is loaded."""
-            units = self._groups[node].used_us if node in self._groups else (self._units.get(node, ""),)
+            units = self._groups[node].units if node in self._groups else (self._units.get(node, ""),)
             for known in [self._nodes[unit] for unit in units if unit in self._nodes]:
                 if known.group is None or known.is_loaded:
                     call(known)
@@ -332,7 +333,7 @@ class Ros1Backend:
         if node.watch is not None:
             node.watch.end()
         if node.group is not None:
-            node.group.forget(node.unit)
+            node.group.units.remove(node.unit)
         if node.process is not None and node.address is not None:
             self._to_master.submit(forget_node, self.master.address, node.ros.name, node.address)
         self._wires.close_inlets(node.unit)
@@ -362,7 +363,7 @@ class Ros1Backend:
             process = NodeProcess(command, self.master.environment, self._folder)
         group = self._groups[full] = NodeletGroup(full, self.master.address, process)
         if process is not None:
-            self._processes.attend(process, lambda: self._lose_group(group), lambda: next(reversed(group.used_us), ""))
+            self._processes.attend(process, lambda: self._lose_group(group), lambda: group.units.last)
         group.watch = NodeWatch(self, self.master.address, full, process.has if process else lambda _: True, (), ())
         return group
 
@@ -416,13 +417,13 @@ class Ros1Backend:
             group.watch.end()
         end = "is given up"
         if group.process is not None:
-            end = self._processes.last_words(group.process, next(reversed(group.used_us), ""))
+            end = self._processes.last_words(group.process, group.units.last)
             if group.address is not None:
                 self._to_master.submit(forget_node, self.master.address, group.name, group.address)
-        for node in [self._nodes[unit] for unit in list(group.used_us) if unit in self._nodes]:
+        for node in [self._nodes[unit] for unit in list(group.units) if unit in self._nodes]:
             if group.process is None:
                 group.unloads(node.ros)
-            self._bury(node, f"was in the nodelet manager {group.name}, which {end}")
+            self._bury(node, f"was in the nodelet manager {group.name}, which {clause_of(end)}")
 
     def _watch_master(self) -> None:
         if self.master.ended is not None:

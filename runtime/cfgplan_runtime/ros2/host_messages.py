@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import msgspec
 
@@ -25,7 +25,7 @@ class Attend(msgspec.Struct, tag=True):
     """Tell when the ports of a unit's node are there. At most `queue` messages wait at each input.
 
     With `waits` it is a cold spare of a lifecycle node, which is only configured. With `asks` the node is asked each
-    second whether it still answers.
+    second whether it still answers. With `is_watched` it is told when the node has left the graph.
     """
 
     unit: str
@@ -36,6 +36,40 @@ class Attend(msgspec.Struct, tag=True):
     is_foreign: bool = False
     asks: bool = False
     waits: bool = False
+    is_watched: bool = False
+
+
+class Load(msgspec.Struct, tag=True):
+    """Load a unit's component into a container, once that answers; nothing is loaded that is there already."""
+
+    unit: str
+    container: str
+    package: str
+    plugin: str
+    node: str
+    namespace: str
+    remaps: list[str]
+    parameters: dict[str, Any]
+
+
+class Unload(msgspec.Struct, tag=True):
+    """Unload a unit's component, by the number that the container gave it."""
+
+    unit: str
+    container: str
+    number: int
+
+
+class LookForContainer(msgspec.Struct, tag=True):
+    """Tell whether somebody else runs a container of this name."""
+
+    container: str
+
+
+class EndContainer(msgspec.Struct, tag=True):
+    """A container has ended: forget it, and what was under way there."""
+
+    container: str
 
 
 class Begin(msgspec.Struct, tag=True):
@@ -64,14 +98,35 @@ class Configured(msgspec.Struct, tag=True):
 
 
 class Failed(msgspec.Struct, tag=True):
-    """A lifecycle node does not let itself be configured or activated."""
+    """A lifecycle node can't be configured or activated, or a component can't be loaded."""
 
     unit: str
     cause: str
 
 
+class ContainerFound(msgspec.Struct, tag=True):
+    """Whether somebody else runs a container of this name."""
+
+    container: str
+    is_there: bool
+
+
+class Loaded(msgspec.Struct, tag=True):
+    """A unit's component is loaded, under this number of its container."""
+
+    unit: str
+    number: int
+
+
+class Unloaded(msgspec.Struct, tag=True):
+    """A unit's component was unloaded, or the container failed to."""
+
+    unit: str
+    is_done: bool
+
+
 class Gone(msgspec.Struct, tag=True):
-    """A node that somebody else runs is not there, or not any more."""
+    """A node that is watched, or that somebody else runs, is not there, or not any more."""
 
     unit: str
 
@@ -90,5 +145,18 @@ class Told(msgspec.Struct, tag=True):
 
 
 FromHost: TypeAlias = (
-    Listening | Attended | Configured | Failed | Gone | Answered | Told | Switched | Lost | Passed | Refused
+    Listening
+    | Attended
+    | Configured
+    | Failed
+    | ContainerFound
+    | Loaded
+    | Unloaded
+    | Gone
+    | Answered
+    | Told
+    | Switched
+    | Lost
+    | Passed
+    | Refused
 )

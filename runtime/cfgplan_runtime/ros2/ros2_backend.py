@@ -16,6 +16,7 @@ from cfgplan_runtime.nodes.relay_messages import Lead
 from cfgplan_runtime.nodes.relayed_wires import RelayedWires
 from cfgplan_runtime.nodes.watched_processes import WatchedProcesses
 from cfgplan_runtime.processes.child_process import cpu_us, memory_bytes
+from cfgplan_runtime.ros2.containers import Containers
 from cfgplan_runtime.ros2.fast_dds import FastDdsProfiles, clean_memory
 from cfgplan_runtime.ros2.host_link import HostLink
 from cfgplan_runtime.ros2.host_messages import (
@@ -24,10 +25,13 @@ from cfgplan_runtime.ros2.host_messages import (
     Attended,
     Begin,
     Configured,
+    ContainerFound,
     Failed,
     FromHost,
     Gone,
+    Loaded,
     Told,
+    Unloaded,
 )
 from cfgplan_runtime.ros2.ros2_unit import Ros2Unit, message_of, node_source
 from cfgplan_runtime.ros2.ros_python import RosPython, ros_python
@@ -45,7 +49,7 @@ _WARM_S = 3.0
 
 @dataclass(slots=True, eq=False)
 class _UnitNode:
-    """A unit's node: a process, or somebody else's."""
+    """A unit's node: a process, a component in a container, or somebody else's."""
 
     unit: str
     ros: Ros2Unit
@@ -88,6 +92,7 @@ class Ros2Backend:
         self._unnumbered: set[str] = set()
         """Transformations whose nodes fail to start with a participant number of their own."""
         self._wires = RelayedWires(self._ends, self._events, self._start_host, self._attend_all, self._hear)
+        self._containers = Containers(self._wires.tell, self._start_container, self._processes, self._lose)
         self._sign_due_s = self.now()
         self._wires.start()
 
@@ -118,7 +123,7 @@ class Ros2Backend:
             self._sign_due_s = self.now() + _ALIVE_S
             self._keep_warm()
             for node in self._nodes.values():
-                if node.is_ready and not node.has_answered and _is_going(node.process):
+                if node.is_ready and not node.has_answered and _is_going(self._process_of(node.unit)):
                     self._events.append(self._status(node))
         happened = list(self._events)
         self._events.clear()
@@ -160,7 +165,7 @@ class Ros2Backend:
         try:
             source = node_source(transformation)
             ros = Ros2Unit(self._free_name(spare), source, transformation)
-            if source.kind == "external":
+            if source.kind in ("external", "component"):
                 return
             if transformation.run.lifecycle:
                 self._begin(_UnitNode(spare, ros, is_spare=True), None)
@@ -183,11 +188,16 @@ class Ros2Backend:
         node = self._nodes.get(unit)
         if node is not None and not node.is_stopping:
             node.is_stopping = True
-            self._end(node, NodeProcess.interrupt)
+            if unit in self._containers:
+                self._containers.stop(unit)
+            else:
+                self._end(node, NodeProcess.interrupt)
 
     def kill(self, unit: str, *, dump: bool = False) -> None:
         node = self._nodes.get(unit)
-        if node is not None and not dump:
+        if node is not None and not dump and unit in self._containers:
+            self._containers.kill(unit)
+        elif node is not None and not dump:
             self._end(node, NodeProcess.kill)
 
     def connect(self, wire: int, stream: Stream, inlet: Inlet, *, queue: int, blocks: bool) -> None:  # noqa: ARG002
@@ -223,6 +233,8 @@ class Ros2Backend:
 
     def usage(self, unit: str) -> Usage | None:
         """What a node has used; zero if somebody else runs it."""
+        if unit in self._containers:
+            return self._containers.usage(unit)
         node, warm = self._nodes.get(unit), self._warm.get(unit)
         process = warm.process if warm is not None else None if node is None else node.process
         if process is None:
@@ -231,12 +243,13 @@ class Ros2Backend:
         return None if cpu is None or memory is None else Usage(cpu, memory, process.pid)
 
     def pid(self, unit: str) -> int | None:
-        node = self._nodes.get(unit)
-        return None if node is None or node.process is None else node.process.pid
+        process = self._process_of(unit)
+        return None if process is None else process.pid
 
     def close(self) -> None:
         for spare in list(self._warm):
             self._end_warm(spare)
+        self._containers.close()
         for node in list(self._nodes.values()):
             if node.process is not None:
                 self._processes.last_words(node.process, node.unit)
@@ -258,12 +271,23 @@ class Ros2Backend:
         for node in self._nodes.values():
             node.has_answered = node.is_configured = False
             self._attend(node)
+            if node.unit in self._containers:
+                self._containers.tell_again(node.unit)
 
     def _attend(self, node: _UnitNode) -> None:
         ros, run = node.ros, node.ros.transformation.run
-        is_asked = run.hang_us is not None and not node.is_spare
         self._wires.tell(
-            Attend(node.unit, ros.name, ros.heard, ros.published, run.queue, ros.is_foreign, is_asked, node.is_spare)
+            Attend(
+                node.unit,
+                ros.name,
+                ros.heard,
+                ros.published,
+                run.queue,
+                is_foreign=ros.is_foreign,
+                asks=run.hang_us is not None and not node.is_spare,
+                waits=node.is_spare,
+                is_watched=ros.source.kind == "component",
+            )
         )
 
     def _hear(self, message: object) -> None:
@@ -274,6 +298,14 @@ class Ros2Backend:
                 self._nodes[unit].is_configured = True
                 usage = self.usage(unit)
                 self._events.append(events.SparePrepared(unit, 0 if usage is None else usage.cpu_us))
+            case ContainerFound(name, is_there):
+                self._containers.note_found(name, is_there=is_there)
+            case Loaded(unit, number):
+                self._containers.note_loaded(unit, number)
+            case Unloaded(unit, is_done):
+                self._containers.note_unloaded(unit, is_done=is_done)
+            case Failed(unit, cause) if unit in self._containers:
+                self._bury(self._nodes[unit], cause)
             case Failed(unit, cause) if unit in self._nodes:
                 self._events.append(events.UnitPrinted(unit, f"cfgplan: {cause}"))
                 self.kill(unit)
@@ -305,6 +337,13 @@ class Ros2Backend:
 
     # Nodes.
 
+    def _process_of(self, unit: str) -> NodeProcess | None:
+        """The process that a unit is, or is in; None if somebody else runs it."""
+        if unit in self._containers:
+            return self._containers.process(unit)
+        node = self._nodes.get(unit)
+        return None if node is None else node.process
+
     def _free_name(self, unit: str) -> str:
         """A name for a unit's node that no other node of this run has."""
         taken = {node.ros.name for node in self._nodes.values()}
@@ -318,7 +357,9 @@ class Ros2Backend:
         self._nodes[node.unit] = node
         try:
             self._attend(node)
-            if not ros.is_foreign:
+            if ros.source.kind == "component":
+                self._containers.add(node.unit, ros)
+            elif not ros.is_foreign:
                 self._messages |= {port.message for port in (*ros.heard, *ros.published) if port.message}
                 command = ros.command(self._folder, self.run_folder.path / f"{word(node.unit)}.yaml")
                 node.process = self._process(node, command, spare)
@@ -342,10 +383,21 @@ class Ros2Backend:
             if spare:
                 self._events.append(events.SpareUsed(node.unit, spare))
             return warm.become(command, {})
-        profile = self._profiles.environment(word(node.unit), has_number=label not in self._unnumbered)
-        process = NodeProcess(command, {**self._python.environment, **profile}, self._folder)
+        process = self._new_process(word(node.unit), command, has_number=label not in self._unnumbered)
         self._watch(process)
         return process
+
+    def _new_process(self, name: str, command: list[str], *, has_number: bool = True) -> NodeProcess:
+        profile = self._profiles.environment(name, has_number=has_number)
+        return NodeProcess(command, {**self._python.environment, **profile}, self._folder)
+
+    def _start_container(self, name: str, command: list[str]) -> NodeProcess:
+        return self._new_process(word(name), command)
+
+    def _lose(self, unit: str, cause: str) -> None:
+        """Forget a unit whose component is gone."""
+        clean_memory()
+        self._bury(self._nodes[unit], cause)
 
     def _begin_spare(self, unit: str, node: _UnitNode) -> None:
         """Let a spare that is configured be a unit. It keeps its name and its topics."""
@@ -415,6 +467,8 @@ class Ros2Backend:
         """Forget a node that is gone, or given up."""
         del self._nodes[node.unit]
         self._wires.close_inlets(node.unit)
+        if node.unit in self._containers:
+            self._containers.remove(node.unit)
         if node.is_spare:
             self._events.append(events.SpareLost(node.unit, cause))
         elif node.is_stopping:

@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -20,6 +21,7 @@ from cfgplan_runtime.nodes.unit_checks import check_names, node_file
 from cfgplan_runtime.ros2.host_messages import PortTopic
 
 _PLAIN = (bool, int, float, str)
+_CONTAINER_NAME = re.compile(r"/?[A-Za-z]\w*(/[A-Za-z]\w*)*", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,11 @@ class Ros2Unit:
         led = {_own_name(port): self.listens_at(port.name) for port in transformation.inputs}
         return {**led, **{_own_name(port): self.publishes_at(port.name) for port in transformation.outputs}}
 
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Its parameters by the names that the node's code has for them."""
+        return {name.removeprefix("~").lstrip("/"): value for name, value in self.transformation.params.items()}
+
     def command(self, folder: Path, parameters: Path) -> list[str]:
         """The command that starts the node; files are relative to `folder`. Raises InputError if it can't be found.
 
@@ -79,8 +86,8 @@ class Ros2Unit:
         namespace, _, name = self.name.rpartition("/")
         names = {"__node": name, "__ns": namespace or "/", **self.remappings}
         said = [part for own, other in names.items() for part in ("-r", f"{own}:={other}")]
-        if self.transformation.params:
-            parameters.write_text(parameters_text(self.transformation.params))
+        if self.parameters:
+            parameters.write_text(parameters_text(self.parameters))
             said += ["--params-file", str(parameters)]
         return ["--ros-args", *said]
 
@@ -105,9 +112,11 @@ def node_source(transformation: Transformation) -> NodeSource:
     """The ROS 2 node that units of a transformation are. Raises InputError for one that can't be."""
     label = transformation.label
     source = NodeSource.read(transformation.source)
-    if source is None or source.kind in ("nodelet", "component"):
-        mend = "write node:PACKAGE/EXECUTABLE, node:./FILE or external:/NAME"
+    if source is None or source.kind == "nodelet":
+        mend = "write node:PACKAGE/EXECUTABLE, node:./FILE, component:PACKAGE/PLUGIN or external:/NAME"
         raise InputError.of(f"{label}: `{transformation.source}` is no node of ROS 2 that a run can start", mend=mend)
+    if source.kind == "component":
+        _check_component(label, source)
     if source.kind != "external":
         check_names(transformation, _own_name)
         for name, value in transformation.params.items():
@@ -116,6 +125,16 @@ def node_source(transformation: Transformation) -> NodeSource:
     for port in ports:
         message_of(port)
     return source
+
+
+def _check_component(label: str, source: NodeSource) -> None:
+    """Raises InputError for what no container can load."""
+    if source.arguments:
+        what = f"{label}: a component takes no arguments, and `{source}` has some"
+        raise InputError.of(what, mend="write them as `params`")
+    if source.group and not _CONTAINER_NAME.fullmatch(source.group):
+        what = f"{label}: `{source.group}` can't be the name of a container"
+        raise InputError.of(what, mend="use letters, digits and underscores, between slashes for a namespace")
 
 
 def executable(package: str, name: str) -> Path:
@@ -136,8 +155,7 @@ def executable(package: str, name: str) -> Path:
 
 def parameters_text(params: Mapping[str, object]) -> str:
     """A file of parameters for any node that reads it. Texts are quoted: rcl takes `1e3` for a number."""
-    plain = {name.removeprefix("~").lstrip("/"): value for name, value in params.items()}
-    return yaml.dump({"/**": {"ros__parameters": plain}}, Dumper=_Dumper, allow_unicode=True, sort_keys=True)
+    return yaml.dump({"/**": {"ros__parameters": dict(params)}}, Dumper=_Dumper, allow_unicode=True, sort_keys=True)
 
 
 class _Dumper(yaml.SafeDumper):

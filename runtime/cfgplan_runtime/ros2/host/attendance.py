@@ -41,6 +41,7 @@ class AttendedNode:
     publications: list[Publication] = field(default_factory=list)
     gids: set[tuple[int, ...]] = field(default_factory=set)
     waits: bool = False
+    is_watched: bool = False
     life: Lifecycle | None = None
     seen_s: float | None = None
     """When there was a first sign of it."""
@@ -70,7 +71,7 @@ class Attendance:
     def _attend(self, order: dict[str, Any]) -> None:
         inputs, outputs = order["inputs"], order["outputs"]
         node = AttendedNode(order["unit"], order["node"], inputs, outputs, order["is_foreign"], time.monotonic())
-        node.waits = order["waits"]
+        node.waits, node.is_watched = order["waits"], order["is_watched"] or order["is_foreign"]
         self._nodes[node.unit] = node
         if not node.is_foreign:
             for port in (one for one in outputs if _is_topic(one)):
@@ -241,7 +242,7 @@ class Attendance:
         for node in list(self._nodes.values()):
             if not node.is_foreign and len(node.gids) < len(node.inputs) + len(node.outputs):
                 self._missing(node)
-            if node.is_foreign and node.is_ready:
+            if node.is_watched and node.is_ready:
                 node.missed = 0 if self._namesakes(node.name) else node.missed + 1
                 if node.missed == _MOST_MISSED:
                     self._host.say("Gone", unit=node.unit)

@@ -23,6 +23,7 @@ def main(number: str, parent: str, node: str) -> None:
     """Serve the process at the other end of the socket until it closes that or ends."""
     adopt_packages()
     from cfgplan_runtime.ros2.host.attendance import Attendance
+    from cfgplan_runtime.ros2.host.components import Components
     from cfgplan_runtime.ros2.host.graph import GraphLook
     from cfgplan_runtime.ros2.host.host import Host, die_with_parent
     from cfgplan_runtime.ros2.host.relays import Relays
@@ -30,6 +31,7 @@ def main(number: str, parent: str, node: str) -> None:
     die_with_parent(int(parent))
     host = Host(socket.socket(fileno=int(number)), node)
     Attendance(host, Relays(host))
+    Components(host)
     GraphLook(host)
     host.run()
     host.close()
