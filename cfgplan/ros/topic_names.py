@@ -18,6 +18,7 @@ from cfgplan.domain import ComputationUnit, Environment, Stream
 from cfgplan.errors import Fault, InputError
 from cfgplan.ros.graph import resolved
 from cfgplan.ros.sources import NodeSource
+from cfgplan.ros.types import MessageType
 from cfgplan.transformations import InputPort, OutputPort, Transformation
 
 
@@ -27,6 +28,19 @@ class PortEnd(NamedTuple):
     unit: str
     port: str
     gives: bool
+
+
+ACTION_PARTS = tuple(f"/_action/{part}" for part in ("send_goal", "cancel_goal", "get_result", "feedback", "status"))
+"""What stands behind an action's name in those of its services and topics."""
+
+
+def remapped(own: str, name: str, kind: str | None) -> Mapping[str, str]:
+    """The remappings by which a port's `own` name becomes another one. `kind` is its type, if the file says it.
+
+    An action has those of its services and topics too: before Kilted, rcl knows no remapping of actions.
+    """
+    is_action = kind is not None and MessageType.read(kind).kind == "action"
+    return {f"{own}{part}": f"{name}{part}" for part in ("", *(ACTION_PARTS if is_action else ()))}
 
 
 class LaunchRelay(NamedTuple):
@@ -84,9 +98,10 @@ class TopicNames:
         found: dict[str, str] = {}
         for end in node.ends:
             own = re.sub("^~/?", "~/", node.own_name(end))
-            if found.setdefault(own, self.name[end]) != self.name[end]:
+            if found.get(own, self.name[end]) != self.name[end]:
                 what = f"{node.unit.id}: two ports are {own!r} to the node, which can't be led to two topics"
                 raise InputError.of(what, mend="leave one of them out of the file")
+            found |= remapped(own, self.name[end], node.port(end).type)
         return sorted(found.items())
 
     @cached_property

@@ -211,6 +211,7 @@ def test_two_units_of_one_name_are_told() -> None:
 def configurations(draw: st.DrawFn) -> Environment:
     """Some units with ports of names that nobody else has; inputs take any outputs, which are on any topics."""
     ports = (f"p{number}" for number in range(1000))
+    types = st.sampled_from([None, "std_msgs/String", "a/action/B"])
     kinds = st.sampled_from(["node:a/b", "component:a/b::C", "external:/x{}", "external:/far/x{}"])
     library = []
     for number in range(draw(st.integers(1, 5))):
@@ -218,8 +219,8 @@ def configurations(draw: st.DrawFn) -> Environment:
         library.append(
             Transformation(
                 f"t{number}",
-                tuple(InputPort(next(ports), "T", count=ALL) for _ in range(takes)),
-                tuple(OutputPort(next(ports), "T", remap=f"~q{next(ports)}") for _ in range(gives)),
+                tuple(InputPort(next(ports), "T", count=ALL, type=draw(types)) for _ in range(takes)),
+                tuple(OutputPort(next(ports), "T", remap=f"~q{next(ports)}", type=draw(types)) for _ in range(gives)),
                 source=draw(kinds).format(number),
             )
         )

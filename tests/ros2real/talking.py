@@ -6,9 +6,12 @@ from __future__ import annotations
 import sys
 import time
 from contextlib import suppress
+from typing import Any
 
 import rclpy
 from geometry_msgs.msg import PointStamped
+from rclpy.action import ActionClient, ActionServer, CancelResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.lifecycle import LifecycleNode, State, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -144,6 +147,86 @@ class Asker(Node):
             call.add_done_callback(lambda call: self.answers.publish(String(data=call.result().message)))
 
 
+class Counter(Node):
+    """Counts to what it is asked for, a step each 20 ms, and begins at `first`; without end if that is 0."""
+
+    def __init__(self) -> None:
+        super().__init__("counter")
+        from test_msgs.action import Fibonacci
+
+        self.kind = Fibonacci
+        self.first = self.declare_parameter("first", 0).value
+        self.server = ActionServer(
+            self,
+            Fibonacci,
+            "~/count",
+            self.count,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+            callback_group=ReentrantCallbackGroup(),
+        )
+
+    async def count(self, goal: Any) -> Any:
+        feedback, number = self.kind.Feedback(), 0
+        while (number := number + 1) and (number <= goal.request.order or not goal.request.order):
+            if goal.is_cancel_requested:
+                goal.canceled()
+                return self.kind.Result(sequence=feedback.sequence)
+            feedback.sequence = [self.first, number]
+            goal.publish_feedback(feedback)
+            await self.tick()
+        goal.succeed()
+        return self.kind.Result(sequence=feedback.sequence)
+
+    async def tick(self) -> None:
+        passed: Any = rclpy.Future()
+        timer = self.create_timer(0.02, lambda: passed.set_result(None))
+        await passed
+        self.destroy_timer(timer)
+
+
+class Client(Node):
+    """Has one count after the other done, and says what it hears: `goal`, `feedback`, and `result` with the status.
+
+    It asks for `order` steps, and cancels after `patience` feedbacks if that is set.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("client")
+        from test_msgs.action import Fibonacci
+
+        self.kind = Fibonacci
+        self.order = self.declare_parameter("order", 5).value
+        self.patience = self.declare_parameter("patience", 0).value
+        self.heard = self.create_publisher(String, "heard", DEEP)
+        self.action = ActionClient(self, Fibonacci, "count")
+        self.starting = self.create_timer(0.02, self.begin)
+        self.feedbacks, self.goal = 0, None
+
+    def begin(self) -> None:
+        if self.action.server_is_ready():
+            self.starting.cancel()
+            self.feedbacks = 0
+            sent = self.action.send_goal_async(self.kind.Goal(order=self.order), feedback_callback=self.note)
+            sent.add_done_callback(self.follow)
+
+    def note(self, message: Any) -> None:
+        first, number = message.feedback.sequence
+        self.feedbacks += 1
+        self.heard.publish(String(data=f"feedback {first} {number}"))
+        if self.feedbacks == self.patience and self.goal is not None:
+            self.goal.cancel_goal_async()
+
+    def follow(self, sent: Any) -> None:
+        self.goal = sent.result()
+        self.heard.publish(String(data=f"goal {self.goal.accepted}"))
+        self.goal.get_result_async().add_done_callback(self.end)
+
+    def end(self, got: Any) -> None:
+        ended = got.result()
+        self.heard.publish(String(data=f"result {ended.status} {' '.join(map(str, ended.result.sequence))}".strip()))
+        self.starting.reset()
+
+
 class Mute(Node):
     def __init__(self) -> None:
         sys.exit("has no voice")
@@ -151,7 +234,7 @@ class Mute(Node):
 
 def main() -> None:
     rclpy.init()
-    kinds = (Talker, Whisperer, Shouter, Eager, Clock, Mapper, Worker, Oracle, Asker, Mute)
+    kinds = (Talker, Whisperer, Shouter, Eager, Clock, Mapper, Worker, Oracle, Asker, Counter, Client, Mute)
     node = {each.__name__.lower(): each for each in kinds}[sys.argv[1]]()
     with suppress(KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
         rclpy.spin(node)

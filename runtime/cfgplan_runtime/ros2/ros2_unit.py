@@ -14,7 +14,7 @@ import yaml
 from cfgplan.errors import InputError
 from cfgplan.ros.graph import resolved
 from cfgplan.ros.sources import NodeSource
-from cfgplan.ros.topic_names import word
+from cfgplan.ros.topic_names import remapped, word
 from cfgplan.ros.types import MessageType
 from cfgplan.transformations import InputPort, OutputPort, Transformation
 from cfgplan_runtime.nodes.unit_checks import check_names, node_file
@@ -60,9 +60,12 @@ class Ros2Unit:
     @property
     def remappings(self) -> Mapping[str, str]:
         """Each port's topic by the name that the node's code has for it."""
-        transformation = self.transformation
-        led = {_own_name(port): self.listens_at(port.name) for port in transformation.inputs}
-        return {**led, **{_own_name(port): self.publishes_at(port.name) for port in transformation.outputs}}
+        found: dict[str, str] = {}
+        for taken in self.transformation.inputs:
+            found |= remapped(_own_name(taken), self.listens_at(taken.name), taken.type)
+        for given in self.transformation.outputs:
+            found |= remapped(_own_name(given), self.publishes_at(given.name), given.type)
+        return found
 
     @property
     def parameters(self) -> dict[str, Any]:

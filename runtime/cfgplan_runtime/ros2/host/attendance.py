@@ -6,6 +6,7 @@ import time
 from dataclasses import dataclass, field
 from typing import Any
 
+from cfgplan_runtime.ros2.host.actions import SEND_GOAL
 from cfgplan_runtime.ros2.host.endpoints import Publication, Source, UnknownTypeError, message_class
 from cfgplan_runtime.ros2.host.host import Host
 from cfgplan_runtime.ros2.host.lifecycle import ACTIVE, INACTIVE, Lifecycle
@@ -186,7 +187,7 @@ class Attendance:
                 continue
             if services is None:
                 services = self._services()
-            if topic not in services:
+            if services.isdisjoint((topic, topic + SEND_GOAL)):
                 found.append(topic)
         matches = {publication.topic: publication.matches() for publication in node.publications}
         for port in node.inputs:

@@ -8,7 +8,8 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from cfgplan_runtime.ros2.host.endpoints import Publication, Sample, Source, UnknownTypeError
+from cfgplan_runtime.ros2.host.actions import GOAL_TYPE, SEND_GOAL, LedAction
+from cfgplan_runtime.ros2.host.endpoints import Publication, Sample, Source, UnknownTypeError, message_class
 from cfgplan_runtime.ros2.host.host import NAMELESS, Host
 from cfgplan_runtime.ros2.host.qos import Quality, mended
 from cfgplan_runtime.ros2.host.services import LedService
@@ -89,8 +90,8 @@ class Relays:
         self._inlets: dict[str, LedInlet] = {}
         self._publications: dict[str, Publication] = {}
         self._meters: dict[str, Meter] = {}
-        self._services: dict[str, LedService] = {}
-        """By the name that callers know."""
+        self._services: dict[str, LedService | LedAction] = {}
+        """Services and actions by the name that callers know."""
         self._service_of: dict[int, dict[str, Any]] = {}
         """The orders of wires that lead services."""
         self._waiting_services: dict[int, dict[str, Any]] = {}
@@ -154,19 +155,26 @@ class Relays:
     # What the run asks.
 
     def _lead_service(self, order: dict[str, Any]) -> None:
-        """Have calls of a service answered by another one, once its type is known."""
+        """Have calls of a service, or goals of an action, answered by another one, once its type is known."""
         found = dict(self._host.node.get_service_names_and_types())
-        kind = next(iter(found.get(order["source"], ())), None)
-        if kind is None:
+        source, target = order["source"], order["target"]
+        kind = next(iter(found.get(source, ())), None)
+        goal = next(iter(found.get(source + SEND_GOAL, ())), None)
+        if kind is None and goal is None:
             self._waiting_services[order["wire"]] = order
             return
         try:
-            led = self._services.get(order["target"]) or LedService(self._host, order["target"], kind)
+            led = self._services.get(target)
+            if led is None and kind is not None:
+                led = LedService(self._host, target, message_class(kind))
+            elif led is None and goal is not None:
+                led = LedAction(self._host, target, message_class(goal.removesuffix(GOAL_TYPE)))
         except UnknownTypeError as error:
             self._refuse(order["target"], str(error))
             return
-        self._services[order["target"]] = led
-        led.lead(order["source"])
+        assert led is not None
+        self._services[target] = led
+        led.lead(source)
         self._service_of[order["wire"]] = order
         self._host.say("Switched", port=order["inlet"], wire=order["wire"])
 

@@ -2,21 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
-from cfgplan_runtime.ros2.host.endpoints import message_class
 from cfgplan_runtime.ros2.host.host import Host
+
+_READY_S = 0.02
+"""Seconds from one look to the next whether a server can be reached, as long as calls wait for it."""
 
 
 class LedService:
-    """A service that callers know as `target`, and that `source` answers. Raises UnknownTypeError."""
+    """A service of class `kind` that callers know as `target`, and that `source` answers.
 
-    def __init__(self, host: Host, target: str, kind: str) -> None:
-        self._host, self._cls = host, message_class(kind)
+    `route` says which service answers a request, where it is not the present source; `answered` is called with the
+    service, the request and the response of each call.
+    """
+
+    def __init__(
+        self,
+        host: Host,
+        target: str,
+        kind: Any,
+        route: Callable[[Any], str | None] = lambda _: None,
+        answered: Callable[[str, Any, Any], None] = lambda *_: None,
+    ) -> None:
+        self._host, self._cls, self._route, self._answered = host, kind, route, answered
         self._clients: dict[str, Any] = {}
-        self._calls: dict[tuple[str, int], Any] = {}
+        self._calls: dict[tuple[str, int], tuple[Any, Any]] = {}
+        """The header and the request of each call that is under way."""
+        self._waiting: list[tuple[str, Any, Any]] = []
+        """Calls whose server is not connected yet: by service, header and request."""
         self.source = ""
-        self._server = host.node.create_service(self._cls, target, lambda _, response: response)
+        self._server = host.node.create_service(kind, target, lambda _, response: response)
         host.waiting.watch("service", self._server.handle, self._hear_call)
 
     def lead(self, source: str) -> None:
@@ -24,7 +42,17 @@ class LedService:
         self.source = source
         if source not in self._clients:
             client = self._clients[source] = self._host.node.create_client(self._cls, source)
-            self._host.waiting.watch("client", client.handle, lambda: self._hear_answer(source))
+            self._host.waiting.watch("client", client.handle, partial(self._hear_answer, source))
+
+    def is_ready(self, source: str) -> bool:
+        """Whether a service that it has been led to can be called."""
+        return bool(self._clients[source].service_is_ready())
+
+    def answer_all(self, source: str, response: Any) -> None:
+        """Answer all calls that a service has not answered."""
+        for key in [key for key in self._calls if key[0] == source]:
+            header, _ = self._calls.pop(key)
+            self._server.handle.service_send_response(response, header.request_id)
 
     def close(self) -> None:
         self._host.waiting.unwatch("service", self._server.handle)
@@ -32,12 +60,26 @@ class LedService:
         for client in self._clients.values():
             self._host.waiting.unwatch("client", client.handle)
             self._host.node.destroy_client(client)
+        self._clients.clear()
+        self._waiting.clear()
 
     def _hear_call(self) -> None:
         request, header = self._server.handle.service_take_request(self._cls.Request)
         if request is not None:
-            number = self._clients[self.source].handle.send_request(request)
-            self._calls[self.source, number] = header
+            self._waiting.append((self._route(request) or self.source, header, request))
+            self._send()
+
+    def _send(self) -> None:
+        """Pass on what can be: a request to a server that is not connected yet would be lost."""
+        waiting, self._waiting = self._waiting, []
+        for source, header, request in waiting:
+            if self.is_ready(source):
+                number = self._clients[source].handle.send_request(request)
+                self._calls[source, number] = header, request
+            else:
+                self._waiting.append((source, header, request))
+        if self._waiting:
+            self._host.waiting.later(_READY_S, self._send)
 
     def _hear_answer(self, source: str) -> None:
         header, response = self._clients[source].handle.take_response(self._cls.Response)
@@ -45,4 +87,5 @@ class LedService:
             return
         call = self._calls.pop((source, header.request_id.sequence_number), None)
         if call is not None:
-            self._server.handle.service_send_response(response, call.request_id)
+            self._answered(source, call[1], response)
+            self._server.handle.service_send_response(response, call[0].request_id)
