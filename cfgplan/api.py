@@ -34,6 +34,7 @@ from cfgplan.matching import (
     read_owlready,
 )
 from cfgplan.matching import match as match_tags
+from cfgplan.observers import Circle, circles
 from cfgplan.planners import PLANNERS, planner_of
 from cfgplan.planners.undecided import Deciding
 from cfgplan.planning import Decider, Failures, Plan, Planner, PlannerFaultError, Problem, Progress
@@ -284,8 +285,10 @@ def problem(
 ) -> Problem:
     """The planning problem of a matched world; what is given here wins over the file (0: survive no failure).
 
-    The library has no transformation that facts leave out.
+    The library has no transformation that facts leave out. Raises InputError where a transformation requires a fact
+    that it helps to observe.
     """
+    refuse_circles(world, similarity)
     return Problem(
         world.environment.possible,
         similarity,
@@ -293,6 +296,23 @@ def problem(
         world.max_cost_us if max_cost_us is None else max_cost_us,
         world.survive if survive is None else (survive or None),
     )
+
+
+def refuse_circles(world: World, similarity: Similarity) -> None:
+    """Raise InputError if a transformation requires a fact that it observes, or whose observer it feeds."""
+    found = circles(world.environment, similarity)
+    if faults := [_fault_of_circle(circle, world.file) for circle in found]:
+        raise InputError(faults)
+
+
+def _fault_of_circle(circle: Circle, file: EnvironmentFile | None) -> Fault:
+    mend = f"let what observes `{circle.fact}` run whatever it is: give it a tag of its own, or remove the comparison"
+    origin = None if file is None else file.origins.get(("transformation", circle.transformation))
+    message = f"{circle}: once left out, it would never be known that it may run again"
+    if origin is None:
+        return Fault(message, mend=mend)
+    entry = origin.at("requires")
+    return entry.source.fault(entry.path, message, mend)
 
 
 @checked

@@ -18,7 +18,7 @@ from typing import Annotated, TypeVar
 from cfgplan.arguments import AtLeast, Natural, checked
 from cfgplan.canonical import fields_of, refuse_duplicates, store_resources, store_sorted
 from cfgplan.errors import InvalidValueError
-from cfgplan.facts import Fact, FactValue, requirement, why_left_out
+from cfgplan.facts import Comparison, Fact, FactValue, requirement, why_left_out
 from cfgplan.qualities import LARGEST_QUALITY, MICRO, Better, QualityAttribute, Wish
 from cfgplan.selectors import check_selector, selector
 from cfgplan.summary import Summary, counted, cpu, summarised, summary
@@ -145,6 +145,16 @@ class Target:
         if self.quality:
             store_sorted(self, "quality", self.quality, attrgetter("attribute"))
             refuse_duplicates(f"quality attribute of target {self.label!r}", [q.attribute for q in self.quality])
+
+
+LOWEST_PRIORITY = -1_000_000_000
+
+
+def observing(fact: Fact) -> Target | None:
+    """The target that wants the stream which observes a fact; None if it is not observed by a tag."""
+    if fact.by is None or fact.observed_on is None:
+        return None
+    return Target(f"fact {fact.name}", fact.by, fact.observed_on, LOWEST_PRIORITY)
 
 
 @dataclass(frozen=True)
@@ -485,6 +495,13 @@ class Environment:
         return MappingProxyType({fact.name: fact for fact in self.facts})
 
     @cached_property
+    def comparisons(self) -> Mapping[str, tuple[Comparison, ...]]:
+        """What transformations compare each fact with, by its name; facts that none requires are not there."""
+        asked = sorted({t.requires for t in self.library if t.requires is not None})
+        found = dict.fromkeys(each for requires in asked for each in requirement(requires).comparisons)
+        return MappingProxyType({name: tuple(c for c in found if c.fact == name) for name in {c.fact for c in found}})
+
+    @cached_property
     def left_out(self) -> Mapping[str, str]:
         """Why transformations may not run as the facts are, by label: `visibility is 1 m`.
 
@@ -499,9 +516,8 @@ class Environment:
         return MappingProxyType({label: reason for label, reason in why.items() if reason is not None})
 
     def with_facts(self, values: Mapping[str, FactValue]) -> Environment:
-        """The environment in which facts have other values."""
-        facts = (replace(f, declared=values[f.name]) if f.name in values else f for f in self.facts)
-        return replace(self, facts=tuple(facts))
+        """The environment in which facts have other values; those of another kind are ignored."""
+        return replace(self, facts=tuple(fact.being(values.get(fact.name)) for fact in self.facts))
 
     @property
     def possible(self) -> Environment:

@@ -1,4 +1,4 @@
-"""Facts of the world, and what transformations require of them.
+"""Facts of the world, what transformations require of them, and which streams observe them.
 
 requirement = comparisons joined by and, or, not and brackets, as in selectors
 comparison  = NAME | NAME ( >= | <= | > | < | == ) VALUE
@@ -11,14 +11,14 @@ from __future__ import annotations
 import operator
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from functools import lru_cache
 from itertools import chain
 from types import MappingProxyType
 from typing import Final, TypeAlias
 
-from cfgplan.arguments import checked
+from cfgplan.arguments import Natural, checked
 from cfgplan.errors import InvalidValueError, TagError, did_you_mean
 from cfgplan.qualities import micro_units, units
 from cfgplan.selectors import ExpressionReader
@@ -49,14 +49,57 @@ def kind_of(value: FactValue) -> str:
 @dataclass(frozen=True, slots=True)
 @checked
 class Fact:
-    """Something that is so in the world, or is not: its value while nobody has said another, and its unit."""
+    """Something that is so in the world, or is not: its value while nobody has said another, and its unit.
+
+    Streams observe it in a run: one that is tagged `by`, or the one on `topic`. Of elements that are mappings, `field`
+    holds the value; a dot leads further in. Once nothing has come for `silent_us`, the declared value counts again.
+    """
 
     name: str
     declared: FactValue
     unit: str | None = None
+    by: str | None = None
+    topic: str | None = None
+    field: str | None = None
+    silent_us: Natural | None = None
+    now: FactValue | None = None
+    """The value that is so now, if it is known to be another than the declared one."""
+
+    def __post_init__(self) -> None:
+        if misfit := misfit_of_fact({name: getattr(self, name) for name in self.__slots__}):
+            raise InvalidValueError(f"fact {self.name!r}: {misfit[1]}")
+
+    @property
+    def value(self) -> FactValue:
+        """The value that counts."""
+        return self.declared if self.now is None else self.now
+
+    def being(self, value: FactValue | None) -> Fact:
+        """The fact with a value; None, or one of another kind, changes nothing."""
+        return self if value is None or kind_of(value) != kind_of(self.declared) else replace(self, now=value)
+
+    @property
+    def observed_on(self) -> str | None:
+        """The topic whose stream observes the fact; None if none does."""
+        return self.topic if self.by is None else f"/facts/{self.name}"
 
     def __str__(self) -> str:
-        return f"{self.name} is {said(self.declared)}{f' {self.unit}' if self.unit else ''}"
+        return f"{self.name} is {said(self.value)}{f' {self.unit}' if self.unit else ''}"
+
+    def value_in(self, element: object) -> FactValue:
+        """The value that an element of the observing stream says. Raises InvalidValueError."""
+        found = element
+        for step in self.field.split(".") if self.field is not None else ():
+            if not isinstance(found, Mapping) or step not in found:
+                raise InvalidValueError(f"fact {self.name!r}: an element has no field {self.field!r}: {element!r:.60}")
+            found = found[step]
+        try:
+            value = found if isinstance(found, bool | str) else micro_units(round(Decimal(str(found)), 6))
+        except ArithmeticError:
+            raise InvalidValueError(f"fact {self.name!r} is {kind_of(self.declared)}, not {found!r:.60}") from None
+        if kind_of(value) != kind_of(self.declared):
+            raise InvalidValueError(f"fact {self.name!r} is {kind_of(self.declared)}, not {found!r:.60}")
+        return value
 
     def read(self, text: str) -> FactValue:
         """The value that a text says, of the kind of the declared one. Raises InvalidValueError."""
@@ -66,6 +109,17 @@ class Fact:
         if kind_of(value) != kind_of(self.declared):
             raise InvalidValueError(f"fact {self.name!r} is {kind_of(self.declared)}, not {text!r}")
         return value
+
+
+def misfit_of_fact(said: Mapping[str, object]) -> tuple[str, str, str] | None:
+    """Of what is said of a fact, the key that does not go with the others, why, and the mend; None if all do."""
+    by, topic = said.get("by"), said.get("topic")
+    if by is not None and topic is not None:
+        return "topic", "a fact is observed `by` a tag or on a `topic`, not by both", "remove one of the two"
+    for key, name in (("field", "field"), ("silent", "silent_us")):
+        if said.get(name) is not None and by is None and topic is None:
+            return key, f"nothing observes the fact, so it has no `{key}`", "add `by: TAG`, or remove it"
+    return None
 
 
 def _value(text: str) -> FactValue:
@@ -132,7 +186,7 @@ def check_requirement(text: str) -> None:
 
 def why_left_out(text: str, facts: Mapping[str, Fact]) -> str | None:
     """Why a requirement is not met, such as `visibility is 1 m`; None if it is. All facts that it names are there."""
-    blamed = requirement(text).blamed({name: fact.declared for name, fact in facts.items()})
+    blamed = requirement(text).blamed({name: fact.value for name, fact in facts.items()})
     if blamed is None:
         return None
     return " and ".join(str(facts[name]) for name in dict.fromkeys(blamed)) or f"{text} never holds"

@@ -14,6 +14,7 @@ from cfgplan import api
 from cfgplan.domain import Environment, Transformation
 from cfgplan.errors import InputError, InvalidValueError
 from cfgplan.facts import Fact, FactValue
+from cfgplan.formats.dump import dump_yaml, plain_environment
 from cfgplan.planning import Status
 
 SURVEY = """
@@ -151,3 +152,125 @@ def test_the_digest_knows_the_side_of_a_comparison_not_the_number(survey: Path) 
         survey.write_text(SURVEY.replace("declared: 1,", f"declared: {value},"), encoding="utf-8")
         digests[value] = api.load(survey).digest
     assert digests["1"] == digests["2"] != digests["4"]
+
+
+OBSERVED = """
+format: cfgplan/1
+facts: {visibility: {declared: 1, by: Visibility, field: sonar.range, silent: 5s}, night: {declared: false}}
+transformations:
+  - {label: sensor, inputs: {echo: Echo, map: {tag: Map, optional: true}}, outputs: {v: Visibility}}
+  - {label: sonar, outputs: {e: Echo}}
+  - {label: mapper, outputs: {m: Map}}
+  - {label: high, requires: visibility >= 3.25, outputs: {p: Path}}
+targets: [{label: path, topic: /path, tag: Path}]
+"""
+
+
+@pytest.fixture
+def observed(tmp_path: Path) -> Path:
+    path = tmp_path / "observed.yaml"
+    path.write_text(OBSERVED, encoding="utf-8")
+    return path
+
+
+def test_what_observes_a_fact_is_planned_as_a_target_of_the_lowest_priority(observed: Path) -> None:
+    world = api.what_if(api.load(observed), settings={"facts.visibility": "4"})
+    target = world.environment.target["fact visibility"]
+    assert (target.tag, target.topic) == ("Visibility", "/facts/visibility")
+    assert target.priority < min(each.priority for each in world.environment.targets if each is not target)
+    plan = api.plan(api.match(world))
+    assert plan.change_set is not None
+    assert [unit.transformation for unit in plan.change_set.started] == ["high", "sensor", "sonar"]
+
+
+def test_an_observed_fact_is_written_without_its_target(observed: Path, tmp_path: Path) -> None:
+    environment = api.load(observed).environment
+    written = plain_environment(environment, horizon_s=600)
+    assert [target["label"] for target in written["targets"]] == ["path"]
+    again = tmp_path / "again.yaml"
+    again.write_text(dump_yaml(written), encoding="utf-8")
+    assert api.load(again).environment == environment
+
+
+@pytest.mark.parametrize(
+    ("label", "message"),
+    [
+        ("sensor", "sensor requires visibility, and observes it"),
+        ("sonar", "sonar requires visibility, and feeds sensor, which observes it"),
+    ],
+)
+@pytest.mark.parametrize("by_tag", [True, False])
+def test_what_observes_a_fact_or_feeds_that_may_not_require_it(
+    observed: Path, label: str, message: str, *, by_tag: bool
+) -> None:
+    text = OBSERVED.replace(f"label: {label},", f"label: {label}, requires: night or visibility < 9,")
+    if not by_tag:
+        text = text.replace("by: Visibility", "topic: /v").replace(
+            "targets: [", "targets: [{label: v, topic: /v, tag: Visibility}, "
+        )
+    observed.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=re.escape(message)) as refused:
+        api.match(api.load(observed))
+    (fault,) = refused.value.faults
+    assert fault.line == text[: text.index("night or")].count("\n") + 1
+    assert fault.mend
+
+
+def test_what_feeds_only_an_optional_input_of_what_observes_may_require_it(observed: Path) -> None:
+    observed.write_text(OBSERVED.replace("mapper,", "mapper, requires: visibility > 2,"), encoding="utf-8")
+    assert api.plan(api.match(api.what_if(api.load(observed), without=["path"]))).change_set is not None
+
+
+@pytest.mark.parametrize(
+    ("fact", "message"),
+    [
+        ("declared: 1, by: Visibility, topic: /path", "a fact is observed `by` a tag or on a `topic`, not by both"),
+        ("declared: 1, field: range", "nothing observes the fact, so it has no `field`"),
+        ("declared: 1, silent: 5s", "nothing observes the fact, so it has no `silent`"),
+        ("declared: 1, topic: /pth", "no target has the topic `/pth`"),
+        ("declared: 1, by: Visibility and", "the tag ends where"),
+    ],
+)
+def test_what_can_not_observe_is_refused_with_its_place(observed: Path, fact: str, message: str) -> None:
+    observed.write_text(
+        OBSERVED.replace("declared: 1, by: Visibility, field: sonar.range, silent: 5s", fact), encoding="utf-8"
+    )
+    with pytest.raises(InputError) as refused:
+        api.load(observed)
+    (fault,) = refused.value.faults
+    assert message in fault.message
+    assert (fault.line, bool(fault.mend)) == (3, True)
+
+
+@pytest.mark.parametrize(
+    ("declared", "field", "element", "value"),
+    [
+        (1, None, 2.25, 2_250_000),
+        (1, "range", {"range": 1 / 3}, 333_333),
+        (1, "sonar.range", {"sonar": {"range": 4}}, 4_000_000),
+        (True, None, False, False),
+        ("survey", "mode", {"mode": "transit"}, "transit"),
+    ],
+)
+def test_an_element_says_the_value_of_a_fact(
+    declared: FactValue, field: str | None, element: object, value: FactValue
+) -> None:
+    assert Fact("f", declared, by="F", field=field).value_in(element) == value
+
+
+@pytest.mark.parametrize(
+    ("field", "element", "message"),
+    [
+        ("range", {"rng": 1}, "has no field 'range'"),
+        ("range", 3, "has no field 'range'"),
+        (None, {"range": 3}, "is a number, not {'range': 3}"),
+        (None, "deep", "is a number, not 'deep'"),
+        (None, True, "is a number, not True"),
+        (None, None, "is a number, not None"),
+        (None, float("nan"), "is not a finite number"),
+        (None, 1e300, "is a number, not 1e+300"),
+    ],
+)
+def test_an_element_that_says_no_value_is_refused(field: str | None, element: object, message: str) -> None:
+    with pytest.raises(InvalidValueError, match=re.escape(message)):
+        Fact("f", 1, by="F", field=field).value_in(element)

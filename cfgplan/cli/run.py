@@ -200,6 +200,9 @@ def _check_nodes(options: argparse.Namespace, world: World) -> None:
         raise InputError.of(f"--ros2 does not know what nodes of {ros} publish", mend=mend)
     if _fleet(options) is not None:
         raise InputError.of(f"{ros} nodes are started on this computer only", mend="leave out --local and --connect")
+    if observed := [fact.name for fact in world.environment.facts if fact.observed_on is not None]:
+        mend = f"remove its `by` or `topic`, and say what is so: `cfgplan ctl fact {observed[0]}=VALUE`"
+        raise InputError.of(f"a run of {ros} nodes observes no facts ({observed[0]})", file=options.env, mend=mend)
     if options.middleware == ROS1:
         from cfgplan_runtime.ros1.ros_unit import node_source
     else:

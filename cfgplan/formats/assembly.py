@@ -17,6 +17,7 @@ from cfgplan.domain import (
     RunOptions,
     Target,
     Transformation,
+    observing,
 )
 from cfgplan.errors import Fault, InputError, MatchingError, TagError, UnknownNameError, did_you_mean
 from cfgplan.formats import fields, templates
@@ -300,6 +301,16 @@ def _build(document: Document, vocabulary: TagVocabulary) -> EnvironmentFile:
         _check_labels(entry.at("run"), [part.run] if part.run else (), library, left_out)
         if is_new:
             targets[part.label] = Target(**{**part.values(), "quality": fleet.wishes(entry.at("quality"), part)})
+    for name, fact in fleet.facts.items():
+        entry = Passage(document.files[0].source, ("facts", name), faults)
+        if (wanted := observing(fact)) is not None:
+            tags.check(wanted.tag, entry.at("by"))
+            if names.is_new("target", wanted.label, entry, "by") & names.is_new("topic", wanted.topic, entry, "by"):
+                targets[wanted.label] = wanted
+        elif fact.topic is not None and ("topic", fact.topic) not in names.origins and not left_out.any_of("targets"):
+            entry.at("topic").note(
+                f"no target has the topic `{fact.topic}`", "write that of a target, or observe the fact `by: TAG`"
+            )
     running = {
         part.id: (entry, part)
         for entry, part in _parts(document, "units", faults)

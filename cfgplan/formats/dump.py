@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from decimal import Decimal
 from typing import Any
 
@@ -86,11 +87,15 @@ def plain_environment(
         hosts=[fields.HostPart.written(host, copies=None) for host in environment.hosts],
         links=[fields.LinkPart.written(link) for link in environment.links],
         qualities=[_attribute(attribute) for attribute in environment.qualities],
-        facts={fact.name: fields.FactPart.written(fact) for fact in environment.facts},
+        facts={fact.name: fields.FactPart.written(replace(fact, declared=fact.value)) for fact in environment.facts},
         survive=None if survive is None else survive.value,
         transformations=[_transformation(t, environment) for t in environment.library],
         units=[plain_unit(unit) for unit in environment.units],
-        targets=[_target(target, environment) for target in environment.targets],
+        targets=[
+            _target(target, environment)
+            for target in environment.targets
+            if target not in map(domain.observing, environment.facts)
+        ],
     )
 
 

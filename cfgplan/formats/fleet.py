@@ -7,9 +7,9 @@ from typing import Any
 
 from cfgplan.domain import MANAGER, Host, Link
 from cfgplan.errors import Fault, InvalidValueError, TagError, did_you_mean
-from cfgplan.facts import Fact, requirement
+from cfgplan.facts import Fact, misfit_of_fact, requirement
 from cfgplan.formats.document import Document
-from cfgplan.formats.fields import ContributionPart, HostPart, LinkPart, TargetPart, UnitPart, WishPart
+from cfgplan.formats.fields import ContributionPart, FactPart, HostPart, LinkPart, TargetPart, UnitPart, WishPart
 from cfgplan.formats.left_out import LeftOut
 from cfgplan.formats.places import Passage
 from cfgplan.planning import Failures
@@ -55,7 +55,8 @@ class FleetReader:
                 except InvalidValueError as error:
                     entry.note(str(error), "exchange worst and best")
                     left_out.add("qualities", part.name)
-        self.facts |= {name: Fact(name, **part.values()) for name, part in (header.facts or {}).items()}
+        for name, fact in (header.facts or {}).items():
+            self._note_fact(main.at("facts", name), name, fact)
         for index, link in enumerate(header.links or ()):
             ends = [main.at("links", index, "between", number) for number in range(len(link.between))]
             if sum(map(self.is_selector, ends, link.between)) == len(ends) and self._may_add(
@@ -64,6 +65,15 @@ class FleetReader:
                 between = link.between[0], link.between[1]
                 self.links += (Link(between, link.bandwidth, link.price, link.latency, link.adds),)
         self.survive = self._survived(main.at("survive"), header.survive, has_hosts=bool(header.hosts))
+
+    def _note_fact(self, entry: Passage, name: str, part: FactPart) -> None:
+        """Take a fact in; what does not go together is noted, and leaves the fact unobserved."""
+        said = part.values()
+        if misfit := misfit_of_fact(said):
+            key, message, mend = misfit
+            entry.at(key).note(message, mend, at_key=True)
+            said = {"declared": part.declared}
+        self.facts[name] = Fact(name, **said)
 
     def _may_add(self, entry: Passage, link: LinkPart) -> bool:
         """Whether the latency of a link may be added to an attribute, if it has one."""

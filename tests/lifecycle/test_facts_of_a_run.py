@@ -1,17 +1,19 @@
-"""Facts that are said to a run: what may not run any more is replaced, what may again comes back at once."""
+"""Facts that a run is told or observes: what may not run any more is replaced, what may again comes back at once."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
-from cfgplan_runtime.lifecycle.changes import SetFact
+from cfgplan_runtime.lifecycle.changes import Add, SetFact
 from cfgplan_runtime.lifecycle.perturbations import FactsChanged
-from cfgplan_runtime.lifecycle.reports import Decision
+from cfgplan_runtime.lifecycle.reports import Decision, FactSilent
 from living import Life, source, started, worker
 
 from cfgplan import api
-from cfgplan.domain import Environment, Target
+from cfgplan.domain import Environment, Target, observing
 from cfgplan.errors import InputError
-from cfgplan.facts import Fact
+from cfgplan.facts import Fact, FactValue
 
 CLEAR = "visibility >= 3.25"
 
@@ -61,3 +63,67 @@ def test_a_preview_and_a_given_plan_see_the_facts_that_were_said() -> None:
     future = run.manager.preview()
     run.settle()
     assert dict(future.result(0).thought.avoided) == {"work": "visibility is 1 m"}
+
+
+def observed_life(**more: Any) -> Life:
+    fact = Fact("visibility", 4_000_000, "m", by="Visibility", **more)
+    library = source(), worker(requires=CLEAR), worker("dear", upkeep_us=900_000), source("sensor", tag="Visibility")
+    targets = Target("result", worker().outputs[0].tag, "/result"), observing(fact)
+    environment = Environment(library=library, targets=tuple(filter(None, targets)), facts=(fact,))
+    return started(world=api.world(environment, horizon_s=60))
+
+
+def see(run: Life, *values: int, every_s: float = 1.0) -> None:
+    """Let a stream say the value of visibility, again and again."""
+    for value in values:
+        run.manager.observe_fact("visibility", value)
+        run.pass_time(every_s)
+
+
+def test_what_a_stream_says_of_a_fact_changes_what_runs() -> None:
+    run = observed_life()
+    assert run.units == {"count.1", "sensor.1", "work.1"}
+    see(run, 3_500_000, 3_250_000, 3_249_999)
+    assert run.units == {"count.1", "sensor.1", "dear.1"}
+    assert dict(run.manager.snapshot().left_out) == {"work": "visibility is 3.249999 m"}
+    see(run, 1_000_000, 3_250_000)
+    assert run.units == {"count.1", "sensor.1", "work.1"}
+    assert run.perturbations(FactsChanged) == [FactsChanged(("work",)), FactsChanged((), ("work",))]
+
+
+def test_a_fact_that_falls_silent_is_what_is_declared_again_and_that_is_told_once() -> None:
+    run = observed_life(silent_us=5_000_000)
+    see(run, 1_000_000)
+    assert "dear.1" in run.units
+    run.pass_time(3.9)
+    assert "dear.1" in run.units
+    run.pass_time(0.2)
+    run.settle()
+    assert "work.1" in run.units
+    run.pass_time(30)
+    assert [report for report in run.reports if isinstance(report, FactSilent)] == [FactSilent("visibility", 5.0, "4")]
+
+
+def test_a_fact_without_a_limit_is_what_was_said_last() -> None:
+    run = observed_life()
+    see(run, 1_000_000)
+    run.pass_time(3600)
+    assert "dear.1" in run.units
+
+
+@pytest.mark.parametrize(("name", "value"), [("visibility", True), ("depth", 1_000_000)])
+def test_what_a_stream_says_of_another_fact_or_of_another_kind_is_ignored(name: str, value: FactValue) -> None:
+    run = observed_life()
+    run.manager.observe_fact(name, value)
+    run.pass_time(1)
+    assert run.perturbations(FactsChanged) == []
+    assert "work.1" in run.units
+
+
+def test_what_would_require_the_fact_that_it_observes_is_refused_in_a_run_too() -> None:
+    run = observed_life()
+    with pytest.raises(InputError, match="sensor requires visibility, and observes it"):
+        run.ask(Add(transformations=(source("sensor", tag="Visibility", requires=CLEAR),)))
+    assert run.units == {"count.1", "sensor.1", "work.1"}
+    see(run, 1_000_000)
+    assert "dear.1" in run.units

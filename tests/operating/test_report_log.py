@@ -12,6 +12,7 @@ from cfgplan_runtime.lifecycle.perturbations import HorizonReached, Perturbation
 from cfgplan_runtime.lifecycle.reports import (
     BackedOff,
     Ended,
+    FactSilent,
     Observed,
     Perturbed,
     Report,
@@ -37,6 +38,7 @@ REPORTS: tuple[Report, ...] = (
     Observed((observation("detector.1"),)),
     BackedOff(SNAPSHOT.backing_off[0]),
     WorldRefused("env.yaml", (Fault("no such class", file="env.yaml"),)),
+    FactSilent("visibility", 5.0, "3"),
     Ended(),
 )
 
@@ -65,6 +67,7 @@ def test_every_report_but_observations_is_one_line(lines: list[dict[str, Any]]) 
         "UnitDied",
         "BackedOff",
         "WorldRefused",
+        "FactSilent",
         "Ended",
     ]
     assert all(line["time"] > 1.6e9 for line in lines)

@@ -193,6 +193,30 @@ def test_what_happens_can_be_followed(run: subprocess.Popen[str], capsys: pytest
     assert run.wait(PATIENCE_S) == 0
 
 
+LIT = """\
+format: cfgplan/1
+facts: {brightness: {declared: 900, unit: lx, by: Brightness, field: lux}}
+transformations:
+  - {label: photometer, source: "units.py:light", run: {rate: 50}, labor: 0.1, upkeep: 0.01, outputs: {b: Brightness}}
+  - {label: camera, source: "units.py:see", run: {rate: 10}, requires: brightness >= 10, outputs: {b: Ball}}
+  - {label: sonar, source: "units.py:see", run: {rate: 10}, upkeep: 0.5, outputs: {b: Ball}}
+targets: [{label: ball, topic: /ball, tag: Ball}]
+"""
+LIT_UNITS = """\
+from pathlib import Path
+
+def light():
+    while True:
+        text = Path(__file__).with_name("light").read_text()
+        if text:
+            yield {"lux": None if text == "none" else float(text)}
+
+def see():
+    while True:
+        yield "a ball"
+"""
+
+
 def test_without_a_run_ctl_says_so(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["ctl", "state"]) == 30
     assert "no run is live" in capsys.readouterr().err
@@ -217,6 +241,23 @@ def test_editing_the_file_changes_what_runs(run: subprocess.Popen[str], env: Pat
         assert next(iter(subscription)).value["robot"] == "piff"
     env.write_text(ENVIRONMENT + "  - {label: broken\n")
     assert await_event(run, "WorldRefused")["faults"][0]["file"] == str(env)
+
+
+def test_a_run_observes_a_fact_and_follows_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    env, light = tmp_path / "env.yaml", tmp_path / "light"
+    env.write_text(LIT)
+    (tmp_path / "units.py").write_text(LIT_UNITS)
+    light.write_text("900")
+    with running(env) as process:
+        assert await_event(process, "Reviewed")["decision"] == "applied"
+        light.write_text("0.2500001")
+        assert await_event(process, "Reviewed")["avoided"] == {"camera": "brightness is 0.25 lx"}
+        assert state_now(capsys)["facts"] == {"brightness": "0.25"}
+        light.write_text("none")
+        assert "does not observe its fact" in await_event(process, "Warning")["text"]
+        light.write_text("100")
+        assert await_event(process, "Reviewed")["avoided"] == {}
+        assert {unit["transformation"] for unit in state_now(capsys)["units"]} == {"camera", "photometer"}
 
 
 def test_a_horizon_that_was_given_holds_whatever_the_file_says(env: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -64,9 +64,7 @@ class Situation:
 
     def as_it_is(self, world: World) -> World:
         """The world with the facts as they have been set."""
-        environment = world.environment
-        values = {name: value for name, value in self.facts.items() if name in environment.fact}
-        return replace(world, environment=environment.with_facts(values)) if values else world
+        return replace(world, environment=world.environment.with_facts(self.facts)) if self.facts else world
 
     def is_lost(self, host: str | None) -> bool:
         """Whether nothing may be planned on a host, since it is not there or was given up."""

@@ -20,7 +20,8 @@ from cfgplan_runtime.lifecycle.basis import basis_of, staleness
 from cfgplan_runtime.lifecycle.changes import ApplyPlan, Stop
 from cfgplan_runtime.lifecycle.configuration import Situation, external_units, with_world
 from cfgplan_runtime.lifecycle.deliberation import Thought
-from cfgplan_runtime.lifecycle.inbox import Asked, Item, Leave, PreviewAsked, Unusable
+from cfgplan_runtime.lifecycle.fact_values import fact_seen, facts_fallen_silent
+from cfgplan_runtime.lifecycle.inbox import Asked, FactSeen, Item, Leave, PreviewAsked, Unusable
 from cfgplan_runtime.lifecycle.perturbations import (
     FactsChanged,
     HorizonReached,
@@ -124,6 +125,8 @@ def _case(turn: Turn, what: Happening) -> Turn:
             return intake.asked(turn, what)
         case Matched():
             return intake.matched(turn, what)
+        case FactSeen(name, value):
+            return fact_seen(turn, name, value)
         case PreviewAsked():
             return turn.to(replace(turn.state, previews=(*turn.state.previews, what.outcome)))
         case Unusable():
@@ -156,7 +159,7 @@ def _tick(turn: Turn, time_s: float) -> Turn:
         turn = turn.perturbed(MayStartAgain(tuple(sorted(ended))))
     if state.horizon_at_s <= at_s:
         turn = turn.to(replace(turn.state, cycle_began_s=inf)).perturbed(HorizonReached(state.living.world.horizon_s))
-    state = turn.state
+    state = (turn := facts_fallen_silent(turn)).state
     if state.doing is None and state.due_s <= at_s:
         turn = turn.to(replace(state, doing=Gathering(at_s + state.policy.gather_s)))
     match turn.state.doing:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from cfgplan.errors import Fault
+from cfgplan.facts import FactValue
 from cfgplan_runtime.lifecycle.basis import Preview
 from cfgplan_runtime.lifecycle.changes import Change
 from cfgplan_runtime.lifecycle.reports import Review
@@ -34,6 +35,14 @@ class Unusable:
 
 
 @dataclass(frozen=True, slots=True)
+class FactSeen:
+    """A stream says the value of a fact of the world."""
+
+    name: str
+    value: FactValue
+
+
+@dataclass(frozen=True, slots=True)
 class PreviewAsked:
     """Somebody asks what a review would do now."""
 
@@ -45,7 +54,7 @@ class Leave:
     """The manager is to end, and to leave the units to the middleware."""
 
 
-Item: TypeAlias = Event | Asked | PreviewAsked | Unusable | Leave
+Item: TypeAlias = Event | Asked | FactSeen | PreviewAsked | Unusable | Leave
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from cfgplan.errors import Fault, InputError, InvalidValueError, known
+from cfgplan.errors import Fault, InputError
 from cfgplan_runtime.children.messages import Flow
 from cfgplan_runtime.lifecycle.changes import (
     ApplyPlan,
@@ -19,9 +19,9 @@ from cfgplan_runtime.lifecycle.changes import (
 )
 from cfgplan_runtime.lifecycle.configuration import hosts_of
 from cfgplan_runtime.lifecycle.differences import difference
+from cfgplan_runtime.lifecycle.fact_values import fact_set
 from cfgplan_runtime.lifecycle.inbox import Asked, Outcome
 from cfgplan_runtime.lifecycle.perturbations import (
-    FactsChanged,
     HostBack,
     HostGone,
     ReviewRequested,
@@ -107,7 +107,7 @@ def asked(turn: Turn, request: Asked) -> Turn:
                 back = replace(situation, given_up_hosts=situation.given_up_hosts - {host})
                 return turn.situated(back).perturbed(HostBack(host), outcomes)
             case SetFact(name, value):
-                return _fact_set(turn, name, value, request)
+                return fact_set(turn, name, value, request)
             case ReviewNow(by):
                 forgiven = replace(situation, back_offs=situation.back_offs.forgiving_all())
                 return turn.situated(forgiven).perturbed(ReviewRequested(by), outcomes)
@@ -117,21 +117,6 @@ def asked(turn: Turn, request: Asked) -> Turn:
                 return turn.also(Match(state.living, request, change))
     except InputError as error:
         return turn.also(Respond(request.outcome, error))
-
-
-def _fact_set(turn: Turn, name: str, value: str, request: Asked) -> Turn:
-    """A fact has a value. A review is due only if other transformations may run now."""
-    state, before = turn.state, turn.state.scene.world.environment
-    known(name, before.fact, "fact")
-    try:
-        facts = {**state.situation.facts, name: before.fact[name].read(value)}
-    except InvalidValueError as error:
-        raise InputError.of(str(error)) from None
-    turn = turn.situated(replace(state.situation, facts=facts))
-    was, now = before.left_out.keys(), turn.state.scene.world.environment.left_out.keys()
-    if was == now:
-        return turn.also(Respond(request.outcome))
-    return turn.perturbed(FactsChanged(tuple(sorted(now - was)), tuple(sorted(was - now))), (request.outcome,))
 
 
 def matched(turn: Turn, result: Matched) -> Turn:

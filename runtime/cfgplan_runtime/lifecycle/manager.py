@@ -17,6 +17,7 @@ from math import inf
 from cfgplan.api import World
 from cfgplan.domain import Environment
 from cfgplan.errors import Fault, InputError
+from cfgplan.facts import FactValue
 from cfgplan.planning import Planner
 from cfgplan.validity import kept_us
 from cfgplan_runtime.errors import (
@@ -33,7 +34,7 @@ from cfgplan_runtime.lifecycle.configuration import as_it_runs
 from cfgplan_runtime.lifecycle.decisions import BreakIn, breaks_in, decide, first_state
 from cfgplan_runtime.lifecycle.deliberation import Deliberation
 from cfgplan_runtime.lifecycle.guarded_estimator import GuardedEstimator
-from cfgplan_runtime.lifecycle.inbox import Asked, Inbox, Item, Leave, Outcome, PreviewAsked, Unusable
+from cfgplan_runtime.lifecycle.inbox import Asked, FactSeen, Inbox, Item, Leave, Outcome, PreviewAsked, Unusable
 from cfgplan_runtime.lifecycle.perturbations import Started
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Report, Snapshot, UnitEvent
@@ -122,6 +123,10 @@ class Manager:
         if self._state.is_over:
             self._turn_away()
         return outcome
+
+    def observe_fact(self, name: str, value: FactValue) -> None:
+        """Note what a stream says of a fact of the world. For any thread."""
+        self._put(FactSeen(name, value))
 
     def refuse(self, by: str, faults: tuple[Fault, ...]) -> None:
         """Note that the world's file can't be used as it is now; without faults, that it can again."""

@@ -204,6 +204,14 @@ class WorldRefused(Report, frozen=True):
     faults: tuple[Fault, ...]
 
 
+class FactSilent(Report, frozen=True):
+    """Nothing has come from the stream that observes a fact for so long that its declared value counts again."""
+
+    fact: str
+    silent_s: float
+    declared: str
+
+
 class Ended(Report, frozen=True):
     """The manager has ended, by request or by `cause`."""
 

@@ -103,6 +103,8 @@ class State:
     losses: Mapping[SubscriptionLost, tuple[int, float]] = field(default_factory=dict)
     """How often each subscription was lost in a row, and when last."""
     giving: Giving = field(default_factory=Giving)
+    heard: Mapping[str, float] = field(default_factory=dict)
+    """By fact of the world that a stream observes: when its last value came."""
     faults: tuple[Fault, ...] = ()
     """Why the last state of the world's file can't be used."""
     stops: tuple[Outcome, ...] = ()
@@ -149,13 +151,27 @@ class State:
         return self.cycle_began_s + (self.living.world.horizon_s or inf)
 
     @property
+    def silence_at_s(self) -> float:
+        """When the first of the facts that streams observe will have been silent for too long; inf if none may be."""
+        return min(self.silences_of_facts.values(), default=inf)
+
+    @property
+    def silences_of_facts(self) -> dict[str, float]:
+        """By fact that was heard of and may not be silent for ever: when it will have been silent for too long."""
+        facts = self.living.world.environment.fact
+        limits = {name: facts[name].silent_us for name in self.heard if name in facts}
+        return {name: self.heard[name] + limit_us / 1e6 for name, limit_us in limits.items() if limit_us is not None}
+
+    @property
     def wake_s(self) -> float:
         """When the manager is to act even if nothing comes in."""
         if isinstance(self.doing, Gathering):
             return self.doing.until_s
         if self.has_plans_to_see_to:
             return min(self.due_s, 0.0)
-        return min(self.due_s, self.situation.back_offs.next_end_s, self.horizon_at_s, self.observe_at_s)
+        return min(
+            self.due_s, self.situation.back_offs.next_end_s, self.horizon_at_s, self.observe_at_s, self.silence_at_s
+        )
 
     @property
     def has_plans_to_see_to(self) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 
-from cfgplan.api import World
+from cfgplan.api import World, refuse_circles
 from cfgplan.domain import Similarity
 from cfgplan.errors import InputError
 from cfgplan.matching import Matcher, Matching, Ontology
@@ -32,6 +32,16 @@ class WarmMatching:
 
     def take(self, world: World) -> None:
         """Match a world from now on, without asking the reasoner. Raises InputError, and then keeps the last world."""
+        last = self._last
+        self._take(world)
+        try:
+            refuse_circles(world, self.similarity)
+        except InputError:
+            if last is not None:
+                self._take(last)
+            raise
+
+    def _take(self, world: World) -> None:
         environment = world.environment
         offered = frozenset(port.tag for t in environment.library for port in t.outputs)
         demanded = frozenset(port.tag for t in environment.library for port in t.inputs)
@@ -46,7 +56,7 @@ class WarmMatching:
             last, self._matcher = self._last, None
             self._offered = self._demanded = frozenset()
             if last is not None:
-                self.take(last)
+                self._take(last)
             raise
         self._last, self._left_s = world, self._time_limit_s
 

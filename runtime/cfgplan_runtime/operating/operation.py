@@ -32,6 +32,7 @@ from cfgplan_runtime.lifecycle.reports import Decision, Ended, Observed, Report,
 from cfgplan_runtime.operating.control_server import ControlServer
 from cfgplan_runtime.operating.flows import Flows, Following
 from cfgplan_runtime.operating.methods import Methods
+from cfgplan_runtime.operating.observed_facts import ObservedFacts
 from cfgplan_runtime.operating.recording import Recorder
 from cfgplan_runtime.operating.records import logging_to, report_record
 from cfgplan_runtime.operating.sentences import named, sentence
@@ -200,6 +201,8 @@ class Operation(Closable):
         if self.recorder is not None:
             self.manager.listen(self.recorder.report)
         methods = Methods(self.manager, self.flows).by_name()
+        self._observed = ObservedFacts(self.id, self.manager, self.show)
+        stack.callback(self._observed.close)
         self._server = ControlServer(base_folder() / self.id, methods, str(self._path.resolve()))
         stack.callback(self._server.close)
         if settings.metrics_port is not None:
@@ -221,6 +224,7 @@ class Operation(Closable):
         self._tell_of_full_disks()
         match report:
             case Reviewed(review):
+                self._observed.follow()
                 if self._following is not None:
                     self._following.follow(target.topic for target in self.manager.world.environment.stream_targets)
                 if review.decision not in (Decision.FAILED, Decision.UNDECIDED):

@@ -39,7 +39,7 @@ def snapshot_record(snapshot: reports.Snapshot, flows: Mapping[str, Record] | No
         "reviews": [review_record(review) for review in snapshot.reviews],
         "backing_off": [plain(backing_off) for backing_off in snapshot.backing_off],
         "lost_hosts": list(snapshot.lost_hosts),
-        "facts": {fact.name: said(fact.declared) for fact in snapshot.facts},
+        "facts": {fact.name: said(fact.value) for fact in snapshot.facts},
         "left_out": dict(snapshot.left_out),
         "clocks_ahead_us": dict(snapshot.clocks_ahead_us),
         "declared": list(snapshot.declared),

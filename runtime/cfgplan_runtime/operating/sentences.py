@@ -15,6 +15,7 @@ from cfgplan_runtime.lifecycle.reports import (
     BackedOff,
     Decision,
     Ended,
+    FactSilent,
     Perturbed,
     Report,
     Review,
@@ -58,6 +59,8 @@ def sentence(report: Report) -> str | None:
             return f"the environment file can't be used, what it said before holds: {faults[0]}"
         case WorldRefused():
             return "the environment file is well again"
+        case FactSilent(fact, silent_s, declared):
+            return f"nothing has observed {fact} for {silent_s:.0f} s: it counts as {declared}, as declared"
         case Ended(cause) if cause:
             return f"the manager has ended: {cause}"
     return None
@@ -91,7 +94,7 @@ def level(report: Report) -> int:
             events.UnitFailed() | events.UnitCutShort() | events.SpareLost() | events.InputLost() | events.RolledBack()
         ):
             return WARNING
-        case BackedOff():
+        case BackedOff() | FactSilent():
             return WARNING
         case WorldRefused(_, faults) if faults:
             return WARNING

@@ -1,0 +1,46 @@
+"""Facts of the world that streams observe: each value of such a stream goes to the manager."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from cfgplan.errors import InvalidValueError
+from cfgplan.facts import Fact
+from cfgplan_runtime.lifecycle.manager import Manager
+from cfgplan_runtime.operating.flows import Following
+from cfgplan_runtime.streams.closable import Closable
+from cfgplan_runtime.streams.element import Element
+from cfgplan_runtime.streams.payload import decode
+
+
+class ObservedFacts(Closable):
+    """Follows the streams of a run that observe facts. `tell` is told once of each fact that its stream can't say."""
+
+    def __init__(self, run: str, manager: Manager, tell: Callable[[str], object]) -> None:
+        self._manager = manager
+        self._tell = tell
+        self._following = Following(run, self._hear)
+        self._wrong: set[Fact] = set()
+        """The facts of which the last element did not say the value."""
+
+    def follow(self) -> None:
+        """Follow the streams that observe the facts of the world as it is now, and no others."""
+        topics = (fact.observed_on for fact in self._manager.world.environment.facts)
+        self._following.follow(topic for topic in topics if topic is not None)
+
+    def close(self) -> None:
+        """Follow nothing any more."""
+        self._following.close()
+
+    def _hear(self, topic: str, element: Element) -> None:
+        facts = [fact for fact in self._manager.world.environment.facts if fact.observed_on == topic]
+        value = decode(element.payload) if facts else None
+        for fact in facts:
+            try:
+                self._manager.observe_fact(fact.name, fact.value_in(value))
+            except InvalidValueError as error:
+                if fact not in self._wrong:
+                    self._wrong.add(fact)
+                    self._tell(f"{topic} does not observe its fact: {error}")
+            else:
+                self._wrong.discard(fact)
