@@ -502,6 +502,15 @@ class Environment:
         return MappingProxyType({name: tuple(c for c in found if c.fact == name) for name in {c.fact for c in found}})
 
     @cached_property
+    def bounds(self) -> Mapping[str, tuple[int, ...]]:
+        """The numbers that facts are compared with, in order, by the fact's name; see `Comparison.bound`."""
+        found = {
+            name: {bound for each in some if (bound := each.bound) is not None}
+            for name, some in self.comparisons.items()
+        }
+        return MappingProxyType({name: tuple(sorted(some)) for name, some in found.items()})
+
+    @cached_property
     def left_out(self) -> Mapping[str, str]:
         """Why transformations may not run as the facts are, by label: `visibility is 1 m`.
 

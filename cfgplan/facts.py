@@ -20,6 +20,7 @@ from typing import Final, TypeAlias
 
 from cfgplan.arguments import Natural, checked
 from cfgplan.errors import InvalidValueError, TagError, did_you_mean
+from cfgplan.noise import Noise
 from cfgplan.qualities import micro_units, units
 from cfgplan.selectors import ExpressionReader
 
@@ -52,7 +53,8 @@ class Fact:
     """Something that is so in the world, or is not: its value while nobody has said another, and its unit.
 
     Streams observe it in a run: one that is tagged `by`, or the one on `topic`. Of elements that are mappings, `field`
-    holds the value; a dot leads further in. Once nothing has come for `silent_us`, the declared value counts again.
+    holds the value; a dot leads further in. Values with `noise` are filtered. Once nothing has come for `silent_us`,
+    the declared value counts again.
     """
 
     name: str
@@ -61,6 +63,7 @@ class Fact:
     by: str | None = None
     topic: str | None = None
     field: str | None = None
+    noise: Noise | None = None
     silent_us: Natural | None = None
     now: FactValue | None = None
     """The value that is so now, if it is known to be another than the declared one."""
@@ -116,9 +119,12 @@ def misfit_of_fact(said: Mapping[str, object]) -> tuple[str, str, str] | None:
     by, topic = said.get("by"), said.get("topic")
     if by is not None and topic is not None:
         return "topic", "a fact is observed `by` a tag or on a `topic`, not by both", "remove one of the two"
-    for key, name in (("field", "field"), ("silent", "silent_us")):
+    for key, name in (("field", "field"), ("noise", "noise"), ("silent", "silent_us")):
         if said.get(name) is not None and by is None and topic is None:
             return key, f"nothing observes the fact, so it has no `{key}`", "add `by: TAG`, or remove it"
+    declared = said["declared"]
+    if said.get("noise") is not None and (isinstance(declared, bool) or not isinstance(declared, int)):
+        return "noise", "only a number is noisy", "remove it"
     return None
 
 
@@ -139,6 +145,13 @@ class Comparison:
     sign: str
     value: FactValue
 
+    @property
+    def bound(self) -> int | None:
+        """The least value on the upper side of what a number is compared with; None for another comparison."""
+        if self.sign == "==" or not isinstance(self.value, int):
+            return None
+        return self.value + (self.sign in (">", "<="))
+
     def holds(self, value: FactValue) -> bool:
         """Whether a value of the fact meets it."""
         if self.sign == "==":
@@ -152,7 +165,9 @@ class Comparison:
             return f"there is no fact `{self.fact}`", mend
         kind = kind_of(facts[self.fact].declared)
         if kind == kind_of(self.value):
-            return None
+            if self.sign != "==" or facts[self.fact].noise is None:
+                return None
+            return f"fact `{self.fact}` is noisy, and equals no number for long", f"write `{self.fact} >= 1`"
         example = {"a number": f"{self.fact} >= 1", "a word": f"{self.fact} == WORD"}.get(kind, self.fact)
         return f"fact `{self.fact}` is {kind}, but is compared with {said(self.value)}", f"write `{example}`"
 

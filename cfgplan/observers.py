@@ -8,9 +8,18 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
+from fractions import Fraction
+from itertools import pairwise
+from typing import Final
 
 from cfgplan.domain import Environment, Similarity, Transformation
-from cfgplan.facts import Fact, requirement
+from cfgplan.facts import Fact, requirement, said
+from cfgplan.noise import settled_variance
+from cfgplan.qualities import MICRO
+
+UNKNOWN_RATE_HZ: Final = 1.0
+MOST_OF_THE_WAY: Final = Fraction(1, 3)
+"""How much of the way from one bound to the next the mean of their bands may be, so that both are passed in time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +72,35 @@ def circles(environment: Environment, similarity: Similarity) -> Iterator[Circle
             requires = environment.transformation[label].requires
             if requires is not None and fact.name in {each.fact for each in requirement(requires).comparisons}:
                 yield Circle(label, fact.name, observer)
+
+
+def blurred(environment: Environment, similarity: Similarity) -> Iterator[str]:
+    """The bounds that noisy values can't tell apart in time: their bands are most of the way from one to the other.
+
+    The rate of the values is that of the slowest source that they may come from.
+    """
+    for fact in environment.facts:
+        bounds = environment.bounds.get(fact.name, ())
+        if fact.noise is None or len(bounds) < 2:
+            continue
+        library = environment.transformation
+        rates = [library[label].run.rate_hz for label in observers(environment, similarity, fact)]
+        rate_hz = min((rate for rate in rates if rate is not None), default=None)
+        variance = settled_variance(rate_hz or UNKNOWN_RATE_HZ)
+        for low, high in pairwise(bounds):
+            bands = [fact.noise.band(bound, variance) for bound in (low, high)]
+            if sum(bands) > 2 * (high - low) * MOST_OF_THE_WAY:
+                yield (
+                    f"{fact.name} does not tell {said(low)} from {said(high)} in time: a noise of {fact.noise} at "
+                    f"{_rate_text(rate_hz)} takes {max(bands) / MICRO:.2g} beyond a bound to be sure; "
+                    "observe it more often, or compare it with numbers further apart"
+                )
+
+
+def _rate_text(rate_hz: float | None) -> str:
+    if rate_hz is None:
+        return f"{UNKNOWN_RATE_HZ:g} value a second (no source says `run: {{rate: ...}}`)"
+    return f"{rate_hz:g} {'value' if rate_hz == 1 else 'values'} a second"
 
 
 def _giving(environment: Environment, similarity: Similarity, tag: str) -> Iterator[Transformation]:

@@ -38,7 +38,9 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan.explaining import Suspicion
 
-    world, every = _faults(options, screen)
+    world, every, noisy = _faults(options, screen)
+    for warning in noisy:
+        screen.warn(warning)
     if not world.environment.units and options.against is None:
         return _nothing_runs(options, world, screen)
     found, gone = every, 0
@@ -97,10 +99,11 @@ def _left_out(world: World) -> dict[str, object]:
     return {"left_out": dict(left_out)} if left_out else {}
 
 
-def _faults(options: argparse.Namespace, screen: Screen) -> tuple[World, tuple[WiringFault, ...]]:
-    """The world that the options name, and what is wrong or odd there."""
+def _faults(options: argparse.Namespace, screen: Screen) -> tuple[World, tuple[WiringFault, ...], tuple[str, ...]]:
+    """The world that the options name, what is wrong or odd there, and which facts are too noisy."""
     from cfgplan import answers, api
     from cfgplan.explaining import probable_first
+    from cfgplan.observers import blurred
     from cfgplan.planners.undecided import used_pairs
     from cfgplan.ros.hearing import ros_faults
 
@@ -112,7 +115,8 @@ def _faults(options: argparse.Namespace, screen: Screen) -> tuple[World, tuple[W
     with screen.phase("judge"):
         reasoning = {"reasoner": options.reasoner, "reasoner_limit_s": options.reasoner_timeout}
         found = answers.wiring_faults(world, problem, **reasoning)
-        return world, tuple(sorted([*ros_faults(world.environment), *found], key=probable_first))
+        noisy = tuple(blurred(world.environment, problem.similarity))
+        return world, tuple(sorted([*ros_faults(world.environment), *found], key=probable_first)), noisy
 
 
 def _text(world: World, fault: WiringFault) -> Text:

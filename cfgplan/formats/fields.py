@@ -33,6 +33,7 @@ from cfgplan.formats.schema_values import (
     Micro,
     Name,
     Names,
+    NoiseText,
     Objectives,
     Params,
     PortName,
@@ -461,7 +462,7 @@ class FactPart(Part):
     model_config = _either(
         {"by": _IS_SAID, "topic": _IS_UNSAID},
         {"topic": _IS_SAID, "by": _IS_UNSAID},
-        dict.fromkeys(("by", "topic", "field", "silent"), _IS_UNSAID),
+        dict.fromkeys(("by", "topic", "field", "noise", "silent"), _IS_UNSAID),
     )
 
     declared: Fact = row("what is so: a number, true, false or a word", ...)
@@ -469,6 +470,7 @@ class FactPart(Part):
     by: TagText | None = row("the tag of the stream that observes it in a run; what gives it is planned as for targets")
     topic: Name | None = row("in place of `by`: the topic of a target, whose stream observes it", use=Use.RUNNING)
     field: Name | None = row("where an element holds the value; `pose.x` leads further in", use=Use.RUNNING)
+    noise: NoiseText | None = row("the standard deviation of a value, or `20 %` of it", use=Use.RUNNING)
     silent: TimeSpan | None = row(
         "what is declared counts again when nothing has come for so long: seconds, or 500ms, 5s",
         to="silent_us",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from decimal import Decimal, DecimalException
@@ -17,6 +18,7 @@ from cfgplan.costs import LARGEST_COST_US, LONGEST_HORIZON_S, MICROSECONDS, SPAN
 from cfgplan.domain import Objective
 from cfgplan.errors import InvalidValueError
 from cfgplan.facts import FactValue
+from cfgplan.noise import Noise
 from cfgplan.qualities import LARGEST_QUALITY, MICRO, Better, QualityRule, micro_units, units
 from cfgplan.transformations import ALL, CPU, LEAST_HANG_S, RunOptions
 
@@ -31,6 +33,7 @@ QOS = (
     r"^(reliable|best_effort|volatile|transient_local|manual|(deadline|lease)=[0-9]+([.][0-9]+)?)"
     r"( (reliable|best_effort|volatile|transient_local|manual|(deadline|lease)=[0-9]+([.][0-9]+)?))*$"
 )
+PERCENT = r"(?!0+(\.0+)? ?%)(100|[1-9]?[0-9](\.[0-9]{1,4})?) ?%"
 PORT = r"^[^\s\x00-\x1f\x7f/]([^\x00-\x1f\x7f/]*[^\s\x00-\x1f\x7f/])?$"
 
 SHORT_FORM = "(short)"
@@ -146,6 +149,17 @@ def _fact_value(value: object) -> FactValue:
 
 def _plain_fact(value: FactValue) -> object:
     return plain_quality(value) if type(value) is int else value
+
+
+def _noise(value: object) -> Noise:
+    """A standard deviation in millionths, or in millionths of the value."""
+    if type(value) is str and re.fullmatch(PERCENT, value):
+        return Noise(_micro(Decimal(value.rstrip("% "))) // 100, is_share=True)
+    if type(value) is int or type(value) is Decimal:
+        micro = _micro(value)
+        if micro > 0:
+            return Noise(micro)
+    raise _refusal("this is no noise", "write a standard deviation above 0, or a percentage such as 20 %")
 
 
 def _positive_micro(value: object) -> int:
@@ -338,6 +352,12 @@ Fact = Annotated[
     Written(_plain_fact),
 ]
 """What is so of a fact."""
+NoiseText = Annotated[
+    Noise,
+    PlainValidator(_noise),
+    WithJsonSchema({"anyOf": [{**_QUALITY, "exclusiveMinimum": 0}, {"type": "string", "pattern": f"^{PERCENT}$"}]}),
+    Written(lambda noise: str(noise) if noise.is_share else plain_quality(noise.amount)),
+]
 Speed = Annotated[
     int,
     PlainValidator(_speed),

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from math import cos, pi
+from random import Random
 from typing import Any
 
 import pytest
@@ -14,6 +17,7 @@ from cfgplan import api
 from cfgplan.domain import Environment, Target, observing
 from cfgplan.errors import InputError
 from cfgplan.facts import Fact, FactValue
+from cfgplan.noise import Noise
 
 CLEAR = "visibility >= 3.25"
 
@@ -89,6 +93,72 @@ def test_what_a_stream_says_of_a_fact_changes_what_runs() -> None:
     see(run, 1_000_000, 3_250_000)
     assert run.units == {"count.1", "sensor.1", "work.1"}
     assert run.perturbations(FactsChanged) == [FactsChanged(("work",)), FactsChanged((), ("work",))]
+
+
+SINE_S, SWING, MIDDLE = 80.0, 1.25, 2.5
+HEIGHTS = {"high": "3.25", "middle": "2.25", "low": "1.25"}
+
+
+def survey(noise: Noise | None) -> Life:
+    """A survey at three heights, as SUAVE has it: the higher the better, as far as the visibility allows."""
+    fact = Fact("visibility", 4_000_000, "m", by="Visibility", noise=noise)
+    heights = [
+        source(label, tag="Path", upkeep_us=1000 * (number + 1), requires=f"visibility >= {least}")
+        for number, (label, least) in enumerate(HEIGHTS.items())
+    ]
+    library = *heights, source("drift", tag="Path", upkeep_us=100_000), source("sensor", tag="Visibility")
+    targets = Target("path", "Path", "/path"), observing(fact)
+    environment = Environment(library=library, targets=tuple(filter(None, targets)), facts=(fact,))
+    return started(world=api.world(environment, horizon_s=3600))
+
+
+def play(run: Life, truth: Callable[[float], float], *, seconds: int, rate_hz: int, share: float) -> None:
+    chance = Random(1)
+    for number in range(seconds * rate_hz):
+        value = truth(number / rate_hz) * (1 + share * chance.gauss(0, 1))
+        see(run, round(value * 1_000_000), every_s=1 / rate_hz)
+
+
+def sine(time_s: float) -> float:
+    return MIDDLE + SWING * cos(2 * pi * time_s / SINE_S)
+
+
+def test_noise_around_a_bound_changes_nothing_and_a_crossing_makes_one_review_that_optimises() -> None:
+    run = survey(Noise(200_000, is_share=True))
+    see(run, *[2_700_000] * 40, every_s=0.2)
+    before = len(run.reviews)
+    assert "middle.1" in run.units
+    play(run, lambda _: 2.25, seconds=120, rate_hz=5, share=0.2)
+    assert (len(run.reviews), "middle.1" in run.units) == (before, True)
+    play(run, lambda _: 4.5, seconds=20, rate_hz=5, share=0.2)
+    assert [review.decision for review in run.reviews[before:]] == [Decision.APPLIED]
+    assert run.perturbations(FactsChanged)[-1] == FactsChanged((), ("high",))
+    assert "high.1" in run.units
+
+
+def test_noisy_values_are_followed_without_a_switch_too_many() -> None:
+    """SUAVE's sine with 20 % noise at 5 Hz: 24 crossings in 480 s. Raw values make more than a thousand changes."""
+    run = survey(Noise(200_000, is_share=True))
+    play(run, sine, seconds=480, rate_hz=5, share=0.2)
+    assert 23 <= len(run.perturbations(FactsChanged)) <= 25
+    assert len(run.reviews) <= 30
+
+
+def test_values_without_noise_are_compared_as_they_come() -> None:
+    run = survey(None)
+    play(run, lambda time_s: sine(time_s + 0.5), seconds=480, rate_hz=1, share=0.0)
+    assert len(run.perturbations(FactsChanged)) == 24
+    see(run, 2_000_000, 2_250_000, 2_249_999)
+    assert [tuple(each.back) for each in run.perturbations(FactsChanged)[-2:]] == [("middle",), ()]
+
+
+def test_a_value_that_is_said_begins_a_new_mean() -> None:
+    run = survey(Noise(100_000))
+    see(run, *[4_000_000] * 50, every_s=0.2)
+    run.reviewed(SetFact("visibility", "2.5"))
+    assert "middle.1" in run.units
+    see(run, *[2_500_000] * 5, every_s=0.2)
+    assert "middle.1" in run.units
 
 
 def test_a_fact_that_falls_silent_is_what_is_declared_again_and_that_is_told_once() -> None:

@@ -8,9 +8,11 @@ from dataclasses import replace
 from cfgplan.domain import Environment
 from cfgplan.errors import InputError, InvalidValueError, known
 from cfgplan.facts import FactValue, kind_of, said
+from cfgplan.noise import NoisyMean
 from cfgplan_runtime.lifecycle.inbox import Asked, Outcome
 from cfgplan_runtime.lifecycle.perturbations import FactsChanged
 from cfgplan_runtime.lifecycle.reports import FactSilent
+from cfgplan_runtime.lifecycle.state import Heard
 from cfgplan_runtime.lifecycle.turns import Respond, Tell, Turn
 
 
@@ -22,7 +24,7 @@ def fact_set(turn: Turn, name: str, value: str, request: Asked) -> Turn:
         values = {**state.situation.facts, name: facts[name].read(value)}
     except InvalidValueError as error:
         raise InputError.of(str(error)) from None
-    heard = {other: at_s for other, at_s in state.heard.items() if other != name}
+    heard = {other: last for other, last in state.heard.items() if other != name}
     return _with_facts(turn.to(replace(state, heard=heard)), values, (request.outcome,))
 
 
@@ -31,7 +33,14 @@ def fact_seen(turn: Turn, name: str, value: FactValue) -> Turn:
     state, fact = turn.state, turn.state.living.world.environment.fact.get(name)
     if fact is None or fact.observed_on is None or kind_of(value) != kind_of(fact.declared):
         return turn
-    turn = turn.to(replace(state, heard={**state.heard, name: turn.at_s}))
+    mean = None
+    if fact.noise is not None and isinstance(value, int):
+        known_mean = state.heard[name].mean if name in state.heard else None
+        mean = NoisyMean(value, turn.at_s) if known_mean is None else known_mean.after(value, turn.at_s)
+        before = fact.being(state.situation.facts.get(name)).value
+        assert isinstance(before, int)
+        value = mean.told(fact.noise, before, state.living.world.environment.bounds.get(name, ()))
+    turn = turn.to(replace(state, heard={**state.heard, name: Heard(turn.at_s, mean)}))
     return _with_facts(turn, {**state.situation.facts, name: value})
 
 
@@ -42,8 +51,8 @@ def facts_fallen_silent(turn: Turn) -> Turn:
     if not gone:
         return turn
     facts = state.living.world.environment.fact
-    told = [FactSilent(name, turn.at_s - state.heard[name], said(facts[name].declared)) for name in gone]
-    heard = {name: at_s for name, at_s in state.heard.items() if name not in gone}
+    told = [FactSilent(name, turn.at_s - state.heard[name].at_s, said(facts[name].declared)) for name in gone]
+    heard = {name: last for name, last in state.heard.items() if name not in gone}
     values = {name: value for name, value in state.situation.facts.items() if name not in gone}
     return _with_facts(turn.to(replace(state, heard=heard)).also(*map(Tell, told)), values)
 

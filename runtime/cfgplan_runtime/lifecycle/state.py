@@ -11,6 +11,7 @@ from typing import Literal, TypeAlias
 from cfgplan.api import World
 from cfgplan.domain import ChangeSet, Environment, Transformation
 from cfgplan.errors import Fault
+from cfgplan.noise import NoisyMean
 from cfgplan_runtime.lifecycle.basis import Preview
 from cfgplan_runtime.lifecycle.configuration import Scene, Situation
 from cfgplan_runtime.lifecycle.deliberation import Thought
@@ -31,6 +32,14 @@ class Entry:
     at_s: float
     due_s: float
     outcomes: tuple[Outcome, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """When the last value of a fact came, and the mean of its values if they are noisy."""
+
+    at_s: float
+    mean: NoisyMean | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,8 +112,8 @@ class State:
     losses: Mapping[SubscriptionLost, tuple[int, float]] = field(default_factory=dict)
     """How often each subscription was lost in a row, and when last."""
     giving: Giving = field(default_factory=Giving)
-    heard: Mapping[str, float] = field(default_factory=dict)
-    """By fact of the world that a stream observes: when its last value came."""
+    heard: Mapping[str, Heard] = field(default_factory=dict)
+    """By fact of the world that a stream observes: what came last."""
     faults: tuple[Fault, ...] = ()
     """Why the last state of the world's file can't be used."""
     stops: tuple[Outcome, ...] = ()
@@ -160,7 +169,9 @@ class State:
         """By fact that was heard of and may not be silent for ever: when it will have been silent for too long."""
         facts = self.living.world.environment.fact
         limits = {name: facts[name].silent_us for name in self.heard if name in facts}
-        return {name: self.heard[name] + limit_us / 1e6 for name, limit_us in limits.items() if limit_us is not None}
+        return {
+            name: self.heard[name].at_s + limit_us / 1e6 for name, limit_us in limits.items() if limit_us is not None
+        }
 
     @property
     def wake_s(self) -> float:
