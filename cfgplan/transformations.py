@@ -80,6 +80,7 @@ class OutputPort:
     `quality` says what it makes of each quality attribute. The stream has `rate_uhz` elements in a million
     seconds, of `size_bytes` each: that is what it costs to cross from host to host. At most `serves` inputs and topics
     take it; None: any number. `type` and `remap` are as of an input, and `qos` is the quality of service on offer.
+    `topic` is the topic by which nodes outside of the run know it, in ROS 2.
     """
 
     name: str
@@ -91,6 +92,7 @@ class OutputPort:
     type: str | None = None
     remap: str | None = None
     qos: str | None = None
+    topic: str | None = None
 
     def __post_init__(self) -> None:
         if self.quality:

@@ -117,7 +117,7 @@ def _import_ros(options: argparse.Namespace, screen: Screen) -> Exit:
         graph = (
             ros1_graph(options.path) if options.what == "ros1" else ros2_graph(options.path, partial(_live, options))
         )
-    found = imported(graph, table, works=options.works)
+    found = imported(graph, table, works=options.works, keeps_topics=options.what == "ros2")
     shared.put(found.ontology, str(ontology), screen)
     shared.put(found.text(ontology.name), options.out, screen)
     if found.guesses:

@@ -263,6 +263,9 @@ class OutputPart(Part):
     type: Name | None = row(_MESSAGE_TYPE, use=Use.RUNNING, xml="message")
     remap: Name | None = row(_REMAP, use=Use.RUNNING)
     qos: QosText | None = row(_QOS, use=Use.RUNNING)
+    topic: Name | None = row(
+        "in ROS 2: the topic by which nodes outside of the run know it, published while one listens", use=Use.RUNNING
+    )
 
 
 InputGiven = Annotated[Annotated[TagText, _SHORT] | Annotated[InputPart, _FULL], _CHOICE]

@@ -89,13 +89,14 @@ class Imported:
         return ", ".join(counted(len(each), noun) for noun, each in found.items())
 
 
-def imported(graph: RosGraph, table: GuessTable, *, works: bool = False) -> Imported:
+def imported(graph: RosGraph, table: GuessTable, *, works: bool = False, keeps_topics: bool = False) -> Imported:
     """The environment in which the graph's nodes run, wired as the graph's topics and services wire them.
 
     Each node becomes a transformation and a unit of it. Whose streams nobody takes is a target to run. If the graph
     `works` as it is, inputs that nobody feeds may stay unfed, and who publishes is meant to, whatever the table says.
+    With `keeps_topics` nodes outside of a run hear outputs on their topics of the graph.
     """
-    return _Making(graph, table, works=works).imported
+    return _Making(graph, table, works=works, keeps_topics=keeps_topics).imported
 
 
 class _End(NamedTuple):
@@ -108,9 +109,9 @@ class _End(NamedTuple):
 class _Making:
     """One graph becoming an environment; guesses are noted on the way."""
 
-    def __init__(self, graph: RosGraph, table: GuessTable, *, works: bool) -> None:
+    def __init__(self, graph: RosGraph, table: GuessTable, *, works: bool, keeps_topics: bool) -> None:
         self._table = table
-        self._works = works
+        self._works, self._keeps_topics = works, keeps_topics
         self._guesses: list[Guessed] = []
         ported = self._ported(graph)
         self._idle = {node.name: tuple(_idle_remaps(node)) for node in ported.nodes}
@@ -334,6 +335,8 @@ class _Making:
     def _transformation(self, node: RosNode, ports: Mapping[_End, InputPort]) -> Transformation:
         label = self._labels[node.name]
         names = self._names[node.name]
+        source = _source(node, self._idle.get(node.name, ()))
+        keeps_topics = self._keeps_topics and source.kind != "external"
         return Transformation(
             label,
             inputs=tuple(port for end, port in ports.items() if end.node == label),
@@ -345,11 +348,12 @@ class _Making:
                     type=_type(port),
                     remap=_own(node, port),
                     qos=_qos(port),
+                    topic=port.name if keeps_topics and not port.role.is_service else None,
                 )
                 for port in node.ports
                 if port.role.gives
             ),
-            source=str(_source(node, self._idle.get(node.name, ()))),
+            source=str(source),
             params=node.parameters,
             host=self._machine_of(node),
         )

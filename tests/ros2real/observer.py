@@ -50,9 +50,11 @@ def listen(node: Node, topic: str, kind: str, latched: bool, reliable: bool) -> 
 
 
 def look(node: Node) -> None:
-    topics = [topic for topic, _ in node.get_topic_names_and_types() if node.get_publishers_info_by_topic(topic)]
+    names = [topic for topic, _ in node.get_topic_names_and_types()]
+    topics = [topic for topic in names if node.get_publishers_info_by_topic(topic)]
+    heard = [topic for topic in names if node.get_subscriptions_info_by_topic(topic)]
     nodes = [f"{space.rstrip('/')}/{name}" for name, space in node.get_node_names_and_namespaces()]
-    say(topics=topics, nodes=nodes)
+    say(topics=topics, heard=heard, nodes=nodes)
 
 
 def main() -> None:

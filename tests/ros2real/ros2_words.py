@@ -70,7 +70,7 @@ class Observer:
         return True
 
     def look(self) -> dict[str, list[str]]:
-        """The `topics` that are published, and the `nodes`."""
+        """The `topics` that are published, those that are `heard`, and the `nodes`."""
         told = self._told[""] = queue.SimpleQueue()
         self._ask(look=True)
         found: dict[str, list[str]] = told.get(timeout=PATIENCE_S)

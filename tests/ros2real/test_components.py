@@ -30,7 +30,7 @@ transformations:
     params: {{rate: 100, first: 1000, deep: {{inner: [1.5, 2.0]}}}}
     outputs: {{words: {{tag: Word, type: std_msgs/String, remap: chatter}}}}
   - label: shouter
-    source: component:talking/talking::Shouter{group}
+    source: component:talking/talking::Shouter{group} idle:=/other
     inputs: {{quiet: {{tag: Word, type: std_msgs/String}}}}
     outputs: {{loud: {{tag: LoudWord, type: std_msgs/String, remap: ~loud}}}}
 targets:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -37,13 +37,23 @@ def check_nodes(
             node_source(transformation)
         except InputError as error:
             faults += error.faults
-    for target in environment.stream_targets:
-        if not _TOPIC.fullmatch(target.topic):
+    for label, topic in _named_topics(environment):
+        if not _TOPIC.fullmatch(topic):
             mend = "use letters, digits and underscores between slashes, such as /front/image"
-            what = f"{target.label}: `{target.topic}` can't be the name of a {ros} topic"
+            what = f"{label}: `{topic}` can't be the name of a {ros} topic"
             faults += InputError.of(what, mend=mend).faults
     if faults:
         raise InputError([replace(fault, file=fault.file or file) for fault in faults])
+
+
+def _named_topics(environment: Environment) -> Iterator[tuple[str, str]]:
+    """The topics of targets, and those by which outputs are known outside of a run, each with who has it."""
+    for target in environment.stream_targets:
+        yield target.label, target.topic
+    for transformation in environment.library:
+        for output in transformation.outputs:
+            if output.topic is not None:
+                yield f"{transformation.label}/{output.name}", output.topic
 
 
 def node_file(folder: Path, name: str) -> Path:

@@ -209,8 +209,8 @@ class Containers:
     def _load(self, component: _Component) -> None:
         ros = component.ros
         namespace, _, node = ros.name.rpartition("/")
-        remaps = [f"{own}:={topic}" for own, topic in ros.remappings.items()]
         source, params = ros.source, ros.parameters
+        remaps = [*(f"{own}:={topic}" for own, topic in ros.remappings.items()), *source.arguments]
         name = _container_of(ros)
         self._tell(Load(component.unit, name, source.package, source.name, node, namespace or "/", remaps, params))
 

@@ -13,12 +13,14 @@ from cfgplan_runtime.nodes.relay_messages import Passed, Refused
 class PortTopic(msgspec.Struct, frozen=True):
     """A port of a node: the topic or service that it was remapped to, and its message type if the file says it.
 
-    `key` is what the qualities of service of the port are remembered by.
+    `key` is what the qualities of service of the port are remembered by, `outside` the topic by which nodes outside of
+    the run know it.
     """
 
     topic: str
     key: str
     message: str | None = None
+    outside: str | None = None
 
 
 class Attend(msgspec.Struct, tag=True):

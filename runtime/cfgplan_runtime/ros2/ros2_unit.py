@@ -13,7 +13,7 @@ import yaml
 
 from cfgplan.errors import InputError
 from cfgplan.ros.graph import resolved
-from cfgplan.ros.sources import NodeSource
+from cfgplan.ros.sources import REMAPS, NodeSource
 from cfgplan.ros.topic_names import remapped, word
 from cfgplan.ros.types import MessageType
 from cfgplan.transformations import InputPort, OutputPort, Transformation
@@ -55,7 +55,10 @@ class Ros2Unit:
     def published(self) -> list[PortTopic]:
         """The topics and services of its outputs."""
         ports = self.transformation.outputs
-        return [PortTopic(self.publishes_at(port.name), self._key(port.name), message_of(port)) for port in ports]
+        return [
+            PortTopic(self.publishes_at(port.name), self._key(port.name), message_of(port), port.topic)
+            for port in ports
+        ]
 
     @property
     def remappings(self) -> Mapping[str, str]:
@@ -132,9 +135,10 @@ def node_source(transformation: Transformation) -> NodeSource:
 
 def _check_component(label: str, source: NodeSource) -> None:
     """Raises InputError for what no container can load."""
-    if source.arguments:
-        what = f"{label}: a component takes no arguments, and `{source}` has some"
-        raise InputError.of(what, mend="write them as `params`")
+    other = next((each for each in source.arguments if REMAPS not in each), None)
+    if other is not None:
+        what = f"{label}: a component takes no argument `{other}`, only remappings"
+        raise InputError.of(what, mend="write parameters as `params`")
     if source.group and not _CONTAINER_NAME.fullmatch(source.group):
         what = f"{label}: `{source.group}` can't be the name of a container"
         raise InputError.of(what, mend="use letters, digits and underscores, between slashes for a namespace")

@@ -76,7 +76,10 @@ class Attendance:
         self._nodes[node.unit] = node
         if not node.is_foreign:
             for port in (one for one in outputs if _is_topic(one)):
-                node.sources.append(self._relays.hold_source(node.unit, port["topic"], port["key"], port["message"]))
+                topic = node.unit, port["topic"], port["key"], port["message"]
+                node.sources.append(self._relays.hold_source(*topic))
+                if port["outside"] is not None:
+                    self._relays.outside.add(*topic, port["outside"])
             for port in inputs:
                 held = self._relays.hold_publication(
                     node.unit, port["topic"], port["key"], port["message"], order["queue"]
@@ -121,6 +124,7 @@ class Attendance:
     def _look(self) -> None:
         starting = [node for node in self._nodes.values() if not node.is_ready]
         if not starting:
+            self._relays.outside.look()
             return
         self._relays.look()
         for node in starting:

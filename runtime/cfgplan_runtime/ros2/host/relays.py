@@ -11,6 +11,7 @@ from typing import Any
 from cfgplan_runtime.ros2.host.actions import GOAL_TYPE, SEND_GOAL, LedAction
 from cfgplan_runtime.ros2.host.endpoints import Publication, Sample, Source, UnknownTypeError, message_class
 from cfgplan_runtime.ros2.host.host import NAMELESS, Host
+from cfgplan_runtime.ros2.host.outside import OutsideTopics
 from cfgplan_runtime.ros2.host.qos import Quality, mended
 from cfgplan_runtime.ros2.host.services import LedService
 from cfgplan_runtime.streams.element import Element, Moment
@@ -96,6 +97,7 @@ class Relays:
         """The orders of wires that lead services."""
         self._waiting_services: dict[int, dict[str, Any]] = {}
         """Orders to lead services that nobody offers yet, by wire."""
+        self.outside = OutsideTopics(host, self)
         self._remembered: dict[str, Quality] = {}
         self._refused: set[tuple[str, str]] = set()
         host.handlers.update(
@@ -134,8 +136,13 @@ class Relays:
             source.holders.discard(unit)
             self._drop_unused(source)
 
+    def is_led(self, topic: str) -> bool:
+        """Whether wires lead to a topic, or a target has it."""
+        return topic in self._publications or topic in self._meters
+
     def rename_holder(self, old: str, new: str) -> None:
         """A spare is a unit from now on."""
+        self.outside.rename(old, new)
         ends: list[Source | Publication] = [*self._sources.values(), *self._publications.values()]
         for end in ends:
             if old in end.holders:
@@ -148,6 +155,7 @@ class Relays:
             self._look_at(end)
         for inlet in list(self._inlets.values()):
             self._tell_switch(inlet)
+        self.outside.look()
         waiting, self._waiting_services = self._waiting_services, {}
         for order in waiting.values():
             self._lead_service(order)
@@ -237,6 +245,7 @@ class Relays:
         self._close_inlet(order["topic"])
 
     def _close_inlets(self, order: dict[str, Any]) -> None:
+        self.outside.remove(order["unit"])
         self._close_services(order["unit"])
         for name in [name for name, inlet in self._inlets.items() if inlet.unit == order["unit"]]:
             self._close_inlet(name)
@@ -288,6 +297,7 @@ class Relays:
     # What comes from nodes.
 
     def _take(self, sample: Sample) -> None:
+        self.outside.pass_on(sample)
         for wire in list(sample.source.offered):
             self._offer(wire, sample)
 
