@@ -19,7 +19,17 @@ from cfgplan.arguments import AtLeast, Natural, checked
 from cfgplan.canonical import fields_of, refuse_duplicates, store_resources, store_sorted
 from cfgplan.errors import InvalidValueError
 from cfgplan.facts import Comparison, Fact, FactValue, requirement, why_left_out
-from cfgplan.qualities import LARGEST_QUALITY, MICRO, Better, QualityAttribute, Wish
+from cfgplan.qualities import (
+    LARGEST_QUALITY,
+    MICRO,
+    Better,
+    Contribution,
+    Curve,
+    QualityAttribute,
+    QualityRule,
+    Wish,
+    units,
+)
 from cfgplan.selectors import check_selector, selector
 from cfgplan.summary import Summary, counted, cpu, summarised, summary
 from cfgplan.transformations import ALL as ALL
@@ -148,6 +158,19 @@ class Target:
 
 
 LOWEST_PRIORITY = -1_000_000_000
+
+
+def _following(transformation: Transformation, facts: Mapping[str, Fact]) -> Transformation:
+    """The transformation with the qualities that follow from facts."""
+
+    def stated(contribution: Contribution) -> Contribution:
+        fact = facts.get(contribution.by.fact) if contribution.by is not None else None
+        if contribution.by is None or fact is None or isinstance(fact.value, bool | str):
+            return contribution
+        return replace(contribution, value=contribution.by.at(fact.value))
+
+    outputs = (replace(port, quality=tuple(map(stated, port.quality))) for port in transformation.outputs)
+    return replace(transformation, outputs=tuple(outputs))
 
 
 def observing(fact: Fact) -> Target | None:
@@ -525,8 +548,49 @@ class Environment:
         return MappingProxyType({label: reason for label, reason in why.items() if reason is not None})
 
     def with_facts(self, values: Mapping[str, FactValue]) -> Environment:
-        """The environment in which facts have other values; those of another kind are ignored."""
-        return replace(self, facts=tuple(fact.being(values.get(fact.name)) for fact in self.facts))
+        """The environment in which facts have other values; those of another kind are ignored.
+
+        Qualities that follow a fact have the values that follow from it.
+        """
+        facts = {fact.name: fact.being(values.get(fact.name)) for fact in self.facts}
+        changed = {label: _following(self.transformation[label], facts) for label in self.following}
+        library = tuple(changed.get(t.label, t) for t in self.library) if changed else self.library
+        return replace(self, facts=tuple(facts.values()), library=library)
+
+    @cached_property
+    def following(self) -> Mapping[str, tuple[tuple[str, Contribution], ...]]:
+        """The qualities that follow facts, each with its output, by transformation; others are not there."""
+        found = {
+            t.label: tuple((port.name, each) for port in t.outputs for each in port.quality if each.by is not None)
+            for t in self.library
+        }
+        return MappingProxyType({label: stated for label, stated in found.items() if stated})
+
+    @cached_property
+    def curves(self) -> Mapping[str, tuple[Curve, ...]]:
+        """How qualities follow each fact, by its name; facts that none follows are not there."""
+        found = {each.by for stated in self.following.values() for _, each in stated if each.by is not None}
+        return MappingProxyType(
+            {
+                fact: tuple(sorted(curve for curve in found if curve.fact == fact))
+                for fact in {each.fact for each in found}
+            }
+        )
+
+    def _shown(self, contribution: Contribution) -> str:
+        attribute, value = self.quality.get(contribution.attribute), contribution.value
+        is_number = attribute is None or contribution.rule is QualityRule.SCALE
+        return f"{units(value):f}" if is_number or attribute is None else attribute.shown(value)
+
+    @property
+    def quality_by_facts(self) -> dict[str, str]:
+        """The qualities that follow facts as they are now: `camera/image error` to `0.82 m, brightness is 0.2`."""
+        return {
+            f"{label}/{port} {each.attribute}": f"{self._shown(each)}, {self.fact[each.by.fact]}"
+            for label, stated in self.following.items()
+            for port, each in stated
+            if each.by is not None and each.by.fact in self.fact
+        }
 
     @property
     def possible(self) -> Environment:

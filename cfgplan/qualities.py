@@ -11,6 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from enum import StrEnum
+from fractions import Fraction
+from itertools import pairwise
 
 from cfgplan.arguments import Natural, checked
 from cfgplan.errors import InvalidValueError
@@ -123,26 +125,55 @@ class QualityAttribute:
 
 @dataclass(frozen=True, slots=True, order=True)
 @checked
+class Curve:
+    """How a value follows a fact of the world: straight lines between points (fact, value), level beyond the ends.
+
+    Both are in millionths.
+    """
+
+    fact: str
+    points: tuple[tuple[int, int], ...]
+
+    def __post_init__(self) -> None:
+        facts = [fact for fact, _ in self.points]
+        if len(facts) < 2 or any(low >= high for low, high in pairwise(facts)):
+            raise InvalidValueError(f"the points by {self.fact} do not rise: write two or more, the least fact first")
+
+    def at(self, fact: int) -> int:
+        """The value for a value of the fact."""
+        if fact <= self.points[0][0]:
+            return self.points[0][1]
+        for (low, first), (high, last) in pairwise(self.points):
+            if fact <= high:
+                return first + round(Fraction((last - first) * (fact - low), high - low))
+        return self.points[-1][1]
+
+
+@dataclass(frozen=True, slots=True, order=True)
+@checked
 class Contribution:
     """What an output states of one attribute: a rule, its own value (micro-units) and how inputs are combined.
 
-    An output without inputs that count (all but feedback) has its own value, whatever the rule.
+    An output without inputs that count (all but feedback) has its own value, whatever the rule. A value that follows
+    a fact is the one for the fact as it is now, and `by` says how it follows.
     """
 
     attribute: str
     rule: QualityRule
     value: int
     over: Over = Over.WORST
+    by: Curve | None = None
 
     def __post_init__(self) -> None:
         largest = LARGEST_FACTOR if self.rule is QualityRule.SCALE else LARGEST_QUALITY
         least = -LARGEST_QUALITY if self.rule is QualityRule.ADD else 0
-        if not least <= self.value <= largest:
-            what = "factor" if self.rule is QualityRule.SCALE else "value"
-            raise InvalidValueError(
-                f"the {what} {units(self.value):f} of {self.attribute} is out of range: "
-                f"write {units(least):f} to {units(largest):f}"
-            )
+        for value in (self.value, *(value for _, value in (self.by.points if self.by else ()))):
+            if not least <= value <= largest:
+                what = "factor" if self.rule is QualityRule.SCALE else "value"
+                raise InvalidValueError(
+                    f"the {what} {units(value):f} of {self.attribute} is out of range: "
+                    f"write {units(least):f} to {units(largest):f}"
+                )
 
 
 @dataclass(frozen=True, slots=True, order=True)

@@ -274,3 +274,66 @@ def test_an_element_says_the_value_of_a_fact(
 def test_an_element_that_says_no_value_is_refused(field: str | None, element: object, message: str) -> None:
     with pytest.raises(InvalidValueError, match=re.escape(message)):
         Fact("f", 1, by="F", field=field).value_in(element)
+
+
+FOLLOWING = """
+format: cfgplan/1
+qualities: [{name: error, better: lower, unit: m, worst: 5}]
+facts: {light: {declared: 1}, night: {declared: false}}
+transformations:
+  - {label: camera, outputs: {i: {tag: Image, quality: {error: {set: {by: light, points: [[0.2, 0.9], [1, 0.1]]}}}}}}
+  - {label: sonar, upkeep: 0.3, outputs: {i: {tag: Image, quality: {error: 0.4}}}}
+targets: [{label: image, topic: /image, tag: Image, quality: {error: {at_most: 0.5}}}]
+"""
+
+
+@pytest.fixture
+def following(tmp_path: Path) -> Path:
+    path = tmp_path / "following.yaml"
+    path.write_text(FOLLOWING, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("light", "error"), [(0, "0.9"), (0.2, "0.9"), (0.4, "0.7"), (0.999999, "0.100001"), (1, "0.1"), (7, "0.1")]
+)
+def test_a_quality_follows_a_fact(following: Path, light: float, error: str) -> None:
+    world = api.what_if(api.load(following), settings={"facts.light": f"{light}"})
+    assert world.environment.quality_by_facts == {"camera/i error": f"{error} m, light is {light}"}
+    plan = api.plan(api.match(world))
+    assert plan.change_set is not None
+    assert [unit.transformation for unit in plan.change_set.started] == ["camera" if light > 0.5 else "sonar"]
+
+
+def test_the_plan_is_that_of_a_file_with_the_quality_that_follows(following: Path, tmp_path: Path) -> None:
+    plain = tmp_path / "plain.yaml"
+    plain.write_text(FOLLOWING.replace("{by: light, points: [[0.2, 0.9], [1, 0.1]]}", "0.5"), encoding="utf-8")
+    one, other = api.what_if(api.load(following), settings={"facts.light": "0.6"}), api.load(plain)
+    assert one.digest == other.digest
+    assert api.plan(api.match(one)).change_set == api.plan(api.match(other)).change_set
+
+
+def test_a_quality_that_follows_a_fact_is_written_so(following: Path, tmp_path: Path) -> None:
+    environment = api.load(following).environment
+    again = tmp_path / "again.yaml"
+    again.write_text(dump_yaml(plain_environment(environment, horizon_s=600)), encoding="utf-8")
+    assert api.load(again).environment == environment
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("by: light", "by: lihgt", "there is no fact `lihgt`"),
+        ("by: light", "by: night", "no value follows fact `night`: it is true or false"),
+        ("[0.2, 0.9], [1", "[1, 0.9], [0.2", "the points by light do not rise"),
+        ("[0.2, 0.9], [1", "[1, 0.9], [1", "the points by light do not rise"),
+        ("0.9]", "-0.9]", "the value -0.9 of error is out of range"),
+    ],
+)
+def test_what_follows_no_fact_is_refused_with_its_place(following: Path, old: str, new: str, message: str) -> None:
+    following.write_text(FOLLOWING.replace(old, new), encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        api.load(following)
+    (fault,) = refused.value.faults
+    assert message in fault.message
+    assert (fault.line, bool(fault.mend)) == (6, True)

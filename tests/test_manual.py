@@ -31,6 +31,7 @@ PARTS: dict[str, type[Part]] = {
     "An input": fields.InputPart,
     "An output": fields.OutputPart,
     "What it makes of a quality": fields.ContributionPart,
+    "A quality by a fact": fields.CurvePart,
     "A unit": fields.UnitPart,
     "A target": fields.TargetPart,
     "What it asks of a quality": fields.WishPart,
@@ -43,6 +44,7 @@ PARTS: dict[str, type[Part]] = {
 YAML_ONLY = (
     fields.ConflictsPart,
     fields.ContributionPart,
+    fields.CurvePart,
     fields.WishPart,
     fields.HostPart,
     fields.LinkPart,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
@@ -12,7 +12,7 @@ from rich.text import Text
 from cfgplan.canonical import normal
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import OF_STATUS, Exit
-from cfgplan.cli.plan_text import cpu, left_out_lines
+from cfgplan.cli.plan_text import cpu, fact_lines
 from cfgplan.cli.screen import Screen
 from cfgplan.domain import Environment
 from cfgplan.errors import known
@@ -72,7 +72,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     if plan.change_set is None:
         with screen.phase("explain"):
             why = answers.why_not(world, problem, **reasoning, **planning)
-        _show_why_not(problem, why, screen, left_out)
+        _show_why_not(problem, why, screen, world.environment)
         return OF_STATUS[plan.status]
     with screen.phase("explain"):
         whys = [answers.why(problem, plan, kind, name, **planning) for kind, name in _subjects(options, problem, plan)]
@@ -83,7 +83,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     asked = {unit: reason for unit, reason in pinned.items() if unit in named or not names_one}
     if screen.json:
         told = {"plan": plan, "why": whys, "unused": unused, "unfed": asked}
-        screen.show_json({**told, "left_out": dict(left_out)} if left_out else told)
+        screen.show_json(told | _of_facts(world.environment))
         return OF_STATUS[plan.status]
     from cfgplan.cli.plan_text import verdict
 
@@ -95,14 +95,21 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         screen.show("\n".join(pinned_lines(problem.environment, unit, reason)))
     for each in unused:
         screen.show("\n".join(unused_lines(problem, each)))
-    for line in () if names_one else left_out_lines(world.environment):
-        screen.show(line)
+    for told_of_fact in fact_lines(world.environment, asked_for if names_one else None):
+        screen.show(told_of_fact)
     return OF_STATUS[plan.status]
 
 
-def _show_why_not(problem: Problem, why: WhyNot, screen: Screen, left_out: Mapping[str, str]) -> None:
+def _of_facts(environment: Environment) -> dict[str, object]:
+    """For JSON: what facts make of the library, where they do."""
+    told = {"left_out": dict(environment.left_out), "by_facts": environment.quality_by_facts}
+    return {key: said for key, said in told.items() if said}
+
+
+def _show_why_not(problem: Problem, why: WhyNot, screen: Screen, environment: Environment) -> None:
     if screen.json:
-        screen.show_json({**asdict(why), "left_out": dict(left_out)} if left_out else why)
+        of_facts = _of_facts(environment)
+        screen.show_json(asdict(why) | of_facts if of_facts else why)
         return
     from cfgplan.cli.plan_text import undecided_lines, verdict
 
@@ -112,8 +119,8 @@ def _show_why_not(problem: Problem, why: WhyNot, screen: Screen, left_out: Mappi
     text = why_not_text(problem, why)
     if text:
         screen.show(text)
-    for label, reason in left_out.items():
-        screen.show(f"left out for now: {label}, {reason}")
+    for told in fact_lines(environment):
+        screen.show(told)
 
 
 def _subjects(options: argparse.Namespace, problem: Problem, plan: Plan) -> list[tuple[Subject, str]]:

@@ -34,6 +34,19 @@ def left_out_lines(environment: Environment) -> list[str]:
     return [f"left out for now: {label}, {why}" for label, why in environment.left_out.items()]
 
 
+def fact_lines(environment: Environment, of: str | None = None) -> list[str]:
+    """What facts make of the library: which transformations may not run, and the qualities that follow facts.
+
+    `of` is a transformation or a unit; None stands for all.
+    """
+    label = of if of is None or of not in environment.unit else environment.unit[of].transformation
+    by_facts = environment.quality_by_facts.items()
+    of_quality = [
+        f"for now: {what} {value}" for what, value in by_facts if label is None or what.startswith(f"{label}/")
+    ]
+    return of_quality if of is not None else [*left_out_lines(environment), *of_quality]
+
+
 def changes_text(before: Environment, changes: ChangeSet) -> Text:
     """What a change set starts, rewires, stops and keeps of an environment; ends with an empty line."""
     return Text("\n").join(_changes(before, changes))

@@ -71,7 +71,9 @@ def _whole(run: str, environment: str, pid: int, state: Mapping[str, Any]) -> It
     if state["lost_hosts"]:
         yield Text(f"Hosts that are gone: {', '.join(state['lost_hosts'])}.", style="yellow")
     if state["facts"]:
-        yield Text(f"Facts: {', '.join(f'{name} is {value}' for name, value in state['facts'].items())}.")
+        yield Text(f"Facts: {', '.join(_facts(state))}.")
+    for what, value in state["by_facts"].items():
+        yield Text(f"For now: {what} {value}.")
     for label, why in state["left_out"].items():
         yield Text(f"Left out for now: {label}, {why}.", style="yellow")
     if state["clocks_ahead_us"]:
@@ -141,6 +143,14 @@ class RunPicture:
         yield from (Text("") for _ in range(log - len(shown)))
         footer = self.note or "Ctrl-C stops  ·  edit the file, or use `cfgplan ctl`, to change what runs"
         yield _clipped(Text(footer, style="bold yellow" if self.note else "dim"))
+
+
+def _facts(state: Mapping[str, Any]) -> Iterator[str]:
+    """The facts as they are now, with when those that streams observe were heard of last."""
+    heard = state["facts_heard_s"]
+    for name, value in state["facts"].items():
+        ago = f" (observed {heard[name]:.1f} s ago)" if name in heard else ""
+        yield f"{name} is {value}{ago}"
 
 
 def _headline(run: str, environment: str, facts: Iterable[str], state: Mapping[str, Any]) -> Text:

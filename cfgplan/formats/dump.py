@@ -146,8 +146,16 @@ def _port(said: dict[str, Any]) -> Any:
 
 def _contribution(contribution: Contribution, environment: domain.Environment) -> Any:
     attribute = environment.quality.get(contribution.attribute)
-    value = plain_quality(contribution.value)
-    if attribute is not None and attribute.rule is contribution.rule and contribution.over is Over.WORST:
+    value: Any = plain_quality(contribution.value)
+    if contribution.by is not None:
+        points = [[plain_quality(fact), plain_quality(one)] for fact, one in contribution.by.points]
+        value = fields.CurvePart.written(contribution.by, by=contribution.by.fact, points=points)
+    if (
+        contribution.by is None
+        and attribute is not None
+        and attribute.rule is contribution.rule
+        and contribution.over is Over.WORST
+    ):
         return value
     over = {} if contribution.over is Over.WORST else {"of": contribution.over.value}
     return {contribution.rule.value: value, **over}

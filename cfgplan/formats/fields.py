@@ -237,15 +237,30 @@ class InputPart(Part):
     qos: QosText | None = row(_QOS, use=Use.RUNNING)
 
 
+class CurvePart(Part):
+    """A value that follows a fact of the world: straight lines between points, level beyond the ends."""
+
+    by: Name = row("the fact, a number", ...)
+    points: list[Annotated[list[Micro], Field(min_length=2, max_length=2)]] = row(
+        "two or more pairs, a value of the fact and the one that follows from it; the least fact first",
+        ...,
+        min_length=2,
+    )
+
+
+MicroGiven = Annotated[Annotated[Micro, _SHORT] | Annotated[CurvePart, _FULL], _CHOICE]
+PositiveGiven = Annotated[Annotated[PositiveMicro, _SHORT] | Annotated[CurvePart, _FULL], _CHOICE]
+
+
 class ContributionPart(Part):
     """What an output makes of a quality attribute: exactly one of `add`, `limit`, `scale` and `set`."""
 
     model_config = _either(*(dict.fromkeys(QualityRule, _IS_UNSAID) | {rule: _IS_SAID} for rule in QualityRule))
 
-    add: Micro | None = row("added to the value of the inputs")
-    limit: PositiveMicro | None = row("the value is no better than this")
-    scale: PositiveMicro | None = row("a factor on the value of the inputs")
-    set: PositiveMicro | None = row("the value, whatever the inputs are")
+    add: MicroGiven | None = row("added to the value of the inputs")
+    limit: PositiveGiven | None = row("the value is no better than this")
+    scale: PositiveGiven | None = row("a factor on the value of the inputs")
+    set: PositiveGiven | None = row("the value, whatever the inputs are")
     of: Literal["worst", "best", "mean", "sum"] = row("how several inputs count", "worst")
 
 

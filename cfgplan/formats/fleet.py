@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 from cfgplan.domain import MANAGER, Host, Link
 from cfgplan.errors import Fault, InvalidValueError, TagError, did_you_mean
-from cfgplan.facts import Fact, misfit_of_fact, requirement
+from cfgplan.facts import Fact, kind_of, misfit_of_fact, requirement
 from cfgplan.formats.document import Document
-from cfgplan.formats.fields import ContributionPart, FactPart, HostPart, LinkPart, TargetPart, UnitPart, WishPart
+from cfgplan.formats.fields import (
+    ContributionPart,
+    CurvePart,
+    FactPart,
+    HostPart,
+    LinkPart,
+    TargetPart,
+    UnitPart,
+    WishPart,
+)
 from cfgplan.formats.left_out import LeftOut
 from cfgplan.formats.places import Passage
 from cfgplan.planning import Failures
-from cfgplan.qualities import Better, Contribution, Over, QualityAttribute, QualityRule, Wish
+from cfgplan.qualities import Better, Contribution, Curve, Over, QualityAttribute, QualityRule, Wish
 from cfgplan.selectors import selector
 
 
@@ -174,12 +184,29 @@ class FleetReader:
             entry.note(message, "write one of them, such as {scale: 0.7}")
             return None
         ((rule, value),) = stated.items()
+        curve = value if isinstance(value, CurvePart) else None
         try:
-            return Contribution(name, rule, value, over)
+            if curve is None:
+                return Contribution(name, rule, value, over)
+            return self._following(entry.at(rule.value), Contribution(name, rule, 0, over), curve)
         except InvalidValueError as error:
             message, _, mend = str(error).partition(": ")
             entry.note(message, mend)
             return None
+
+    def _following(self, entry: Passage, stated: Contribution, part: CurvePart) -> Contribution | None:
+        """A contribution whose value follows a fact; raises InvalidValueError for points that don't rise."""
+        if part.by not in self.facts:
+            if not self._left_out.any_of("facts"):
+                mend = did_you_mean(part.by, self.facts, "declare it under `facts:` in the main file")
+                entry.at("by").note(f"there is no fact `{part.by}`", mend)
+            return None
+        fact = self.facts[part.by]
+        if isinstance(fact.value, bool | str):
+            entry.at("by").note(f"no value follows fact `{part.by}`: it is {kind_of(fact.value)}", "name a number")
+            return None
+        curve = Curve(part.by, tuple((low, value) for low, value in part.points))
+        return replace(stated, value=curve.at(fact.value), by=curve)
 
     def wishes(self, entry: Passage, part: TargetPart) -> tuple[Wish, ...]:
         """What a target asks of its stream; `entry` is that of the mapping."""

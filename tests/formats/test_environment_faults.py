@@ -477,7 +477,9 @@ def test_every_list_of_names_has_a_case_above() -> None:
     lists = schema.count("'type': 'array'")
     of_parts = schema.count("'type': 'array'") - schema.count("'uniqueItems': True")
     assert lists - of_parts == len(REPEATED) + 1, "streams that feed an input have words of their own"
-    assert of_parts == len({"transformations", "units", "targets", "hosts", "links", "qualities", "between"})
+    assert of_parts == len(
+        {"transformations", "units", "targets", "hosts", "links", "qualities", "between", "points", "point"}
+    )
 
 
 def test_the_two_ends_of_a_link_may_be_the_same(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from math import cos, pi
 from random import Random
 from typing import Any
@@ -14,10 +15,11 @@ from cfgplan_runtime.lifecycle.reports import Decision, FactSilent
 from living import Life, source, started, worker
 
 from cfgplan import api
-from cfgplan.domain import Environment, Target, observing
+from cfgplan.domain import Environment, Target, Transformation, observing
 from cfgplan.errors import InputError
 from cfgplan.facts import Fact, FactValue
 from cfgplan.noise import Noise
+from cfgplan.qualities import Better, Contribution, Curve, QualityAttribute, QualityRule, Wish
 
 CLEAR = "visibility >= 3.25"
 
@@ -150,6 +152,69 @@ def test_values_without_noise_are_compared_as_they_come() -> None:
     assert len(run.perturbations(FactsChanged)) == 24
     see(run, 2_000_000, 2_250_000, 2_249_999)
     assert [tuple(each.back) for each in run.perturbations(FactsChanged)[-2:]] == [("middle",), ()]
+
+
+ERROR = QualityAttribute("error", Better.LOWER, worst=5_000_000)
+BY_BRIGHTNESS = Curve("brightness", ((200_000, 900_000), (1_000_000, 100_000)))
+
+
+def night(noise: Noise | None) -> Life:
+    """A camera whose error rises as it gets dark, and a sonar that costs more; an error of 0.5 at most is wanted."""
+
+    def stating(transformation: Transformation, value: int, by: Curve | None = None) -> Transformation:
+        (port,) = transformation.outputs
+        stated = Contribution("error", QualityRule.SET if transformation.label != "detect" else QualityRule.ADD, value)
+        return replace(transformation, outputs=(replace(port, quality=(replace(stated, by=by),)),))
+
+    fact = Fact("brightness", 1_000_000, by="Brightness", noise=noise)
+    library = (
+        stating(source("camera", tag="Image", upkeep_us=20_000), 100_000, BY_BRIGHTNESS),
+        stating(worker("detect", needs="Image", gives="Ball", upkeep_us=50_000), 100_000),
+        stating(source("sonar", tag="Ball", upkeep_us=300_000), 400_000),
+        source("photometer", tag="Brightness", upkeep_us=1000),
+    )
+    ball = Target("ball", "Ball", "/ball", quality=(Wish("error", bound=500_000),))
+    targets = tuple(filter(None, (ball, observing(fact))))
+    environment = Environment(library=library, targets=targets, qualities=(ERROR,), facts=(fact,))
+    return started(world=api.world(environment, horizon_s=60))
+
+
+def test_a_quality_follows_a_fact_away_at_night_and_back_at_dawn() -> None:
+    """It gets dark from 100 to 130 s and light again from 300 to 330 s; the camera needs 0.7 of the light."""
+    run, chance = night(Noise(200_000, is_share=True)), Random(2)
+    begun_s, switches, too_bad_s, runs_camera = run.now, list[float](), 0.0, True
+    while (time_s := run.now - begun_s) < 500:
+        light = 1 - 0.95 * (min(1, max(0, (time_s - 100) / 30)) - min(1, max(0, (time_s - 300) / 30)))
+        run.manager.observe_fact("brightness", round(light * (1 + 0.2 * chance.gauss(0, 1)) * 1_000_000))
+        run.pass_time(0.2)
+        if ("camera.1" in run.units) != runs_camera:
+            runs_camera = not runs_camera
+            switches.append(time_s)
+        too_bad_s += 0.2 * (runs_camera and BY_BRIGHTNESS.at(round(light * 1_000_000)) > 400_000)
+    assert [round(at_s, -2) for at_s in switches] == [100, 300]
+    assert too_bad_s / 500 < 0.02
+    assert dict(run.manager.snapshot().by_facts).keys() == {"camera/n error"}
+    assert {each.requalified for each in run.perturbations(FactsChanged)} == {("camera",)}
+
+
+def test_a_quality_that_a_fact_hardly_changes_makes_no_review() -> None:
+    run = night(None)
+    before = len(run.reviews)
+    for value in (1_000_000, 995_001, 1_200_000):
+        run.manager.observe_fact("brightness", value)
+        run.pass_time(1)
+    assert len(run.reviews) == before
+    run.manager.observe_fact("brightness", 994_999)
+    run.pass_time(1)
+    assert [review.decision for review in run.reviews[before:]] == [Decision.KEPT]
+
+
+def test_a_fact_that_is_said_changes_what_follows_it_at_once() -> None:
+    run = night(Noise(100_000))
+    assert run.reviewed(SetFact("brightness", "0.5")).perturbations == (FactsChanged(requalified=("camera",)),)
+    assert "sonar.1" in run.units
+    run.reviewed(SetFact("brightness", "1"))
+    assert "camera.1" in run.units
 
 
 def test_a_value_that_is_said_begins_a_new_mean() -> None:

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from fractions import Fraction
+from typing import Final
 
 from cfgplan.domain import Environment
 from cfgplan.errors import InputError, InvalidValueError, known
-from cfgplan.facts import FactValue, kind_of, said
+from cfgplan.facts import Fact, FactValue, kind_of, said
 from cfgplan.noise import NoisyMean
 from cfgplan_runtime.lifecycle.inbox import Asked, Outcome
 from cfgplan_runtime.lifecycle.perturbations import FactsChanged
 from cfgplan_runtime.lifecycle.reports import FactSilent
 from cfgplan_runtime.lifecycle.state import Heard
 from cfgplan_runtime.lifecycle.turns import Respond, Tell, Turn
+
+NEWS: Final = Fraction(1, 20)
+"""A stream has to change a quality that follows its fact by this share of it; less is no reason for a review."""
 
 
 def fact_set(turn: Turn, name: str, value: str, request: Asked) -> Turn:
@@ -30,16 +35,19 @@ def fact_set(turn: Turn, name: str, value: str, request: Asked) -> Turn:
 
 def fact_seen(turn: Turn, name: str, value: FactValue) -> Turn:
     """A stream says the value of a fact. Values of facts that are gone, or of another kind now, are ignored."""
-    state, fact = turn.state, turn.state.living.world.environment.fact.get(name)
+    state, world = turn.state, turn.state.living.world.environment
+    fact = world.fact.get(name)
     if fact is None or fact.observed_on is None or kind_of(value) != kind_of(fact.declared):
         return turn
-    mean = None
+    mean, band, known_value = None, 0.0, fact.being(state.situation.facts.get(name)).value
     if fact.noise is not None and isinstance(value, int):
         known_mean = state.heard[name].mean if name in state.heard else None
         mean = NoisyMean(value, turn.at_s) if known_mean is None else known_mean.after(value, turn.at_s)
-        before = fact.being(state.situation.facts.get(name)).value
-        assert isinstance(before, int)
-        value = mean.told(fact.noise, before, state.living.world.environment.bounds.get(name, ()))
+        assert isinstance(known_value, int)
+        value = mean.told(fact.noise, known_value, world.bounds.get(name, ()))
+        band = fact.noise.band(value, mean.variance)
+    if name in world.curves and not _is_news(world, fact, known_value, value, band):
+        value = known_value
     turn = turn.to(replace(state, heard={**state.heard, name: Heard(turn.at_s, mean)}))
     return _with_facts(turn, {**state.situation.facts, name: value})
 
@@ -61,21 +69,42 @@ def _with_facts(turn: Turn, values: Mapping[str, FactValue], outcomes: Iterable[
     """Let facts have these values: a review is due only if other transformations may run now."""
     state, declared = turn.state, turn.state.living.world.environment
     turn = turn.situated(replace(state.situation, facts=values))
-    if not _sides_differ(declared, state.situation.facts, values):
+    if not any(_is_other(declared, fact, state.situation.facts, values) for fact in declared.facts):
         return turn.also(*(Respond(outcome) for outcome in outcomes))
-    before = state.scene.world.environment
-    was, now = before.left_out.keys(), turn.state.scene.world.environment.left_out.keys()
-    if was == now:
+    before, after = state.scene.world.environment, turn.state.scene.world.environment
+    was, now = before.left_out.keys(), after.left_out.keys()
+    library = before.transformation
+    requalified = [label for label in after.following if after.transformation[label] != library[label]]
+    if was == now and not requalified:
         return turn.also(*(Respond(outcome) for outcome in outcomes))
-    return turn.perturbed(FactsChanged(tuple(sorted(now - was)), tuple(sorted(was - now))), outcomes)
+    changed = FactsChanged(tuple(sorted(now - was)), tuple(sorted(was - now)), tuple(sorted(requalified)))
+    return turn.perturbed(changed, outcomes)
 
 
-def _sides_differ(world: Environment, old: Mapping[str, FactValue], new: Mapping[str, FactValue]) -> bool:
-    """Whether a comparison of some `requires` is true of one of two sets of values only."""
-    names = (name for name in old.keys() | new.keys() if old.get(name) != new.get(name) and name in world.fact)
-    facts = (world.fact[name] for name in names)
-    return any(
-        comparison.holds(fact.being(old.get(fact.name)).value) != comparison.holds(fact.being(new.get(fact.name)).value)
-        for fact in facts
-        for comparison in world.comparisons.get(fact.name, ())
+def _is_other(world: Environment, fact: Fact, old: Mapping[str, FactValue], new: Mapping[str, FactValue]) -> bool:
+    """Whether a comparison of some `requires`, or a quality that follows a fact, tells two of its values apart."""
+    before, after = fact.being(old.get(fact.name)).value, fact.being(new.get(fact.name)).value
+    return before != after and (
+        _sides(world, fact, before) != _sides(world, fact, after) or _followers(world, fact, before, after) != []
     )
+
+
+def _is_news(world: Environment, fact: Fact, before: FactValue, after: FactValue, band: float) -> bool:
+    """Whether a value that a stream says changes a comparison, or a quality by NEWS and for sure, in spite of noise."""
+    if _sides(world, fact, before) != _sides(world, fact, after):
+        return True
+    if isinstance(before, str) or isinstance(after, str) or abs(after - before) <= band:
+        return False
+    return any(abs(new - old) > NEWS * abs(old) for old, new in _followers(world, fact, before, after))
+
+
+def _sides(world: Environment, fact: Fact, value: FactValue) -> list[bool]:
+    return [comparison.holds(value) for comparison in world.comparisons.get(fact.name, ())]
+
+
+def _followers(world: Environment, fact: Fact, before: FactValue, after: FactValue) -> list[tuple[int, int]]:
+    """The qualities that follow a fact and differ for two of its values."""
+    if isinstance(before, bool | str) or isinstance(after, bool | str):
+        return []
+    values = ((curve.at(before), curve.at(after)) for curve in world.curves.get(fact.name, ()))
+    return [(old, new) for old, new in values if old != new]

@@ -160,6 +160,8 @@ class Manager:
             situation.clocks_ahead_us,
             seen.facts,
             seen.left_out,
+            {name: now - last.at_s for name, last in state.heard.items()},
+            seen.quality_by_facts,
         )
 
     @property

@@ -96,10 +96,15 @@ class HostBack(Perturbation, frozen=True):
 
 
 class FactsChanged(Perturbation, frozen=True):
-    """Facts have changed which transformations may run: those `left_out` may not any more, those `back` may again."""
+    """Facts have changed what is planned with.
+
+    Transformations `left_out` may not run any more, those `back` may again, and outputs of those `requalified` are
+    better or worse than before.
+    """
 
     left_out: tuple[str, ...] = ()
     back: tuple[str, ...] = ()
+    requalified: tuple[str, ...] = ()
 
 
 class HorizonReached(Perturbation, frozen=True):

@@ -153,6 +153,10 @@ class Snapshot:
     """The facts of the world as they are now."""
     left_out: Mapping[str, str] = field(default_factory=dict)
     """Why transformations may not run as the facts are, by label."""
+    facts_heard_s: Mapping[str, float] = field(default_factory=dict)
+    """By fact that a stream observes: how long ago its last value came."""
+    by_facts: Mapping[str, str] = field(default_factory=dict)
+    """The qualities that follow facts as they are now; see `Environment.quality_by_facts`."""
 
 
 class Report(msgspec.Struct, frozen=True):

@@ -223,8 +223,9 @@ def _perturbation(perturbation: kinds.Perturbation) -> str | None:
             return f"host {host} is gone{f': {cause}' if cause else ''}"
         case kinds.HostBack(host):
             return f"host {host} is there"
-        case kinds.FactsChanged(left_out, back):
-            parts = [(left_out, "may not run any more"), (back, "may run again")]
+        case kinds.FactsChanged(left_out, back, requalified):
+            how = "gives another quality" if len(requalified) == 1 else "give another quality"
+            parts = [(left_out, "may not run any more"), (back, "may run again"), (requalified, how)]
             return "facts have changed: " + ", ".join(f"{named(labels)} {says}" for labels, says in parts if labels)
         case kinds.HorizonReached(horizon_s):
             return f"the horizon of {horizon_s} s is reached"

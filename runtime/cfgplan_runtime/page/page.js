@@ -83,6 +83,9 @@ function facts() {
     `${(state.cost_us / 1e6).toPrecision(3)} s of CPU per ${span(state.horizon_s)}`];
   if (state.saving_us) said.push(`${(state.saving_us / 1e6).toPrecision(3)} s to save at the horizon`);
   if (state.horizon_left_s !== null) said.push(`horizon in ${span(state.horizon_left_s)}`);
+  for (const [name, value] of Object.entries(state.facts)) said.push(`${name} is ${value}`);
+  for (const [label, why] of Object.entries(state.left_out)) said.push(`left out for now: ${label}, ${why}`);
+  for (const [what, value] of Object.entries(state.by_facts)) said.push(`${what} ${value}`);
   byId("facts").textContent = said.join("  ·  ");
   const fault = state.faults[0];
   byId("fault").hidden = !fault;
