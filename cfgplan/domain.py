@@ -557,6 +557,17 @@ class Environment:
         library = tuple(changed.get(t.label, t) for t in self.library) if changed else self.library
         return replace(self, facts=tuple(facts.values()), library=library)
 
+    @property
+    def as_declared(self) -> Environment:
+        """The environment in which facts are what is declared."""
+        return self.with_facts({fact.name: fact.declared for fact in self.facts}) if self.facts else self
+
+    @property
+    def sides(self) -> Mapping[str, bool]:
+        """Whether each comparison that transformations require is true as the facts are, by its text."""
+        found = ((each, self.fact[name]) for name, some in self.comparisons.items() for each in some)
+        return {str(each): each.holds(fact.value) for each, fact in sorted(found, key=lambda one: str(one[0]))}
+
     @cached_property
     def following(self) -> Mapping[str, tuple[tuple[str, Contribution], ...]]:
         """The qualities that follow facts, each with its output, by transformation; others are not there."""

@@ -145,6 +145,9 @@ class Comparison:
     sign: str
     value: FactValue
 
+    def __str__(self) -> str:
+        return f"{self.fact} {self.sign} {said(self.value)}"
+
     @property
     def bound(self) -> int | None:
         """The least value on the upper side of what a number is compared with; None for another comparison."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -337,3 +338,13 @@ def test_what_follows_no_fact_is_refused_with_its_place(following: Path, old: st
     (fault,) = refused.value.faults
     assert message in fault.message
     assert (fault.line, bool(fault.mend)) == (6, True)
+
+
+def test_a_plan_file_says_which_facts_were_used_and_what_is_declared(survey: Path) -> None:
+    world = api.what_if(api.load(survey), settings={"facts.visibility": "4"})
+    problem = api.match(world)
+    assert json.loads(api.plan_text(world, problem, api.plan(problem)))["facts"] == {
+        "visibility": {"declared": 1.0, "used": 4.0},
+        "night": {"declared": False, "used": False},
+        "mode": {"declared": "survey", "used": "survey"},
+    }

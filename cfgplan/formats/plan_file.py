@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from cfgplan.costs import seconds
 from cfgplan.domain import CPU, MEMORY, ChangeSet, ComputationUnit, Environment, Objective
 from cfgplan.errors import InputError, InvalidValueError
+from cfgplan.facts import FactValue
 from cfgplan.figures import cost_parts, loads, qualities_of_targets, transfers
 from cfgplan.formats.dump import changes_of, plain_unit
 from cfgplan.formats.files import read_text
@@ -65,6 +66,13 @@ class MeasuredPart(_PlanPart):
     bound: int = Field(ge=0, description="no update that is as good in what comes before has less")
 
 
+class FactUsed(_PlanPart):
+    """A fact of the world."""
+
+    declared: Any = Field(description="what the environment file says: a number, true, false or a word")
+    used: Any = Field(description="what the plan was made with")
+
+
 class PlanPart(_PlanPart):
     """A planner's answer and the environment it holds for."""
 
@@ -98,8 +106,11 @@ class PlanPart(_PlanPart):
     counts: dict[str, int] = Field(default={}, description="the planner's own figures")
     survive: Literal["units", "hosts"] | None = Field(default=None, description="single failures that it bears")
     figures: Any = Field(default=None, description="cost by parts, quality, hosts and transfers, beyond the paper")
+    facts: dict[str, FactUsed] = Field(default={}, description="the facts of the world that the plan was made with")
     basis: dict[str, dict[str, str]] = Field(
-        default={}, description="of a run's plan: a digest of each unit, transformation, target and setting it is for"
+        default={},
+        description="of a run's plan: a digest of each unit, transformation, target and setting it is for, and of the "
+        "side of each comparison of a fact",
     )
 
 
@@ -130,6 +141,7 @@ def dump_plan(plan: Plan, problem: Problem, digest: str, basis: Mapping[str, Map
         "seconds": dict(plan.seconds),
         "counts": dict(plan.counts),
         **_beyond_the_paper(plan, problem),
+        **({"facts": facts} if (facts := _facts(problem.environment)) else {}),
         **({} if basis is None else {"basis": basis}),
     }
     return json.dumps(document, indent=2, ensure_ascii=False) + "\n"
@@ -174,6 +186,14 @@ def _plan_in(source: Source, part: PlanPart) -> Plan:
     except InvalidValueError as error:
         mend = "write the plan anew with `solve --out` or `ctl plan --out`"
         raise InputError([source.fault(("change_set",), str(error), mend)]) from None
+
+
+def _facts(environment: Environment) -> dict[str, dict[str, object]]:
+    return {fact.name: {"declared": _plain(fact.declared), "used": _plain(fact.value)} for fact in environment.facts}
+
+
+def _plain(value: FactValue) -> bool | float | str:
+    return value if isinstance(value, bool | str) else float(units(value))
 
 
 def _change_set(change_set: ChangeSet, problem: Problem) -> dict[str, Any]:

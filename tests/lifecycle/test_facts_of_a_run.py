@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from math import cos, pi
@@ -9,15 +10,17 @@ from random import Random
 from typing import Any
 
 import pytest
-from cfgplan_runtime.lifecycle.changes import Add, SetFact
+from cfgplan_runtime.lifecycle.basis import plan_text
+from cfgplan_runtime.lifecycle.changes import Add, ApplyPlan, SetFact
 from cfgplan_runtime.lifecycle.perturbations import FactsChanged
-from cfgplan_runtime.lifecycle.reports import Decision, FactSilent
+from cfgplan_runtime.lifecycle.reports import Decision, FactSilent, Review
 from living import Life, source, started, worker
 
 from cfgplan import api
 from cfgplan.domain import Environment, Target, Transformation, observing
 from cfgplan.errors import InputError
 from cfgplan.facts import Fact, FactValue
+from cfgplan.formats.plan_file import read_run_plan
 from cfgplan.noise import Noise
 from cfgplan.qualities import Better, Contribution, Curve, QualityAttribute, QualityRule, Wish
 
@@ -262,3 +265,38 @@ def test_what_would_require_the_fact_that_it_observes_is_refused_in_a_run_too() 
     assert run.units == {"count.1", "sensor.1", "work.1"}
     see(run, 1_000_000)
     assert "dear.1" in run.units
+
+
+def written_plan(run: Life) -> dict[str, Any]:
+    future = run.manager.preview()
+    run.settle()
+    plan: dict[str, Any] = json.loads(plan_text(future.result(timeout=0)))
+    return plan
+
+
+def apply(run: Life, written: dict[str, Any]) -> Review:
+    plan, basis = read_run_plan(json.dumps(written), "plan.json")
+    assert plan.change_set is not None
+    return run.reviewed(ApplyPlan(plan.change_set, basis, "plan.json"))
+
+
+def test_a_plan_is_stale_once_a_comparison_is_the_other_way_round_not_before() -> None:
+    run = life()
+    written = written_plan(run)
+    assert written["facts"]["visibility"] == {"declared": 4.0, "used": 4.0}
+    run.ask(SetFact("visibility", "3.5"))
+    assert written_plan(run)["facts"]["visibility"] == {"declared": 4.0, "used": 3.5}
+    assert written_plan(run)["basis"] == written["basis"]
+    apply(run, written)
+    run.reviewed(SetFact("visibility", "1"))
+    with pytest.raises(InputError) as refused:
+        apply(run, written)
+    assert "the plan is stale: fact visibility >= 3.25 is the other way round now" in str(refused.value)
+
+
+def test_a_plan_is_not_stale_because_a_quality_has_followed_a_fact() -> None:
+    run = night(None)
+    written = written_plan(run)
+    run.reviewed(SetFact("brightness", "0.8"))
+    assert "camera.1" in run.units
+    assert apply(run, written).decision is Decision.APPLIED

@@ -20,11 +20,16 @@ from cfgplan_runtime.lifecycle.deliberation import Deliberation, Thought
 from cfgplan_runtime.lifecycle.reports import Decision
 
 Basis: TypeAlias = Mapping[str, Mapping[str, str]]
-"""By kind and name: a digest of each unit that runs, each transformation, target and setting."""
+"""By kind and name: a digest of each unit that runs, each transformation, target and setting, and of the side of each
+comparison of a fact.
+
+The numbers of facts are not in it, nor the qualities that follow from them: noisy ones would make any plan stale.
+"""
 
 _STALE_FOR = {
     "unit": ("{} runs now", "{} does not run any more", "{} is wired otherwise now"),
     "transformation": ("{} is there now", "{} is not there any more", "{} has been changed"),
+    "fact": ("{} is asked about now", "{} is not asked about any more", "{} is the other way round now"),
     "target": ("{} is wanted now", "{} is not wanted any more", "{} has been changed"),
     "setting": ("{} is set now", "{} is not set any more", "{} has been changed"),
 }
@@ -61,11 +66,14 @@ def basis_of(world: World, running: Environment) -> Basis:
         "qualities": wanted.qualities,
         "ontology": (sorted(world.ontology.axioms), world.ontology.ignored),
     }
-    if wanted.left_out:
-        settings["left out by facts"] = sorted(wanted.left_out)
-    kinds = (("unit", running.unit), ("transformation", wanted.transformation), ("target", wanted.target))
-    named = {kind: {name: _digest(value) for name, value in values.items()} for kind, values in kinds}
-    return {**named, "setting": {name: _digest(value) for name, value in settings.items()}}
+    kinds: tuple[tuple[str, Mapping[str, object]], ...] = (
+        ("unit", running.unit),
+        ("transformation", wanted.as_declared.transformation),
+        ("target", wanted.target),
+        ("fact", wanted.sides),
+        ("setting", settings),
+    )
+    return {kind: {name: _digest(value) for name, value in values.items()} for kind, values in kinds}
 
 
 def previewed(preview: Preview) -> Plan:
