@@ -1,0 +1,229 @@
+"""Faults of unit code are told before it runs, and only those that are certain: what is found is held against a run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import count
+from pathlib import Path
+
+import pytest
+from cfgplan_runtime.children.source_faults import source_fault
+from cfgplan_runtime.children.unit_code import UnitCode
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cfgplan.domain import InputPort, OutputPort, Transformation
+
+OUT = (OutputPort("out", "Out"),)
+GOOD = """\
+class Detector:
+    def __init__(self, threshold):
+        self.threshold = threshold
+
+    def __call__(self, image):
+        return image
+
+
+def camera():
+    yield 1
+"""
+
+
+def transformation(source: str, *inputs: str, **params: object) -> Transformation:
+    return Transformation("t", tuple(InputPort(name, "In") for name in inputs), OUT, source=source, params=params)
+
+
+def told(folder: Path, of: Transformation) -> str:
+    """The fault of a source as a text, its file relative to `folder`; "" if there is none."""
+    fault = source_fault(of, folder)
+    return "" if fault is None else str(fault).replace(f"{folder}/", "")
+
+
+@pytest.mark.parametrize(
+    ("code", "of", "says"),
+    [
+        (GOOD, transformation("units.py:Detector", "image", threshold=5), ""),
+        (GOOD, transformation("units.py:camera"), ""),
+        (
+            GOOD,
+            transformation("unit.py:camera"),
+            "unit.py: there is no such file of unit code (did you mean `units.py`?)",
+        ),
+        (
+            GOOD,
+            transformation("units.py:Detektor", "image", threshold=5),
+            "units.py: units.py has no Detektor (did you mean `Detector`?)",
+        ),
+        (
+            GOOD,
+            transformation("units.py"),
+            "`units.py` names no unit code (write package.module:Class or units.py:Class)",
+        ),
+        (
+            GOOD,
+            transformation("nosuchmodule:Detector"),
+            "there is no module nosuchmodule (install it, or put nosuchmodule.py beside the environment)",
+        ),
+        (
+            GOOD,
+            transformation("units:Detector", "image", treshold=5),
+            "units.py:2: Detector() takes no param `treshold` (did you mean `threshold`?)",
+        ),
+        (
+            GOOD,
+            transformation("units.py:Detector", "image"),
+            "units.py:2: Detector() needs `threshold`, which `params` lacks",
+        ),
+        (
+            GOOD,
+            transformation("units.py:Detector", "img", threshold=5),
+            "units.py:5: Detector.__call__ takes no input `img` (did you mean `image`?)",
+        ),
+        (
+            GOOD,
+            transformation("units.py:Detector", threshold=5),
+            "units.py:5: Detector.__call__ needs `image`, and there is no such input",
+        ),
+        (GOOD, transformation("units.py:camera", "image"), "units.py:9: camera takes no input `image` (it takes none)"),
+        (
+            "import nosuchmodule\n" + GOOD,
+            transformation("units.py:camera"),
+            "units.py:1: it imports nosuchmodule, which is not there",
+        ),
+        (
+            "try:\n    import nosuchmodule\nexcept ImportError:\n    pass\n" + GOOD,
+            transformation("units.py:camera"),
+            "",
+        ),
+        ("import sys\nsys.path.append('/x')\nimport nosuchmodule\n" + GOOD, transformation("units.py:camera"), ""),
+        ("from nosuchmodule import *\n" + GOOD, transformation("units.py:other"), ""),
+        (
+            "def camera(:\n",
+            transformation("units.py:camera"),
+            "units.py:1:12: SyntaxError: invalid syntax (correct it)",
+        ),
+        (
+            "class Lamp:\n    pass\n",
+            transformation("units.py:Lamp", "on"),
+            "units.py:1: Lamp can't be called (give it a __call__ method)",
+        ),
+        (
+            "class Lamp:\n    pass\n",
+            transformation("units.py:Lamp"),
+            "units.py:1: Lamp has no inputs, so it needs __iter__ or __call__ (give it a __call__ method)",
+        ),
+        (
+            "def lamp(on, *, level):\n    return on\n",
+            transformation("units.py:lamp", "on"),
+            "units.py:1: lamp needs `level`, which is neither a param nor an input",
+        ),
+        (
+            "x = 3\n",
+            transformation("units.py:lamp"),
+            "units.py: units.py has no lamp (it has nothing that can be called)",
+        ),
+        (
+            GOOD,
+            transformation("program:./absent"),
+            "absent: there is no file ./absent (files are relative to the environment file)",
+        ),
+        (GOOD, transformation("node:a/b"), ""),
+    ],
+)
+def test_a_fault_is_told_with_its_line_and_its_mend(tmp_path: Path, code: str, of: Transformation, says: str) -> None:
+    (tmp_path / "units.py").write_text(code)
+    found = told(tmp_path, of)
+    assert found.startswith(says) if says else not found
+
+
+def test_no_code_is_run(tmp_path: Path) -> None:
+    (tmp_path / "loud").mkdir()
+    (tmp_path / "loud" / "__init__.py").write_text("raise RuntimeError('was imported')\n")
+    (tmp_path / "loud" / "units.py").write_text("raise RuntimeError('was run')\n" + GOOD)
+    assert told(tmp_path, transformation("loud.units:camera")) == ""
+    assert told(tmp_path, transformation("loud.units:lamp")).startswith("loud/units.py: loud.units has no lamp")
+
+
+NAMES = ("a", "b", "c")
+NUMBERS = count()
+
+
+@dataclass(frozen=True)
+class Code:
+    """Unit code, and what is said of it in a file."""
+
+    text: str
+    params: tuple[str, ...]
+    inputs: tuple[str, ...]
+    is_plain: bool
+    """Whether nothing hides what it takes."""
+
+
+@st.composite
+def signatures(draw: st.DrawFn, first: str) -> str:
+    parts = [first] if first else []
+    plain, named = draw(st.lists(st.sampled_from(NAMES), unique=True, max_size=3)), []
+    if draw(st.booleans()):
+        plain, named = plain[:1], plain[1:]
+    defaults = draw(st.integers(0, len(plain)))
+    parts += [name if at < len(plain) - defaults else f"{name}=0" for at, name in enumerate(plain)]
+    if named:
+        parts += ["*", *(f"{name}{draw(st.sampled_from(['', '=0']))}" for name in named)]
+    if draw(st.booleans()):
+        parts.append("**more")
+    return ", ".join(parts)
+
+
+@st.composite
+def codes(draw: st.DrawFn) -> Code:
+    some = st.lists(st.sampled_from(NAMES), unique=True, max_size=2).map(tuple)
+    params, inputs = draw(some), draw(some)
+    hides = draw(st.sampled_from(["", "", "", "decorated", "inherits", "assigned", "changed"]))
+    mark = "@(lambda it: it)\n" if hides == "decorated" else ""
+    if draw(st.booleans()):
+        text = f"{mark}def Unit({draw(signatures(''))}):\n    return None\n"
+    else:
+        methods = draw(
+            st.lists(st.sampled_from(["__init__", "__call__", "__iter__", "other"]), unique=True, min_size=1)
+        )
+        takes = {name: "self" if name == "__iter__" else draw(signatures("self")) for name in methods}
+        gives = {"__iter__": "iter(())"}
+        body = "".join(f"    def {name}({takes[name]}):\n        return {gives.get(name)}\n" for name in methods)
+        inherited = draw(st.sampled_from(["", "(object)", "(Base)"])) if hides != "inherits" else "(dict)"
+        base = f"class Base:\n    def __call__({draw(signatures('self'))}):\n        return None\n"
+        text = f"{base}{mark}class Unit{inherited}:\n{body}"
+    if hides == "assigned":
+        text += "Unit = Unit\n"
+    if hides == "changed":
+        text += "Unit.level = 3\n"
+    return Code(text, params, inputs, not hides)
+
+
+def fails(code: Code, folder: Path, file: str) -> bool:
+    """Whether units of this code really can't be made, or can't do their first step."""
+    params = dict.fromkeys(code.params, 1)
+    try:
+        made = UnitCode(f"{file}:Unit", params, ("out",), folder=str(folder), is_source=not code.inputs)
+        if code.inputs:
+            list(made.step(dict.fromkeys(code.inputs, 1)))
+        else:
+            next(made.produce())
+    except StopIteration:
+        return False
+    except Exception:
+        return True
+    return False
+
+
+@settings(max_examples=300, deadline=None)
+@given(code=codes())
+def test_what_is_found_fails_and_what_fails_is_found_unless_it_is_hidden(
+    code: Code, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    folder = tmp_path_factory.getbasetemp()
+    file = f"drawn_{next(NUMBERS)}.py"
+    (folder / file).write_text(code.text)
+    found = told(folder, transformation(f"{file}:Unit", *code.inputs, **dict.fromkeys(code.params, 1)))
+    is_broken = fails(code, folder, file)
+    assert is_broken or not found, (code.text, found)
+    assert found or not is_broken or not code.is_plain, code.text
