@@ -39,7 +39,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan.explaining import Suspicion
 
     world, every, noisy = _faults(options, screen)
-    for warning in noisy:
+    faulty = [*shared.code_faults(world, world.environment.transformation)]
+    for warning in (*noisy, *faulty):
         screen.warn(warning)
     if not world.environment.units and options.against is None:
         return _nothing_runs(options, world, screen)

@@ -7,7 +7,7 @@ import json
 import os
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from decimal import Decimal, InvalidOperation
@@ -369,3 +369,17 @@ def duration(text: str) -> float:
     if seconds is None:
         raise argparse.ArgumentTypeError(f"{text!r} is no span of time: write 30s, 5m or 1h")
     return float(seconds)
+
+
+def code_faults(world: api.World, labels: Iterable[str]) -> Iterator[str]:
+    """What keeps the code of transformations from being started, each with where the file names it."""
+    if world.file is None or world.environment.hosts:  # the hosts have their own code
+        return
+    from cfgplan_runtime.children.source_faults import source_fault
+
+    path = world.file.path
+    for label in labels:
+        fault = source_fault(world.environment.transformation[label], path if path.is_dir() else path.parent)
+        if fault is not None:
+            place = world.file.place(transformation=label)
+            yield f"{':'.join(map(str, place or (path,)))}: {label} can't be started: {fault}"

@@ -13,6 +13,7 @@ from dataclasses import replace
 from functools import partial
 from importlib.machinery import PathFinder
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 from cfgplan.cli import options as shared
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from cfgplan_runtime.fleet.fleet_runtime import Fleet
     from cfgplan_runtime.lifecycle.deliberation import Thought
     from cfgplan_runtime.operating.operation import Operation, Settings
+    from cfgplan_runtime.operating.sources import SourceCheck
     from cfgplan_runtime.runtime import Runtime
 
     from cfgplan.api import World
@@ -132,13 +134,12 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     elif not options.dry_run and not loaded.environment.hosts:
         mend = "name them under `hosts:`, or leave out --local and --connect"
         raise InputError.of("the file has no hosts", file=options.env, mend=mend)
-    _check_can_start(loaded)
+    _check_can_start(options, loaded)
     if not options.dry_run and options.middleware in _ROS:
         _check_nodes(options, loaded)
     else:
         if not options.dry_run:
             _refuse_nodes(options, loaded)
-            _check_programs(options, loaded)
         _check_ros2(options, loaded)
     said = loaded.environment if options.compared else None
     if loaded.environment.units and said is None:
@@ -155,7 +156,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         matches = shared.matches(options, screen, world, FEW_PAIRS)
         known = matches.warnings
         with screen.phase("plan"):
-            thought = first_review(_adjusted(options, world), settings, matches)
+            thought = first_review(_adjusted(options, world), settings, matches, _folder(options))
         found = thought.found
         if found is None or (thought.change_set is None and found.plan.change_set is not None):
             raise thought.error or RuntimeError(thought.cause)
@@ -169,13 +170,27 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     return _operate(options, world, screen, said)
 
 
-def _check_can_start(world: World) -> None:
+def _check_can_start(options: argparse.Namespace, world: World) -> None:
+    """Raises InputError where no transformation of the library could be started."""
     library = world.environment.library
-    if world.environment.targets and library and not any(transformation.source for transformation in library):
+    if not (world.environment.targets and library):
+        return
+    coded = [one for one in library if one.source]
+    if not coded:
         labels = some((transformation.label for transformation in library), _MOST_NAMED)
         message = f"nothing can be started: no transformation names its unit code ({labels})"
         mend = "add `source: units.py:Class` to them, or plan with `solve`"
         raise InputError.of(message, file=str(world.file.path) if world.file else None, mend=mend)
+    check, folder = _source_check(options), _folder(options)
+    if options.dry_run or check is None or options.middleware in _ROS:
+        return
+    faults = [(one.label, check(one, folder)) for one in coded]
+    if all(fault is not None for _, fault in faults):
+        raise InputError(
+            replace(fault, message=f"{label}: {fault.message}", file=fault.file or options.env)
+            for label, fault in faults
+            if fault is not None
+        )
 
 
 def _refuse_nodes(options: argparse.Namespace, world: World) -> None:
@@ -203,11 +218,7 @@ def _check_nodes(options: argparse.Namespace, world: World) -> None:
     if observed := [fact.name for fact in world.environment.facts if fact.observed_on is not None]:
         mend = f"remove its `by` or `topic`, and say what is so: `cfgplan ctl fact {observed[0]}=VALUE`"
         raise InputError.of(f"a run of {ros} nodes observes no facts ({observed[0]})", file=options.env, mend=mend)
-    if options.middleware == ROS1:
-        from cfgplan_runtime.ros1.ros_unit import node_source
-    else:
-        from cfgplan_runtime.ros2.ros2_unit import node_source
-    check_nodes(world.environment, options.env, node_source, ros)
+    check_nodes(world.environment, options.env, _ros_unit(options).node_source, ros)
 
 
 def _check_ros2(options: argparse.Namespace, world: World) -> None:
@@ -223,21 +234,6 @@ def _check_ros2(options: argparse.Namespace, world: World) -> None:
     checks: list[Callable[[], object]] = [partial(check_unit, each, folder) for each in units]
     checks += [partial(check_targets, world.environment, folder)] if options.ros2 else []
     _tell_faults(checks, options.env)
-
-
-def _check_programs(options: argparse.Namespace, world: World) -> None:
-    """Have all that is wrong with programs told before anything is started; other hosts look for their files."""
-    from cfgplan_runtime.children.program_source import ProgramSource
-
-    def check(label: str, source: str | None) -> None:
-        try:
-            program = ProgramSource.read(source)
-            if program is not None and _fleet(options) is None:
-                program.file(_folder(options))
-        except InputError as error:
-            raise InputError([replace(fault, message=f"{label}: {fault.message}") for fault in error.faults]) from None
-
-    _tell_faults([partial(check, each.label, each.source) for each in world.environment.library], options.env)
 
 
 def _tell_faults(checks: list[Callable[[], object]], file: str) -> None:
@@ -422,7 +418,25 @@ def _settings(options: argparse.Namespace, screen: Screen) -> Settings:
         metrics_port=options.metrics_port,
         runtime=_runtime(options, screen),
         adjust=partial(_adjusted, options),
+        check=_source_check(options),
     )
+
+
+def _source_check(options: argparse.Namespace) -> SourceCheck | None:
+    """What finds faults of code before it is started; None where the code is on other computers."""
+    from cfgplan_runtime.children.source_faults import fault_of, source_fault
+
+    if options.middleware in _ROS:
+        check_start = _ros_unit(options).check_start
+        return lambda transformation, folder: fault_of(lambda: check_start(transformation, folder), folder)
+    return None if options.connect else source_fault
+
+
+def _ros_unit(options: argparse.Namespace) -> ModuleType:
+    """The module that knows nodes of the ROS that is asked for."""
+    from importlib import import_module
+
+    return import_module(f"cfgplan_runtime.{'ros1.ros_unit' if options.middleware == ROS1 else 'ros2.ros2_unit'}")
 
 
 def _fleet(options: argparse.Namespace) -> Fleet | None:
@@ -462,21 +476,25 @@ def _runtime(
     return lambda environment, folder: fleet_runtime(fleet, environment, folder, options.preload, screen.note)
 
 
-def first_review(world: World, settings: Settings, matches: Matches) -> Thought:
-    """Plan as the first review of a run would, with the estimates that earlier runs have kept."""
+def first_review(world: World, settings: Settings, matches: Matches, folder: Path) -> Thought:
+    """Plan as the first review of a run would, with the estimates that earlier runs have kept. Code is in `folder`."""
     from cfgplan_runtime.estimating.estimates_file import load
     from cfgplan_runtime.estimating.estimator import make_estimator
     from cfgplan_runtime.lifecycle.basis import preview_of
     from cfgplan_runtime.lifecycle.decisions import first_state
     from cfgplan_runtime.lifecycle.deliberation import Deliberation
     from cfgplan_runtime.lifecycle.guarded_estimator import GuardedEstimator
+    from cfgplan_runtime.operating.sources import faults_of
 
     estimator = make_estimator(settings.estimator, settings.guess)
     if settings.estimates is not None:
         load(estimator, settings.estimates, time.monotonic())
     policy = replace(settings.policy, hosts_s=None, refuses_hosts=False)  # no host is asked whether it is there
     deliberation = Deliberation(settings.planner, GuardedEstimator(estimator), policy, matches)
-    return preview_of(deliberation, first_state(world, policy).scene, threading.Event()).thought
+    scene = first_state(world, policy).scene
+    faults = faults_of(world.environment.library, folder, settings.check)
+    scene = replace(scene, situation=replace(scene.situation, code_faults=faults))
+    return preview_of(deliberation, scene, threading.Event()).thought
 
 
 def _shown_first(thought: Thought, world: World, said: Environment | None, screen: Screen) -> None:

@@ -86,8 +86,8 @@ def test_what_an_open_pair_may_meet_besides_is_left_open(run: Run, env: Path) ->
     assert "target t wants W, but nobody knows yet whether C is W" in result.out
     assert "whether more can be met hangs on 1 pair of tags not decided" in result.err
     assert "time ran out" not in result.err
-    (env.parent / "units.py").write_text("class Cheap: ...\n")
-    env.write_text(env.read_text().replace("label: cheap,", "label: cheap, source: 'units.py:Cheap',"))
+    (env.parent / "units.py").write_text("def cheap():\n    yield 1\n")
+    env.write_text(env.read_text().replace("label: cheap,", "label: cheap, source: 'units.py:cheap',"))
     run_dry = run("run", env, "--dry-run", "--reasoner", "el")
     assert (run_dry.code, "nobody knows yet whether C is W" in run_dry.out) == (20, True)
 

@@ -65,7 +65,7 @@ def test_worlds_are_there_to_compare() -> None:
 @pytest.mark.parametrize("path", WORLDS, ids=[str(path.relative_to(MODELS)) for path in WORLDS])
 def test_a_dry_run_answers_what_the_first_review_does(path: Path) -> None:
     world = startable(path)
-    said = first_review(world, Settings(policy=PATIENT), matches(world, most=FEW_PAIRS))
+    said = first_review(world, Settings(policy=PATIENT, check=None), matches(world, most=FEW_PAIRS), path.parent)
     manager = begun(world)
     (review,) = manager.snapshot().reviews
     assert said.change_set == review.change_set
@@ -110,6 +110,7 @@ def test_a_dry_run_tells_of_units_that_it_would_start_without_code(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     env = tmp_path / "env.yaml"
+    (tmp_path / "units.py").write_text("def T(a):\n    return a\n")
     env.write_text(
         "format: cfgplan/1\nhorizon: 10\ntransformations:\n  - {label: s, outputs: {a: A}}\n"
         "  - {label: t, source: 'units.py:T', inputs: {a: A}, outputs: {b: B}}\n"

@@ -301,7 +301,7 @@ def test_the_first_interrupt_lets_units_finish_and_the_second_does_not_wait(env:
 
 
 def test_a_dry_run_says_what_it_would_start_and_starts_nothing(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (env.parent / "units.py").write_text("raise SystemError('was started')")
+    (env.parent / "units.py").write_text(UNITS + "raise SystemError('was started')\n")
     assert main(["run", str(env), "--dry-run", "--no-estimates"]) == 0
     out = capsys.readouterr().out
     assert "+ start   detector(piff).1" in out

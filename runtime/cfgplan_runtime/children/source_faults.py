@@ -9,9 +9,9 @@ from __future__ import annotations
 import ast
 import importlib.util
 import sys
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.machinery import PathFinder
 from pathlib import Path
@@ -34,18 +34,31 @@ def source_fault(transformation: Transformation, folder: Path) -> Fault | None:
 
     The fault's file is that of the code, where it has one. `folder` is what files are relative to.
     """
-    source = transformation.source
+    return fault_of(lambda: _check(transformation, folder), folder)
+
+
+def fault_of(check: Callable[[], object], folder: Path) -> Fault | None:
+    """The first fault that a check raises, its file relative to a folder if it is there; None if it raises none."""
     try:
-        if source is None or NodeSource.read(source) is not None:
-            return None
-        program = ProgramSource.read(source)
-        if program is not None:
-            program.file(folder)
-        else:
-            _check_python(transformation, source, folder)
+        check()
     except InputError as error:
-        return error.faults[0]
+        fault = error.faults[0]
+        file = None if fault.file is None else Path(fault.file)
+        is_inside = file is not None and file.is_relative_to(folder)
+        return replace(fault, file=str(file.relative_to(folder))) if file is not None and is_inside else fault
     return None
+
+
+def _check(transformation: Transformation, folder: Path) -> None:
+    """Raises InputError."""
+    source = transformation.source
+    if source is None or NodeSource.read(source) is not None:
+        return
+    program = ProgramSource.read(source)
+    if program is not None:
+        program.file(folder)
+    else:
+        _check_python(transformation, source, folder)
 
 
 def code_path(source: str | None, folder: Path) -> Path | None:

@@ -105,6 +105,17 @@ class SetFact:
     value: str
 
 
+@dataclass(frozen=True)
+class FaultyCode:
+    """The code of these transformations can't be started, by label with the cause; that of all others may.
+
+    The code of those `changed` is another one since the last time, so that their failures no longer count.
+    """
+
+    faults: Mapping[str, str] = field(hash=False)
+    changed: tuple[str, ...] = ()
+
+
 @dataclass(frozen=True, slots=True)
 class ReviewNow:
     """Optimise now, as if the horizon were reached. Back-offs are forgiven."""
@@ -127,4 +138,4 @@ class Stop:
 
 
 WorldChange: TypeAlias = Add | Remove | Declare | Withdraw | Restore | ReplaceWorld
-Change: TypeAlias = WorldChange | KillUnit | LoseHost | RegainHost | SetFact | ReviewNow | ApplyPlan | Stop
+Change: TypeAlias = WorldChange | KillUnit | LoseHost | RegainHost | SetFact | FaultyCode | ReviewNow | ApplyPlan | Stop

@@ -50,6 +50,8 @@ class Situation:
     """Whether a host of which the middleware has said nothing is not there yet."""
     facts: Mapping[str, FactValue] = field(default_factory=dict)
     """The facts of the world that have been set since the run began, by name."""
+    code_faults: Mapping[str, str] = field(default_factory=dict)
+    """Why the code of transformations can't be started, by label."""
     given_up_hosts: frozenset[str] = frozenset()
     """Hosts that are to be done without, by request."""
     prepared: frozenset[str] = frozenset()
@@ -61,6 +63,12 @@ class Situation:
         """The label of a unit's transformation; None if the unit is not known."""
         running = self.units.get(unit)
         return None if running is None else running.transformation.label
+
+    def why_not(self, label: str) -> str | None:
+        """Why no unit of a transformation may be started now, whatever the facts and hosts; None if one may."""
+        if label in self.code_faults:
+            return self.code_faults[label]
+        return (self.back_offs.refusal(label) or "it keeps failing") if label in self.back_offs.avoided else None
 
     def as_it_is(self, world: World) -> World:
         """The world with the facts as they have been set."""
@@ -160,10 +168,10 @@ def avoided_now(scene: Scene) -> dict[str, str]:
             continue
         if places and all(map(situation.is_lost, places)):
             avoided[label] = gone_host(*places)
-        elif label in situation.back_offs.avoided:
+        elif (cause := situation.why_not(label)) is not None:
             runs = sound.get(label)
             if runs is None or not _has_ports_of(runs, transformation):
-                avoided[label] = situation.back_offs.refusal(label) or "it keeps failing"
+                avoided[label] = cause
     return avoided
 
 
@@ -201,7 +209,7 @@ def _as_planned(
         now is not None
         and known is not None
         and not runs_alike(known.transformation, now)
-        and now.label not in situation.back_offs.avoided
+        and situation.why_not(now.label) is None
     )
     is_there = unit.host in [host.name for host in hosts] if hosts else unit.host is None
     if is_old or not is_there or unit.id in situation.failing:

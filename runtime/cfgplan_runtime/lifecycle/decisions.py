@@ -23,6 +23,7 @@ from cfgplan_runtime.lifecycle.deliberation import Thought
 from cfgplan_runtime.lifecycle.fact_values import fact_seen, facts_fallen_silent
 from cfgplan_runtime.lifecycle.inbox import Asked, FactSeen, Item, Leave, PreviewAsked, Unusable
 from cfgplan_runtime.lifecycle.perturbations import (
+    CodeChanged,
     FactsChanged,
     HorizonReached,
     MayStartAgain,
@@ -61,7 +62,7 @@ from cfgplan_runtime.lifecycle.worlds import LivingWorld
 from cfgplan_runtime.supervision.delays import doubling_s
 from cfgplan_runtime.supervision.events import HostJoined, HostLost, InputLost, UnitDied
 
-_OPTIMISING = (Started, FactsChanged, HorizonReached, ReviewRequested, MayStartAgain)
+_OPTIMISING = (Started, CodeChanged, FactsChanged, HorizonReached, ReviewRequested, MayStartAgain)
 
 
 class BreakIn(Flag):

@@ -9,6 +9,7 @@ from cfgplan.errors import Fault, InputError
 from cfgplan_runtime.children.messages import Flow
 from cfgplan_runtime.lifecycle.changes import (
     ApplyPlan,
+    FaultyCode,
     KillUnit,
     LoseHost,
     RegainHost,
@@ -22,6 +23,7 @@ from cfgplan_runtime.lifecycle.differences import difference
 from cfgplan_runtime.lifecycle.fact_values import fact_set
 from cfgplan_runtime.lifecycle.inbox import Asked, Outcome
 from cfgplan_runtime.lifecycle.perturbations import (
+    CodeChanged,
     HostBack,
     HostGone,
     ReviewRequested,
@@ -108,6 +110,8 @@ def asked(turn: Turn, request: Asked) -> Turn:
                 return turn.situated(back).perturbed(HostBack(host), outcomes)
             case SetFact(name, value):
                 return fact_set(turn, name, value, request)
+            case FaultyCode(faults, changed):
+                return _code_looked_at(turn, faults, changed, request)
             case ReviewNow(by):
                 forgiven = replace(situation, back_offs=situation.back_offs.forgiving_all())
                 return turn.situated(forgiven).perturbed(ReviewRequested(by), outcomes)
@@ -117,6 +121,19 @@ def asked(turn: Turn, request: Asked) -> Turn:
                 return turn.also(Match(state.living, request, change))
     except InputError as error:
         return turn.also(Respond(request.outcome, error))
+
+
+def _code_looked_at(turn: Turn, faults: Mapping[str, str], changed: tuple[str, ...], request: Asked) -> Turn:
+    """The code of some transformations can't be started. A review is due only if other ones may start now."""
+    situation = turn.state.situation
+    mended = situation.code_faults.keys() - faults.keys()
+    waiting = situation.back_offs.avoided & {*changed, *mended}
+    left_out, back = faults.keys() - situation.code_faults.keys(), (mended | waiting) - faults.keys()
+    back_offs = situation.back_offs.forgiving(*changed, *mended)
+    turn = turn.situated(replace(situation, code_faults=faults, back_offs=back_offs))
+    if not (left_out or back):
+        return turn.also(Respond(request.outcome))
+    return turn.perturbed(CodeChanged(tuple(sorted(left_out)), tuple(sorted(back))), (request.outcome,))
 
 
 def matched(turn: Turn, result: Matched) -> Turn:

@@ -107,6 +107,13 @@ class FactsChanged(Perturbation, frozen=True):
     requalified: tuple[str, ...] = ()
 
 
+class CodeChanged(Perturbation, frozen=True):
+    """The code of units has changed: that of those `left_out` can't be started, that of those `back` may be again."""
+
+    left_out: tuple[str, ...] = ()
+    back: tuple[str, ...] = ()
+
+
 class HorizonReached(Perturbation, frozen=True):
     """The time that the last update was planned for is over."""
 

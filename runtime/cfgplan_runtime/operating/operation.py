@@ -6,7 +6,6 @@ import contextlib
 import queue
 import threading
 import time
-from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field
@@ -16,16 +15,17 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from cfgplan import __version__
 from cfgplan.api import World
-from cfgplan.domain import ComputationUnit, Environment
+from cfgplan.domain import Environment
 from cfgplan.errors import InputError
 from cfgplan.extras import needed
 from cfgplan.transformations import Transformation
 from cfgplan_runtime.children.messages import Flow
+from cfgplan_runtime.children.source_faults import source_fault
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.estimating.estimates_file import EstimatesError, load, save
 from cfgplan_runtime.estimating.estimator import make_estimator
 from cfgplan_runtime.lifecycle.changes import ReplaceWorld
-from cfgplan_runtime.lifecycle.file_watch import FileWatch, WorldWatch
+from cfgplan_runtime.lifecycle.file_watch import WorldWatch
 from cfgplan_runtime.lifecycle.manager import Manager
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Decision, Ended, Observed, Report, Reviewed
@@ -35,7 +35,8 @@ from cfgplan_runtime.operating.methods import Methods
 from cfgplan_runtime.operating.observed_facts import ObservedFacts
 from cfgplan_runtime.operating.recording import Recorder
 from cfgplan_runtime.operating.records import logging_to, report_record
-from cfgplan_runtime.operating.sentences import named, sentence
+from cfgplan_runtime.operating.sentences import sentence
+from cfgplan_runtime.operating.sources import SourceCheck, Sources
 from cfgplan_runtime.runtime import Runtime
 from cfgplan_runtime.streams.closable import Closable
 from cfgplan_runtime.streams.run_folder import base_folder
@@ -81,6 +82,8 @@ class Settings:
     computer.
     """
     adjust: Callable[[World], World] = lambda world: world
+    check: SourceCheck | None = source_fault
+    """Finds what keeps the code of a transformation from being started. None: the code is on other computers."""
 
 
 class Operation(Closable):
@@ -208,23 +211,32 @@ class Operation(Closable):
         if settings.metrics_port is not None:
             self._serve_metrics(stack, settings.metrics_port)
         self.manager.listen(self._hear)
+        self._sources = Sources(
+            folder,
+            settings.check,
+            library=lambda: self.manager.world.environment.library,
+            running=lambda: self.runtime.environment.units,
+            request=self.manager.request,
+            tell=self.show,
+        )
+        self._sources.look_at(world.environment.library)
         self.manager.start()
         stack.callback(self._stop_manager)
-        code = code_watch(
-            folder, lambda: self.manager.world.environment.library, lambda: self.runtime.environment.units, self.show
-        )
-        for watch in (code, WorldWatch(self._path, self._take_world, self.manager.refuse)):
+        for watch in (self._sources, WorldWatch(self._path, self._take_world, self.manager.refuse)):
             watch.start()
             stack.callback(watch.close)
 
     def _take_world(self, world: World, by: str) -> None:
-        self.manager.request(ReplaceWorld(self._settings.adjust(world), by))
+        adjusted = self._settings.adjust(world)
+        self._sources.look_at(adjusted.environment.library)
+        self.manager.request(ReplaceWorld(adjusted, by))
 
     def _hear(self, report: Report) -> None:
         self._tell_of_full_disks()
         match report:
             case Reviewed(review):
                 self._observed.follow()
+                self._sources.follow()
                 if self._following is not None:
                     self._following.follow(target.topic for target in self.manager.world.environment.stream_targets)
                 if review.decision not in (Decision.FAILED, Decision.UNDECIDED):
@@ -233,6 +245,7 @@ class Operation(Closable):
                 if time.monotonic() - self._kept_s >= KEEP_ESTIMATES_S:
                     self._keep_estimates()
             case Observed(observations):
+                self._sources.follow()
                 self.ledger.note(observations, time.monotonic())
                 self._silent = self.manager.silent
                 self._tell_of_silence()
@@ -345,38 +358,3 @@ def _open_log(path: Path) -> RunLog:
         return RunLog(path)
     except OSError as error:
         raise InputError.of(f"can't be written: {error.strerror}", file=str(path)) from None
-
-
-def code_watch(
-    folder: Path,
-    library: Callable[[], Iterable[Transformation]],
-    running: Callable[[], Iterable[ComputationUnit]],
-    tell: Callable[[str], object],
-) -> FileWatch:
-    """A watch that calls `tell` when a file of unit code changes, with the units that still run the old code.
-
-    `library` and `running` give what can be started and what runs. `units.py` in `source: units.py:Class` is relative
-    to `folder`. Modules that are named with dots are not watched, nor what unit code imports.
-    """
-
-    def labels_of_files() -> dict[Path, list[str]]:
-        labels = defaultdict(list)
-        for one in library():
-            place, _, _ = (one.source or "").rpartition(":")
-            if place.endswith(".py"):
-                labels[folder / place].append(one.label)
-        return labels
-
-    def tell_of(changed: frozenset[Path]) -> None:
-        for path, labels in sorted(labels_of_files().items()):
-            known = [unit for unit in running() if unit.transformation in labels] if path in changed else []
-            units = [unit.id for unit in known if not unit.standby]
-            if units:
-                tell(_sentence(path, units))
-
-    return FileWatch(labels_of_files, tell_of)
-
-
-def _sentence(path: Path, units: list[str]) -> str:
-    again = f"`cfgplan ctl kill {units[0]}` has it started anew"
-    return f"{path.name} has changed, and these units run with the code from before: {named(units)}; {again}"

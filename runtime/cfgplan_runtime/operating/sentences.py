@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -169,6 +170,8 @@ def _cause(perturbation: kinds.Perturbation) -> str:
             return f"host {host} is gone"
         case kinds.HostBack(host):
             return f"host {host} is there"
+        case kinds.CodeChanged():
+            return "code has changed"
         case kinds.FactsChanged():
             return "facts have changed"
         case kinds.HorizonReached():
@@ -223,10 +226,12 @@ def _perturbation(perturbation: kinds.Perturbation) -> str | None:
             return f"host {host} is gone{f': {cause}' if cause else ''}"
         case kinds.HostBack(host):
             return f"host {host} is there"
+        case kinds.CodeChanged(left_out, back):
+            return "code: " + _each_said((left_out, "can't be started"), (back, "may be started again"))
         case kinds.FactsChanged(left_out, back, requalified):
             how = "gives another quality" if len(requalified) == 1 else "give another quality"
             parts = [(left_out, "may not run any more"), (back, "may run again"), (requalified, how)]
-            return "facts have changed: " + ", ".join(f"{named(labels)} {says}" for labels, says in parts if labels)
+            return "facts have changed: " + _each_said(*parts)
         case kinds.HorizonReached(horizon_s):
             return f"the horizon of {horizon_s} s is reached"
         case kinds.MayStartAgain(transformations):
@@ -307,3 +312,8 @@ def short(text: str) -> str:
         text = before + trace.strip().splitlines()[-1]
     text = " ".join(text.replace(_OUR_ERRORS, "").split())
     return text if len(text) <= _LONGEST_CAUSE else f"{text[: _LONGEST_CAUSE - 3]}..."
+
+
+def _each_said(*parts: tuple[Sequence[str], str]) -> str:
+    """Labels with what is said of them, for those parts that have any."""
+    return ", ".join(f"{named(labels)} {says}" for labels, says in parts if labels)

@@ -55,9 +55,8 @@ class RosUnit:
     def command(self, folder: Path) -> list[str]:
         """The command that starts a node; files are relative to `folder`. Raises InputError if it can't be found."""
         source = self.source
-        program = node_file(folder, source.name) if not source.package else executable(source.package, source.name)
         remaps = [f"{own}:={topic}" for own, topic in self.remappings.items()]
-        return [str(program), *source.arguments, f"__name:={self.name.removeprefix('/')}", *remaps]
+        return [str(_program(source, folder)), *source.arguments, f"__name:={self.name.removeprefix('/')}", *remaps]
 
     def _name_of(self, port: InputPort | OutputPort, direction: str) -> str:
         if self.is_foreign:
@@ -79,6 +78,20 @@ def node_source(transformation: Transformation) -> NodeSource:
         if port.type is not None:
             MessageType.read(port.type)
     return source
+
+
+def check_start(transformation: Transformation, folder: Path) -> None:
+    """Raises InputError if what starts a node can't be found; files are relative to `folder`."""
+    source = node_source(transformation)
+    if source.kind != "external":
+        _program(source, folder)
+
+
+def _program(source: NodeSource, folder: Path) -> Path:
+    """The file that starts a node; of a nodelet its manager's. Raises InputError if it can't be found."""
+    if source.kind == "nodelet":
+        return executable("nodelet", "nodelet")
+    return node_file(folder, source.name) if not source.package else executable(source.package, source.name)
 
 
 def executable(package: str, name: str) -> Path:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import msgspec
 
@@ -18,10 +19,8 @@ from cfgplan_runtime.nodes.node_process import NodeProcess
 from cfgplan_runtime.nodes.shared_process import SharedProcess
 from cfgplan_runtime.nodes.watched_processes import WatchedProcesses
 from cfgplan_runtime.ros2.host_messages import EndContainer, Load, LookForContainer, Unload
-from cfgplan_runtime.ros2.ros2_unit import Ros2Unit, executable
+from cfgplan_runtime.ros2.ros2_unit import Ros2Unit
 from cfgplan_runtime.supervision.backend import Usage
-
-_PACKAGE, _EXECUTABLE = "rclcpp_components", "component_container"
 
 
 @dataclass(eq=False)
@@ -77,7 +76,7 @@ class Containers:
         if container is None:
             container = _Container(_container_of(ros), not ros.source.group)
             if container.is_private or container.name in self._own:
-                self._begin(container)
+                self._begin(container, ros)
             else:
                 self._tell(LookForContainer(container.name))
             self._containers[container.name] = container
@@ -138,7 +137,7 @@ class Containers:
             if is_there:
                 container.is_there = True
             else:
-                self._begin(container)
+                self._begin(container, self._components[units[0]].ros)
         except (InputError, OSError) as error:
             for unit in units:
                 self._lose(unit, f"can't be started: {error}")
@@ -182,11 +181,11 @@ class Containers:
     def _of(self, component: _Component) -> _Container:
         return self._containers[_container_of(component.ros)]
 
-    def _begin(self, container: _Container) -> None:
-        """Start a container's process. Raises InputError and OSError."""
+    def _begin(self, container: _Container, ros: Ros2Unit) -> None:
+        """Start a container's process, for what is to be loaded there. Raises InputError and OSError."""
         namespace, _, own = container.name.rpartition("/")
         names = ["-r", f"__node:={own}", "-r", f"__ns:={namespace or '/'}"]
-        command = [str(executable(_PACKAGE, _EXECUTABLE)), "--ros-args", *names]
+        command = [ros.program(Path()), "--ros-args", *names]
         process = self._start(container.name, command)
         container.shared.process, container.is_there = process, True
         self._own.add(container.name)

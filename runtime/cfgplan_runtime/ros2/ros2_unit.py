@@ -83,8 +83,10 @@ class Ros2Unit:
         return [self.program(folder), *self.source.arguments, *self.arguments(parameters)]
 
     def program(self, folder: Path) -> str:
-        """The file that the command runs. Raises InputError if it can't be found."""
+        """The file that the command runs; a component's container. Raises InputError if it can't be found."""
         source = self.source
+        if source.kind == "component":
+            return str(executable("rclcpp_components", "component_container"))
         return str(executable(source.package, source.name) if source.package else node_file(folder, source.name))
 
     def arguments(self, parameters: Path) -> list[str]:
@@ -131,6 +133,13 @@ def node_source(transformation: Transformation) -> NodeSource:
     for port in ports:
         message_of(port)
     return source
+
+
+def check_start(transformation: Transformation, folder: Path) -> None:
+    """Raises InputError if what starts a node can't be found; files are relative to `folder`."""
+    source = node_source(transformation)
+    if source.kind != "external":
+        Ros2Unit("/name", source, transformation).program(folder)
 
 
 def _check_component(label: str, source: NodeSource) -> None:

@@ -1,0 +1,103 @@
+"""Watches the code of units: what can't be started is left out until its code changes, and told once."""
+
+from __future__ import annotations
+
+import threading
+from collections import defaultdict
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TypeAlias
+
+from cfgplan.domain import ComputationUnit
+from cfgplan.errors import Fault
+from cfgplan.transformations import Transformation
+from cfgplan_runtime.children.source_faults import code_path
+from cfgplan_runtime.lifecycle.changes import FaultyCode
+from cfgplan_runtime.lifecycle.file_watch import FileWatch
+from cfgplan_runtime.operating.sentences import named
+
+SourceCheck: TypeAlias = Callable[[Transformation, Path], Fault | None]
+"""What keeps units of a transformation from being started, by its source; files are relative to the folder."""
+
+
+def faults_of(library: Iterable[Transformation], folder: Path, check: SourceCheck | None) -> dict[str, str]:
+    """What is wrong with the code of transformations, by label; nothing without a check."""
+    if check is None:
+        return {}
+    found = ((one.label, check(one, folder)) for one in library)
+    return {label: str(fault) for label, fault in found if fault is not None}
+
+
+class Sources(FileWatch):
+    """A watch of the files that sources name.
+
+    `library` and `running` give what can be started and what runs. `check` finds what is wrong with a source; with
+    None no code is looked at, since other computers have it. `request` is called when other transformations can be
+    started than before, `tell` with each new fault. Modules that are named with dots are watched as far as they are
+    found, what unit code imports is not.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        check: SourceCheck | None,
+        *,
+        library: Callable[[], Sequence[Transformation]],
+        running: Callable[[], Iterable[ComputationUnit]],
+        request: Callable[[FaultyCode], object],
+        tell: Callable[[str], object],
+    ) -> None:
+        super().__init__(self._labels_of_files, self._hear)
+        self._folder, self._check = folder, check
+        self._library, self._running, self._request, self._say = library, running, request, tell
+        self._faults: dict[str, str] = {}
+        self._lock = threading.Lock()
+        self._seen: Sequence[Transformation] | None = None
+
+    def look_at(self, library: Sequence[Transformation], changed: Collection[str] = ()) -> None:
+        """Look at all sources of a library. `changed` are the labels whose files have changed."""
+        with self._lock:
+            self._seen = library
+            self._note(faults_of(library, self._folder, self._check), changed)
+
+    def follow(self) -> None:
+        """Look again at what may be right by now, such as a module that was installed; at a new library as a whole."""
+        library = self._library()
+        if library is not self._seen:
+            self.look_at(library)
+            return
+        with self._lock:
+            if self._faults:
+                faulty = [one for one in library if one.label in self._faults]
+                self._note(faults_of(faulty, self._folder, self._check), ())
+
+    def _note(self, faults: Mapping[str, str], changed: Collection[str]) -> None:
+        before, self._faults = self._faults, dict(faults)
+        for label, fault in faults.items():
+            if before.get(label) != fault:
+                self._say(f"{label} is left out until its code changes: {fault}")
+        if faults != before or changed:
+            self._request(FaultyCode(dict(faults), tuple(sorted(changed))))
+
+    def _labels_of_files(self) -> dict[Path, list[str]]:
+        labels = defaultdict(list)
+        for one in self._library():
+            path = code_path(one.source, self._folder)
+            if path is not None:
+                labels[path].append(one.label)
+        return labels
+
+    def _hear(self, changed: frozenset[Path]) -> None:
+        labels = {path: labels for path, labels in self._labels_of_files().items() if path in changed}
+        if labels:
+            self.look_at(self._library(), [label for each in labels.values() for label in each])
+        for path, of_file in sorted(labels.items()):
+            known = [unit for unit in self._running() if unit.transformation in of_file]
+            units = [unit.id for unit in known if not unit.standby]
+            if units and not self._faults.keys() & {*of_file}:
+                self._say(_sentence(path, units))
+
+
+def _sentence(path: Path, units: list[str]) -> str:
+    again = f"`cfgplan ctl kill {units[0]}` has it started anew"
+    return f"{path.name} has changed, and these units run with the code from before: {named(units)}; {again}"
