@@ -20,6 +20,8 @@ from cfgplan_runtime.supervision.events import CrossingsStatus, Event, TopicsSta
 from fake_manager import DETECTOR, REVIEW, SNAPSHOT, observation
 from prometheus_client.parser import text_string_to_metric_families
 
+from cfgplan.facts import Fact
+
 PORTS = {"image": PortCounts(elements=90, dropped=4, waiting=7)}
 SEEN = replace(observation("detector.1"), inputs=PORTS, outputs={"ball": PortCounts(elements=80)})
 UNIT = {"unit": "detector.1", "transformation": "detector", "host": "nao1"}
@@ -181,3 +183,16 @@ def test_a_closed_server_gives_its_port_back() -> None:
             serve(server.port, Metrics()).close()
             return
     pytest.fail("no port was given back")
+
+
+def test_facts_are_numbers_and_words_are_none(scrape: Scraped) -> None:
+    facts = (
+        Fact("visibility", 4_000_000, now=2_500_000),
+        Fact("night", True),
+        Fact("day", False),
+        Fact("mode", "survey"),
+    )
+    scrape.snapshot = replace(SNAPSHOT, facts=facts, facts_heard_s={"visibility": 0.25})
+    told = {name: scrape("fact", fact=name) for name in ("visibility", "night", "day", "mode")}
+    assert told == {"visibility": 2.5, "night": 1.0, "day": 0.0, "mode": None}
+    assert scrape("fact_heard_seconds", fact="visibility") == 0.25

@@ -12,6 +12,8 @@ from prometheus_client import CollectorRegistry, Counter, Histogram, start_http_
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from cfgplan.facts import Fact
+from cfgplan.qualities import MICRO
 from cfgplan_runtime.children.messages import CrossingCounts, Flow, PortCounts
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.lifecycle import reports
@@ -83,6 +85,14 @@ _OF_HELD_OUT: Final[_Measure[reports.BackingOff]] = _Measure(
     "For how long a transformation that keeps failing is not started.",
     lambda one: one.left_s,
 )
+_OF_FACTS: Final[_Measure[Fact]] = _Measure(
+    "fact",
+    "A fact of the world: its number, or whether it is true.",
+    lambda fact: None if isinstance(fact.value, str) else fact.value if fact.value is True else fact.value / MICRO,
+)
+_OF_HEARD: Final[_Measure[float]] = _Measure(
+    "fact_heard_seconds", "Time since a stream said the value of the fact.", lambda ago_s: ago_s
+)
 _OF_TARGETS: Final[_Measure[reports.TargetView]] = _Measure(
     "target_met", "Whether a stream meets the target, and is not silent for too long.", lambda one: float(one.is_met)
 )
@@ -141,6 +151,8 @@ class Present(Collector):
         now, flows = self._snapshot(), self._flows.now()
         yield from (measure.family((), [((), now)]) for measure in _OF_ALL)
         yield _OF_HELD_OUT.family(("transformation",), [((one.transformation,), one) for one in now.backing_off])
+        yield _OF_FACTS.family(("fact",), [((fact.name,), fact) for fact in now.facts])
+        yield _OF_HEARD.family(("fact",), [((name,), ago_s) for name, ago_s in now.facts_heard_s.items()])
         targets = [((one.label, one.topic), one) for one in now.targets]
         yield _OF_TARGETS.family(_TARGET, targets)
         known = [(labels, flows[one.topic]) for labels, one in targets if one.topic in flows]
