@@ -52,9 +52,9 @@ def kind_of(value: FactValue) -> str:
 class Fact:
     """Something that is so in the world, or is not: its value while nobody has said another, and its unit.
 
-    Streams observe it in a run: one that is tagged `by`, or the one on `topic`. Of elements that are mappings, `field`
-    holds the value; a dot leads further in. Values with `noise` are filtered. Once nothing has come for `silent_us`,
-    the declared value counts again.
+    Streams observe it in a run: one that is tagged `by`, or the one on `topic`. Elements that are mappings hold the
+    value under `field`, where a dot leads further in. Values with `noise` are filtered. Once nothing has come for
+    `silent_us`, the declared value counts again.
     """
 
     name: str
@@ -115,7 +115,7 @@ class Fact:
 
 
 def misfit_of_fact(said: Mapping[str, object]) -> tuple[str, str, str] | None:
-    """Of what is said of a fact, the key that does not go with the others, why, and the mend; None if all do."""
+    """Return the key that contradicts the other keys of a fact, why, and the mend; None if there is none."""
     by, topic = said.get("by"), said.get("topic")
     if by is not None and topic is not None:
         return "topic", "a fact is observed `by` a tag or on a `topic`, not by both", "remove one of the two"

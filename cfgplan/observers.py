@@ -1,4 +1,4 @@
-"""What observes the facts of the world, and what it needs for that: none of it may require the fact.
+"""Transformations that observe a fact of the world, and those that feed them: none of them may require the fact.
 
 A fact that leaves out its own observer is never observed again.
 """
@@ -66,7 +66,7 @@ def observers(environment: Environment, similarity: Similarity, fact: Fact) -> d
 
 
 def circles(environment: Environment, similarity: Similarity) -> Iterator[Circle]:
-    """The transformations that require what they help to observe."""
+    """Yield the transformations that require a fact which they help to observe."""
     for fact in environment.facts:
         for label, observer in observers(environment, similarity, fact).items():
             requires = environment.transformation[label].requires

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from cfgplan_runtime import At
 from football.walking import Gait
 
+BEACON_ERROR_M = 0.25
+"""The standard deviation of the beacon's error in each direction."""
+
 
 class Position(TypedDict):
     """Where the ball is, in metres; the covariance of the error in square metres: xx, xy, yy."""
@@ -32,10 +35,11 @@ class Position(TypedDict):
 
 
 class BottomCam:
-    """Gives images as YUYV 4:2:2, packed: (480, 640, 2)."""
+    """Gives images as YUYV 4:2:2, packed: (480, 640, 2). With `day_s` it gets dark, once in so many seconds."""
 
-    def __init__(self, robot: str) -> None:
+    def __init__(self, robot: str, day_s: float | None = None) -> None:
         self._robot = robot
+        self._day_s = day_s
         self._gait = Gait(robot)
         self._renderer = Renderer(zlib.crc32(robot.encode()))
 
@@ -45,7 +49,35 @@ class BottomCam:
     def picture(self, time_ns: int) -> Bytes:
         """What the camera sees at a time."""
         camera = self._gait.camera(scenario.pose(self._robot, time_ns))
-        return self._renderer.picture(camera, scenario.ball(time_ns))
+        return self._renderer.picture(camera, scenario.ball(time_ns), scenario.light(time_ns, self._day_s))
+
+
+class Photometer:
+    """Gives how bright it is, {light}, with 1 by day, as a sensor sees it whose error has a deviation of 5 %."""
+
+    def __init__(self, day_s: float) -> None:
+        self._day_s = day_s
+        self._random = np.random.default_rng(1)
+
+    def __iter__(self) -> Iterator[dict[str, float]]:
+        while True:
+            light = scenario.light(time.time_ns(), self._day_s)
+            yield {"light": round(light * (1 + 0.05 * float(self._random.normal())), 4)}
+
+
+class Beacon:
+    """Gives the ball's position by its infrared beacon, coarsely: an error of 25 cm in each direction."""
+
+    def __init__(self) -> None:
+        self._random = np.random.default_rng(2)
+
+    def __iter__(self) -> Iterator[At | None]:
+        return _frames(self.position)
+
+    def position(self, time_ns: int) -> Position:
+        """Where the ball seems to be at a time."""
+        x, y = np.array(scenario.ball(time_ns)) + self._random.normal(0, BEACON_ERROR_M, 2)
+        return _as_value(BallPosition(float(x), float(y), np.eye(2) * BEACON_ERROR_M**2))
 
 
 class Subsampler:

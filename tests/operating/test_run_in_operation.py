@@ -7,6 +7,7 @@ import os
 import re
 import resource
 import select
+import shutil
 import signal
 import subprocess
 from collections.abc import Iterator
@@ -258,6 +259,21 @@ def test_a_run_observes_a_fact_and_follows_it(tmp_path: Path, capsys: pytest.Cap
         light.write_text("100")
         assert await_event(process, "Reviewed")["avoided"] == {}
         assert {unit["transformation"] for unit in state_now(capsys)["units"]} == {"camera", "photometer"}
+
+
+def test_a_run_goes_from_the_camera_to_the_beacon_at_night_and_back_at_dawn(tmp_path: Path) -> None:
+    nao = Path(__file__).parents[2] / "models" / "nao"
+    shutil.copytree(nao, tmp_path / "nao")
+    env = tmp_path / "nao" / "8-night.yaml"
+    env.write_text(env.read_text().replace("day_s: 120", "day_s: 12").replace("noise: 5 %, ", ""))
+    with running(env, "--estimator", "declared") as process:
+        seen = list[str]()
+        while len(seen) < 3:
+            changes = await_event(process, "Reviewed")["change_set"]
+            if changes is not None:
+                started = {unit["transformation"] for unit in changes["started"]}
+                seen += ["beacon"] if "beacon" in started else ["camera"] if "bottom_cam(piff)" in started else []
+        assert seen == ["camera", "beacon", "camera"]
 
 
 def test_a_horizon_that_was_given_holds_whatever_the_file_says(env: Path, capsys: pytest.CaptureFixture[str]) -> None:

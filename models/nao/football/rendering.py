@@ -17,6 +17,7 @@ cv2.setNumThreads(1)
 
 NOISE = 4.0
 """Standard deviation of the luma's noise, in its 256 steps."""
+_GREY = 128
 _SPARE = 64
 _PANEL_COS = math.cos(math.radians(22))
 _PANEL: Colour = (196, 128, 128)
@@ -36,12 +37,18 @@ class Renderer:
         shape = (HEIGHT + _SPARE, WIDTH + _SPARE)
         self._noise = np.clip(self._random.normal(0.0, NOISE, shape), -127, 127).round().astype(np.int8)
 
-    def picture(self, camera: Camera, ball: tuple[float, float]) -> Bytes:
-        """The picture as an array (480, 640, 2): luma, and U in the even, V in the odd columns."""
+    def picture(self, camera: Camera, ball: tuple[float, float], light: float = 1.0) -> Bytes:
+        """The picture as an array (480, 640, 2): luma, and U in the even, V in the odd columns.
+
+        Less `light` makes it darker and greyer, with the same noise.
+        """
         luma, chroma = _ground(camera)
         _wall(luma, chroma, camera)
         for place in sorted((*field.SPARE_BALLS, ball), key=lambda place: -_distance(camera, place)):
             _ball(luma, chroma, camera, place)
+        if light < 1:
+            luma = cv2.convertScaleAbs(luma, alpha=light)  # type: ignore[assignment]
+            chroma = cv2.convertScaleAbs(chroma, alpha=light, beta=_GREY * (1 - light))  # type: ignore[assignment]
         row, column = self._random.integers(0, _SPARE, 2)
         luma = cv2.GaussianBlur(luma, (3, 3), 0.6)  # type: ignore[assignment]
         noise = self._noise[row : row + HEIGHT, column : column + WIDTH]

@@ -32,6 +32,13 @@ def ball(time_ns: int) -> tuple[float, float]:
     return 2.3 * _wave(time_ns, 53.0), 1.3 * _wave(time_ns, 31.0, 0.8)
 
 
+def light(time_ns: int, day_s: float | None) -> float:
+    """How bright it is, from 0.05 at night to 1, half of each day that long; always 1 without days."""
+    if day_s is None:
+        return 1.0
+    return min(1.0, max(0.05, 0.8 + 0.75 * _wave(time_ns, day_s)))
+
+
 def pose(robot: str, time_ns: int) -> Pose:
     """Where a robot is and looks: it keeps 0.9 to 2.3 m from the ball, moves around it, and lets its gaze sway."""
     if robot not in _COMPANIONS:
