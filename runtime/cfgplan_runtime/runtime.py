@@ -247,7 +247,7 @@ class Runtime(Closable):
 class SimulatedRuntime(Runtime):
     """A runtime whose units run only in thought. Give its `clock` to the manager, without a thread.
 
-    `behaviours` are by transformation.
+    `behaviours` are by transformation, or by `TRANSFORMATION on HOST` for those on one host.
     """
 
     def __init__(

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import pytest
 from cfgplan_runtime import Patience, Policy, SimulatedRuntime
-from cfgplan_runtime.lifecycle.back_off import BackOffRules, BackOffs
+from cfgplan_runtime.lifecycle.back_off import BackOffRules, BackOffs, Place
 from cfgplan_runtime.lifecycle.changes import Add, ReviewNow, Stop
 from cfgplan_runtime.lifecycle.deliberation import without_stopping
 from cfgplan_runtime.lifecycle.perturbations import MayStartAgain, UpdateFailed
@@ -24,6 +24,7 @@ from cfgplan.planning import Plan, Problem
 
 T = TypeVar("T")
 
+WORK = Place("work")
 CRASHING = {"work": Behaviour(dies_s=0.5)}
 DYING = {"work": Behaviour(dies_at_start="no camera")}
 PATIENT = Policy(back_off=BackOffRules(alone_s=300))
@@ -38,9 +39,9 @@ def test_the_first_failure_costs_no_time_and_each_further_one_twice_as_much() ->
 def test_a_unit_that_had_lived_well_fails_as_if_for_the_first_time() -> None:
     back_offs = BackOffs(BackOffRules(good_life_s=60))
     for _ in range(3):
-        back_offs = back_offs.after_failure("work", 1.0, 0.0, "crash")
-    assert back_offs.avoided == back_offs.at(1.9).avoided == {"work"}
-    assert back_offs.at(100.0).after_failure("work", 61.0, 161.0, "crash").avoided == frozenset()
+        back_offs = back_offs.after_failure(WORK, 1.0, 0.0, "crash")
+    assert back_offs.avoided == back_offs.at(1.9).avoided == {WORK}
+    assert back_offs.at(100.0).after_failure(WORK, 61.0, 161.0, "crash").avoided == frozenset()
 
 
 def test_what_became_cheaper_while_it_was_left_alone_is_used_when_it_may_start_again() -> None:

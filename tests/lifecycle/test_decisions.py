@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import pytest
 from cfgplan_runtime import ApplyError, Policy, StaleChangeSetError
 from cfgplan_runtime.errors import AbandonedError, NoSourceError
+from cfgplan_runtime.lifecycle.back_off import Place
 from cfgplan_runtime.lifecycle.changes import (
     Add,
     Change,
@@ -179,13 +180,17 @@ def test_nothing_is_changed_in_place() -> None:
 @pytest.mark.parametrize(
     ("what", "perturbation", "delay_s"),
     [
-        ([UnitDied("work.1", "crash")], UnitGone("work.1", "work", "died", "crash"), 0.0),
-        ([UnitHung("work.1", 9.0), UnitDied("work.1", "k")], UnitGone("work.1", "work", "hung", "k"), 0.0),
-        ([UnitTooLarge("work.1", 9), UnitDied("work.1", "k")], UnitGone("work.1", "work", "too large", "k"), 0.0),
-        ([asked(KillUnit("work.1")), UnitDied("work.1", "k")], UnitGone("work.1", "work", "killed", "k"), 0.0),
+        ([UnitDied("work.1", "crash")], UnitGone("work.1", "work", "died", "crash", "far"), 0.0),
+        ([UnitHung("work.1", 9.0), UnitDied("work.1", "k")], UnitGone("work.1", "work", "hung", "k", "far"), 0.0),
+        (
+            [UnitTooLarge("work.1", 9), UnitDied("work.1", "k")],
+            UnitGone("work.1", "work", "too large", "k", "far"),
+            0.0,
+        ),
+        ([asked(KillUnit("work.1")), UnitDied("work.1", "k")], UnitGone("work.1", "work", "killed", "k", "far"), 0.0),
         (
             [UnitHung("work.1", 9.0), UnitReady("work.1", 1), UnitDied("work.1", "k")],
-            UnitGone("work.1", "work", "died", "k"),
+            UnitGone("work.1", "work", "died", "k", "far"),
             0.0,
         ),
         ([InputLost("work.1", "x", 1)], SubscriptionLost("work.1", "x"), 0.02),
@@ -332,7 +337,7 @@ def test_the_second_failure_in_a_row_is_waited_after_and_then_it_may_start_again
         state, effects = after(state, at_s, UnitDied("work.1", "crash"))
         state = replace(state, entries=(), situation=state.situation.with_started((WORK,), RUNNING, at_s))
         assert found(effects, LearnOfFailure) == [LearnOfFailure("work")]
-    assert (state.situation.back_offs.avoided, state.wake_s) == ({"work"}, 1.0)
+    assert (state.situation.back_offs.avoided, state.wake_s) == ({Place("work", "far")}, 1.0)
     state, effects = after(replace(state, observe_at_s=inf), 3.0, Tick(0.0))
     assert perturbations(effects) == [MayStartAgain(("work",))]
     assert state.situation.back_offs.avoided == frozenset()
@@ -406,9 +411,9 @@ def test_reviews_that_come_to_nothing_are_repeated_later_and_later() -> None:
     ("error", "failed", "avoided"),
     [
         (StaleChangeSetError("others run"), UpdateFailed("others run", is_stale=True), set()),
-        (NoSourceError("no code", ("work",), "none"), UpdateFailed("no code", ("work",)), {"work"}),
-        (AbandonedError("given up", ("work.2",)), UpdateFailed("given up", ("work",)), {"work"}),
-        (ApplyError("too slow", ("work.2",)), UpdateFailed("too slow", ("work",)), {"work"}),
+        (NoSourceError("no code", ("work",), "none"), UpdateFailed("no code", ("work",)), {Place("work")}),
+        (AbandonedError("given up", ("work.2",)), UpdateFailed("given up", ("work",)), {Place("work", "far")}),
+        (ApplyError("too slow", ("work.2",)), UpdateFailed("too slow", ("work",)), {Place("work", "far")}),
         (
             ZeroDivisionError("bug"),
             UpdateFailed("the middleware failed: ZeroDivisionError: bug", is_fault=True),
@@ -417,7 +422,7 @@ def test_reviews_that_come_to_nothing_are_repeated_later_and_later() -> None:
     ],
 )
 def test_an_update_that_fails_is_followed_by_another_review(
-    error: Exception, failed: UpdateFailed, avoided: set[str]
+    error: Exception, failed: UpdateFailed, avoided: set[Place]
 ) -> None:
     state, effects = after(updating(), 3.0, Updated(0.1, error))
     assert perturbations(effects) == [failed]
@@ -434,10 +439,10 @@ def test_a_new_unit_that_dies_counts_once_however_its_update_ends() -> None:
     failed, effects = after(state, 3.0, Updated(0.1, ApplyError("undone", ("work.2",))))
     assert found(effects, LearnOfFailure) == [LearnOfFailure("work")]
     assert perturbations(effects) == [UpdateFailed("undone", ("work",))]
-    assert failed.situation.back_offs.avoided == {"work"}
+    assert failed.situation.back_offs.avoided == {Place("work", "far")}
     state, effects = after(state, 3.0, Updated(0.1))
     assert found(effects, LearnOfFailure) == [LearnOfFailure("work")]
-    assert perturbations(effects) == [UnitGone("work.2", "work", "died", "no camera")]
+    assert perturbations(effects) == [UnitGone("work.2", "work", "died", "no camera", "far")]
     assert (state.situation.back_offs.avoided, found(effects, Prepare)) == (frozenset(), [])
 
 

@@ -141,7 +141,7 @@ def test_the_configuration_shows_its_cost_and_horizon(scrape: Scraped) -> None:
     assert scrape("cost_cpu_seconds") == 2.0
     assert scrape("horizon_seconds") == 60
     assert scrape("units") == 1
-    assert scrape("transformation_held_out_seconds", transformation="segmenter") == 4
+    assert scrape("transformation_held_out_seconds", transformation="segmenter", host="") == 4
 
 
 def test_cold_spares_and_those_that_are_prepared_are_counted(scrape: Scraped) -> None:

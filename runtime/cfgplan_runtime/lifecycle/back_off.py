@@ -1,13 +1,24 @@
-"""Transformations that keep failing: how long each is left alone before it is started again."""
+"""Transformations that keep failing: how long each is left alone before it is started again.
+
+A failure counts for the host where it was: a camera or a library that one computer lacks says nothing of the others.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from math import inf
+from typing import NamedTuple
 
 from cfgplan_runtime.lifecycle.reports import BackingOff
 from cfgplan_runtime.supervision.delays import doubling_s
+
+
+class Place(NamedTuple):
+    """A transformation by label, on a host; None: wherever it runs."""
+
+    label: str
+    host: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,58 +48,67 @@ class _Record:
 
 @dataclass(frozen=True, slots=True)
 class BackOffs:
-    """The failures of transformations by label, and the labels that must not be started now. Immutable."""
+    """The failures of transformations by place, and the places where they must not be started now. Immutable."""
 
     rules: BackOffRules
-    records: Mapping[str, _Record] = field(default_factory=dict)
-    avoided: frozenset[str] = frozenset()
+    records: Mapping[Place, _Record] = field(default_factory=dict)
+    avoided: frozenset[Place] = frozenset()
 
     def after_failure(
-        self, label: str, lived_s: float, now_s: float, cause: str, *, is_costly: bool = False
+        self, place: Place, lived_s: float, now_s: float, cause: str, *, is_costly: bool = False
     ) -> BackOffs:
         """Count a failure of a unit that has lived for `lived_s`.
 
         After a costly one, which undid a whole update, even the first in a row causes a wait.
         """
-        before = self.records.get(label)
+        before = self.records.get(place)
         is_new = before is None or lived_s >= self.rules.good_life_s
         failures = 1 if is_new or before is None else before.failures + 1
         delay_s = self.rules.delay_s(failures + is_costly)
-        return self._with(label, _Record(failures, now_s + delay_s, cause), waits=delay_s > 0)
+        return self._with(place, _Record(failures, now_s + delay_s, cause), waits=delay_s > 0)
 
     def refusing(self, label: str, cause: str) -> BackOffs:
-        """Never start a transformation again, until it changes."""
-        return self._with(label, _Record(1, inf, cause))
+        """Never start a transformation again, wherever, until it changes."""
+        return self._with(Place(label), _Record(1, inf, cause))
 
-    def postponing(self, label: str, until_s: float) -> BackOffs:
+    def postponing(self, place: Place, until_s: float) -> BackOffs:
         """Do not start a transformation before `until_s`; this counts no failure."""
-        before = self.records.get(label, _Record(0, until_s, "its start would hold up another update"))
-        return self._with(label, replace(before, until_s=max(before.until_s, until_s)))
+        before = self.records.get(place, _Record(0, until_s, "its start would hold up another update"))
+        return self._with(place, replace(before, until_s=max(before.until_s, until_s)))
 
     def shortening(self, label: str, now_s: float) -> BackOffs:
-        """Cut the wait of a transformation that nothing can replace to `alone_s`. Returns self if nothing changes."""
+        """Cut the waits of a transformation that nothing can replace to `alone_s`. Returns self if nothing changes."""
         until_s = now_s + self.rules.alone_s
-        if label not in self.avoided or not until_s < self.records[label].until_s < inf:
+        late = {place for place in self.places_of(label) if until_s < self.records[place].until_s < inf}
+        if not late:
             return self
-        return self._with(label, replace(self.records[label], until_s=until_s))
+        shorter = {place: replace(self.records[place], until_s=until_s) for place in late}
+        return replace(self, records={**self.records, **shorter})
 
     def refusals(self) -> BackOffs:
         """The same failures, but avoid only transformations that are refused until they change."""
-        return replace(self, avoided=frozenset(label for label in self.avoided if self.records[label].until_s == inf))
+        return replace(self, avoided=frozenset(place for place in self.avoided if self.records[place].until_s == inf))
 
-    def refusal(self, label: str) -> str | None:
-        """Why a transformation is refused until it changes; None if it is not."""
-        record = self.records.get(label)
-        return record.cause if record is not None and record.until_s == inf else None
+    def places_of(self, label: str) -> frozenset[Place]:
+        """Where a transformation must not be started now."""
+        return frozenset(place for place in self.avoided if place.label == label)
+
+    def why_not(self, label: str, host: str | None) -> str | None:
+        """Why a transformation must not be started on a host now; None if it may be. For a refusal its cause."""
+        place = next((one for one in (Place(label), Place(label, host)) if one in self.avoided), None)
+        if place is None:
+            return None
+        return self.records[place].cause if self.records[place].until_s == inf else "it keeps failing"
 
     def forgiving(self, *labels: str) -> BackOffs:
         """Forget the failures of transformations."""
-        left = {label: record for label, record in self.records.items() if label not in labels}
-        return replace(self, records=left, avoided=self.avoided.difference(labels))
+        left = {place: record for place, record in self.records.items() if place.label not in labels}
+        return replace(self, records=left, avoided=frozenset(one for one in self.avoided if one.label not in labels))
 
     def forgiving_all(self) -> BackOffs:
         """Forget all failures but refusals."""
-        return self.forgiving(*(label for label, record in self.records.items() if record.until_s != inf))
+        left = {place: record for place, record in self.records.items() if record.until_s == inf}
+        return replace(self, records=left, avoided=self.avoided & left.keys())
 
     def at(self, now_s: float) -> BackOffs:
         """Avoid no longer what has waited long enough."""
@@ -97,16 +117,17 @@ class BackOffs:
     @property
     def next_end_s(self) -> float:
         """When the next avoided transformation may be started again; inf if none is avoided."""
-        return min((self.records[label].until_s for label in self.avoided), default=inf)
+        return min((self.records[place].until_s for place in self.avoided), default=inf)
 
     def view(self, now_s: float) -> tuple[BackingOff, ...]:
-        """The avoided transformations, sorted by label."""
-        return tuple(_view(label, self.records[label], now_s) for label in sorted(self.avoided))
+        """The avoided transformations, sorted by label and host."""
+        places = sorted(self.avoided, key=lambda place: (place.label, place.host or ""))
+        return tuple(_view(place, self.records[place], now_s) for place in places)
 
-    def _with(self, label: str, record: _Record, *, waits: bool = True) -> BackOffs:
-        records, avoided = {**self.records, label: record}, self.avoided | {label} if waits else self.avoided
+    def _with(self, place: Place, record: _Record, *, waits: bool = True) -> BackOffs:
+        records, avoided = {**self.records, place: record}, self.avoided | {place} if waits else self.avoided
         return replace(self, records=records, avoided=avoided)
 
 
-def _view(label: str, record: _Record, now_s: float) -> BackingOff:
-    return BackingOff(label, record.failures, max(0.0, record.until_s - now_s), record.cause)
+def _view(place: Place, record: _Record, now_s: float) -> BackingOff:
+    return BackingOff(place.label, record.failures, max(0.0, record.until_s - now_s), record.cause, place.host)

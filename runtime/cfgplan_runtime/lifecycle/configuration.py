@@ -11,7 +11,7 @@ from cfgplan.costs import labor_us, upkeep_us
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Host, Transformation
 from cfgplan.facts import FactValue
 from cfgplan.ros.sources import NodeSource
-from cfgplan_runtime.lifecycle.back_off import BackOffs
+from cfgplan_runtime.lifecycle.back_off import BackOffs, Place
 from cfgplan_runtime.lifecycle.differences import runs_alike
 from cfgplan_runtime.lifecycle.seams import Estimator
 from cfgplan_runtime.lifecycle.silence import Silence
@@ -64,11 +64,16 @@ class Situation:
         running = self.units.get(unit)
         return None if running is None else running.transformation.label
 
-    def why_not(self, label: str) -> str | None:
-        """Why no unit of a transformation may be started now, whatever the facts and hosts; None if one may."""
-        if label in self.code_faults:
-            return self.code_faults[label]
-        return (self.back_offs.refusal(label) or "it keeps failing") if label in self.back_offs.avoided else None
+    def place_of(self, unit: str) -> Place | None:
+        """The transformation and host of a unit; None if the unit is not known."""
+        running = self.units.get(unit)
+        return None if running is None else Place(running.transformation.label, running.host)
+
+    def why_not(self, label: str, host: str | None) -> str | None:
+        """Why no unit of a transformation may be started on a host now, whatever the facts; None if one may."""
+        if self.is_lost(host):
+            return gone_host(host)
+        return self.code_faults.get(label) or self.back_offs.why_not(label, host)
 
     def as_it_is(self, world: World) -> World:
         """The world with the facts as they have been set."""
@@ -157,22 +162,39 @@ def avoided_now(scene: Scene) -> dict[str, str]:
     """Why transformations are left out, by label. One that backs off is not, while a good unit of it runs."""
     world, situation = scene.world.environment, scene.situation
     avoided = dict(world.left_out)
-    sound = {
-        situation.units[unit.id].transformation.label: situation.units[unit.id].transformation
-        for unit in scene.running.units
-        if unit.id in situation.units and unit.id not in situation.failing
-    }
     for label, transformation in world.transformation.items():
         places = world.hosts_for(transformation) if world.hosts else (transformation.host,)
-        if label in avoided:
+        if label in avoided or not places or may_start(scene, transformation):
             continue
-        if places and all(map(situation.is_lost, places)):
+        lost = [host for host in places if situation.is_lost(host)]
+        if len(lost) == len(places):
             avoided[label] = gone_host(*places)
-        elif (cause := situation.why_not(label)) is not None:
-            runs = sound.get(label)
-            if runs is None or not _has_ports_of(runs, transformation):
-                avoided[label] = cause
+        else:
+            avoided[label] = next(
+                why for host in places if host not in lost and (why := situation.why_not(label, host))
+            )
     return avoided
+
+
+def may_start(scene: Scene, transformation: Transformation) -> tuple[str | None, ...]:
+    """The hosts where units of a transformation may be now: nothing speaks against them, or a good one runs there.
+
+    None stands for the only place of a world without hosts.
+    """
+    world, situation = scene.world.environment, scene.situation
+    places = world.hosts_for(transformation) if world.hosts else (transformation.host,)
+    against = {host for host in places if situation.why_not(transformation.label, host) is not None}
+    if not against:
+        return places
+    sound = {
+        unit.host
+        for unit in scene.running.units
+        if unit.id in situation.units
+        and unit.id not in situation.failing
+        and situation.units[unit.id].transformation.label == transformation.label
+        and _has_ports_of(situation.units[unit.id].transformation, transformation)
+    }
+    return tuple(host for host in places if host not in against or (host in sound and not situation.is_lost(host)))
 
 
 def environment_to_plan(scene: Scene, avoided: Mapping[str, str], costs: Mapping[str, Transformation]) -> Environment:
@@ -183,11 +205,22 @@ def environment_to_plan(scene: Scene, avoided: Mapping[str, str], costs: Mapping
     stops it, and replaces it where it is needed.
     """
     world, situation = scene.world.environment, scene.situation
-    library = tuple(costs[label] for label in world.transformation if label not in avoided)
+    library = tuple(_where_it_may(scene, costs[label]) for label in world.transformation if label not in avoided)
     hosts = tuple(host for host in world.hosts if not situation.is_lost(host.name))
     targets = tuple(target for target in world.targets if not situation.is_lost(target.host))
     units = tuple(_as_planned(unit, world, hosts, situation) for unit in scene.running.units)
     return replace(world, units=units, library=library, targets=targets, hosts=hosts)
+
+
+def _where_it_may(scene: Scene, transformation: Transformation) -> Transformation:
+    """The transformation without the hosts that are there, and where it keeps failing."""
+    world, situation = scene.world.environment, scene.situation
+    if not situation.back_offs.places_of(transformation.label) or not world.hosts or transformation.host is not None:
+        return transformation
+    allowed = may_start(scene, transformation)
+    there = [host for host in world.hosts_for(transformation) if not situation.is_lost(host)]
+    hosts = tuple(host for host in allowed if host is not None)
+    return transformation if len(allowed) == len(there) else replace(transformation, hosts=hosts)
 
 
 def as_it_runs(world: Environment, running: Environment) -> Environment:
@@ -209,7 +242,7 @@ def _as_planned(
         now is not None
         and known is not None
         and not runs_alike(known.transformation, now)
-        and situation.why_not(now.label) is None
+        and situation.why_not(now.label, unit.host) is None
     )
     is_there = unit.host in [host.name for host in hosts] if hosts else unit.host is None
     if is_old or not is_there or unit.id in situation.failing:

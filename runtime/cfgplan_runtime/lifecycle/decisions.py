@@ -15,7 +15,7 @@ from cfgplan.domain import ChangeSet
 from cfgplan.errors import InputError
 from cfgplan_runtime import errors
 from cfgplan_runtime.lifecycle import intake
-from cfgplan_runtime.lifecycle.back_off import BackOffs
+from cfgplan_runtime.lifecycle.back_off import BackOffs, Place
 from cfgplan_runtime.lifecycle.basis import basis_of, staleness
 from cfgplan_runtime.lifecycle.changes import ApplyPlan, Stop
 from cfgplan_runtime.lifecycle.configuration import Situation, external_units, with_world
@@ -157,7 +157,7 @@ def _tick(turn: Turn, time_s: float) -> Turn:
     ended = state.situation.back_offs.avoided - back_offs.avoided
     if ended:
         turn = turn.situated(replace(state.situation, back_offs=back_offs))
-        turn = turn.perturbed(MayStartAgain(tuple(sorted(ended))))
+        turn = turn.perturbed(MayStartAgain(tuple(sorted({place.label for place in ended}))))
     if state.horizon_at_s <= at_s:
         turn = turn.to(replace(turn.state, cycle_began_s=inf)).perturbed(HorizonReached(state.living.world.horizon_s))
     state = (turn := facts_fallen_silent(turn)).state
@@ -320,10 +320,10 @@ def _failed(turn: Turn, updating: Updating, error: Exception) -> tuple[Turn, Upd
 def _postponed(turn: Turn, units: tuple[str, ...]) -> tuple[Turn, tuple[str, ...]]:
     """Postpone the transformations whose units were starting as the update was abandoned. Returns their labels too."""
     situation, until_s = turn.state.situation, turn.at_s + turn.state.policy.postpone_s
-    labels = sorted({label for unit in units if (label := situation.label_of(unit)) is not None})
-    for label in labels:
-        situation = replace(situation, back_offs=situation.back_offs.postponing(label, until_s))
-    return turn.situated(situation), tuple(labels)
+    places = {place for unit in units if (place := situation.place_of(unit)) is not None}
+    for place in places:
+        situation = replace(situation, back_offs=situation.back_offs.postponing(place, until_s))
+    return turn.situated(situation), tuple(sorted({place.label for place in places}))
 
 
 def _blamed(turn: Turn, updating: Updating, units: tuple[str, ...], cause: str) -> tuple[Turn, tuple[str, ...]]:
@@ -331,12 +331,12 @@ def _blamed(turn: Turn, updating: Updating, units: tuple[str, ...], cause: str) 
     labels = [gone.transformation for gone, _ in updating.gone]
     for gone, lived_s in updating.gone:
         if lived_s is not None:
-            turn = turn.blamed(gone.transformation, lived_s, gone.cause, is_costly=True)
+            turn = turn.blamed(Place(gone.transformation, gone.host), lived_s, gone.cause, is_costly=True)
     for unit in units:
-        label = turn.state.situation.label_of(unit)
-        if label is not None and label not in labels:  # it was too slow, but has not died
-            turn = turn.blamed(label, 0.0, cause, is_costly=True)
-            labels.append(label)
+        place = turn.state.situation.place_of(unit)
+        if place is not None and place.label not in labels:  # it was too slow, but has not died
+            turn = turn.blamed(place, 0.0, cause, is_costly=True)
+            labels.append(place.label)
     return turn, tuple(sorted(set(labels)))
 
 

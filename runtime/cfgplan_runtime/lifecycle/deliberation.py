@@ -230,8 +230,9 @@ class Deliberation:
         """If targets are given up for transformations that back off, hurry these, and keep units that wait for them."""
         situation = scene.situation
         refusals = situation.back_offs.refusals()
-        avoided = situation.back_offs.avoided - refusals.avoided
-        if thought.change_set is None or not thought.unmet or avoided.isdisjoint(thought.avoided):
+        waiting = situation.back_offs.avoided - refusals.avoided
+        avoided = {place.label for place in waiting if place.host is not None or place.label in thought.avoided}
+        if thought.change_set is None or not thought.unmet or not avoided:
             return thought
         hopeful = replace(scene, situation=replace(situation, back_offs=refusals))
         hoped = self._think(hopeful, optimises=True)

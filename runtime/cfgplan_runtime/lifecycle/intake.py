@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from cfgplan.errors import Fault, InputError
 from cfgplan_runtime.children.messages import Flow
+from cfgplan_runtime.lifecycle.back_off import Place
 from cfgplan_runtime.lifecycle.changes import (
     ApplyPlan,
     FaultyCode,
@@ -83,7 +84,7 @@ def heard(turn: Turn, event: events.Event) -> Turn:
 def died(turn: Turn, gone: UnitGone, lived_s: float | None) -> Turn:
     """A unit has ended unasked: blame it unless `lived_s` is None. The review answers who waits for its end."""
     if lived_s is not None:
-        turn = turn.blamed(gone.transformation, lived_s, gone.cause)
+        turn = turn.blamed(Place(gone.transformation, gone.host), lived_s, gone.cause)
     outcomes = turn.state.waiting.get(gone.unit, ())
     return turn.no_more_awaited(gone.unit).perturbed(gone, outcomes)
 
@@ -127,7 +128,7 @@ def _code_looked_at(turn: Turn, faults: Mapping[str, str], changed: tuple[str, .
     """The code of some transformations can't be started. A review is due only if other ones may start now."""
     situation = turn.state.situation
     mended = situation.code_faults.keys() - faults.keys()
-    waiting = situation.back_offs.avoided & {*changed, *mended}
+    waiting = {place.label for place in situation.back_offs.avoided} & {*changed, *mended}
     left_out, back = faults.keys() - situation.code_faults.keys(), (mended | waiting) - faults.keys()
     back_offs = situation.back_offs.forgiving(*changed, *mended)
     turn = turn.situated(replace(situation, code_faults=faults, back_offs=back_offs))
@@ -183,7 +184,9 @@ def _gone(turn: Turn, unit: str, cause: str) -> Turn:
     if unit not in situation.units:
         return turn.answered(unit)
     running, is_killed = situation.units[unit], unit in situation.killed
-    gone = UnitGone(unit, running.transformation.label, "killed" if is_killed else note.end or "died", cause)
+    gone = UnitGone(
+        unit, running.transformation.label, "killed" if is_killed else note.end or "died", cause, running.host
+    )
     lived_s = None if is_killed or unit in situation.failing else turn.at_s - running.since_s
     turn = turn.situated(situation.without(unit))
     if isinstance(state.doing, Updating) and unit in state.doing.starting:  # the update's end tells what it means
@@ -271,7 +274,8 @@ def _given_up(turn: Turn, unit: str, cause: str) -> Turn:
     running, failing = turn.state.situation.units.get(unit), turn.state.situation.failing
     if running is None or unit in failing:
         return turn
-    turn = turn.blamed(running.transformation.label, turn.at_s - running.since_s, cause)
+    place = Place(running.transformation.label, running.host)
+    turn = turn.blamed(place, turn.at_s - running.since_s, cause)
     return turn.situated(replace(turn.state.situation, failing=failing | {unit}))
 
 

@@ -23,6 +23,7 @@ class UnitGone(Perturbation, frozen=True):
     transformation: str
     how: Literal["died", "hung", "too large", "killed"]
     cause: str
+    host: str | None = None
 
 
 class UnitKeepsFailing(Perturbation, frozen=True):

@@ -102,12 +102,16 @@ class UnitView:
 
 @dataclass(frozen=True, slots=True)
 class BackingOff:
-    """A transformation that keeps failing; it is not started again for `left_s` seconds (inf: until it changes)."""
+    """A transformation that keeps failing; it is not started again for `left_s` seconds (inf: until it changes).
+
+    It may be started elsewhere if it has failed on a `host`.
+    """
 
     transformation: str
     failures: int
     left_s: float
     cause: str
+    host: str | None = None
 
 
 class Phase(StrEnum):

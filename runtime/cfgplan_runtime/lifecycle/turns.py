@@ -11,6 +11,7 @@ import msgspec
 
 from cfgplan.domain import ChangeSet, Environment
 from cfgplan.errors import InputError
+from cfgplan_runtime.lifecycle.back_off import Place
 from cfgplan_runtime.lifecycle.basis import Preview
 from cfgplan_runtime.lifecycle.changes import WorldChange
 from cfgplan_runtime.lifecycle.configuration import Scene, Situation
@@ -196,10 +197,10 @@ class Turn:
         entries = (*self.state.entries, entry)
         return self.to(replace(self.state, entries=entries)).also(Tell(Perturbed(perturbation)))
 
-    def blamed(self, label: str, lived_s: float, cause: str, *, is_costly: bool = False) -> Turn:
+    def blamed(self, place: Place, lived_s: float, cause: str, *, is_costly: bool = False) -> Turn:
         """Note a failure of a transformation whose unit has lived so long; see `BackOffs.after_failure`."""
-        situation = self.state.situation
-        back_offs = situation.back_offs.after_failure(label, lived_s, self.at_s, cause, is_costly=is_costly)
+        situation, label = self.state.situation, place.label
+        back_offs = situation.back_offs.after_failure(place, lived_s, self.at_s, cause, is_costly=is_costly)
         turn = self.also(LearnOfFailure(label)).situated(replace(situation, back_offs=back_offs))
         return turn.telling_back_off(label)
 

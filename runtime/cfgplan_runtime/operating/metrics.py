@@ -150,7 +150,8 @@ class Present(Collector):
     def collect(self) -> Iterable[Metric]:
         now, flows = self._snapshot(), self._flows.now()
         yield from (measure.family((), [((), now)]) for measure in _OF_ALL)
-        yield _OF_HELD_OUT.family(("transformation",), [((one.transformation,), one) for one in now.backing_off])
+        held_out = [((one.transformation, one.host or ""), one) for one in now.backing_off]
+        yield _OF_HELD_OUT.family(("transformation", "host"), held_out)
         yield _OF_FACTS.family(("fact",), [((fact.name,), fact) for fact in now.facts])
         yield _OF_HEARD.family(("fact",), [((name,), ago_s) for name, ago_s in now.facts_heard_s.items()])
         targets = [((one.label, one.topic), one) for one in now.targets]

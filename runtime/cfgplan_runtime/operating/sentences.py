@@ -55,7 +55,8 @@ def sentence(report: Report) -> str | None:
                 return f"{label} is not started until it changes: {cause}"
             # The cause was reported when it happened.
             times = _times(backing_off.failures)
-            return f"{label} has failed {times} and is not started for {backing_off.left_s:.0f} s"
+            where, there = ("", "") if backing_off.host is None else (f" on {backing_off.host}", " there")
+            return f"{label} has failed {times}{where} and is not started{there} for {backing_off.left_s:.0f} s"
         case WorldRefused(_, faults) if faults:
             return f"the environment file can't be used, what it said before holds: {faults[0]}"
         case WorldRefused():

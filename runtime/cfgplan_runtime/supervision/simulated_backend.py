@@ -96,8 +96,8 @@ class _Input:
 class SimulatedBackend:
     """A backend whose clock moves only in `wait` (straight to the next event) and `stall`.
 
-    `behaviours` are by transformation. `calls` lists the calls of its methods, in order. All hosts are there until
-    `lose_host`.
+    `behaviours` are by transformation, or by `TRANSFORMATION on HOST` for those on one host. `calls` lists the calls of
+    its methods, in order. All hosts are there until `lose_host`.
     """
 
     behaviours: dict[str, Behaviour] = field(default_factory=dict)
@@ -188,7 +188,7 @@ class SimulatedBackend:
         self.calls.append(("start", unit))
         if host in self.lost_hosts:
             return
-        behaviour = self.behaviours.get(transformation.label, Behaviour())
+        behaviour = self._behaviour(transformation, host)
         start_s, prepared = behaviour.start_s, self.spares.pop(spare or "", None)
         if prepared is not None and spare is not None:
             start_s = max(0.0, prepared.ready_s - self._now)
@@ -203,11 +203,15 @@ class SimulatedBackend:
         if not behaviour.hung:
             self._later(start_s + self.sign_period_s, UnitStatus(unit, 0, 0, {}, {}))
 
+    def _behaviour(self, transformation: Transformation, host: str | None) -> Behaviour:
+        of_all = self.behaviours.get(transformation.label, Behaviour())
+        return self.behaviours.get(f"{transformation.label} on {host}", of_all)
+
     def prepare(self, spare: str, transformation: Transformation, host: str | None) -> None:
         self.calls.append(("prepare", spare))
         if host in self.lost_hosts:
             return
-        behaviour = self.behaviours.get(transformation.label, Behaviour())
+        behaviour = self._behaviour(transformation, host)
         labor_us, start_s = behaviour.labor_of(transformation), behaviour.start_s
         self.spares[spare] = _Prepared(host, self._now + start_s, Usage(labor_us, behaviour.memory_bytes))
         cause = behaviour.dies_at_start
