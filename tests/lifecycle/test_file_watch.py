@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from cfgplan_runtime.lifecycle import file_watch
 from cfgplan_runtime.lifecycle.file_watch import WorldWatch
 from real_run import eventually
 
@@ -121,3 +123,32 @@ def test_a_folder_that_vanishes_is_no_end(watched: Watched) -> None:
     eventually(lambda: len(watched.faults) > 0)
     watched.write("env.yaml", MAIN.replace("include: [more]\n", "horizon: 11\n"))
     eventually(lambda: watched.worlds[-1].horizon_s == 11)
+
+
+def test_a_file_that_blocks_whoever_reads_it_is_told_and_keeps_no_run_from_ending(
+    watched: Watched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(file_watch, "SLOW_S", 0.1)
+    monkeypatch.setattr(file_watch, "_CLOSE_S", 0.1)
+    path = watched.folder / "env.yaml"
+    os.mkfifo(watched.folder / "pipe")
+    (watched.folder / "pipe").replace(path)
+    eventually(lambda: watched.faults and "has not been read for" in watched.faults[-1][0].message)
+    watched.watching.close()
+    path.write_text(MAIN)  # lets the thread that reads go on, and end
+    eventually(lambda: "cfgplan-watching" not in {thread.name for thread in threading.enumerate()})
+
+
+def test_what_a_listener_raises_ends_no_watch(watched: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
+    failed: list[str] = []
+
+    def fail() -> None:
+        raise ZeroDivisionError("a fault of the listener")
+
+    give = watched.watching._give
+    monkeypatch.setattr(watched.watching, "_give", lambda _, by: (failed.append(by), fail()))
+    watched.write("env.yaml", MAIN + "horizon: 7\n")
+    eventually(lambda: failed)
+    monkeypatch.setattr(watched.watching, "_give", give)
+    watched.write("env.yaml", MAIN + "horizon: 8\n")
+    eventually(lambda: watched.worlds[-1].horizon_s == 8)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -18,6 +19,12 @@ QUIET_S = 0.05
 """A change is told once nothing has changed for this long."""
 LOOK_MS = 1000
 """The files are looked at this often in any case, for file systems that don't tell of changes."""
+
+SLOW_S = 10.0
+"""A file that takes longer to read is told."""
+_CLOSE_S = 2.0
+"""Seconds that the thread may take to end: one that waits for a file is left behind."""
+LOG = logging.getLogger("cfgplan")
 
 Stamps = dict[Path, tuple[int, int, int] | None]
 
@@ -42,19 +49,29 @@ class FileWatch:
         self._thread.start()
 
     def close(self) -> None:
-        """Stop watching, and wait for the thread's end."""
+        """Stop watching, and wait for the thread's end, unless a file keeps it waiting."""
         self._stop.set()
-        self._thread.join()
+        self._thread.join(_CLOSE_S)
 
     def _work(self) -> None:
-        self._tell(frozenset())
-        self.take_in_new_ones()
+        self._told(frozenset())
         while not self._stop.is_set():
             try:
                 self._watch(_folders(self._stamps))
             except (OSError, RuntimeError):  # a folder has vanished, or the system watches no more of them
                 self._stop.wait(LOOK_MS / 1000)
                 self._look()
+
+    def _told(self, changed: frozenset[Path]) -> None:
+        self._guarded(lambda: self._tell(changed))
+        self._guarded(self.take_in_new_ones)
+
+    def _guarded(self, call: Callable[[], object]) -> None:
+        """Call what others have written: what it raises is logged, and ends no watch."""
+        try:
+            call()
+        except Exception:
+            LOG.exception("what has changed could not be taken in; files are watched on")
 
     def _watch(self, folders: list[Path]) -> None:
         """Look whenever something changes in `folders`, and every LOOK_MS, until other folders are to be watched."""
@@ -77,15 +94,14 @@ class FileWatch:
 
     def _look(self) -> None:
         if self._stamps == _stamps(self._stamps):
-            self.take_in_new_ones()
+            self._guarded(self.take_in_new_ones)
             return
         before, now = None, _stamps(self._stamps)
         while now != before and not self._stop.wait(QUIET_S):
             before, now = now, _stamps(self._stamps)
         changed = frozenset(path for path in now if now[path] != self._stamps[path])
         self._stamps = now  # as they were before `tell` reads them: what changes meanwhile is noticed
-        self._tell(changed)
-        self.take_in_new_ones()
+        self._told(changed)
 
     def take_in_new_ones(self) -> None:
         """Update the watched paths. A `tell` that finds new ones calls this before it passes on what it has read."""
@@ -143,6 +159,9 @@ class WorldWatch(FileWatch):
 
     def _read(self) -> None:
         found = {self._path}
+        late = threading.Timer(SLOW_S, self._tell_of_wait)
+        late.daemon = True
+        late.start()
         try:
             document = read_document(self._path)
             found |= _files_of(document)
@@ -150,13 +169,24 @@ class WorldWatch(FileWatch):
             found |= set(ontology.files)
             world = api.world_of(document, ontology)
         except InputError as error:
+            late.cancel()
             self._files |= found
             self.take_in_new_ones()
             self._refuse(str(self._path), error.faults)
+        except Exception as error:
+            late.cancel()
+            self._refuse(str(self._path), (Fault(f"can't be read: {type(error).__name__}: {error}"),))
+            raise
         else:
+            late.cancel()
             self._files = frozenset(found)
             self.take_in_new_ones()
             self._give(world, str(self._path))
+
+    def _tell_of_wait(self) -> None:
+        what = f"it has not been read for {SLOW_S:g} s; what it said before holds"
+        mend = "see whether one of its files is a pipe, or on a disk that does not answer"
+        self._refuse(str(self._path), (Fault(what, str(self._path), mend=mend),))
 
 
 def _files_of(document: Document) -> set[Path]:

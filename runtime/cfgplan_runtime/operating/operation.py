@@ -236,7 +236,6 @@ class Operation(Closable):
         match report:
             case Reviewed(review):
                 self._observed.follow()
-                self._sources.follow()
                 if self._following is not None:
                     self._following.follow(target.topic for target in self.manager.world.environment.stream_targets)
                 if review.decision not in (Decision.FAILED, Decision.UNDECIDED):
@@ -245,7 +244,6 @@ class Operation(Closable):
                 if time.monotonic() - self._kept_s >= KEEP_ESTIMATES_S:
                     self._keep_estimates()
             case Observed(observations):
-                self._sources.follow()
                 self.ledger.note(observations, time.monotonic())
                 self._silent = self.manager.silent
                 self._tell_of_silence()

@@ -60,7 +60,11 @@ class Sources(FileWatch):
             self._seen = library
             self._note(faults_of(library, self._folder, self._check), changed)
 
-    def follow(self) -> None:
+    def take_in_new_ones(self) -> None:
+        self._follow()
+        super().take_in_new_ones()
+
+    def _follow(self) -> None:
         """Look again at what may be right by now, such as a module that was installed; at a new library as a whole."""
         library = self._library()
         if library is not self._seen:
