@@ -14,6 +14,7 @@ _EXTRA_OF = {
     "jinja2": "demo",
     "matplotlib": "plots",
     "mcap": "record",
+    "paho": "mqtt",
     "prometheus_client": "metrics",
     "pygraphviz": "graph",
     "rosbags": "ros2",

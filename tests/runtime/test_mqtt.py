@@ -1,0 +1,440 @@
+"""Units of MQTT against a real broker on this computer: mosquitto, which Debian has."""
+
+from __future__ import annotations
+
+import datetime
+import os
+import queue
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from ipaddress import ip_address
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cfgplan_runtime import mqtt
+from cfgplan_runtime.mqtt import MqttRefusedError, Publisher, Subscriber
+from watching import StartRuntime
+from world import eventually, start, unit
+
+from cfgplan.domain import InputPort, OutputPort, Transformation
+from cfgplan.errors import InputError
+
+MOSQUITTO = shutil.which("mosquitto", path=f"{os.environ.get('PATH', os.defpath)}:/usr/sbin")
+PATIENCE_S = 30.0
+
+pytestmark = [
+    pytest.mark.skipif(MOSQUITTO is None, reason="there is no MQTT broker (apt install mosquitto)"),
+    pytest.mark.xdist_group("mqtt"),
+]
+
+
+@pytest.fixture(autouse=True)
+def paho() -> None:
+    pytest.importorskip("paho", reason="paho-mqtt is not installed (extra mqtt)")
+
+
+class Broker:
+    """A mosquitto of a test's own, which keeps sessions over a restart."""
+
+    def __init__(self, folder: Path, *more: str) -> None:
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            self.port = free.getsockname()[1]
+        self.name = f"127.0.0.1:{self.port}"
+        self.config = folder / "mosquitto.conf"
+        lines = [f"listener {self.port} 127.0.0.1", "user root", "persistence true", f"persistence_location {folder}/"]
+        self.config.write_text("\n".join([*lines, *(more or ("allow_anonymous true",))]) + "\n")
+        self.start()
+
+    def start(self) -> None:
+        assert MOSQUITTO is not None
+        quiet = subprocess.DEVNULL
+        self.process = subprocess.Popen([MOSQUITTO, "-c", self.config], stdout=quiet, stderr=quiet)
+        eventually(self._answers)
+
+    def stop(self, number: int = signal.SIGTERM) -> None:
+        self.process.send_signal(number)
+        self.process.wait(PATIENCE_S)
+
+    def _answers(self) -> bool:
+        with suppress(OSError), socket.create_connection(("127.0.0.1", self.port), 1.0):
+            return True
+        return False
+
+
+@contextmanager
+def running(folder: Path, *more: str) -> Iterator[Broker]:
+    broker = Broker(folder, *more)
+    try:
+        yield broker
+    finally:
+        broker.stop(signal.SIGKILL)
+
+
+@pytest.fixture
+def broker(tmp_path: Path) -> Iterator[Broker]:
+    with running(tmp_path) as broker:
+        yield broker
+
+
+class Heard:
+    """What a subscriber gives, taken by a thread."""
+
+    def __init__(self, subscriber: Subscriber) -> None:
+        self.values: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self.raised: list[Exception] = []
+        self._over = threading.Event()
+        self.begun = threading.Event()
+        subscriber._connection.client.on_subscribe = lambda *_: self.begun.set()
+        self._thread = threading.Thread(target=self._take, args=[subscriber])
+        self._thread.start()
+
+    def next(self) -> Any:
+        return self.values.get(timeout=PATIENCE_S)
+
+    def close(self) -> None:
+        self._over.set()
+        self._thread.join(PATIENCE_S)
+
+    def _take(self, subscriber: Subscriber) -> None:
+        elements = iter(subscriber)
+        try:
+            for value in elements:
+                if value is not None:
+                    self.values.put(value)
+                if self._over.is_set():
+                    return
+        except MqttRefusedError as error:
+            self.raised.append(error)
+        finally:
+            elements.close()
+
+
+Hear = Callable[..., Heard]
+
+
+@pytest.fixture
+def hear() -> Iterator[Hear]:
+    """Hear what a subscriber with these parameters gives."""
+    there: list[Heard] = []
+
+    def begin(broker: str, topic: str, *, waits: bool = True, **params: Any) -> Heard:
+        there.append(Heard(Subscriber(broker, topic, **params)))
+        if waits:
+            assert there[-1].begun.wait(PATIENCE_S)
+        return there[-1]
+
+    yield begin
+    for heard in there:
+        heard.close()
+
+
+@pytest.fixture
+def publish() -> Iterator[Callable[..., Publisher]]:
+    there: list[Publisher] = []
+
+    def begin(*args: Any, **params: Any) -> Publisher:
+        there.append(Publisher(*args, **params))
+        return there[-1]
+
+    yield begin
+    for publisher in there:
+        publisher.close()
+
+
+Publish = Callable[..., Publisher]
+
+
+def test_wildcards_give_each_value_with_its_topic(broker: Broker, hear: Hear, publish: Publish) -> None:
+    heard = hear(broker.name, "house/+/temperature")
+    for room in ("kitchen", "hall"):
+        publish(broker.name, f"house/{room}/temperature")(x={"degrees": 20.5})
+    publish(broker.name, "house/hall/light")(x=1)
+    assert sorted((heard.next() for _ in range(2)), key=lambda value: value["topic"]) == [
+        {"topic": "house/hall/temperature", "value": {"degrees": 20.5}},
+        {"topic": "house/kitchen/temperature", "value": {"degrees": 20.5}},
+    ]
+
+
+@pytest.mark.parametrize(
+    ("payload", "given", "told"),
+    [("text", "on", "on"), ("number", 3, 3.0), ("bytes", b"\0a", b"\0a"), ("json", [1], [1])],
+)
+def test_a_payload_has_the_form_that_is_said(
+    payload: str, given: object, told: object, broker: Broker, hear: Hear, publish: Publish
+) -> None:
+    heard = hear(broker.name, "x", payload=payload)
+    publish(broker.name, "x", payload=payload)(value=given)
+    assert heard.next() == told
+
+
+def test_a_retained_value_comes_first_unless_it_is_not_wanted(broker: Broker, hear: Hear, publish: Publish) -> None:
+    publisher = publish(broker.name, "door", retain=True)
+    before = hear(broker.name, "door")
+    publisher(x="open")
+    assert before.next() == "open"
+    with_it, without = hear(broker.name, "door"), hear(broker.name, "door", retained=False)
+    assert with_it.next() == "open"
+    publisher(x="shut")
+    assert (with_it.next(), without.next()) == ("shut", "shut")
+
+
+def test_nothing_is_lost_while_the_broker_is_away(broker: Broker, hear: Hear, publish: Publish) -> None:
+    heard, publisher = hear(broker.name, "count"), publish(broker.name, "count")
+    for number in range(50):
+        publisher(x=number)
+    assert [heard.next() for _ in range(50)] == [*range(50)]
+    broker.stop()
+    for number in range(50, 100):
+        publisher(x=number)
+    broker.start()
+    for number in range(100, 150):
+        publisher(x=number)
+    rest = [*iter(heard.next, 149)]
+    # What the broker had not heard of as taken comes again: `qos` 1 is at least once.
+    assert [*dict.fromkeys(number for number in rest if number >= 50)] == [*range(50, 149)]
+
+
+def test_a_message_counts_as_taken_once_the_next_is_asked_for(broker: Broker, publish: Publish) -> None:
+    first = iter(Subscriber(broker.name, "job", client_id="worker"))
+    next(first)
+    publisher = publish(broker.name, "job")
+    for job in ("a", "b"):
+        publisher(x=job)
+    assert next(value for value in first if value is not None) == "a"
+    first.close()
+    again = iter(Subscriber(broker.name, "job", client_id="worker"))
+    again_taken = (value for value in again if value is not None)
+    mqtt_again = [next(again_taken), next(again_taken)]
+    again.close()
+    assert mqtt_again == ["a", "b"]
+
+
+def test_a_link_that_is_half_open_is_noticed_and_made_anew(
+    broker: Broker, hear: Hear, publish: Publish, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with proxy_to(broker.port) as (port, hush):
+        heard = hear(f"127.0.0.1:{port}", "x", keepalive=1)
+        publisher = publish(broker.name, "x")
+        publisher(x=1)
+        assert heard.next() == 1
+        hush.set()
+        publisher(x=2)
+        eventually(lambda: "is lost" in capsys.readouterr().out)
+        hush.clear()
+        assert heard.next() == 2
+
+
+@contextmanager
+def proxy_to(port: int) -> Iterator[tuple[int, threading.Event]]:
+    """A port that leads to another one. While the event is set nothing goes either way, and nothing is closed."""
+    hush, over = threading.Event(), threading.Event()
+    server = socket.create_server(("127.0.0.1", 0))
+
+    def pump(source: socket.socket, target: socket.socket) -> None:
+        source.settimeout(0.05)
+        while not over.is_set():
+            with suppress(TimeoutError):
+                try:
+                    data = source.recv(65536)
+                    while hush.is_set() and not over.is_set():
+                        over.wait(0.02)
+                    target.sendall(data)
+                except (ConnectionError, OSError) as error:
+                    if isinstance(error, TimeoutError):
+                        raise
+                    return
+                if not data:
+                    return
+
+    def accept() -> None:
+        while not over.is_set():
+            try:
+                client, _ = server.accept()
+            except OSError:
+                return
+            there = socket.create_connection(("127.0.0.1", port))
+            ends.extend((client, there))
+            for pair in ((client, there), (there, client)):
+                threading.Thread(target=pump, args=pair, daemon=True).start()
+
+    ends: list[socket.socket] = []
+    threading.Thread(target=accept, daemon=True).start()
+    try:
+        yield server.getsockname()[1], hush
+    finally:
+        over.set()
+        server.close()
+        for end in ends:
+            end.close()
+
+
+def test_the_broker_publishes_the_last_will_of_who_dies_and_of_no_other(
+    broker: Broker, hear: Hear, publish: Publish
+) -> None:
+    heard = hear(broker.name, "gone/#", payload="text")
+    publish(broker.name, "x", will={"topic": "gone/well", "payload": "well"}).close()
+    code = (
+        "import sys, time; from cfgplan_runtime.mqtt import Publisher\n"
+        "p = Publisher(sys.argv[1], 'x', will={'topic': 'gone/badly', 'payload': 'badly'}); p(x=1)\n"
+        "print('there', flush=True); time.sleep(60)"
+    )
+    with subprocess.Popen([sys.executable, "-c", code, broker.name], stdout=subprocess.PIPE, text=True) as dying:
+        assert dying.stdout is not None
+        assert dying.stdout.readline() == "there\n"
+        dying.kill()
+    assert heard.next() == {"topic": "gone/badly", "value": "badly"}
+
+
+def test_a_run_takes_from_a_broker_and_gives_to_it(
+    broker: Broker, run_units: StartRuntime, hear: Hear, publish: Publish
+) -> None:
+    sensor = Transformation(
+        "sensor",
+        (),
+        (OutputPort("y", "Y"),),
+        source="cfgplan_runtime.mqtt:Subscriber",
+        params={"broker": broker.name, "topic": "in"},
+    )
+    lamp = Transformation(
+        "lamp",
+        (InputPort("x", "Y"),),
+        source="cfgplan_runtime.mqtt:Publisher",
+        params={"broker": broker.name, "topic": "out"},
+    )
+    heard = hear(broker.name, "out")
+    runtime = run_units(sensor, lamp)
+    runtime.apply(start(unit("sensor.1"), unit("lamp.1", x="sensor.1/y")))
+    publisher = publish(broker.name, "in", retain=True)
+    publisher(x={"on": True})
+    assert heard.next() == {"on": True}
+
+
+def test_what_is_no_value_is_told_once_and_left_out(
+    broker: Broker, hear: Hear, publish: Publish, capsys: pytest.CaptureFixture[str]
+) -> None:
+    heard, words = hear(broker.name, "x"), publish(broker.name, "x", payload="text")
+    for word in ("{", "}", "7"):
+        words(x=word)
+    assert heard.next() == 7
+    assert capsys.readouterr().out.count("x: a message is no json, and is left out") == 1
+
+
+def test_a_broker_that_is_not_there_yet_is_told_once(
+    broker: Broker, hear: Hear, publish: Publish, capsys: pytest.CaptureFixture[str]
+) -> None:
+    broker.stop()
+    heard = hear(broker.name, "x", waits=False)
+    told = ""
+
+    def is_told() -> bool:
+        nonlocal told
+        told += capsys.readouterr().out
+        return "does not answer" in told
+
+    eventually(is_told)
+    broker.start()
+    assert heard.begun.wait(PATIENCE_S)
+    publish(broker.name, "x")(x=1)
+    assert heard.next() == 1
+    told += capsys.readouterr().out
+    assert told.count("does not answer") == 1
+    assert f"{broker.name} is there again" in told
+
+
+def test_names_and_passwords_are_read_from_elsewhere_and_wrong_ones_end_it(
+    tmp_path: Path, hear: Hear, publish: Publish, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    users = tmp_path / "users"
+    subprocess.run(["mosquitto_passwd", "-b", "-c", users, "bob", "open sesame"], check=True, capture_output=True)
+    users.chmod(0o644)
+    with running(tmp_path, "allow_anonymous false", f"password_file {users}") as broker:
+        monkeypatch.setenv("MQTT_PASSWORD", "open sesame")
+        (tmp_path / "secret").write_text("open sesame\n")
+        heard = hear(broker.name, "x", username="bob", password_env="MQTT_PASSWORD")
+        publish(broker.name, "x", username="bob", password_file=str(tmp_path / "secret"))(x=1)
+        assert heard.next() == 1
+        monkeypatch.setenv("MQTT_PASSWORD", "open barley")
+        wrong = hear(broker.name, "x", waits=False, username="bob", password_env="MQTT_PASSWORD")
+        eventually(lambda: wrong.raised)
+        assert "the broker refuses this client" in str(wrong.raised[0])
+        assert "barley" not in str(wrong.raised[0])
+
+
+def test_a_broker_is_spoken_to_by_tls(tmp_path: Path, hear: Hear, publish: Publish) -> None:
+    make_certificate(tmp_path)
+    files = (f"certfile {tmp_path}/cert.pem", f"keyfile {tmp_path}/key.pem")
+    with running(tmp_path, "allow_anonymous true", *files) as broker:
+        address, ca = f"mqtts://{broker.name}", str(tmp_path / "cert.pem")
+        heard = hear(address, "x", ca=ca)
+        publish(address, "x", ca=ca)(x="safe")
+        assert heard.next() == "safe"
+
+
+def make_certificate(folder: Path) -> None:
+    """A certificate for this computer that is its own authority."""
+    x509 = pytest.importorskip("cryptography.x509", reason="cryptography is not installed (extra fleet)")
+    from cryptography.hazmat.primitives import hashes, serialization
+    from cryptography.hazmat.primitives.asymmetric import ec
+
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "localhost")])
+    now = datetime.datetime.now(datetime.UTC)
+    made = (
+        x509.CertificateBuilder()
+        .subject_name(name)
+        .issuer_name(name)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - datetime.timedelta(days=1))
+        .not_valid_after(now + datetime.timedelta(days=1))
+        .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+        .add_extension(x509.SubjectAlternativeName([x509.IPAddress(ip_address("127.0.0.1"))]), critical=False)
+        .sign(key, hashes.SHA256())
+    )
+    plain = serialization.NoEncryption()
+    pem = key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, plain)
+    (folder / "key.pem").write_bytes(pem)
+    (folder / "cert.pem").write_bytes(made.public_bytes(serialization.Encoding.PEM))
+
+
+@pytest.mark.parametrize(
+    ("params", "message"),
+    [
+        ({"broker": "http://house"}, "`http://house` is no broker"),
+        ({"broker": "house:many"}, "`house:many` is no broker"),
+        ({"broker": "mqtt://bob:secret@house"}, "do not belong into its address"),
+        ({"topic": "a/#/b"}, "is no filter of topics"),
+        ({"topic": "a+/b"}, "is no filter of topics"),
+        ({"topic": ""}, "is no filter of topics"),
+        ({"qos": 3}, "`3` is no quality of service"),
+        ({"payload": "yaml"}, "`yaml` is no form of a payload"),
+        ({"password": "secret"}, "a password does not belong into an environment file"),
+        ({"usrname": "bob"}, "did you mean `username`"),
+        ({"username": "bob", "password_env": "NO_SUCH_VARIABLE"}, "the variable NO_SUCH_VARIABLE is not set"),
+        ({"username": "bob", "password_file": "/absent"}, "the password can't be read"),
+        ({"ca": "/absent"}, "the files of TLS"),
+    ],
+)
+def test_parameters_that_can_not_be_meant_are_refused(params: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message) as refused:
+        Subscriber(**{"broker": "house", "topic": "x", **params})
+    assert "secret" not in str(refused.value)
+
+
+def test_a_sink_publishes_on_no_wildcard() -> None:
+    with pytest.raises(InputError, match="is no topic to publish on"):
+        Publisher("house", "a/#")
+
+
+def test_a_unit_says_what_it_needs_where_the_library_lacks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cfgplan.extras.is_there", lambda _: False)
+    with pytest.raises(InputError, match=r"cfgplan\[mqtt\]"):
+        mqtt.Subscriber("house", "x")
