@@ -58,8 +58,8 @@ class Connection:
     `broker` is `HOST`, `HOST:PORT`, `mqtt://HOST:PORT` or `mqtts://HOST:PORT` (TLS). `ca`, `certificate` and `key` are
     files of TLS; files are relative to the working folder. A connection on which nothing comes for one and a half times
     `keepalive` seconds counts as dead. With a `client_id` of its own a unit takes up the session of the one before, for
-    which the broker keeps messages of `qos` 1 and 2 for 5 minutes; two must not run at a time. `say` is told what a
-    user should know. Raises InputError.
+    which the broker keeps messages of `qos` 1 and 2 for 5 minutes; two must not run at a time. `say` is
+    called with lines for the user. Raises InputError.
     """
 
     def __init__(
@@ -417,5 +417,5 @@ def _plain(value: Any) -> object:
 
 
 def _say(text: str) -> None:
-    """What a unit prints is reported."""
+    """Report a line: the run shows each line that a unit prints."""
     print(text, flush=True)  # noqa: T201

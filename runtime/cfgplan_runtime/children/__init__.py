@@ -1,1 +1,1 @@
-"""What runs inside a child process, and how it talks with the supervisor."""
+"""The code inside a child process, and its messages to the supervisor."""

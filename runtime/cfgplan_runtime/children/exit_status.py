@@ -6,7 +6,7 @@ import signal
 
 
 def end_of_process(status: int) -> str:
-    """What an exit status says, in words."""
+    """An exit status in words."""
     return f"killed by {signal.Signals(-status).name}" if status < 0 else f"ended with exit status {status}"
 
 

@@ -1,4 +1,4 @@
-"""What supervisor, nursery and child processes say to each other."""
+"""Messages between supervisor, nursery and child processes."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ ChildOrder: TypeAlias = UnitOrder | SpareOrder | OutletOrder
 
 
 class OfWire(msgspec.Struct):
-    """What is said of a wire at an input or output."""
+    """A message about a wire at an input or output."""
 
     port: str
     wire: int
@@ -138,7 +138,7 @@ class BeginUnit(msgspec.Struct, tag=True):
 
 
 class Finish(msgspec.Struct, tag=True):
-    """Process what has arrived, then end."""
+    """Process the elements that have arrived, then end."""
 
 
 class TellMark(msgspec.Struct, tag=True):
@@ -178,7 +178,7 @@ class Switched(OfWire, tag=True):
 
 
 class Lost(OfWire, tag=True):
-    """An input's active source has ended and there is no standby."""
+    """An input's active source has ended without a standby."""
 
 
 class Trouble(msgspec.Struct, tag=True):
@@ -195,7 +195,7 @@ class Exhausted(msgspec.Struct, tag=True):
 
 
 class PortCounts(msgspec.Struct, frozen=True):
-    """What went through one port since the start, and what waits there now.
+    """The elements that went through one port since the start, and those that wait there now.
 
     `dropped` elements had no room, `stale` ones were repeated by a new source, `skipped` ones found no partner of
     their time.
@@ -234,7 +234,7 @@ class Flow(msgspec.Struct, frozen=True):
 
 
 class Flowing(msgspec.Struct, tag=True):
-    """A sign of life of the outlets, with what comes on each topic."""
+    """A sign of life of the outlets, with the figures of each topic."""
 
     flows: dict[str, Flow]
 

@@ -18,7 +18,7 @@ NO_DESCRIPTOR = "no file descriptor is left: raise the limit of open files (ulim
 
 
 class OutletChild:
-    """The outlets of one run. A consumer that is slow loses the oldest elements, and delays nobody."""
+    """The outlets of one run. A slow consumer loses the oldest elements, and delays nobody."""
 
     def __init__(self, order: messages.OutletOrder, control: ControlConnection[messages.ToChild]) -> None:
         self._queue = order.queue

@@ -130,13 +130,13 @@ class Ports:
         return not any(sender.depth for output in self.outputs.values() for sender in output.senders)
 
     def drain(self) -> None:
-        """Hand on what has arrived, then discard what still comes."""
+        """Hand on the elements that have arrived, then discard later ones."""
         for name, port in self.inputs.items():
             self.take_in(name)
             port.take = _ignore
 
     def take_in(self, port: str) -> None:
-        """Hand on what has arrived at an input."""
+        """Hand on the elements that have arrived at an input."""
         for wire in list(self.inputs[port].receivers):
             self._read(self.inputs[port], wire)
 
@@ -219,7 +219,7 @@ class Ports:
             self.has_ended = True
 
     def _has_input(self, name: str) -> bool:
-        """Whether there is an input of this name, or now is."""
+        """Whether an input has this name, by now."""
         made = None if name in self.inputs else self._make_input(name)
         if made is not None:
             self.inputs[name] = made

@@ -153,11 +153,11 @@ class ProgramCode:
             raise ProgramFaultError("exit status", f"at its stop the program: {end_of_process(status)}")
 
     def interrupt(self) -> None:
-        """Have a program that goes on after its standard input was closed end."""
+        """End a program that goes on after its standard input was closed."""
         self._process.terminate()
 
     def cpu_ns(self) -> int:
-        """The CPU time of the program and what it has started."""
+        """The CPU time of the program and its children."""
         return started_usage(os.getpid())[0] * 1000
 
     def files(self) -> dict[str, int]:
@@ -287,7 +287,7 @@ def _enlarge(end: int) -> None:
 
 
 def _plain(value: Any) -> object:
-    """What JSON has in place of an array or a number of numpy."""
+    """The JSON value in place of an array or a number of numpy."""
     numpy = sys.modules.get("numpy")
     if numpy is not None and isinstance(value, (numpy.ndarray, numpy.generic)):
         return value.tolist()

@@ -1,4 +1,4 @@
-"""What a program writes to its standard output, line by line."""
+"""A program's standard output, line by line."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Lines:
         self._is_too_large = False
 
     def read(self, end: int) -> bool:
-        """Read some of what is there. Returns whether something was, or the end."""
+        """Read some of the available output. Returns whether something was, or the end."""
         if self.has_ended:
             return True
         try:

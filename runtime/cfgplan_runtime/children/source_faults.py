@@ -1,6 +1,6 @@
-"""What is wrong with unit code before it runs: files, names, imports and signatures, read as text and never imported.
+"""Faults of unit code before it runs: files, names, imports and signatures, read as text and never imported.
 
-Only what is certain is told. A class that is decorated, inherits from elsewhere or makes its methods at run time may
+Only certain faults are told. A class that is decorated, inherits from elsewhere or makes its methods at run time may
 take anything; `unit_code` says how code is found and called when it runs.
 """
 
@@ -30,7 +30,7 @@ _DYNAMIC = frozenset({"__getattr__", "exec", "eval", "globals", "setattr", "vars
 
 
 def source_fault(transformation: Transformation, folder: Path) -> Fault | None:
-    """What keeps units of a transformation from being started; None if nothing is found.
+    """The fault that keeps units of a transformation from being started; None if none is found.
 
     The fault's file is that of the code, where it has one. `folder` is what files are relative to.
     """
@@ -38,7 +38,7 @@ def source_fault(transformation: Transformation, folder: Path) -> Fault | None:
 
 
 def fault_of(check: Callable[[], object], folder: Path) -> Fault | None:
-    """The first fault that a check raises, its file relative to a folder if it is there; None if it raises none."""
+    """The first fault that a check raises, with its file relative to the folder; None without one."""
     try:
         check()
     except InputError as error:
@@ -130,7 +130,7 @@ class _Module:
 
 
 def _read(path: Path, stamp: tuple[int, int] | None) -> _Module:
-    """Raises InputError for what is no Python."""
+    """Raises InputError for a file that is not Python."""
     parsed = _parsed(path, stamp)
     if isinstance(parsed, Fault):
         raise InputError([parsed])
@@ -240,7 +240,7 @@ def _module_file(name: str, folder: Path) -> Path | None:
 
 @dataclass(frozen=True)
 class _Signature:
-    """What a function may be called with by name."""
+    """The arguments that a function takes by name."""
 
     takes: frozenset[str]
     needs: tuple[str, ...]
@@ -265,7 +265,7 @@ _NOTHING = _Signature(frozenset(), (), takes_any=False)
 
 @dataclass(frozen=True)
 class _Unit:
-    """A transformation held against the code of its units. All methods raise InputError for what can't work."""
+    """A transformation held against the code of its units. All methods raise InputError for a fault that is certain."""
 
     transformation: Transformation
     module: _Module

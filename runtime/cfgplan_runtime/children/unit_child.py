@@ -342,7 +342,7 @@ class UnitChild:
             return None
 
     def _one_more_input(self, inlet: str) -> UnitInput | None:
-        """The input of one more stream, where a port takes all that there are."""
+        """The input of one more stream, at a port that takes all streams."""
         return self._input_port(inlet) if self._order.counts.get(port_of(inlet)) == ALL else None
 
     def _input_port(self, name: str) -> UnitInput:

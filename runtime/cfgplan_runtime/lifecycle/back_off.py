@@ -111,7 +111,7 @@ class BackOffs:
         return replace(self, records=left, avoided=self.avoided & left.keys())
 
     def at(self, now_s: float) -> BackOffs:
-        """Avoid no longer what has waited long enough."""
+        """Stop avoiding places whose wait is over."""
         return replace(self, avoided=frozenset(one for one in self.avoided if self.records[one].until_s > now_s))
 
     @property

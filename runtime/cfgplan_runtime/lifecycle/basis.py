@@ -38,7 +38,7 @@ _MOST_REASONS = 6
 
 @dataclass(frozen=True)
 class Preview:
-    """What a review would do now, in which problem, and for what."""
+    """The change that a review would make now, with its problem and its basis."""
 
     thought: Thought
     problem: Problem
@@ -46,14 +46,14 @@ class Preview:
 
 
 def preview_of(deliberation: Deliberation, scene: Scene, stop: threading.Event) -> Preview:
-    """What a review of a scene would do, optimising. `stop` ends planning early."""
+    """The change that an optimising review of a scene would make. `stop` ends planning early."""
     thought = deliberation.think(scene, optimises=True, stop=stop)
     problem = deliberation.problem(thought.planned, scene.world)
     return Preview(thought, problem, basis_of(scene.world, scene.running))
 
 
 def basis_of(world: World, running: Environment) -> Basis:
-    """What a plan for a world, in which `running` runs, is made for."""
+    """The basis of a plan for a world in which `running` runs."""
     wanted = world.environment
     settings: dict[str, object] = {
         "horizon": world.horizon_s,
@@ -77,7 +77,7 @@ def basis_of(world: World, running: Environment) -> Basis:
 
 
 def previewed(preview: Preview) -> Plan:
-    """What a review would do, as a plan."""
+    """The change that a review would make, as a plan."""
     thought = preview.thought
     status = Status.UNKNOWN if thought.change_set is None else Status.FEASIBLE
     return Plan(

@@ -1,4 +1,4 @@
-"""What a user, a tool or a robot may ask of a running manager."""
+"""Requests of users, tools and robots to a running manager."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Declare:
 
 @dataclass(frozen=True, slots=True)
 class Withdraw:
-    """Take back what was declared under a name."""
+    """Take back the declaration of a name."""
 
     name: str
 
@@ -92,7 +92,7 @@ class LoseHost:
 
 @dataclass(frozen=True, slots=True)
 class RegainHost:
-    """A host is there again."""
+    """A host has come back."""
 
     host: str
 

@@ -33,7 +33,7 @@ class Running:
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """What is known of what runs, beyond its configuration."""
+    """Knowledge about the running units, beyond their configuration."""
 
     back_offs: BackOffs
     units: Mapping[str, Running] = field(default_factory=dict)

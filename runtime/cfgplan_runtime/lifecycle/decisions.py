@@ -66,7 +66,7 @@ _OPTIMISING = (Started, CodeChanged, FactsChanged, HorizonReached, ReviewRequest
 
 
 class BreakIn(Flag):
-    """How something that comes in breaks into what is under way."""
+    """How an item breaks into the work under way."""
 
     INTERRUPT = auto()
     """The plan can't know what has happened: it is made anew."""
@@ -77,7 +77,7 @@ class BreakIn(Flag):
 
 
 def breaks_in(doing: Doing, item: Item) -> BreakIn:
-    """How an item breaks into what is under way when it comes, before it is taken in."""
+    """How an item breaks into the work under way when it comes, before it is taken in."""
     is_starting = isinstance(doing, Updating) and bool(doing.change_set.started)
     abandon = BreakIn.ABANDON if is_starting else BreakIn(0)
     match item:
@@ -149,7 +149,7 @@ def _case(turn: Turn, what: Happening) -> Turn:
 
 
 def _tick(turn: Turn, time_s: float) -> Turn:
-    """Begin what is due."""
+    """Begin the work that is due."""
     state, at_s = turn.state, turn.at_s
     if state.is_closing or state.stops:
         return _ended(turn)
@@ -257,7 +257,7 @@ def _planned(turn: Turn, planned: Planned) -> Turn:
 
 
 def _carried_out(turn: Turn, planning: Planning, thought: Thought) -> Turn:
-    """Apply what was decided, if it changes anything."""
+    """Apply the decision, if it changes anything."""
     state, library = turn.state, planning.world.environment
     wanted = thought.change_set if thought.decision is Decision.APPLIED else None
     change_set = with_world(wanted or ChangeSet(), library, state.running)
@@ -399,7 +399,7 @@ def _followed_up(turn: Turn, planning: Planning, failed: UpdateFailed | None) ->
 
 
 def _prepared(turn: Turn) -> Turn:
-    """Let the planner prepare for what runs after an update, unless a review is due."""
+    """Let the planner prepare for the units that run after an update, unless a review is due."""
     state = turn.state
     if state.reviews[-1].decision is not Decision.APPLIED or state.due_s <= turn.at_s:
         return turn

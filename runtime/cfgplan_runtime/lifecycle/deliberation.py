@@ -43,7 +43,7 @@ _MOST_AVOIDED_NAMED = 4
 
 @dataclass(frozen=True)
 class Thought:
-    """What a review has found out. `change_set` is over units only."""
+    """The findings of a review. `change_set` is over units only."""
 
     running: Environment
     planned: Environment
@@ -71,7 +71,7 @@ class Thought:
 
 @dataclass(frozen=True)
 class UnmetTargets:
-    """Which targets of a problem nothing can meet, and why, whatever runs."""
+    """The targets of a problem that nothing can meet, with the reasons, whatever runs."""
 
     problem: Problem
     unmet_reasons: Mapping[str, str]
@@ -119,7 +119,7 @@ class Deliberation:
             threading.Thread(target=_import_solver, name="cfgplan-warm-up", daemon=True).start()
 
     def think(self, scene: Scene, *, optimises: bool, stop: threading.Event) -> Thought:
-        """The best update of what runs, and whether to carry it out now.
+        """The best update of the running units, and whether to carry it out now.
 
         An update that only saves cost is put off, unless the review `optimises`. `stop` ends planning early.
         """
@@ -151,7 +151,7 @@ class Deliberation:
         )
 
     def prepare(self, scene: Scene, *, stop: threading.Event) -> None:
-        """Plan for what runs now, so that a planner that remembers is ready for repairs."""
+        """Plan for the running units, so that a planner with a memory is ready for repairs."""
         if self._session is None:
             return
         self._stop = stop
@@ -207,7 +207,7 @@ class Deliberation:
         return found, asked, given_up
 
     def _impossible(self, problem: Problem) -> Mapping[str, str]:
-        """Which targets of a problem nothing can meet, and why."""
+        """The targets of a problem that nothing can meet, with the reasons."""
         if self._reach is None or not self._reach.holds_for(problem):
             self._reach = UnmetTargets(problem, unmet_reasons(problem))
         return self._reach.unmet_reasons
@@ -329,7 +329,7 @@ def _waiting(unit: ComputationUnit, gone: Set[str], taken: Set[str]) -> Computat
 def where_spares_are(problem: Problem, plan: Plan) -> Plan:
     """A plan as good as this one, that starts units where cold spares of their transformations are, if there is one.
 
-    Such a unit takes the place of a spare. A spare that the plan keeps takes the place that the unit was to have.
+    Such a unit takes a spare's place. A spare that the plan keeps takes the place that the unit was to have.
     """
     spares = [unit for unit in problem.environment.units if unit.standby]
     for new in plan.change_set.started if plan.change_set is not None and spares else ():

@@ -20,7 +20,7 @@ def runs_alike(one: Transformation, other: Transformation) -> bool:
 
 
 def difference(before: World, after: World) -> Difference:
-    """What comes, goes and changes from one world to the other."""
+    """The additions, removals and changes from one world to the other."""
     library, new_library = before.environment.transformation, after.environment.transformation
     targets, new_targets = before.environment.target, after.environment.target
     both = [(old, new_library[label]) for label, old in library.items() if label in new_library]

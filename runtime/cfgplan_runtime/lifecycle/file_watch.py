@@ -67,14 +67,14 @@ class FileWatch:
         self._guarded(self.take_in_new_ones)
 
     def _guarded(self, call: Callable[[], object]) -> None:
-        """Call what others have written: what it raises is logged, and ends no watch."""
+        """Call code of others: its exceptions are logged, and end no watch."""
         try:
             call()
         except Exception:
             LOG.exception("what has changed could not be taken in; files are watched on")
 
     def _watch(self, folders: list[Path]) -> None:
-        """Look whenever something changes in `folders`, and every LOOK_MS, until other folders are to be watched."""
+        """Look at each change in `folders`, and every LOOK_MS, until the set of folders changes."""
         from watchfiles import watch
 
         for _ in watch(

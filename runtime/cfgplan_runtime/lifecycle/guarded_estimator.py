@@ -14,7 +14,7 @@ T = TypeVar("T")
 
 
 class GuardedEstimator:
-    """Asks an estimator, and declared costs where that raises or gives what is no cost.
+    """Asks an estimator, and declared costs where that raises or gives no cost.
 
     `warning` tells of the last failure; it is empty if there was none.
     """

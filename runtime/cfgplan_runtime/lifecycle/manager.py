@@ -245,7 +245,7 @@ class Manager:
             self._clock.wait(self._inbox.bell, until_s - now)
 
     def _take_in(self) -> None:
-        """Decide about everything that has come, then about what is due."""
+        """Decide about everything that has come, then about the work that is due."""
         self._interrupt.clear()
         self._decide_arrivals()
         if not self._state.is_over:
@@ -376,7 +376,7 @@ class Manager:
             self._tell(UnitEvent(event, None if running is None else running.host))
 
     def _put(self, item: Item, *, is_urgent: bool = True) -> None:
-        """Queue an item, and break into what is under way if the item can't wait."""
+        """Queue an item, and break into the work under way if the item can't wait."""
         self._inbox.put(item, self._clock.now(), is_urgent=is_urgent)
         how = breaks_in(self._state.doing, item)
         if BreakIn.END in how:
@@ -391,7 +391,7 @@ class Manager:
 
 
 def _running_cost_us(running: Environment, state: State) -> int:
-    """What keeping the running units costs over the horizon, by the estimates of the last review."""
+    """The cost of the running units over the horizon, by the estimates of the last review."""
     world = state.living.world
     library = tuple(state.costs.get(known.label, known) for known in world.environment.library)
     return kept_us(as_it_runs(replace(world.environment, library=library), running), world.horizon_s)

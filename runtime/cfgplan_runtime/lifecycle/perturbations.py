@@ -1,4 +1,4 @@
-"""What ends a stable interval, as typed values (paper, section IV-C)."""
+"""The events that end a stable interval, as typed values (paper, section IV-C)."""
 
 from __future__ import annotations
 
@@ -91,13 +91,13 @@ class HostGone(Perturbation, frozen=True):
 
 
 class HostBack(Perturbation, frozen=True):
-    """A host is there, or is to be used again."""
+    """A host has come, or may be used again."""
 
     host: str
 
 
 class FactsChanged(Perturbation, frozen=True):
-    """Facts have changed what is planned with.
+    """Facts have changed the world of the plan.
 
     Transformations `left_out` may not run any more, those `back` may again, and outputs of those `requalified` are
     better or worse than before.

@@ -52,11 +52,11 @@ class Middleware(Protocol):
         """
 
     def stop(self) -> None:
-        """Stop every unit once it has given what it has taken in."""
+        """Stop every unit once it has given the results of its input."""
 
 
 class Estimator(Protocol):
-    """What starting and running a unit of a transformation is expected to cost.
+    """The expected cost of starting and running a unit of a transformation.
 
     `now_s` is on the manager's clock. All methods are called from the manager's thread.
     """

@@ -32,7 +32,7 @@ class Silence:
 
 @dataclass(frozen=True, slots=True)
 class Giving:
-    """What units and topics were last known to give. Immutable: `after_...` return the next.
+    """The last known streams of units and topics. Immutable: `after_...` return the next.
 
     `units`: how many elements a unit has given, and since when. `topics`: the stream that is published on a topic, and
     since when. `silent_s`: when a target fell silent, a review was last asked for it, or what runs last changed.

@@ -141,7 +141,7 @@ class State:
 
     @property
     def scene(self) -> Scene:
-        """What a plan is made from now."""
+        """The input of a plan that is made now."""
         return Scene(self.situation.as_it_is(self.living.world), self.running, self.situation)
 
     @property

@@ -84,7 +84,7 @@ Happening: TypeAlias = Item | Started | Tick | Matched | Seen | Planned | GivenJ
 
 @dataclass(frozen=True, slots=True)
 class Happened:
-    """Something at a time on the manager's clock, and what runs then."""
+    """A happening at a time on the manager's clock, and the units that run then."""
 
     at_s: float
     what: Happening
@@ -165,7 +165,7 @@ class ApplyUpdate(Effect, frozen=True):
 
 
 class Prepare(Effect, frozen=True):
-    """Let the planner prepare to repair what runs now, unless something has come."""
+    """Let the planner prepare to repair the running units, unless an item has come."""
 
     scene: Scene
 

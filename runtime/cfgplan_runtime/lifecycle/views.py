@@ -51,7 +51,7 @@ def silence_reason(silence: Silence, now_s: float) -> str:
 def unit_views(
     running: Environment, situation: Situation, observations: Mapping[str, Observation]
 ) -> tuple[UnitView, ...]:
-    """Each unit that runs, or is a cold spare, with its host and what was last observed of it."""
+    """Each running unit and cold spare, with its host and its last observation."""
     units = situation.units
     return tuple(
         UnitView(

@@ -1,4 +1,4 @@
-"""Matching that goes on from one world to the next: only tags and axioms that are new cost anything."""
+"""Matching that continues from one world to the next: only tags and axioms that are new cost anything."""
 
 from __future__ import annotations
 

@@ -178,7 +178,7 @@ class LivingWorld:
         )
 
     def _declaring(self, name: str, change: changes.Declare) -> LivingWorld:
-        """Add a declaration. What it declares comes back, even if a request had removed it."""
+        """Add a declaration. Its declarations come back, even after a request has removed them."""
         declared = replace(self, declared={**self.declared, name: change})
         after = declared._restoring((), (), [one.name for one in change.individuals])
         if not (self.targets.removed or self.transformations.removed):

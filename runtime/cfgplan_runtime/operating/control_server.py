@@ -41,7 +41,7 @@ class ControlServer(Closable):
 
     Each client is told of the run's `environment` file as it connects. `subscribe` is a method of the server's own:
     `publish` sends events to the clients that have called it. Events that a client does not fetch are dropped, and it
-    is told how many. What a client has added `while_connected` is withdrawn when its connection ends, however it does.
+    is told how many. Additions `while_connected` are withdrawn when their client's connection ends, in whatever way.
     """
 
     def __init__(self, folder: Path, methods: Mapping[str, Method], environment: str) -> None:
@@ -145,7 +145,7 @@ class _Client:
             self._dropped += 1
 
     def close(self) -> None:
-        """Disconnect. The threads end when they have finished what they are doing."""
+        """Disconnect. Each thread ends after its present request."""
         with suppress(OSError):
             self._end.shutdown(socket.SHUT_RDWR)
 

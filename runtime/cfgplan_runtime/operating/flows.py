@@ -26,7 +26,7 @@ Listener = Callable[[str, Element], None]
 
 
 class Flows:
-    """What the outlets told last of each topic (rate, latency, counts), and the counts of streams between hosts.
+    """The outlets' last figures of each topic (rate, latency, counts), and the counts of streams between hosts.
 
     Pass `hear` to `Runtime.listen`. Thread-safe.
     """
@@ -37,7 +37,7 @@ class Flows:
         """By stream, source and target host; "" stands for all streams that are gone."""
 
     def hear(self, event: Event) -> None:
-        """Take in what is told of streams."""
+        """Take in figures of streams."""
         match event:
             case TopicsStatus(flows):
                 self._told = time.monotonic(), flows

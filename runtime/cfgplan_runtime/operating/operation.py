@@ -90,8 +90,8 @@ class Operation(Closable):
     """A run from its start to its end; a context manager that leaves nothing behind.
 
     `path` is the environment file: it is watched, and unit code is relative to its folder. A run starts without units,
-    whatever the file says of running ones. `news` is a queue of what is to be shown; if it is full, the oldest are
-    dropped. Raises InputError for a world or a file that can't be used.
+    whatever the file says of running ones. `news` is a queue of reports and warnings to show; a full one drops
+    the oldest. Raises InputError for a world or a file that can't be used.
     """
 
     def __init__(self, world: World, path: Path, settings: Settings = Settings()) -> None:
@@ -336,7 +336,7 @@ class Spinning:
     def told(
         self, observations: Iterable[Observation], library: Mapping[str, Transformation], now_s: float
     ) -> Iterator[str]:
-        """Take in what was observed. Returns a warning for each unit that has spun for long enough, once."""
+        """Take in observations. Returns a warning for each unit that has spun for long enough, once."""
         for one in observations:
             known = library.get(one.transformation)
             is_free = known is not None and not known.inputs and known.outputs and known.run.rate_hz is None

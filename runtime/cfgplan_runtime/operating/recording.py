@@ -69,7 +69,7 @@ class Recording:
         self._do(lambda: self._writer.start(profile="", library="cfgplan"))
 
     def describe(self, facts: Mapping[str, str]) -> None:
-        """Say what is recorded, as the file's metadata `cfgplan`."""
+        """Write facts about the recording, as the file's metadata `cfgplan`."""
         with self._lock:
             if not self._is_closed and self.failure is None:
                 self._do(lambda: self._writer.add_metadata("cfgplan", dict(facts)))

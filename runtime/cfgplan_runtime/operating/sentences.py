@@ -108,7 +108,7 @@ def level(report: Report) -> int:
 
 
 def review_sentence(review: Review) -> str:
-    """What a review decided, why and how long it took."""
+    """The decision of a review, with its causes and times."""
     parts = [f"Review {review.number}: {decision(review)}"]
     if review.unmet:
         parts += [f"{label} is not met: {reason}" for label, reason in sorted(review.unmet.items())]
@@ -139,7 +139,7 @@ def _because(review: Review) -> str:
 
 
 def decision(review: Review) -> str:
-    """What a review decided, in a few words."""
+    """The decision of a review, in a few words."""
     match review.decision:
         case Decision.APPLIED:
             return "applied" if review.change_set is None else _changes(review.change_set, review.external)
@@ -187,7 +187,7 @@ def _cause(perturbation: kinds.Perturbation) -> str:
 
 
 def preview_sentence(thought: Thought) -> str:
-    """What a review would do now, and what that costs."""
+    """The change that a review would make now, and its cost."""
     from cfgplan_runtime.lifecycle.configuration import external_units  # clients that only show need none of it
 
     changes = thought.change_set
@@ -316,5 +316,5 @@ def short(text: str) -> str:
 
 
 def _each_said(*parts: tuple[Sequence[str], str]) -> str:
-    """Labels with what is said of them, for those parts that have any."""
+    """Each list of labels with its predicate, without the empty ones."""
     return ", ".join(f"{named(labels)} {says}" for labels, says in parts if labels)

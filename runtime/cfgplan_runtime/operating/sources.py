@@ -1,4 +1,4 @@
-"""Watches the code of units: what can't be started is left out until its code changes, and told once."""
+"""Watches the code of units: broken code is told once, and its transformation is left out until the code changes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SourceCheck: TypeAlias = Callable[[Transformation, Path], Fault | None]
 
 
 def faults_of(library: Iterable[Transformation], folder: Path, check: SourceCheck | None) -> dict[str, str]:
-    """What is wrong with the code of transformations, by label; nothing without a check."""
+    """The faults of the code of transformations, by label; none without a check."""
     if check is None:
         return {}
     found = ((one.label, check(one, folder)) for one in library)
@@ -31,8 +31,8 @@ def faults_of(library: Iterable[Transformation], folder: Path, check: SourceChec
 class Sources(FileWatch):
     """A watch of the files that sources name.
 
-    `library` and `running` give what can be started and what runs. `check` finds what is wrong with a source; with
-    None no code is looked at, since other computers have it. `request` is called when other transformations can be
+    `library` and `running` give the transformations and the running units. `check` finds the fault of a source; with
+    None no code is checked, since other computers have it. `request` is called when other transformations can be
     started than before, `tell` with each new fault. Modules that are named with dots are watched as far as they are
     found, what unit code imports is not.
     """
@@ -65,7 +65,7 @@ class Sources(FileWatch):
         super().take_in_new_ones()
 
     def _follow(self) -> None:
-        """Look again at what may be right by now, such as a module that was installed; at a new library as a whole."""
+        """Check faulty sources again, since a module may be installed by now; check all sources of a new library."""
         library = self._library()
         if library is not self._seen:
             self.look_at(library)

@@ -124,11 +124,11 @@ class Containers:
         return self._of(self._components[unit]).shared.usage(unit)
 
     def process(self, unit: str) -> NodeProcess | None:
-        """The process that a unit is in; None if somebody else runs it."""
+        """The process that a unit is in; None in a foreign container."""
         return self._of(self._components[unit]).shared.process
 
     def note_found(self, name: str, *, is_there: bool) -> None:
-        """Load what waits for a container, which is started if nobody runs it."""
+        """Load the components that wait for a container; start it first if it is not there."""
         container = self._containers.get(name)
         if container is None or container.is_there:
             return
@@ -153,7 +153,7 @@ class Containers:
                 self._unload(component)
 
     def note_unloaded(self, unit: str, *, is_done: bool) -> None:
-        """A container that fails to unload one is ended with all its components, unless somebody else runs it."""
+        """End a container that has failed to unload a component; a foreign one goes on."""
         if unit not in self._components:
             return
         container = self._of(self._components[unit])
@@ -182,7 +182,7 @@ class Containers:
         return self._containers[_container_of(component.ros)]
 
     def _begin(self, container: _Container, ros: Ros2Unit) -> None:
-        """Start a container's process, for what is to be loaded there. Raises InputError and OSError."""
+        """Start a container's process. Raises InputError and OSError."""
         namespace, _, own = container.name.rpartition("/")
         names = ["-r", f"__node:={own}", "-r", f"__ns:={namespace or '/'}"]
         command = [ros.program(Path()), "--ros-args", *names]
@@ -192,7 +192,7 @@ class Containers:
         self._processes.attend(process, lambda: self._end(container), lambda: container.shared.last)
 
     def _end(self, container: _Container) -> None:
-        """End a container, if it has not ended, and all that is loaded there; leave one that somebody else runs."""
+        """End a container of the run with all its components. A foreign container goes on."""
         if self._containers.get(container.name) is not container:
             return
         units, end = list(container.shared), "is given up"

@@ -1,4 +1,4 @@
-"""What a run and its helper that speaks ROS 2 say to each other, as lines of JSON."""
+"""Messages between a run and its ROS 2 helper, as lines of JSON."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Attend(msgspec.Struct, tag=True):
 
 
 class Load(msgspec.Struct, tag=True):
-    """Load a unit's component into a container, once that answers; nothing is loaded that is there already."""
+    """Load a unit's component into a container, once that answers; a component that is there stays."""
 
     unit: str
     container: str
@@ -63,13 +63,13 @@ class Unload(msgspec.Struct, tag=True):
 
 
 class LookForContainer(msgspec.Struct, tag=True):
-    """Tell whether somebody else runs a container of this name."""
+    """Tell whether a foreign container has this name."""
 
     container: str
 
 
 class EndContainer(msgspec.Struct, tag=True):
-    """A container has ended: forget it, and what was under way there."""
+    """A container has ended: forget it, with the orders under way there."""
 
     container: str
 
@@ -88,7 +88,7 @@ class Listening(msgspec.Struct, tag=True):
 
 
 class Attended(msgspec.Struct, tag=True):
-    """A unit's node is there, with its ports, or late with some of them."""
+    """A unit's node is there; some of its ports may be late."""
 
     unit: str
 
@@ -107,7 +107,7 @@ class Failed(msgspec.Struct, tag=True):
 
 
 class ContainerFound(msgspec.Struct, tag=True):
-    """Whether somebody else runs a container of this name."""
+    """Whether a foreign container has this name."""
 
     container: str
     is_there: bool
@@ -128,7 +128,7 @@ class Unloaded(msgspec.Struct, tag=True):
 
 
 class Gone(msgspec.Struct, tag=True):
-    """A node that is watched, or that somebody else runs, is not there, or not any more."""
+    """A watched or foreign node is not in the graph."""
 
     unit: str
 

@@ -38,7 +38,7 @@ class DescribeGraph(msgspec.Struct, tag=True):
 
 
 class NodeTold(msgspec.Struct):
-    """A node by its full name, what it has to do with which topics, services and actions, and its parameters."""
+    """A node by its full name: its topics, services and actions by role, and its parameters."""
 
     name: str
     publishes: Named = []
@@ -66,7 +66,7 @@ class EndTold(msgspec.Struct):
 
     @property
     def qos(self) -> ServiceQuality:
-        """What it offers or asks for."""
+        """The quality of service that it offers or asks for."""
         return ServiceQuality(self.reliable, self.transient_local, self.deadline_s, self.lease_s, self.manual)
 
 
@@ -103,7 +103,7 @@ def live_graph(python: str | None = None) -> RosGraph:
 
 
 def graph_of(told: Graph, rmw: str, running: Mapping[str, NodeProcess]) -> RosGraph:
-    """What was told as a graph. `running` has the processes of nodes on this computer, by the nodes' full names."""
+    """The answers of the helper as a graph. `running` has the processes of nodes on this computer, by full name."""
     ends = {(end.node, end.gives, end.topic): end for end in told.ends}
     names = Counter(node.name for node in told.nodes)
     notes = [

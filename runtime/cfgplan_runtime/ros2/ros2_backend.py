@@ -49,7 +49,7 @@ _WARM_S = 3.0
 
 @dataclass(slots=True, eq=False)
 class _UnitNode:
-    """A unit's node: a process, a component in a container, or somebody else's."""
+    """A unit's node: a process, a component in a container, or a foreign node."""
 
     unit: str
     ros: Ros2Unit
@@ -232,7 +232,7 @@ class Ros2Backend:
         self._wires.lose()
 
     def usage(self, unit: str) -> Usage | None:
-        """What a node has used; zero if somebody else runs it."""
+        """The CPU time and memory of a node; zero for a foreign one."""
         if unit in self._containers:
             return self._containers.usage(unit)
         node, warm = self._nodes.get(unit), self._warm.get(unit)
@@ -338,7 +338,7 @@ class Ros2Backend:
     # Nodes.
 
     def _process_of(self, unit: str) -> NodeProcess | None:
-        """The process that a unit is, or is in; None if somebody else runs it."""
+        """The process of a unit or of its container; None for a foreign node."""
         if unit in self._containers:
             return self._containers.process(unit)
         node = self._nodes.get(unit)
@@ -477,7 +477,7 @@ class Ros2Backend:
             self._events.append(events.UnitDied(node.unit, cause))
 
     def _end(self, node: _UnitNode, end: Callable[[NodeProcess], None]) -> None:
-        """Call `end` with a node's process, or give up a node that somebody else runs."""
+        """Call `end` with a node's process, or give up a foreign node."""
         if node.process is None:
             self._bury(node, "is given up")
         else:

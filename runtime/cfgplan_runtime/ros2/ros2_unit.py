@@ -34,7 +34,7 @@ class Ros2Unit:
 
     @property
     def is_foreign(self) -> bool:
-        """Whether somebody else runs it."""
+        """Whether the node is foreign: the run neither starts nor stops it."""
         return self.source.kind == "external"
 
     def listens_at(self, port: str) -> str:
@@ -90,7 +90,7 @@ class Ros2Unit:
         return str(executable(source.package, source.name) if source.package else node_file(folder, source.name))
 
     def arguments(self, parameters: Path) -> list[str]:
-        """What its command line says of names and parameters."""
+        """The words of its command line for names and parameters."""
         namespace, _, name = self.name.rpartition("/")
         names = {"__node": name, "__ns": namespace or "/", **self.remappings}
         said = [part for own, other in names.items() for part in ("-r", f"{own}:={other}")]
@@ -185,7 +185,7 @@ _Dumper.add_representer(str, lambda dumper, text: dumper.represent_scalar("tag:y
 
 
 def _own_name(port: InputPort | OutputPort) -> str:
-    """What the node's code calls a port, as ROS 2 writes private names."""
+    """The name of a port in the node's code, private names as ROS 2 writes them."""
     return re.sub("^~/?", "~/", port.remap or port.name)
 
 

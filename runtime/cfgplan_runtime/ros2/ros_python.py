@@ -26,7 +26,7 @@ _MEND = (
 
 @dataclass(frozen=True)
 class RosPython:
-    """A Python that has rclpy, and the environment of what it runs."""
+    """A Python that has rclpy, and the environment of its processes."""
 
     program: str
     environment: Mapping[str, str]

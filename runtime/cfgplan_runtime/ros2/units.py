@@ -213,5 +213,5 @@ class _Mailbox:
 
 
 def _say(text: str) -> None:
-    """What a unit prints is reported."""
+    """Report a line: the run shows each line that a unit prints."""
     print(text, flush=True)  # noqa: T201

@@ -55,7 +55,7 @@ class WarmNode:
 
 
 def is_python(program: str) -> bool:
-    """Whether a program's first line names Python, so that it can run in a Python that is there already."""
+    """Whether a program's first line names Python, so that a waiting Python can run it."""
     try:
         with Path(program).open("rb") as file:
             first = file.readline(200)

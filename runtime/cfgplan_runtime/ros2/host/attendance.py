@@ -156,7 +156,7 @@ class Attendance:
             self._note_ready(node)
 
     def _lead(self, node: AttendedNode, life: Lifecycle) -> None:
-        """Lead a lifecycle node to where it is to be: configured if it waits, else active."""
+        """Lead a lifecycle node to its state: configured for a spare, else active."""
         if life.cause:
             self._fail(node, life.cause)
         elif node.waits and life.state == INACTIVE:

@@ -1,7 +1,7 @@
 """Loads components into containers and unloads them, by the services of `composition_interfaces`.
 
-A container that has died stays in the graph for a while with its services, and one that takes its name may not answer
-yet: it is asked what it holds until it answers, and only then told to load something, once.
+A dead container stays in the graph for a while with its services, and the next one of its name may not answer yet. So a
+container is asked for its components first; after its answer it is told to load a component, once.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class Components:
     # Whether a container is there.
 
     def _look_for(self, order: dict[str, Any]) -> None:
-        """Tell whether somebody else runs a container of a name."""
+        """Tell whether a foreign container has this name."""
         name = order["container"]
         services = {service for service, _ in self._host.node.get_service_names_and_types()}
         if f"{name}/_container/load_node" in services:
@@ -135,7 +135,7 @@ class Components:
         self._load_once_there(order, container, time.monotonic() + _START_S)
 
     def _load_once_there(self, order: dict[str, Any], container: Container, until: float) -> None:
-        """Ask a container what it holds until it answers."""
+        """Ask a container for its components until it answers."""
         if not self._is_under_way(order) or order.get("is_sent"):
             return
         if time.monotonic() > until:

@@ -1,7 +1,7 @@
 """Publishes outputs on the topics by which nodes outside of the run know them, as long as one of those listens.
 
-Units publish on topics of their own. An output that had a name in a graph has it again here: the topic is there for
-whoever looks, and nothing is copied to it until somebody has subscribed.
+Units publish on topics of their own. An output that had a name in a graph has it again here: the graph shows the topic,
+and the first subscription starts the copying.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _UNUSED_LOOKS = 5
 
 
 class OutputRelays(Protocol):
-    """What this part needs of the relays."""
+    """The methods of `Relays` that outside topics use."""
 
     def hold_source(self, unit: str, topic: str, key: str, kind: str | None) -> Source: ...
 
@@ -31,7 +31,7 @@ class OutputRelays(Protocol):
 
 @dataclass(eq=False)
 class _Output:
-    """A unit's output: the `topic` that its node publishes on, and what it is called `outside`."""
+    """A unit's output: the `topic` of its node, and its name `outside` of the run."""
 
     unit: str
     topic: str
@@ -74,7 +74,7 @@ class OutsideTopics:
                 output.unit = new
 
     def look(self) -> None:
-        """Open topics whose type is known, listen to the outputs that somebody wants, and to no others."""
+        """Open topics of known types, and listen to the outputs that have a listener."""
         for output in self._outputs:
             with suppress(UnknownTypeError):  # who holds the output tells of that
                 self._look_at(output)

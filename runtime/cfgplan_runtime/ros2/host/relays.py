@@ -41,7 +41,7 @@ class LedInlet:
         self._last: Sample | None = None
 
     def accept(self, wire: int, number: int, sample: Sample) -> list[Sample]:
-        """Take a message from a wire. Returns what is to be handed on now.
+        """Take a message from a wire. Returns the messages to hand on now.
 
         A latched topic is a state, not a stream: the first message of a new source counts, whatever its stamp.
         """

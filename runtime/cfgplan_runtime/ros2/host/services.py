@@ -70,7 +70,7 @@ class LedService:
             self._send()
 
     def _send(self) -> None:
-        """Pass on what can be: a request to a server that is not connected yet would be lost."""
+        """Pass on the calls whose server is connected; any other would be lost."""
         waiting, self._waiting = self._waiting, []
         for source, header, request in waiting:
             if self.is_ready(source):

@@ -34,7 +34,7 @@ class _Begun(AbstractContextManager["_Begun"]):
 
 
 def load(kind: str) -> None:
-    """Load what a type needs to be sent and received, if it is to be had."""
+    """Load the library of a type, if it is installed."""
     package, _, name = kind.partition("/msg/")
     with suppress(ImportError, AttributeError):
         of = getattr(import_module(f"{package}.msg"), name)
@@ -69,7 +69,7 @@ def become(command: list[str]) -> None:
 
 
 def main(number: str, types: str) -> None:
-    """Get ready, wait, and begin; end if nobody is there to say what to be."""
+    """Get ready, wait for a command, and become it; end if the run has ended."""
     end = socket.socket(fileno=int(number))
     rclpy.init(args=[])
     for kind in filter(None, types.split(",")):
