@@ -41,7 +41,7 @@ def default_file(environment_file: Path) -> Path:
 
 
 def save(estimator: LearningEstimator, path: Path, now_s: float) -> None:
-    """Write what was learned. The file is replaced as a whole or not at all, and is on the disk then. Raises
+    """Write the estimates. The file is replaced as a whole or not at all, and is on the disk then. Raises
     EstimatesError.
     """
     on_hosts = {host: _moved(there, -now_s) for host, there in sorted(estimator.on_hosts.items())}

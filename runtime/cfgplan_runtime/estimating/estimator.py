@@ -45,7 +45,7 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class _Made:
-    """An estimate, and what it was made from."""
+    """An estimate, with the evidence behind it."""
 
     estimate: Estimate
     basis: tuple[object, ...]
@@ -63,7 +63,7 @@ class _Family:
     _observed_changes: int = -1
 
     def observed(self) -> tuple[Evidence, ...]:
-        """The members of which something was observed."""
+        """The members with observations."""
         if self._observed_changes != self.changes:
             self._observed = tuple(one for one in self.members.values() if not one.is_empty)
             self._observed_changes = self.changes
@@ -136,7 +136,7 @@ class LearningEstimator:
             evidence.failed(now_s)
 
     def at(self, host: str) -> LearningEstimator:
-        """The estimator of what was learned on a host."""
+        """The estimator of a host's own samples."""
         if host not in self.on_hosts:
             self.on_hosts[host] = LearningEstimator(self._forecaster, self._guess, self.settings)
         return self.on_hosts[host]
@@ -157,7 +157,7 @@ class LearningEstimator:
         return tuple(_with_costs(one, self.estimate(one, horizon_s)) for one in known)
 
     def estimate(self, transformation: Transformation, horizon_s: int) -> Estimate:
-        """What a unit of a transformation, given with its declared costs, is expected to cost.
+        """The expected cost of a unit of a transformation, which is given with its declared costs.
 
         The estimate changes only when the costs have really moved, so that noise leads to no new plan.
         """
@@ -178,7 +178,7 @@ class LearningEstimator:
         return estimate
 
     def _estimate_on(self, host: Host | None, transformation: Transformation, horizon_s: int) -> Estimate:
-        """What a unit costs on a host. What was never seen there costs what it does elsewhere, by the hosts' speeds."""
+        """The cost of a unit on a host; without samples there the cost elsewhere, scaled by the hosts' speeds."""
         if host is None:
             return self.estimate(transformation, horizon_s)
         label, there = transformation.label, self.at(host.name)

@@ -46,7 +46,7 @@ class Expectations:
     def of(
         self, kind: CostKind, own: Evidence, relatives: Iterable[Evidence], dearest: Costs, now_s: float
     ) -> Expectation:
-        """What one quantity of a transformation is expected to be from `now_s` on."""
+        """The forecast of one quantity of a transformation from `now_s` on."""
         if self._learns and own.samples(kind):
             return Expectation(self._observed(kind, own, dearest, now_s), Origin.OBSERVED)
         known = [one for one in relatives if self._learns and one.samples(kind)]
@@ -63,7 +63,7 @@ class Expectations:
         return level
 
     def _observed(self, kind: CostKind, own: Evidence, dearest: Costs, now_s: float) -> Forecast:
-        """The forecast from what was observed. While nothing more is observed, it moves towards the guess, and its
+        """The forecast from observations. While nothing more is observed, it moves towards the guess, and its
         trend ends.
         """
         forecast = self._forecasters[kind](own.samples(kind))

@@ -27,7 +27,7 @@ class CostSample(msgspec.Struct, array_like=True):
 
 
 class History(msgspec.Struct):
-    """The newest samples, oldest first. What is observed within one `grain` of time is one sample."""
+    """The newest samples, oldest first. Observations within one `grain` of time are one sample."""
 
     grain: float
     most: int

@@ -16,8 +16,10 @@ from cfgplan_runtime.supervision.backend import Found, FoundWire
 
 @dataclass(frozen=True, slots=True)
 class Adoption:
-    """What a manager keeps. `units` (with those that are stopping) and `spares` are hosts by id; `topics` has for each
-    topic the host that was asked for and the host where it is.
+    """The units and wires that a manager keeps.
+
+    `units` (with those that are stopping) and `spares` are hosts by id; `topics` has for each topic the host that was
+    asked for and the host where it is.
     """
 
     found: Found | None

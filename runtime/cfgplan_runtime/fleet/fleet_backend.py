@@ -32,7 +32,7 @@ _NO_AGENT = "it has no agent"
 
 @dataclass(slots=True)
 class _Told:
-    """What an agent told last of its host."""
+    """An agent's last words about its host."""
 
     usage: dict[str, Usage] = field(default_factory=dict)
     flows: dict[str, Flow] = field(default_factory=dict)

@@ -205,7 +205,7 @@ class Held(msgspec.Struct):
     ahead_ns: int | None = None
 
     def forget_wires(self, is_gone: Callable[[HeldWire], bool]) -> None:
-        """Remove the wires of which this is so."""
+        """Remove the wires that fulfil a condition."""
         self.wires = [one for one in self.wires if not is_gone(one)]
 
 
@@ -224,7 +224,7 @@ class EventTold(msgspec.Struct, tag=True):
 
 
 class UsageTold(msgspec.Struct, tag=True):
-    """What units have used so far, and the counts of each crossing from this host."""
+    """The use of units so far, and the counts of each crossing from this host."""
 
     usage: dict[str, Usage]
     crossings: dict[str, CrossingCounts] = {}
@@ -292,7 +292,7 @@ class Talk(Generic[Spoken]):
         return [message for piece in pieces for message in self._decoder.decode(piece.payload)]
 
     def pump(self, now_s: float) -> None:
-        """Send what is due."""
+        """Send the orders that are due."""
         if self._unsent:
             self._both.sending.offer(crossing.Piece(0, 0, msgspec.msgpack.encode(self._unsent)))
             self._unsent.clear()

@@ -253,7 +253,7 @@ class Presence:
         return max(0.0, min(min(end_s, due_s) - time.monotonic(), sign_period_s()))
 
     def _hear_all(self) -> bool:
-        """Handle what has arrived, then send what is due. Returns whether `wake` was called."""
+        """Handle arrived messages, then send the orders that are due. Returns whether `wake` was called."""
         is_awake = False
         with suppress(queue.Empty):
             while True:
@@ -266,7 +266,7 @@ class Presence:
         return is_awake
 
     def _lose_silent(self) -> None:
-        """Lose hosts of which nothing was heard for a lease, unless this process was stalled meanwhile."""
+        """Lose hosts that were silent for a lease, unless this process was stalled meanwhile."""
         now_s = time.monotonic()
         before_s, self._round_s = self._round_s, now_s
         for host in list(self._hosts.values()):

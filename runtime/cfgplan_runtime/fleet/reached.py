@@ -118,7 +118,7 @@ class ReachedFleet(Closable):
         return time.monotonic_ns() + self._offsets_ns[host]
 
     def close(self) -> None:
-        """Close all that is connected."""
+        """Close all connections."""
         self._is_closed.set()
         self._client.close()
         self._link.close()

@@ -49,7 +49,7 @@ class Route:
 
     @property
     def local_stream(self) -> Stream:
-        """What feeds the inlet on its host."""
+        """The stream that feeds the inlet on its host."""
         return self.stream if self.crossing is None else Stream(RELAY, self.crossing.name)
 
     @property

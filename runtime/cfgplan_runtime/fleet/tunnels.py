@@ -347,7 +347,7 @@ class RemoteTopics:
 
 
 def _declared(link: ZenohLink, data_key: str, credit_key: str) -> tuple[crossing.Put, crossing.Put]:
-    """What puts at the keys of a tunnel. The streams of the run overtake what is written into tunnels."""
+    """The publisher at the keys of a tunnel. The streams of the run overtake what is written into tunnels."""
     return link.publisher(data_key, "large"), link.publisher(credit_key, "orders")
 
 

@@ -36,7 +36,7 @@ def reach_key(host: str | None) -> str:
 
 
 class ReachedAt(msgspec.Struct, frozen=True):
-    """Where an agent listens and what it connects to, each as an address and port, or as the path of a socket."""
+    """The addresses of an agent and of its connections, each with a port, or the path of a socket."""
 
     listens: frozenset[str] = frozenset()
     connects: frozenset[str] = frozenset()

@@ -66,7 +66,7 @@ class NodeProcess:
         self._signal(signal.SIGKILL)
 
     def reap(self) -> int:
-        """Wait for its end, and end what it has left behind. Returns its exit status."""
+        """Wait for its end, and end the processes that it has left behind. Returns its exit status."""
         self.kill()
         status = self._process.wait()
         os.close(self.ended)

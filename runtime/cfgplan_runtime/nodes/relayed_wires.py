@@ -39,7 +39,7 @@ class Relay(Protocol):
 
     def send(self, message: msgspec.Struct) -> None: ...
     def hear(self) -> Iterator[object]:
-        """What it has said, after sending what waits."""
+        """Its messages, after the waiting ones were sent."""
 
     def close(self) -> int:
         """End it. Returns its exit status."""
@@ -91,7 +91,7 @@ class RelayedWires:
             self._happened.append(events.OutletsOpened())
 
     def left_s(self, timeout_s: float | None) -> float | None:
-        """The part of a time to wait until the relay has to be made anew."""
+        """The part of a time until the relay has to be made anew."""
         if self._due_s is None:
             return timeout_s
         left_s = max(0.0, self._due_s - time.monotonic())
@@ -140,7 +140,7 @@ class RelayedWires:
         return self._passed.sources.get(source, 0)
 
     def taken_by(self, unit: str) -> dict[str, messages.PortCounts]:
-        """What the inlets of a unit have got."""
+        """The counts of a unit's inlets."""
         return {
             inlet.port: self._passed.inlets[lead.inlet]
             for inlet, lead in self._leads.values()

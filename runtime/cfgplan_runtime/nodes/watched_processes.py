@@ -22,7 +22,7 @@ class WatchedProcesses:
         self._ends.watch(process.printed.socket, lambda: self._hear_print(process, unit()))
 
     def last_words(self, process: NodeProcess, unit: str) -> str:
-        """End a process, and report what it has still printed. Returns how it has ended."""
+        """End a process, and report its last lines. Returns how it has ended."""
         process.kill()
         self._happened.extend(events.UnitPrinted(unit, line) for line in process.printed.rest())
         self._ends.unwatch(process.ended)

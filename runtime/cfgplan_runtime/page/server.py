@@ -192,7 +192,7 @@ class PageServer:
 
 
 def _names_code(text: object) -> bool:
-    """Whether an addition has a transformation with unit code. What can't be read is refused by the run."""
+    """Whether an addition has a transformation with unit code. The run refuses an unreadable addition."""
     try:
         added = declaration("page", text).change.document if isinstance(text, str) else {}
     except InputError:

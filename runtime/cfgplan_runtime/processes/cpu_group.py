@@ -22,7 +22,7 @@ class CpuGroup:
         self.path = path
 
     def take(self, pid: int) -> None:
-        """Let the limit hold for a process and what it starts, too. One that has ended is none."""
+        """Let the limit hold for a process and its children, too. One that has ended is none."""
         with suppress(OSError):
             (self.path / "cgroup.procs").write_text(str(pid))
 

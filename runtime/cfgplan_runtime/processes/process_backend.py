@@ -112,7 +112,7 @@ class ProcessBackend:
 
     @property
     def code_folder(self) -> Path:
-        """What `units.py:Class` is relative to."""
+        """The folder that `units.py:Class` is relative to."""
         return Path(self._code_folder)
 
     def found(self) -> None:
@@ -219,7 +219,7 @@ class ProcessBackend:
         self._tell(self._by_name[RELAY], message)
 
     def heard_from_relay(self) -> list[messages.FromRelay]:
-        """What the relay has said since the last call."""
+        """The relay's messages since the last call."""
         heard, self._from_relay = self._from_relay, []
         return heard
 

@@ -25,7 +25,7 @@ ALIVE_S = 1.0
 
 
 class WatchOwner(Protocol):
-    """Whoever is told, by the watch's thread."""
+    """The owner of a watch, called by the watch's thread."""
 
     def note_ready(self, node: str, address: str) -> None: ...
     def note_alive(self, node: str) -> None: ...

@@ -60,7 +60,7 @@ class RosMaster:
         return {**inherited, MASTER_VARIABLE: self.address, "PYTHONUNBUFFERED": "1", **host}
 
     def answers(self) -> bool:
-        """Whether the master is there."""
+        """Whether the master answers."""
         try:
             self.ask("getPid")
         except SilentError:
@@ -68,7 +68,7 @@ class RosMaster:
         return True
 
     def ask(self, method: str, *arguments: object) -> Any:
-        """What it answers. Raises SilentError."""
+        """Its answer. Raises SilentError."""
         return asked(self._peer, _CALLED_BY, method, *arguments)
 
     def unpublish(self, node: str, topic: str, address: str) -> None:
@@ -94,7 +94,7 @@ class RosMaster:
             self.ask("setParam", name, value)
 
     def restart(self) -> None:
-        """Start this run's own master anew, empty."""
+        """Start the run's own master again, empty."""
         self.close()
         self._start()
 

@@ -28,7 +28,7 @@ class RosUnit:
 
     @property
     def is_foreign(self) -> bool:
-        """Whether somebody else runs it."""
+        """Whether the node is foreign: the run neither starts nor stops it."""
         return self.source.kind == "external"
 
     def listens_at(self, port: str) -> str:

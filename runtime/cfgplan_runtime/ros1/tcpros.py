@@ -25,7 +25,7 @@ Framed: TypeAlias = bytes | bytearray
 
 
 def subscribed(address: str, caller: str, topic: str) -> tuple[socket.socket, Header]:
-    """A connection on which the node at `address` sends a topic's messages, and what it says of them.
+    """A connection on which the node at `address` sends a topic's messages, with its header.
 
     Waits for the node. Raises SilentError or OSError.
     """

@@ -489,7 +489,7 @@ class TopicRelay:
         self._posted.post(then)
 
     def _ask_master(self, method: str, *arguments: str) -> list[str] | None:
-        """What the master answers; None if it does not."""
+        """The master's answer; None if it does not."""
         try:
             answer: list[str] = asked(peer(self._master), self._node, method, *arguments)
         except SilentError:

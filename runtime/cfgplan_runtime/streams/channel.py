@@ -59,7 +59,7 @@ class Sender:
         return len(self._waiting) + (self._rest is not None)
 
     def offer(self, element: Outgoing) -> None:
-        """Send an element. What does not fit waits for `flush`."""
+        """Send an element. The rest waits for `flush`."""
         if self.is_closed:
             return
         number = self._number
@@ -205,7 +205,7 @@ class Receiver:
 
 
 def _after(parts: list[Buffer], start: int) -> bytes:
-    """A copy of what comes after the first `start` bytes of all parts together."""
+    """A copy of the bytes after the first `start` of all parts together."""
     left: list[Buffer] = []
     for part in parts:
         if start < len(part):

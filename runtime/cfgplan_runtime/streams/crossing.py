@@ -213,7 +213,7 @@ class Sending:
 
     @property
     def due_s(self) -> float | None:
-        """When something is to be sent again, if nothing is heard before."""
+        """The time of the next repetition, if no answer comes before."""
         return self._again_s
 
     @property
@@ -308,7 +308,7 @@ class Conversation:
         return [] if frame is None else self.receiving.take(frame, now_s)
 
     def pump(self, put: Put, put_credit: Put, now_s: float, *, has_room: bool = True) -> None:
-        """Put what is due. Without room the other end is told not to go on."""
+        """Put the pieces that are due. Without room the other end is told not to go on."""
         for frame in self.sending.due(now_s):
             put(frame.head(), b"" if frame.piece is None else bytes(frame.piece.payload))
         credit = self.receiving.credit(now_s, has_room=has_room)

@@ -10,7 +10,7 @@ from contextlib import suppress
 
 
 class Ends:
-    """Sockets, or other descriptors, each with what is done when it is ready."""
+    """Sockets, or other descriptors, each with the call that its readiness causes."""
 
     def __init__(self) -> None:
         self._selector = selectors.DefaultSelector()

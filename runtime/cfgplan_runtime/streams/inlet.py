@@ -45,7 +45,7 @@ class InputQueue:
 
     @property
     def sources(self) -> set[int]:
-        """The wires that are to be read."""
+        """The wires to read."""
         return {wire for wire in (self.active, self.standby, *self._former) if wire is not None}
 
     def attach(self, wire: int) -> bool:
@@ -113,7 +113,7 @@ class InputQueue:
         return []
 
     def _from_new(self, elements: deque[Element] | list[Element]) -> list[Element]:
-        """What is newer of the active source's elements. What former sources give from after that is not needed."""
+        """The newer elements of the active source. What former sources give from after that is not needed."""
         newer = self._newer(elements)
         if newer and self._former:
             self._former = {wire: min(until, newer[0].moment) for wire, until in self._former.items()}

@@ -51,7 +51,7 @@ class RunFolder:
     def tell_clock(self, offset_ns: int) -> None:
         """Tell who listens that the run's clock, by which elements have their times, is the monotonic one plus this.
 
-        On a full disk what was told before stays.
+        On a full disk the value before stays.
         """
         told = self.path / "clock.new"
         with suppress(OSError):

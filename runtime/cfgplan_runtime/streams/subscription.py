@@ -110,7 +110,7 @@ class SubscriptionToTopic(Closable):
 
     @property
     def is_connected(self) -> bool:
-        """Whether there is a connection to the topic."""
+        """Whether the topic is connected."""
         return self._receiver is not None
 
     def close(self) -> None:

@@ -45,7 +45,7 @@ _OVERLAP_S = 0.5
 
 
 class _Declared:
-    """What is declared in the session that is used."""
+    """The declarations in the present session."""
 
     def __init__(self, declare: Callable[[zenoh.Session], Any], session: zenoh.Session) -> None:
         self.declare, self.here = declare, declare(session)
@@ -92,12 +92,12 @@ class ZenohLink:
 
     @property
     def id(self) -> str:
-        """What Zenoh calls the session of its own."""
+        """Zenoh's name of the session."""
         return str(self._direct.info.zid())
 
     @property
     def linked(self) -> frozenset[str]:
-        """What Zenoh calls the sessions that its own is linked with."""
+        """Zenoh's names of the sessions that are linked with this one."""
         return frozenset(map(str, self._direct.info.peers_zid()))
 
     def go_through(self, config: Mapping[str, Any]) -> None:
@@ -298,7 +298,7 @@ def _first_line(error: Exception) -> str:
 
 
 class PutThread:
-    """Puts what it is given in a thread of its own, so that a full link stops nobody else."""
+    """Puts elements in a thread of its own, so that a full link stops nobody else."""
 
     def __init__(self, put: Callable[[bytes, bytes], None]) -> None:
         self._put = put
@@ -310,7 +310,7 @@ class PutThread:
         self._waiting.put((head, payload))
 
     def close(self) -> None:
-        """End after what was given."""
+        """End after the given elements."""
         self._waiting.put(None)
 
     def _run(self) -> None:

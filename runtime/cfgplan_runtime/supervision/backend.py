@@ -75,7 +75,7 @@ class Backend(Protocol):
     """Runs units and connects them. No method waits for its effect: that comes as an event from `wait`.
 
     All methods but `wake` are called from the thread that made the backend. A host is None where the problem has no
-    hosts: that is this computer. What is asked of a host that is not there has no effect, and nothing follows.
+    hosts: that is this computer. Orders for a host that is not there have no effect, and no event follows.
     """
 
     @property
@@ -98,7 +98,7 @@ class Backend(Protocol):
         """Use these hosts too. Returns those of which HostJoined or HostLost follows; on one computer none."""
 
     def leave_hosts(self, hosts: Collection[str]) -> None:
-        """Leave these hosts to others. What runs there is ended."""
+        """Leave these hosts to others. Their units are ended."""
 
     def start(
         self, unit: str, transformation: Transformation, state: bytes | None, host: str | None, spare: str | None = None

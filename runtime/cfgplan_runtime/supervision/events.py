@@ -53,7 +53,7 @@ class SpareLost(Event, frozen=True):
 
 
 class UnitFailed(Event, frozen=True):
-    """Unit code failed in a step, and the unit goes on.
+    """Unit code has failed in a step, and the unit continues.
 
     If `suppressed` is not 0, the event stands for that many failures up to this step; `text` is the first one's.
     """
@@ -112,7 +112,7 @@ class InputLost(Event, frozen=True):
 
 
 class WireSwitched(Event, frozen=True):
-    """An input goes on with the stream of this wire."""
+    """An input continues with the stream of this wire."""
 
     wire: int
 
@@ -135,11 +135,11 @@ class OutletsLost(Event, frozen=True):
 
 
 class OutletsOpened(Event, frozen=True):
-    """The topics have their addresses again, and are to be fed."""
+    """The topics have their addresses again, and wait for their wires."""
 
 
 class TopicsStatus(Event, frozen=True):
-    """What comes on each topic, told about once a second."""
+    """The figures of each topic, about once a second."""
 
     flows: dict[str, Flow]
 
@@ -161,7 +161,7 @@ class HelperAlive(Event, frozen=True):
 
 
 class HelperHung(Event, frozen=True):
-    """A process that a backend needs beside the units has given no sign of life, and is made anew."""
+    """A helper process of a backend has given no sign of life, and is made anew."""
 
     helper: str
     silent_s: float
@@ -184,7 +184,7 @@ class HostLost(Event, frozen=True):
 
 
 class HostJoined(Event, frozen=True):
-    """A host is there, for the first time or again. Nothing of the run is on it.
+    """A host has joined, for the first time or again. Nothing of the run is on it.
 
     `ahead_us` is how far its time of day is ahead of the manager's, in microseconds. Times of elements are not: they go
     by the run's clock on every host.

@@ -46,7 +46,7 @@ class Observation:
 
 @dataclass(slots=True)
 class UnitRecord:
-    """What the supervisor remembers of a unit."""
+    """The supervisor's record of a unit."""
 
     transformation: str
     host: str | None = None
@@ -115,7 +115,7 @@ class LedgerEntry:
 
 
 class Ledger:
-    """What each unit used, as of the last observation. Thread-safe."""
+    """The use of each unit, as of the last observation. Thread-safe."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()

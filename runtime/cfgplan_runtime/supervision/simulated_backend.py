@@ -142,7 +142,7 @@ class SimulatedBackend:
         """Nobody waits in another thread."""
 
     def stall(self, seconds: float) -> None:
-        """Let time pass in which nobody waits. Its events come from the next `wait`."""
+        """Let time pass without a wait. Its events come from the next `wait`."""
         self._now += seconds
 
     def fail(self, unit: str, cause: str = "killed by SIGKILL") -> None:
@@ -154,7 +154,7 @@ class SimulatedBackend:
         self._later(0.0, event)
 
     def lose_host(self, host: str, cause: str = "its link is cut") -> None:
-        """Let a host with all its units be gone, of which nothing but HostLost tells."""
+        """Lose a host with all its units; only HostLost tells of it."""
         self.lost_hosts.add(host)
         for unit in [unit for unit, at in self.units.items() if at.host == host]:
             del self.units[unit]

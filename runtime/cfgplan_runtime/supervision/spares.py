@@ -45,7 +45,7 @@ class Spares:
 
     @property
     def prepared(self) -> list[SparePrepared]:
-        """What was told of the spares that are prepared, sorted by their ids."""
+        """The figures of the prepared spares, sorted by their ids."""
         return [spare.prepared for _, spare in sorted(self._spares.items()) if spare.prepared is not None]
 
     def adopt(self, environment: Environment, labor_us: Mapping[str, int], now_s: float) -> None:

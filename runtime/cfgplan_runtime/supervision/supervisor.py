@@ -147,7 +147,7 @@ class Supervisor:
 
     @property
     def is_abandoned(self) -> bool:
-        """Whether the update under way is to be given up if it still waits for new units."""
+        """Whether the update under way has to give up its wait for new units."""
         return self._is_abandoned()
 
     def end(self) -> None:
@@ -165,7 +165,7 @@ class Supervisor:
 
     @property
     def lost_hosts(self) -> set[str]:
-        """The hosts of which the backend has last told that they are gone."""
+        """The hosts that are gone by the backend's last word."""
         return {host for host, last in self.hosts.items() if isinstance(last, events.HostLost)}
 
     @property
@@ -387,7 +387,7 @@ class Supervisor:
             self.environment = without_feed(self.environment, outlet)
 
     def _restore_outlets(self) -> None:
-        """Feed the topics again, whose addresses the backend has made anew."""
+        """Feed the topics again, after the backend has made their addresses anew."""
         for inlet, wire in list(self.wiring.feeds.items()):
             if inlet.is_outlet:
                 del self.wiring.feeds[inlet]

@@ -36,7 +36,10 @@ class Patience:
 
 
 class Actual(Protocol):
-    """What runs, at the moment of asking. `feeds` has each inlet's newest wire, which may not have switched yet."""
+    """The running configuration, at the moment of asking.
+
+    `feeds` has each inlet's newest wire, which may not have switched yet.
+    """
 
     @property
     def environment(self) -> Environment: ...
@@ -141,7 +144,7 @@ class GoOver(Command, frozen=True):
 
 
 class Believe(Command, frozen=True):
-    """Take this environment as what runs now."""
+    """Take this environment as the running configuration."""
 
     environment: Environment
 
@@ -151,7 +154,7 @@ class Commit(Command, frozen=True):
 
 
 class WaitUntil(Command, frozen=True):
-    """Wait until a condition on what runs holds, at most `patience_s`."""
+    """Wait until the running configuration fulfils a condition, at most `patience_s`."""
 
     holds: Callable[[], bool]
     patience_s: float
@@ -172,9 +175,9 @@ class CarriedOut:
 def environment_after(
     environment: Environment, change_set: ChangeSet, lost_hosts: Set[str] = frozenset()
 ) -> Environment:
-    """What is to run after an update.
+    """The configuration after an update.
 
-    Raises StaleChangeSetError if the change set does not fit what runs, NoSourceError if there is no code.
+    Raises StaleChangeSetError if the change set does not fit the running configuration, NoSourceError without code.
     """
     try:
         after = environment.update(change_set)
@@ -371,7 +374,7 @@ class _Update:
         yield WaitUntil(lambda: actual.alive.isdisjoint(stopped), self.patience.kill_s)
 
     def close_topic_elsewhere(self, topic: str) -> Commands:
-        """Close a topic that is to be on another host. It has no source then, whatever becomes of the update."""
+        """Close a topic that moves to another host. It has no source then, whatever becomes of the update."""
         outlet = Inlet("", topic)
         if outlet in self.actual.feeds:
             yield Disconnect(outlet)
@@ -438,7 +441,7 @@ class _Update:
         return environment
 
     def loading(self, units: Set[str]) -> list[str]:
-        """Those of these units that are not ready yet."""
+        """The units of these that are not ready yet."""
         return sorted(units & self.actual.alive - self.actual.ready)
 
     def dead(self) -> list[str]:
