@@ -5,7 +5,7 @@ from enum import IntEnum
 
 
 class Exit(IntEnum):
-    """What a script learns from `$?`."""
+    """The exit codes, as a script reads them from `$?`."""
 
     OK = 0
     INVALID = 1

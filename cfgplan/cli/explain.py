@@ -124,7 +124,7 @@ def _show_why_not(problem: Problem, why: WhyNot, screen: Screen, environment: En
 
 
 def _subjects(options: argparse.Namespace, problem: Problem, plan: Plan) -> list[tuple[Subject, str]]:
-    """What is asked for, or all that the plan uses."""
+    """The subjects that are asked for, or all that the plan uses."""
     before, after = problem.environment, problem.after(plan)
     name = options.subject or options.unit or options.transformation or options.stream
     if name is None:
@@ -269,7 +269,7 @@ def _tree(environment: Environment, reason: Unreachable, opening: str) -> Iterat
 
 
 def _below(environment: Environment, reason: Unreachable, root: str) -> Iterator[str]:
-    """What blocks a transformation, depth first, each one told once."""
+    """The blockers of a transformation, depth first, each one once."""
     blocked = {each.transformation: each for each in reason.blocked}
     told: set[str] = set()
     ahead: list[tuple[int, str, tuple[str, ...]]] = [(0, root, ())]

@@ -114,7 +114,7 @@ def _plain(found: Front) -> dict[str, object]:
 
 
 def _names(found: Front) -> list[str]:
-    """What each configuration starts, what few others start first."""
+    """The transformations that each configuration starts, rare ones first."""
     started = [
         sorted({unit.transformation for unit in (point.plan.change_set or ChangeSet()).started})
         for point in found.points

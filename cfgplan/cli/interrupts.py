@@ -21,7 +21,7 @@ _MOST_PATIENT = 2
 
 
 class Ending:
-    """What may end a command before it is done."""
+    """The events that may end a command before it is done."""
 
     def __init__(self) -> None:
         self.interrupted = False

@@ -120,7 +120,7 @@ def _main(arguments: Sequence[str], ending: Ending) -> int:
 
 
 def _tell(error: CfgplanError | ModuleNotFoundError, screen: Screen, env: str | None) -> None:
-    """Show what is wrong with the input, the command line or the installation."""
+    """Show a fault of the input, the command line or the installation."""
     from cfgplan.planning import OwnPlannerError
 
     match error:

@@ -372,7 +372,7 @@ def duration(text: str) -> float:
 
 
 def code_faults(world: api.World, labels: Iterable[str]) -> Iterator[str]:
-    """What keeps the code of transformations from being started, each with where the file names it."""
+    """The faults of transformations' code, each with its place in the file."""
     if world.file is None or world.environment.hosts:  # the hosts have their own code
         return
     from cfgplan_runtime.children.source_faults import source_fault

@@ -30,7 +30,7 @@ def update_text(problem: Problem, plan: Plan, given_up: Collection[str] = ()) ->
 
 
 def left_out_lines(environment: Environment) -> list[str]:
-    """Which transformations may not run as the facts are, and why."""
+    """The transformations that the facts leave out, each with the reason."""
     return [f"left out for now: {label}, {why}" for label, why in environment.left_out.items()]
 
 

@@ -204,7 +204,7 @@ def _refuse_nodes(options: argparse.Namespace, world: World) -> None:
 
 
 def _check_nodes(options: argparse.Namespace, world: World) -> None:
-    """Have all that is wrong with nodes of ROS told before anything is started."""
+    """Raise all faults of ROS nodes before the first start."""
     from cfgplan_runtime.nodes.unit_checks import check_nodes
 
     ros, bag = _ROS[options.middleware], "rosbag record" if options.middleware == ROS1 else "ros2 bag record"
@@ -249,7 +249,7 @@ def _tell_faults(checks: list[Callable[[], object]], file: str) -> None:
 
 
 def _folder(options: argparse.Namespace) -> Path:
-    """What names of files in the environment are relative to."""
+    """The folder that file names in the environment are relative to."""
     env = Path(options.env)
     return env if env.is_dir() else env.parent
 
@@ -357,7 +357,7 @@ def _output_for(screen: Screen, operation: Operation, *, plain: bool) -> RunOutp
 
 
 def _hold(operation: Operation, output: RunOutput, interrupts: Interrupts, span_s: float | None) -> None:
-    """Show what happens until the time is over or somebody stops it."""
+    """Show events until the time is over or somebody stops the run."""
     end = None if span_s is None else time.monotonic() + span_s
     while not operation.wait(0) and not interrupts.count and (end is None or time.monotonic() < end):
         output.update(_LIVE_LOOK_S if end is None else max(0.0, min(_LIVE_LOOK_S, end - time.monotonic())))
@@ -423,7 +423,7 @@ def _settings(options: argparse.Namespace, screen: Screen) -> Settings:
 
 
 def _source_check(options: argparse.Namespace) -> SourceCheck | None:
-    """What finds faults of code before it is started; None where the code is on other computers."""
+    """The check of code before it is started; None where the code is on other computers."""
     from cfgplan_runtime.children.source_faults import fault_of, source_fault
 
     if options.middleware in _ROS:

@@ -41,7 +41,7 @@ class RunOutput(ABC):
 
 
 def running_text(operation: Operation) -> str:
-    """What runs, and how to steer it."""
+    """The running units, and how to steer them."""
     count = counted(len(operation.runtime.environment.units), "unit")
     metrics = "" if operation.metrics_port is None else f" Metrics: http://127.0.0.1:{operation.metrics_port}/metrics."
     return f"Running {count} as run {operation.id}; Ctrl-C stops, `cfgplan ctl` steers.{metrics}"
@@ -131,7 +131,7 @@ def fetched(operation: Operation, wait_s: float) -> Iterator[News]:
 
 
 def show_ledger(operation: Operation, screen: Screen) -> None:
-    """What each unit did and cost."""
+    """The steps and costs of each unit."""
     from rich.table import Table
 
     entries = operation.ledger.entries()
@@ -147,7 +147,7 @@ def show_ledger(operation: Operation, screen: Screen) -> None:
 
 
 def show_files(operation: Operation, screen: Screen) -> None:
-    """What was logged and recorded, and what was not."""
+    """The files of the log and the recording, with their losses."""
     log, recorder = operation.log, operation.recorder
     if log is not None:
         screen.note(f"Wrote {log.path}: {counted(log.written, 'line')}.")

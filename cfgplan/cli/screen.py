@@ -57,7 +57,7 @@ class ShownWork:
 
     @property
     def seconds(self) -> float:
-        """For how long it goes on."""
+        """Its time so far."""
         return perf_counter() - self._start
 
     def report(self, progress: Progress) -> None:
@@ -128,7 +128,7 @@ class Screen:
         sys.stdout.write(text)
 
     def flush(self) -> None:
-        """Let a reader see at once what was written."""
+        """Pass written text to the reader at once."""
         sys.stdout.flush()
 
     def tell(self, line: str) -> None:

@@ -235,7 +235,7 @@ class _Ranking:
 
     @cached_property
     def _relevant(self) -> Labels:
-        """What a target or a pinned unit may need, directly or through others."""
+        """The transformations that a target or a pinned unit may need, directly or through others."""
         environment = self._problem.environment
         givers = Givers(environment.library, self._problem.similarity.optimistic)
         possible = startable(environment, givers)

@@ -75,7 +75,7 @@ class Sensitivity:
 
     @property
     def parameter(self) -> str:
-        """What varies, in words."""
+        """The varied parameter, in words."""
         return "the horizon" if self.transformation is None else f"the upkeep of {self.transformation}"
 
     @property
@@ -90,10 +90,10 @@ class Sensitivity:
 
 
 def horizon_sensitivity(problem: Problem, planner: Planner) -> Sensitivity:
-    """Which plan is optimal for which horizon, from 0 on for ever, whatever the largest cost is.
+    """The optimal plan of each span of horizons from 0 on, without the largest cost.
 
-    No spans if there is no plan. The planner is asked about three times for each span. Raises InputError where streams
-    between hosts cost a fraction of a microsecond each second: such costs are rounded, and no straight lines.
+    Without a plan there are no spans. The planner is asked about three times for each span. Raises InputError where
+    streams between hosts cost a fraction of a microsecond each second: such costs are rounded, and no straight lines.
     """
     _refuse_rounding(problem)
     _refuse_energy(problem)
@@ -117,7 +117,7 @@ def horizon_sensitivity(problem: Problem, planner: Planner) -> Sensitivity:
 
 
 def upkeep_sensitivity(problem: Problem, planner: Planner, label: str) -> Sensitivity:
-    """Which plan is optimal for which upkeep of a transformation, from 0 on for ever, whatever the largest cost is.
+    """The optimal plan of each span of a transformation's upkeep from 0 on, without the largest cost.
 
     Where the horizon is 0, upkeep does not matter and there is one span. Raises InputError where hosts limit CPU time:
     what fits on them changes with the upkeep.

@@ -1,4 +1,4 @@
-"""Why there is no plan, or why a required transformation is not used."""
+"""Explains a missing plan, and a required transformation that no plan uses."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def _why_not_summary(why: WhyNot) -> Summary:
 @summarised(_why_not_summary)
 @dataclass(frozen=True)
 class WhyNot:
-    """What keeps targets from being met and required transformations from being used.
+    """The causes of unmet targets and unused required transformations.
 
     `unreachable` are the targets that nothing can give; `clash` is why the others can't be met together.
     """

@@ -98,7 +98,7 @@ def why_transformation(problem: Problem, planner: Planner, plan: Plan, label: st
 
 
 def why_stream(problem: Problem, planner: Planner, plan: Plan, label: str, port: str) -> Why:
-    """Why the units of a transformation are asked for what they give on an output port, or not.
+    """The reason why an output port of a transformation is used, or not.
 
     To do without is to plan as if the transformation had no such output.
     """

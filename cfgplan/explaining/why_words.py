@@ -10,7 +10,7 @@ from cfgplan.summary import some
 
 
 def why_lines(why: Why) -> Iterator[str]:
-    """What it serves, how the planner chose, and what else would run."""
+    """The purpose of a transformation, the planner's choice, and the alternative."""
     if why.units:
         named = [] if why.units == (why.subject,) else [f"runs as {some(why.units)}"]
         idle = "is a spare for when something fails" if why.is_spare else "serves no target"
@@ -28,7 +28,7 @@ def why_lines(why: Why) -> Iterator[str]:
 
 
 def forced_by(why: Why) -> str:
-    """What can't be had without it."""
+    """The streams that need it."""
     if why.otherwise.reasons:
         return "; ".join(why.otherwise.reasons.values())
     demands = f"{named_labels('target', why.targets)} with the others" if why.targets else "all that has to run"
@@ -36,7 +36,7 @@ def forced_by(why: Why) -> str:
 
 
 def instead(why: Why) -> str:
-    """What the next best plan does in its place."""
+    """The change of the next best plan in its place."""
     less = f"without {some(why.less)}" if why.less else ""
     if why.more:
         return f"{some(why.more)} would run instead{', ' if less else ''}{less}"

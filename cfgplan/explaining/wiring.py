@@ -1,4 +1,4 @@
-"""What is wrong with the wiring of what runs, the probable fault first.
+"""Faults in the wiring of the running configuration, the probable fault first.
 
 Broken rules are the judge's. To them come inputs that may stay unfed but look as if they should not, and streams that
 nobody takes. Beside an input stand the streams that come near to what it needs: a wrong name somewhere makes a pair of
@@ -77,7 +77,7 @@ class NearStream:
 
     @property
     def verdict(self) -> str:
-        """What it gives, what that lacks, and whether it is free, in words."""
+        """Its tag, the missing parts, and whether it is free, in words."""
         if not self.runs:
             return f"{self.offer.offered}: {self.offer.verdict}, but does not run"
         return f"{self.offer.offered}: {self.offer.verdict}{'' if self.is_taken else '; nobody takes it'}"
@@ -96,7 +96,7 @@ class WiringFault:
 
     @property
     def rule(self) -> str:
-        """The name of the broken rule, or what is odd."""
+        """The name of the broken rule, or of the oddity."""
         if self.violation is not None:
             return self.violation.rule.name.lower()
         return _ODD.get(self.suspicion, "unfed")
@@ -108,7 +108,7 @@ class WiringFault:
 
     @property
     def key(self) -> tuple[str, str]:
-        """What tells it from other faults, in this environment and in others."""
+        """A key that identifies the fault, in this environment and in others."""
         return self.rule, self.text
 
 
@@ -120,7 +120,10 @@ def wiring_demands(environment: Environment, violations: Sequence[Violation]) ->
 def wiring_faults(
     environment: Environment, violations: Sequence[Violation], near: Mapping[str, Sequence[Nearest]]
 ) -> tuple[WiringFault, ...]:
-    """All that is wrong or odd with what runs, the probable fault first. `near` has the offers near to each demand."""
+    """All faults and oddities of the running configuration, the probable fault first.
+
+    `near` has the offers near to each demand.
+    """
     return tuple(sorted(_Wiring(environment, near).faults(violations), key=probable_first))
 
 

@@ -110,7 +110,7 @@ class Expander:
     def _variable_instances(
         self, entry: Passage, part: fields.TransformationPart
     ) -> dict[templates.Variable, tuple[str, ...]] | None:
-        """What each variable of a template ranges over, or None if the template has faults."""
+        """The instances of each variable of a template, or None if the template has faults."""
         found = _variables(entry, part)
         if found is None:
             return None

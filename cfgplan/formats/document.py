@@ -1,4 +1,4 @@
-"""Environment files and what they include, read and validated as they stand, before any expansion."""
+"""Environment files with their includes, read and validated before any expansion."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def _read_document(main: FilePath) -> Document:
 
 
 def read_declared(name: str, data: Mapping[str, Any]) -> tuple[File, list[Fault]]:
-    """Read what is declared at run-time like an included file. Returns its parts and faults. Raises InputError."""
+    """Read a declaration at run-time like an included file. Returns its parts and faults. Raises InputError."""
     source = Source(name, dict(data), lambda _path, _at_key: Spot(1, 1))
     _, file, faults = _read_source(source, fields.IncludedPart)
     return file, faults

@@ -168,7 +168,7 @@ class Part(BaseModel):
 
     @classmethod
     def written(cls, value: object, **said: Any) -> dict[str, Any]:
-        """What a file says of a domain's value, without defaults.
+        """A domain's value as a file writes it, without defaults.
 
         `said` has the plain values of keys that are not just one attribute of it; None and empty ones are left out.
         """
@@ -176,7 +176,7 @@ class Part(BaseModel):
         return {key: plain for key, plain in found if plain is not None and plain not in ([], {})}
 
     def values(self) -> dict[str, Any]:
-        """What the file says, under the domain's names."""
+        """The file's values, under the domain's names."""
         rows = self.rows()
         said = ((rows[key].to, getattr(self, key)) for key in self.model_fields_set)
         return {to: _frozen(value) for to, value in said if value is not None}
@@ -387,7 +387,7 @@ class UnitPart(Part):
 
 
 class WishPart(Part):
-    """What a target asks of a quality attribute."""
+    """A target's demand on a quality attribute."""
 
     model_config = _either({"at_least": _IS_SAID}, {"at_most": _IS_SAID}, {"weight": _ABOVE_0})
 
@@ -450,7 +450,7 @@ class HostPart(Part):
 
 
 class LinkPart(Part):
-    """What carries streams between hosts."""
+    """A link that carries streams between hosts."""
 
     model_config = _either({"latency": _ZERO, "adds": _IS_UNSAID}, {"latency": _ABOVE_0, "adds": _IS_SAID})
 

@@ -72,7 +72,7 @@ class Passage(NamedTuple):
     faults: list[Fault]
 
     def at(self, *steps: str | int) -> Passage:
-        """What stands further in, by keys and positions."""
+        """The inner passage, by keys and positions."""
         return Passage(self.source, (*self.path, *steps), self.faults)
 
     def note(

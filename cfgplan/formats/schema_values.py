@@ -249,7 +249,7 @@ _ONCE_EACH = AfterValidator(_once_each), _UNIQUE
 
 
 def form_of(value: object) -> str:
-    """Which of two forms an author chose, so that errors are about that one only."""
+    """The form that an author chose among two, so that errors are about that one only."""
     return FULL_FORM if isinstance(value, dict | list | BaseModel) else SHORT_FORM
 
 

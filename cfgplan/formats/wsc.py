@@ -157,7 +157,7 @@ def _last_layers(test_set: TestSet, length: int) -> dict[str, int]:
 
 
 def _similarity(environment: Environment, test_set: TestSet) -> Similarity:
-    """What the taxonomy and the order of the layers say, read off the tags."""
+    """The similarity by taxonomy and order of layers, read off the tags."""
     offered: dict[str, dict[int, str]] = defaultdict(dict)
     for transformation in environment.library:
         for port in transformation.outputs:

@@ -77,7 +77,7 @@ class _SetFile:
         raise InputError([self._fault(element, message, mend)])
 
     def name(self, element: XmlElement) -> str:
-        """What an element is called. Raises InputError if it has no name."""
+        """The name of an element. Raises InputError if it has no name."""
         return element.attributes.get("name") or self.stop(element, f"<{element.name}> has no name", 'add name="..."')
 
     def instances(self, element: XmlElement) -> tuple[str, ...]:

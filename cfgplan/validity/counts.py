@@ -1,4 +1,4 @@
-"""How many streams feed each input, and what is paid for optional inputs that none feeds."""
+"""Rules of inputs: the number of their streams, and the price of unfed optional ones."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def _left_to_serve(environment: Environment) -> dict[Stream, int]:
 
 
 def unfed_us(environment: Environment, horizon_s: int) -> int:
-    """What is paid for optional inputs that nothing feeds, in microseconds."""
+    """The price of the unfed optional inputs, in microseconds."""
     unfed = (port for unit, port in _ports(environment) if port.optional and port.name not in unit.feeds)
     return sum(port.worth_us for port in unfed) * horizon_s
 

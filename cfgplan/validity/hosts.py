@@ -1,4 +1,4 @@
-"""Where units run, whether their hosts can bear it, and what it costs to carry streams between them."""
+"""Rules of hosts: places of units, capacities, and the cost of carrying streams between hosts."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def costs_there(
 
 
 def rents_us(environment: Environment) -> int:
-    """What the hosts where something is cost each second."""
+    """The cost per second of the hosts in use."""
     there = {unit.host for unit in environment.units}
     return sum(host.rent_us for host in environment.hosts if host.name in there)
 
@@ -97,7 +97,7 @@ def carried_us(environment: Environment, horizon_s: int) -> int:
 
 
 def link_violations(environment: Environment) -> Iterator[Violation]:
-    """Links over which more is carried than they bear."""
+    """Links that carry more than they bear."""
     over: Counter[Link] = Counter()
     for a_second, origin, to in _journeys(environment) if environment.links else ():
         link = _link(environment, origin, to)
@@ -127,7 +127,7 @@ def _journeys(environment: Environment) -> Iterator[tuple[int, str | None, str]]
 
 
 def latency(environment: Environment, attribute: str, one: str | None, other: str | None) -> int:
-    """What a journey between two hosts adds to a stream's value of an attribute."""
+    """The share of a journey between two hosts in a stream's value of an attribute."""
     link = None if one == other or other is None else _link(environment, one, other)
     return link.latency if link is not None and link.adds == attribute else 0
 

@@ -1,4 +1,4 @@
-"""Every way in which a plan is not what it says (Definitions 8 and 10)."""
+"""The ways in which a plan breaks its own claims (Definitions 8 and 10)."""
 
 from __future__ import annotations
 
@@ -172,14 +172,14 @@ def kept_us(environment: Environment, horizon_s: int) -> int:
 
 
 def cost_us(problem: Problem, after: Environment) -> int:
-    """What the update to an environment costs, in microseconds."""
+    """The cost of the update to an environment, in microseconds."""
     before = problem.environment.unit
     new = [known for known in known_units(after) if known[0].id not in before and not known[0].standby]
     return kept_us(after, problem.horizon_s) + sum(costs_there(after, *known)[0] for known in new)
 
 
 def values_of(problem: Problem, after: Environment) -> Mapping[Objective, int]:
-    """What may be minimised, of the update to an environment."""
+    """The objectives' values of the update to an environment."""
     before = problem.environment.unit
     there = {unit.host for unit in after.units}
     return {

@@ -28,7 +28,7 @@ def quality_violations(environment: Environment) -> Iterator[Violation]:
 
 
 def priced_us(environment: Environment) -> int:
-    """What targets charge for the quality of their streams."""
+    """The prices that targets set on the quality of their streams."""
     return sum(price_us(environment.quality[wish.attribute], wish, value) for _, wish, value in _asked(environment))
 
 

@@ -1,4 +1,4 @@
-"""Whether units can be wired anew to meet targets where they compete for streams, by search.
+"""Search for a wiring that meets targets where units compete for streams.
 
 They compete where outputs serve only so many, and where an input takes all streams: one unit more may then take what
 another one needs, or close a cycle. So the search starts only units that it needs, and tries every way to feed them.

@@ -9,7 +9,7 @@ from cfgplan.arguments import checked
 
 
 class Rule(StrEnum):
-    """What a valid environment, and a truthful plan, must satisfy."""
+    """The rules of valid environments and truthful plans."""
 
     KNOWN = "every unit instantiates a transformation of the library (Definition 9.1)"
     FED = "every input of a unit is fed by a stream of a running unit (Definition 9.2)"

@@ -1,4 +1,4 @@
-"""Which transformations can run at all, by the judge's own reckoning."""
+"""The transformations that can run at all, by the judge's own closure."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from cfgplan.domain import Environment, InputPort, Similarity, Transformation
 
 
 def startable(environment: Environment, similarity: Similarity, units: Mapping[str, int] | None = None) -> set[str]:
-    """The labels of all transformations of which a unit can run in some valid wiring.
+    """The labels of all transformations with a unit in some valid wiring.
 
     More providers never hurt, so it is enough to look at all of them running at once: the largest
     set whose ordinary inputs are fed by members that come before and feedback inputs by any member.
