@@ -78,8 +78,9 @@ def _fault(source: Source, path: Path, at_key: bool, error: Any, part: type[Base
     if kind == "string_too_short":
         return source.fault(path, "the tag is empty", "write a concept, such as `Image`")
     if kind in ("too_short", "too_long"):
-        wanted = error["ctx"].get("min_length", error["ctx"].get("max_length"))
-        return source.fault(path, f"this must be a list of {wanted}, but has {error['ctx']['actual_length']}")
+        bound = "at least {min_length}" if kind == "too_short" else "at most {max_length}"
+        wanted = f"this must be a list of {bound} entries, but has {{actual_length}}"
+        return source.fault(path, wanted.format_map(error["ctx"]))
     if kind in ("greater_than_equal", "less_than_equal"):
         limit = error["ctx"].get("ge", error["ctx"].get("le"))
         side = "at least" if kind == "greater_than_equal" else "at most"

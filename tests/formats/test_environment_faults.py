@@ -42,7 +42,7 @@ TARGET = "targets: [{label: t, topic: /t, tag: T}]\n"
             "must be a mapping",
             "write each port as `name: tag`",
         ),
-        ("links: [{between: [r1]}]\n", (2, 19), "this must be a list of 2, but has 1", None),
+        ("links: [{between: [r1]}]\n", (2, 19), "this must be a list of at least 2 entries, but has 1", None),
         ("max_cost: -0.5\n", (2, 11), "-0.5 is negative", "write a number of 0 or more"),
         ("max_cost: .inf\n", (2, 11), "Infinity is not a finite number of seconds", None),
         ("max_cost: .nan\n", (2, 11), "NaN is not a finite number of seconds", None),
