@@ -88,6 +88,7 @@ def test_the_state_is_plain_json(control: Control) -> None:
     review = state["reviews"][0]
     assert review["perturbations"][0] == {
         "kind": "UnitGone", "unit": "detector.1", "transformation": "detector", "how": "died", "cause": "exited with 3",
+        "host": None,
     }  # fmt: skip
     assert review["change_set"]["started"][0]["id"] == "detector.1"
     assert review["unmet"] == {"goal": "nothing gives Goal"}
