@@ -210,7 +210,7 @@ class Subscriber:
                     continue
                 try:
                     value = _decoded(bytes(message.payload), self._payload)
-                except ValueError as error:
+                except (ValueError, RecursionError) as error:
                     self._tell_once(message.topic, error)
                 else:
                     yield {"topic": message.topic, "value": value} if self._with_topic else value
@@ -242,7 +242,7 @@ class Subscriber:
                     _say(f"{self._topic}: messages come faster than they are taken, and the oldest are dropped")
             self._connection.changed.notify_all()
 
-    def _tell_once(self, topic: str, error: ValueError) -> None:
+    def _tell_once(self, topic: str, error: Exception) -> None:
         if topic not in self._told:
             self._told.add(topic)
             _say(f"{topic}: a message is no {self._payload}, and is left out: {error}")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Iterator
-from itertools import islice, takewhile
 
 import pytest
 from cfgplan_runtime import Runtime
@@ -71,10 +70,11 @@ def switch(runtime: Runtime, stopped: tuple[str, ...] = ()) -> None:
 
 
 def test_a_goal_gives_feedback_and_a_result(runtime: Runtime, observer: Observer) -> None:
+    """Topics and services have no order among each other, so that a feedback may come before the goal's answer."""
     heard = begin(runtime, observer, order=4)
-    assert "goal True" in islice(heard, 100)
-    told = [*takewhile(lambda text: not text.startswith("result"), heard)]
-    assert told == [f"feedback 100 {number}" for number in range(1, 5)]
+    result = f"result {SUCCEEDED} 100 4"
+    told = [text for _ in range(3) for text in iter(heard.__next__, result)]
+    assert set(told) == {"goal True", *(f"feedback 100 {number}" for number in range(1, 5))}
 
 
 def test_a_goal_that_is_cancelled_ends_so(runtime: Runtime, observer: Observer) -> None:
@@ -84,13 +84,12 @@ def test_a_goal_that_is_cancelled_ends_so(runtime: Runtime, observer: Observer) 
 
 
 def test_a_goal_stays_with_its_server_and_the_next_goes_to_the_new_one(runtime: Runtime, observer: Observer) -> None:
+    """A goal may begin while the update is under way: it ends at the old server all the same."""
     heard = begin(runtime, observer, order=50)
     assert any(text == "feedback 100 5" for text in heard)
     switch(runtime)
-    results = (text for text in heard if text.startswith("result"))
-    assert next(results) == f"result {SUCCEEDED} 100 50"
-    assert next(text for text in heard if text.startswith("feedback")) == "feedback 200 1"
-    assert next(results) == f"result {SUCCEEDED} 200 50"
+    results = [text for text in iter(heard.__next__, f"result {SUCCEEDED} 200 50") if text.startswith("result")]
+    assert set(results) == {f"result {SUCCEEDED} 100 50"}
 
 
 def test_goals_of_a_server_that_has_died_are_aborted_and_the_next_goes_to_its_replacement(

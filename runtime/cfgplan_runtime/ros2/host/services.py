@@ -31,8 +31,8 @@ class LedService:
         self._clients: dict[str, Any] = {}
         self._calls: dict[tuple[str, int], tuple[Any, Any]] = {}
         """The header and the request of each call that is under way."""
-        self._waiting: list[tuple[str, Any, Any]] = []
-        """Calls whose server is not connected yet: by service, header and request."""
+        self._waiting: list[tuple[str | None, Any, Any]] = []
+        """Calls whose server is not connected yet: the service that `route` says, header and request."""
         self.source = ""
         self._server = host.node.create_service(kind, target, lambda _, response: response)
         host.waiting.watch("service", self._server.handle, self._hear_call)
@@ -66,18 +66,19 @@ class LedService:
     def _hear_call(self) -> None:
         request, header = self._server.handle.service_take_request(self._cls.Request)
         if request is not None:
-            self._waiting.append((self._route(request) or self.source, header, request))
+            self._waiting.append((self._route(request), header, request))
             self._send()
 
     def _send(self) -> None:
         """Pass on the calls whose server is connected; any other would be lost."""
         waiting, self._waiting = self._waiting, []
-        for source, header, request in waiting:
+        for routed, header, request in waiting:
+            source = routed or self.source  # the present one: the one at its arrival may have died
             if self.is_ready(source):
                 number = self._clients[source].handle.send_request(request)
                 self._calls[source, number] = header, request
             else:
-                self._waiting.append((source, header, request))
+                self._waiting.append((routed, header, request))
         if self._waiting:
             self._host.waiting.later(_READY_S, self._send)
 
