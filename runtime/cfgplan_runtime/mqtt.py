@@ -192,6 +192,8 @@ class Subscriber:
         self._topic, self._qos, self._payload, self._retained = _filter(topic), qos, payload, retained
         self._with_topic = any(mark in topic for mark in "+#") if with_topic is None else with_topic
         self._waiting: deque[MQTTMessage] = deque()
+        self._connections = 0
+        """Numbers of messages begin anew with each connection: what an earlier one brought is confirmed no more."""
         self._dropped = 0
         self._told: set[str] = set()
         self._connection = Connection(broker, _say, **connection)
@@ -203,7 +205,7 @@ class Subscriber:
         connection.open(keeps_session=self._qos > 0)
         try:
             while True:
-                message = self._next()
+                connections, message = self._next()
                 connection.check()
                 if message is None:
                     yield None
@@ -214,19 +216,23 @@ class Subscriber:
                     self._tell_once(message.topic, error)
                 else:
                     yield {"topic": message.topic, "value": value} if self._with_topic else value
-                connection.client.ack(message.mid, message.qos)
+                if connections == self._connections:
+                    connection.client.ack(message.mid, message.qos)
         finally:
             connection.close()
 
-    def _next(self) -> MQTTMessage | None:
+    def _next(self) -> tuple[int, MQTTMessage | None]:
         changed = self._connection.changed
         with changed:
             changed.wait_for(lambda: self._waiting or self._connection.refusal, _ORDERS_LOOK_S)
-            return self._waiting.popleft() if self._waiting else None
+            return self._connections, self._waiting.popleft() if self._waiting else None
 
     def _subscribe(self) -> None:
         from paho.mqtt.subscribeoptions import SubscribeOptions
 
+        with self._connection.changed:
+            self._connections += 1
+            self._waiting = deque(message for message in self._waiting if message.qos == 0)  # the others come again
         handling = SubscribeOptions.RETAIN_SEND_ON_SUBSCRIBE if self._retained else SubscribeOptions.RETAIN_DO_NOT_SEND
         self._connection.client.subscribe(
             self._topic, options=SubscribeOptions(self._qos, retainAsPublished=True, retainHandling=handling)
