@@ -16,7 +16,7 @@ from typing import Any
 
 from cfgplan.costs import seconds
 from cfgplan.domain import ALL, ChangeSet, ComputationUnit, Environment, Host, Stream, Target, amount_of
-from cfgplan.figures import qualities_of_targets
+from cfgplan.figures import told_qualities
 from cfgplan.qualities import MICRO
 from cfgplan.qualities import units as units_of
 
@@ -194,7 +194,7 @@ def picture(environment: Environment, change_set: ChangeSet | None = None) -> Pi
         Node(unit.id, _unit_lines(after, unit), mark[unit.id], host=unit.host, is_spare=unit.standby)
         for unit in units.values()
     ]
-    reached_qualities = qualities_of_targets(after, after.units)
+    reached_qualities = told_qualities(after, after.units)
     arrows = [
         *_arrows(environment, before=environment, after=after),
         *(arrow for arrow in _arrows(after, before=environment, after=after) if arrow.mark is Mark.STARTED),

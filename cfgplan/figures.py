@@ -164,6 +164,22 @@ def qualities_of_targets(environment: Environment, units: Collection[Computation
     return found
 
 
+def told_qualities(environment: Environment, units: Collection[ComputationUnit]) -> dict[str, dict[str, int]]:
+    """The qualities of targets as texts and pictures tell them: without a worst value that no target asks about.
+
+    A stream that states nothing of an attribute has its worst value.
+    """
+    return {
+        label: {
+            name: value
+            for name, value in values.items()
+            if value != environment.quality[name].worst
+            or any(wish.attribute == name for wish in environment.target[label].quality)
+        }
+        for label, values in qualities_of_targets(environment, units).items()
+    }
+
+
 def _come(
     environment: Environment,
     units: Mapping[str, ComputationUnit],

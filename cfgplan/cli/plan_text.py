@@ -10,7 +10,7 @@ from rich.text import Text
 from cfgplan.cli.screen import counted, decided_by
 from cfgplan.costs import keep_cost_us, labor_us, standby_cost_us, upkeep_us
 from cfgplan.domain import CPU, MEMORY, POWER, ChangeSet, ComputationUnit, Environment, Host, Stream, Target
-from cfgplan.figures import amount, cost_parts, link_loads, loads, qualities_of_targets, transfers
+from cfgplan.figures import amount, cost_parts, link_loads, loads, told_qualities, transfers
 from cfgplan.planners import IGNORING_REQUIRED
 from cfgplan.planning import Failures, Plan, Problem, Status
 from cfgplan.qualities import Better, Wish
@@ -278,7 +278,7 @@ def fleet_lines(problem: Problem, after: Environment) -> Iterator[Text]:
 
 
 def _qualities(after: Environment) -> Iterator[Text]:
-    reached = qualities_of_targets(after, after.units)
+    reached = told_qualities(after, after.units)
     for target in after.targets:
         values = [_reached(after, target, name, value) for name, value in reached.get(target.label, {}).items()]
         if values:

@@ -126,7 +126,7 @@ def _draw(looks: Sequence[Look], positions: Positions, out: Path) -> None:
 
     looks, begun_s = looks[::5], looks[0].at_s
     times = [look.at_s - begun_s for look in looks]
-    figure, (above, middle, below) = pyplot.subplots(3, 1, figsize=(8, 5), sharex=True, layout="constrained")
+    figure, (above, middle, below) = pyplot.subplots(3, 1, figsize=(10, 5), sharex=True, layout="constrained")
     above.plot(times, [look.light for look in looks], color="0.6", label="light")
     above.plot(times, [look.believed for look in looks], color="C0", label="brightness, as the run has it")
     above.set_ylabel("1 by day")
@@ -143,7 +143,7 @@ def _draw(looks: Sequence[Look], positions: Positions, out: Path) -> None:
         label = "the beacon is used" if axis is below else None
         where, across = [not look.by_camera for look in looks], axis.get_xaxis_transform()
         axis.fill_between(times, 0, 1, where=where, transform=across, color="C0", alpha=0.12, label=label)
-        axis.legend(loc="upper right", fontsize="small")
+        axis.legend(loc="center left", bbox_to_anchor=(1, 0.5), fontsize="small")
     figure.savefig(out, metadata={"Date": None})
 
 

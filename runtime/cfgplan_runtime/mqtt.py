@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 PayloadForm = Literal["json", "text", "number", "bytes"]
 _PORTS: Final = {"mqtt": 1883, "mqtts": 8883}
+_LONGEST_S: Final = 65_535
+"""The longest keepalive of MQTT, in seconds."""
 _SESSION_S: Final = 300
 """Seconds for which the broker keeps a session whose connection is down."""
 _MOST_UNTAKEN: Final = 100
@@ -273,13 +275,16 @@ class Publisher:
         **connection: Any,
     ) -> None:
         _check(qos, payload, connection)
-        if not topic or any(mark in topic for mark in "+#\0"):
+        if not _is_plain(topic):
             raise InputError.of(f"`{topic}` is no topic to publish on", mend="it has no wildcards, and is not empty")
+        if will is not None:
+            _check_will(will)
         self._topic, self._qos, self._payload, self._retain = topic, qos, payload, retain
         self._lost = 0
         self._connection = Connection(broker, _say, **connection)
         if will is not None:
-            _set_will(self._connection.client, will)
+            client, kept = self._connection.client, will.get("retain", False)
+            client.will_set(will["topic"], will.get("payload", ""), will.get("qos", 1), kept)
         self._unsent: set[int] = set()
         """The messages that the broker has not confirmed; of `qos` 0, that were not sent."""
         self._connection.client.on_publish = self._sent
@@ -367,6 +372,10 @@ def _check(qos: int, payload: str, connection: Mapping[str, Any]) -> None:
         if name not in known:
             there = did_you_mean(name, known, f"there are {', '.join(known)}")
             raise InputError.of(f"MQTT has no parameter `{name}`", mend=there)
+    if connection.get("username") is None and {"password_env", "password_file"} & connection.keys():
+        raise InputError.of("there is a password without a name", mend="write `username` too")
+    if "keepalive" in connection and not 1 <= connection["keepalive"] <= _LONGEST_S:
+        raise InputError.of(f"`{connection['keepalive']}` is no keepalive", mend=f"it is from 1 to {_LONGEST_S} s")
     if qos not in (0, 1, 2):
         raise InputError.of(f"`{qos}` is no quality of service of MQTT", mend="write 0, 1 or 2")
     if payload not in get_args(PayloadForm):
@@ -385,11 +394,20 @@ def _filter(topic: str) -> str:
     return topic
 
 
-def _set_will(client: Client, will: Mapping[str, Any]) -> None:
-    odd = set(will) - {"topic", "payload", "qos", "retain"}
-    if odd or "topic" not in will:
+def _is_plain(topic: object) -> bool:
+    """Whether a message can be published on a topic."""
+    return isinstance(topic, str) and topic != "" and not any(mark in topic for mark in "+#\0")
+
+
+def _check_will(will: Mapping[str, Any]) -> None:
+    """Raises InputError."""
+    if not isinstance(will, Mapping) or set(will) - {"topic", "payload", "qos", "retain"}:
         raise InputError.of("`will` is a mapping with a topic", mend="it has topic, payload, qos and retain")
-    client.will_set(will["topic"], will.get("payload", ""), will.get("qos", 1), will.get("retain", False))
+    if not _is_plain(will.get("topic")) or will.get("qos", 1) not in (0, 1, 2):
+        mend = "write a topic without wildcards, and a qos of 0, 1 or 2"
+        raise InputError.of("`will` has no topic to publish on, or no qos of MQTT", mend=mend)
+    if not isinstance(will.get("payload", ""), str):
+        raise InputError.of("the payload of `will` is a text", mend="write it in quotes")
 
 
 def _decoded(payload: bytes, form: str) -> object:

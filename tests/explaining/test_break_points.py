@@ -97,8 +97,9 @@ def test_fleets_have_such_spans_of_horizons_too(problem: Problem) -> None:
     try:
         found = horizon_sensitivity(problem, cpsat)
     except InputError as error:
-        has_energy = any(host.energy is not None for host in problem.environment.hosts)
-        assert "energy" in str(error) or problem.environment.transfer_us
+        environment = problem.environment
+        has_energy = any(host.energy is not None for host in environment.hosts)
+        assert "energy" in str(error) or environment.transfer_us or any(link.transfer_us for link in environment.links)
         assert ("rounded" in str(error)) or has_energy
         return
     if found.spans:

@@ -9,12 +9,17 @@ import fcntl
 import os
 import sys
 import tempfile
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import TextIO
+from typing import TYPE_CHECKING, TextIO
 
 import pytest
 from ros2_venv import PYTHON, lacks_ros
+
+if TYPE_CHECKING:
+    from cfgplan_runtime import Runtime
+    from ros2_words import Observer
 
 sys.path.append(str(Path(__file__).parents[1] / "operating"))
 sys.path.append(str(Path(__file__).parents[2] / "models" / "nao"))
@@ -60,3 +65,23 @@ def surroundings(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.M
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
     monkeypatch.setenv("CFGPLAN_ROS_PYTHON", str(PYTHON))
+
+
+@pytest.fixture
+def observer() -> Iterator[Observer]:
+    """A node of another process that listens, and looks at the graph."""
+    from ros2_words import observing
+
+    with observing() as observer:
+        yield observer
+
+
+@pytest.fixture
+def runtime() -> Iterator[Runtime]:
+    """A runtime of the nodes of talking.py."""
+    from cfgplan_runtime import Runtime
+    from cfgplan_runtime.ros2.ros2_backend import Ros2Backend
+    from ros2_words import NODES
+
+    with Runtime(backend=lambda: Ros2Backend(folder=NODES.parent)) as runtime:
+        yield runtime

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import psutil
-from operated_world import PATIENCE_S
+from operated_world import PATIENCE_S, await_event, running
 from ros2_venv import PYTHON
 
 NODES = Path(__file__).with_name("talking.py")
@@ -106,6 +106,17 @@ def observing() -> Iterator[Observer]:
                 process.wait(PATIENCE_S)
             finally:
                 process.kill()
+
+
+@contextmanager
+def running_nodes(path: Path) -> Iterator[subprocess.Popen[str]]:
+    """A run of ROS 2 nodes under way, which is stopped at the end, and ends well."""
+    with running("--middleware", "ros2", path) as process:
+        await_event(process, "Running")
+        yield process
+        process.terminate()
+        process.communicate()
+    assert process.returncode == 0
 
 
 def pid_of(run: subprocess.Popen[str], what: str) -> int:

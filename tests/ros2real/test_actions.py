@@ -6,10 +6,8 @@ import os
 import signal
 from collections.abc import Iterator
 
-import pytest
 from cfgplan_runtime import Runtime
-from cfgplan_runtime.ros2.ros2_backend import Ros2Backend
-from ros2_words import NODES, Observer, observing
+from ros2_words import Observer
 
 from cfgplan.domain import (
     ChangeSet,
@@ -25,18 +23,6 @@ from cfgplan.domain import (
 
 FIBONACCI = "test_msgs/action/Fibonacci"
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
-
-
-@pytest.fixture
-def observer() -> Iterator[Observer]:
-    with observing() as observer:
-        yield observer
-
-
-@pytest.fixture
-def runtime() -> Iterator[Runtime]:
-    with Runtime(backend=lambda: Ros2Backend(folder=NODES.parent)) as runtime:
-        yield runtime
 
 
 def counter(label: str, first: int) -> Transformation:

@@ -19,7 +19,7 @@ import psutil
 import pytest
 from operated_world import await_event, eventually, running
 from ros2_venv import PYTHON, VENV
-from ros2_words import Observer, command_of, observing, pid_of
+from ros2_words import Observer, command_of, pid_of, running_nodes
 
 HERE = Path(__file__).parent
 ENVIRONMENT = """\
@@ -71,23 +71,13 @@ def container_package(composition: Path, tmp_path: Path, monkeypatch: pytest.Mon
     return container
 
 
-@pytest.fixture
-def observer() -> Iterator[Observer]:
-    with observing() as observer:
-        yield observer
-
-
 @contextmanager
 def components(folder: Path, group: str, text: str = ENVIRONMENT) -> Iterator[subprocess.Popen[str]]:
     """A run of components in containers of a group, which ends well."""
     path = folder / "env.yaml"
     path.write_text(text.format(group=group))
-    with running("--middleware", "ros2", path) as process:
-        await_event(process, "Running")
+    with running_nodes(path) as process:
         yield process
-        process.terminate()
-        process.communicate()
-    assert process.returncode == 0
 
 
 def containers(run: subprocess.Popen[str]) -> list[int]:

@@ -10,30 +10,19 @@ from itertools import islice
 from pathlib import Path
 from subprocess import Popen
 
-import pytest
-from operated_world import await_event, eventually, running
-from ros2_words import ENVIRONMENT, Observer, observing, pid_of, write_words
+from operated_world import eventually
+from ros2_words import ENVIRONMENT, Observer, pid_of, running_nodes, write_words
 
 KNOWN = ENVIRONMENT.replace("remap: chatter}", "remap: chatter, topic: /known/words}")
 ALONE = KNOWN[: KNOWN.index("  - label: shouter")] + "targets: [{label: talk, run: talker}]\n"
-
-
-@pytest.fixture
-def observer() -> Iterator[Observer]:
-    with observing() as observer:
-        yield observer
 
 
 @contextmanager
 def known(folder: Path, text: str) -> Iterator[Popen[str]]:
     path = write_words(folder)
     path.write_text(text)
-    with running("--middleware", "ros2", path) as process:
-        await_event(process, "Running")
+    with running_nodes(path) as process:
         yield process
-        process.terminate()
-        process.communicate()
-    assert process.returncode == 0
 
 
 def test_an_output_is_heard_on_its_topic_beside_what_the_plan_feeds(tmp_path: Path, observer: Observer) -> None:

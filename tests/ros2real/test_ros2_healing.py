@@ -11,28 +11,18 @@ from subprocess import Popen
 
 import psutil
 import pytest
-from operated_world import await_event, eventually, running
-from ros2_words import ENVIRONMENT, Observer, command_of, observing, pid_of, write_words
+from operated_world import await_event, eventually
+from ros2_words import ENVIRONMENT, Observer, command_of, pid_of, running_nodes, write_words
 
 HANG = ENVIRONMENT.replace("params: {rate: 100", "run: {hang: 2}\n    params: {rate: 100")
-
-
-@pytest.fixture
-def observer() -> Iterator[Observer]:
-    with observing() as observer:
-        yield observer
 
 
 @pytest.fixture
 def run(tmp_path: Path) -> Iterator[Popen[str]]:
     path = write_words(tmp_path)
     path.write_text(HANG)
-    with running("--middleware", "ros2", path) as process:
-        await_event(process, "Running")
+    with running_nodes(path) as process:
         yield process
-        process.terminate()
-        process.communicate()
-    assert process.returncode == 0
 
 
 def test_nodes_that_die_or_hang_are_replaced_and_the_others_stay(run: Popen[str], observer: Observer) -> None:

@@ -10,7 +10,6 @@ from itertools import islice
 
 import pytest
 from cfgplan_runtime import ApplyError, Runtime
-from cfgplan_runtime.ros2.ros2_backend import Ros2Backend
 from cfgplan_runtime.supervision.events import UnitPrinted
 from operated_world import eventually
 from ros2_venv import PYTHON
@@ -44,18 +43,6 @@ TICKS, SHOUT = Target("ticks", "Tick", "/ticks"), Target("shout", "LoudWord", "/
 def talker(label: str, first: int, node: str = "talker") -> Transformation:
     words = OutputPort("words", "Word", remap="chatter", type=STRING)
     return Transformation(label, (), (words,), source=f"node:./talking.py {node}", params={"rate": 100, "first": first})
-
-
-@pytest.fixture
-def observer() -> Iterator[Observer]:
-    with observing() as observer:
-        yield observer
-
-
-@pytest.fixture
-def runtime() -> Iterator[Runtime]:
-    with Runtime(backend=lambda: Ros2Backend(folder=NODES.parent)) as runtime:
-        yield runtime
 
 
 def unit(of: str, feeds: tuple[Subscription, ...] = (), *topics: str) -> ComputationUnit:
@@ -124,14 +111,17 @@ def test_an_input_that_takes_several_streams_hears_all_of_them(runtime: Runtime,
             break
 
 
-def test_calls_of_a_service_go_to_the_node_that_offers_it_now(runtime: Runtime, observer: Observer) -> None:
+@pytest.mark.parametrize("kind", ["std_srvs/srv/Trigger", "std_srvs/Trigger"])
+def test_calls_of_a_service_go_to_the_node_that_offers_it_now(kind: str, runtime: Runtime, observer: Observer) -> None:
+    told: list[str] = []
+    runtime.listen(lambda event: told.append(event.line) if isinstance(event, UnitPrinted) else None)
     asker = Transformation(
         "asker",
         (InputPort("oracle", "Oracle", service=True),),
         (OutputPort("answers", "Answer"),),
         source="node:./talking.py asker",
     )
-    library = (asker, oracle("first"), oracle("second"))
+    library = (asker, oracle("first", kind), oracle("second", kind))
     asking = ComputationUnit("asker.1", "asker", (asks("first.1"),), (Publication("answers", "/answers"),))
     target = Target("answers", "Answer", "/answers")
     started = (ComputationUnit("first.1", "first"), asking)
@@ -141,14 +131,15 @@ def test_calls_of_a_service_go_to_the_node_that_offers_it_now(runtime: Runtime, 
     rewired = replace(asking, subscriptions=(asks("second.1"),))
     runtime.apply(ChangeSet((ComputationUnit("second.1", "second"),), rewired=(rewired,), stopped=("first.1",)))
     assert "second" in islice(answers, 500)
+    assert [line for line in told if line.startswith("cfgplan:")] == []
 
 
 def asks(provider: str) -> Subscription:
     return Subscription("oracle", Stream(provider, "ask"))
 
 
-def oracle(label: str) -> Transformation:
-    ask = OutputPort("ask", "Oracle", remap="~ask", type="std_srvs/srv/Trigger")
+def oracle(label: str, kind: str) -> Transformation:
+    ask = OutputPort("ask", "Oracle", remap="~ask", type=kind)
     return Transformation(label, (), (ask,), source="node:./talking.py oracle", params={"called": label})
 
 

@@ -15,7 +15,7 @@ from cfgplan_runtime import ApplyError, Runtime
 from cfgplan_runtime.ros2.ros2_backend import Ros2Backend
 from cfgplan_runtime.supervision.events import Event, SpareLost, SparePrepared, SpareUsed, UnitDied, UnitPrinted
 from operated_world import PATIENCE_S, eventually
-from ros2_words import NODES, Observer, observing
+from ros2_words import NODES, Observer
 
 from cfgplan.domain import (
     ChangeSet,
@@ -48,12 +48,6 @@ WORKER = Transformation(
 )
 SHOUTER = replace(WORKER, label="shouter", source="node:./talking.py shouter", run=RunOptions())
 SHOUT = Target("shout", "LoudWord", "/shout")
-
-
-@pytest.fixture
-def observer() -> Iterator[Observer]:
-    with observing() as observer:
-        yield observer
 
 
 @pytest.fixture

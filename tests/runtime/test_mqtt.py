@@ -421,12 +421,22 @@ def make_certificate(folder: Path) -> None:
         ({"username": "bob", "password_env": "NO_SUCH_VARIABLE"}, "the variable NO_SUCH_VARIABLE is not set"),
         ({"username": "bob", "password_file": "/absent"}, "the password can't be read"),
         ({"ca": "/absent"}, "the files of TLS"),
+        ({"password_env": "NO_SUCH_VARIABLE"}, "a password without a name"),
+        ({"keepalive": -1}, "`-1` is no keepalive"),
     ],
 )
 def test_parameters_that_can_not_be_meant_are_refused(params: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message) as refused:
         Subscriber(**{"broker": "house", "topic": "x", **params})
     assert "secret" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    "will", [{"topic": "a/#"}, {"topic": ""}, {"topic": "a", "qos": 3}, {"payload": "x"}, {"topic": "a", "payload": 3}]
+)
+def test_a_last_will_that_no_broker_takes_is_refused(will: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match="`will`"):
+        Publisher("house", "a", will=will)
 
 
 def test_a_sink_publishes_on_no_wildcard() -> None:

@@ -118,6 +118,11 @@ def told(folder: Path, of: Transformation) -> str:
             "units.py:1: lamp needs `level`, which is neither a param nor an input",
         ),
         (
+            "def lamp(on):\n    box = object()\n    box.level = on\n    return box\n",
+            transformation("units.py:lamp", "off"),
+            "units.py:1: lamp takes no input `off`",
+        ),
+        (
             "x = 3\n",
             transformation("units.py:lamp"),
             "units.py: units.py has no lamp (it has nothing that can be called)",

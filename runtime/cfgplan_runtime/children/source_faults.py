@@ -150,7 +150,7 @@ def _parsed(path: Path, stamp: tuple[int, int] | None) -> _Module | Fault:  # no
     names = frozenset(_bound(tree.body))
     used = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
     stars = (alias.name for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) for alias in node.names)
-    return _Module(path, tree, names, bool(_DYNAMIC & (names | used)) or "*" in stars or _changes_things(tree))
+    return _Module(path, tree, names, bool(_DYNAMIC & (names | used)) or "*" in stars or _changes_things(tree, names))
 
 
 def _stamp(path: Path) -> tuple[int, int] | None:
@@ -182,13 +182,13 @@ def _bound(statements: Iterable[ast.stmt]) -> Iterator[str]:
             todo += ast.iter_child_nodes(node)
 
 
-def _changes_things(tree: ast.Module) -> bool:
-    """Whether code may change where modules come from (`sys`, `importlib`, `site`), or what classes can do."""
+def _changes_things(tree: ast.Module, names: Collection[str]) -> bool:
+    """Whether code may change where modules come from (`sys`, `importlib`, `site`), or the classes of its `names`."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
             if node.value.id == "sys" and node.attr in ("path", "modules", "meta_path", "path_hooks"):
                 return True
-            if isinstance(node.ctx, ast.Store) and node.value.id not in ("self", "cls"):
+            if isinstance(node.ctx, ast.Store) and node.value.id in names:
                 return True
         if isinstance(node, ast.Import) and any(alias.name.startswith(("importlib", "site")) for alias in node.names):
             return True
