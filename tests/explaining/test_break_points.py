@@ -99,7 +99,7 @@ def test_fleets_have_such_spans_of_horizons_too(problem: Problem) -> None:
     except InputError as error:
         environment = problem.environment
         has_energy = any(host.energy is not None for host in environment.hosts)
-        assert "energy" in str(error) or environment.transfer_us or any(link.transfer_us for link in environment.links)
+        assert "energy" in str(error) or environment.transfer_us or any(link.price_us for link in environment.links)
         assert ("rounded" in str(error)) or has_energy
         return
     if found.spans:
