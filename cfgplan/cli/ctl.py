@@ -30,6 +30,7 @@ example:
   cfgplan ctl withdraw robot2
   cfgplan ctl remove-target ball
   cfgplan ctl kill camera.1            (it is replaced at once)
+  cfgplan ctl restart camera.1         (with its present code; it goes on if the new one fails)
   cfgplan ctl fact visibility=1.5      (transformations may require it)
   cfgplan ctl review
   cfgplan ctl plan --out plan.json     (what a review would do now)
@@ -39,7 +40,7 @@ example:
   cfgplan ctl state --connect tls/10.0.0.3:7447 --certificates /etc/cfgplan/manager      (from another computer)
 
 What is added stays until it is withdrawn or the run ends, whatever becomes of the environment file.
-Exit codes: 0 done, 12 done and a target is not met, 30 refused, or no run."""
+Exit codes: 0 done, 12 done and a target is not met, 30 refused, failed and undone, or no run."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,7 @@ _COMMANDS = (
     _Command("remove-individual", "take an individual away", "NAME", "its name", "remove_individual", "name"),
     _Command("restore", "take a removal back", "NAME", "the label or name that was removed", "restore", "name"),
     _Command("kill", "end a unit at once", "UNIT", "its id, such as camera.1", "kill", "unit"),
+    _Command("restart", "replace a unit by a new one, without a gap", "UNIT", "its id", "restart", "unit"),
     _Command("lose-host", "do without a host", "HOST", "its name", "lose_host", "host"),
     _Command("regain-host", "use a host again", "HOST", "its name", "regain_host", "host"),
     _Command("fact", "say what is so of a fact of the world", "NAME=VALUE", "such as visibility=1.5"),
@@ -222,6 +224,8 @@ def _change(control: Control, screen: Screen, method: str, params: dict[str, Any
     else:
         screen.show(done)
         screen.show(review["says"])
+    if review is not None and review["decision"] == "failed":
+        return Exit.BAD_INPUT
     return Exit.OK if review is None else _met(not reason for reason in review["unmet"].values())
 
 

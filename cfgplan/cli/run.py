@@ -88,6 +88,9 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     longest = "longest wait until a failing transformation that nothing can replace is started again (3s)"
     shared.add_time(parser, "--back-off", 3.0, longest)
     shared.add_several(parser, "--preload", "MODULE", "import this module before units start (repeat)")
+    parser.add_argument(
+        "--reload", action="store_true", help="replace units whose code has changed by new ones, without a gap"
+    )
     shared.add_page(parser, "the run")
     shared.add_allow_code(parser)
     parser.add_argument(
@@ -125,6 +128,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         top = name.partition(".")[0]
         if top not in sys.builtin_module_names and PathFinder.find_spec(top, ["", *sys.path]) is None:
             raise InputError.of(f"--preload: there is no module {name!r}", mend="name it as after `import`")
+    if options.reload and options.connect:
+        raise InputError.of("--reload watches files of this computer", mend="use `cfgplan ctl restart UNIT`")
     if not options.dry_run and (options.without or options.also or options.settings):
         mend = "add --dry-run; or edit the file, or use `cfgplan ctl` while it runs"
         raise InputError.of("--without, --with and --set are for trying out what would be planned", mend=mend)
@@ -419,6 +424,7 @@ def _settings(options: argparse.Namespace, screen: Screen) -> Settings:
         runtime=_runtime(options, screen),
         adjust=partial(_adjusted, options),
         check=_source_check(options),
+        reloads=options.reload,
     )
 
 

@@ -12,6 +12,7 @@ import psutil
 import pytest
 from cfgplan_runtime import Policy
 from cfgplan_runtime.lifecycle.back_off import BackOffRules
+from cfgplan_runtime.lifecycle.changes import RestartUnits
 from cfgplan_runtime.lifecycle.perturbations import (
     HorizonReached,
     SubscriptionLost,
@@ -23,7 +24,7 @@ from cfgplan_runtime.lifecycle.reports import Decision, Review, UnitEvent
 from cfgplan_runtime.processes import process_backend
 from cfgplan_runtime.processes.process_backend import OUTLETS
 from cfgplan_runtime.supervision.events import OutOfDescriptors, SpareUsed
-from real_run import PROGRAM_SOURCE, RealRun, eventually, source, worker
+from real_run import PROGRAM_SOURCE, UNITS, RealRun, eventually, source, worker
 
 RESULT, SLOW, DYING = {"/result": "Y"}, {"/slow": "S"}, {"/dying": "D"}
 CHAIN = (source(), worker("first", gives="Z"), worker("last", needs="Z"))
@@ -52,6 +53,35 @@ def test_a_killed_program_is_replaced_by_its_spare_and_its_unit_by_a_new_one(run
         assert run.manager.settle(60)
         run.await_result("work")
     assert used(run)
+
+
+def test_a_restarted_unit_takes_over_without_a_gap_and_has_the_new_code(run_for_real: RealRun) -> None:
+    run = run_for_real
+    run.start(source(), worker(standby=0.0001), source("spare", tag="N"), survive=1)
+    units = run.file.with_name("units.py")
+    units.write_text(UNITS.replace("return [self.name, x", 'return [self.name + "2", x'))
+    review = run.manager.request(RestartUnits(("work.1",))).result(60)
+    assert review is not None
+    assert review.decision is Decision.APPLIED
+    run.await_result("work2")
+    eventually(lambda: len(run.runtime.environment.unit) >= 3)
+    numbers = [received.value[1] for received in run.listener().received]
+    assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+
+
+@pytest.mark.parametrize("fault", ["raise ValueError('bad luck')", "import os; os._exit(3)"])
+def test_a_restarted_unit_whose_new_code_fails_leaves_the_old_one_at_work(run_for_real: RealRun, fault: str) -> None:
+    run = run_for_real
+    run.start(source(), worker())
+    run.file.with_name("units.py").write_text(UNITS.replace('if self.deed == "hang":', f"{fault}\n        if False:"))
+    review = run.manager.request(RestartUnits(("work.1",))).result(60)
+    assert review is not None
+    assert (review.decision, "work.2" in review.cause) == (Decision.FAILED, True)
+    assert run.manager.settle(60)
+    run.await_result("work")
+    assert set(run.runtime.environment.unit) == {"count.1", "work.1"}
+    numbers = [received.value[1] for received in run.listener().received]
+    assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
 
 
 def test_a_killed_unit_is_replaced_where_its_spare_was_prepared(run_for_real: RealRun) -> None:

@@ -67,3 +67,36 @@ def test_code_that_is_broken_while_it_runs_stops_nothing(env: Path) -> None:
         assert "units.py:1" in await_event(run, "Warning")["text"]
         review = await_event(run, "Reviewed")
         assert (review["change_set"]["stopped"], review["unmet"]) == ([], {})
+
+
+def test_edited_code_is_advised_to_be_restarted_and_a_restart_uses_it(
+    env: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with running(env) as run:
+        first = await_event(run, "Reviewed", decision="applied")["change_set"]["started"]
+        (env.parent / "units.py").write_text(UNITS + "\n")
+        told = await_event(run, "Warning")["text"]
+        unit = min(one["id"] for one in first)
+        assert f"`cfgplan ctl restart {unit}` replaces it by a new one" in told
+        assert main(["ctl", "restart", unit]) == 0
+        assert f"stopped {unit}" in capsys.readouterr().out
+        review = await_event(run, "Reviewed", decision="applied")
+        assert (review["perturbations"][0]["kind"], review["change_set"]["stopped"]) == ("RestartAsked", [unit])
+        (env.parent / "units.py").write_text(UNITS + "\nraise ValueError('no lens')\n")
+        await_event(run, "Warning")
+        assert main(["ctl", "restart", review["change_set"]["started"][0]["id"]]) == 30
+        assert "no lens" in capsys.readouterr().out
+
+
+def test_a_reloading_run_restarts_what_runs_of_an_edited_file(env: Path) -> None:
+    with running("--reload", env) as run:
+        first = {one["id"] for one in await_event(run, "Reviewed", decision="applied")["change_set"]["started"]}
+        (env.parent / "units.py").write_text(UNITS + "\n")
+        assert await_event(run, "Warning")["text"].startswith("units.py has changed: ")
+        review = await_event(run, "Reviewed", decision="applied")
+        assert (set(review["change_set"]["stopped"]), review["unmet"]) == (first, {})
+
+
+def test_code_of_other_computers_is_not_reloaded(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", str(env), "--reload", "--connect", "tcp/127.0.0.1:1"]) == 30
+    assert "--reload watches files of this computer" in capsys.readouterr().err

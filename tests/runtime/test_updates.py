@@ -53,6 +53,7 @@ class Scene:
     quiet: Set[str] = frozenset()
     stubborn: Set[str] = frozenset()
     dry: Set[str] = frozenset()
+    failing: Set[str] = frozenset()
     limits: dict[str, float] = field(default_factory=dict)
     is_abandoned: bool = False
     cause_of_death: dict[str, str] = field(default_factory=dict)
@@ -69,6 +70,9 @@ class Scene:
 
     def stop_s(self, unit: str) -> float | None:
         return self.limits.get(unit)
+
+    def failure(self, unit: str) -> str | None:
+        return "bad luck" if unit in self.failing and unit in self.alive else None
 
     def dry_units(self) -> Set[str]:
         return self.dry
@@ -145,6 +149,13 @@ class Scene:
         ),
         (Scene(), SWAP, f"{BESIDE}, wait, stop work.1, wait, wait, wait", 0),
         (Scene(quiet={"work.2"}), SWAP, f"{BESIDE}, wait in vain, stop work.1, wait, wait, wait", 1),
+        (Scene(failing={"work.2"}), SWAP, f"{BESIDE}, wait, stop work.1, wait, wait, wait", 0),
+        (
+            Scene(quiet={"work.2"}, failing={"work.2"}, dry={"work.1"}),
+            SWAP,
+            f"{BESIDE}, wait, stop work.1, wait, wait, wait",
+            1,
+        ),
         (Scene(quiet={"work.2"}, dry={"work.1"}), SWAP, f"{BESIDE}, wait, stop work.1, wait, wait, wait", 1),
         (
             Scene(stubborn={"work.1"}),
@@ -175,6 +186,8 @@ class Scene:
         "a start",
         "a swap",
         "a quiet one",
+        "one that fails and gives",
+        "one that fails in the place of a dry one",
         "none to wait for",
         "a stubborn one",
         "one with a limit of its own",
@@ -209,6 +222,25 @@ def test_an_update_whose_unit_does_not_start_is_undone(scene: Scene, cause: str,
     assert scene.said[: 1 + len(said)] == ["start work.2", *said]
     assert [line for line in scene.said if " > " in line or line.startswith(("open", "close"))] == []
     assert (scene.feeds, scene.alive) == (feeds, {"count.1", "work.1"})
+
+
+def test_a_new_unit_that_only_fails_does_not_take_over_from_one_that_gives() -> None:
+    scene = Scene(quiet={"work.2"}, failing={"work.2"})
+    with pytest.raises(ApplyError, match=r"work\.2 gives nothing, since its code fails: bad luck") as caught:
+        scene.carry_out(SWAP)
+    assert caught.value.units == ("work.2",)
+    assert (str(scene.feeds[Inlet("", "/result")].stream), scene.alive) == ("work.1/y", {"count.1", "work.1"})
+
+
+def test_a_new_unit_is_not_blamed_for_one_before_it_that_fails() -> None:
+    library = (*RUNNING.library, source("count2"))
+    scene = Scene(replace(RUNNING, library=library), quiet={"work.2", "count2.1"}, failing={"count2.1"})
+    change_set = ChangeSet(
+        (unit("count2.1"), unit("work.2", topic="/result", x="count2.1/n")), stopped=("count.1", "work.1")
+    )
+    with pytest.raises(ApplyError, match=r"count2\.1 gives nothing") as caught:
+        scene.carry_out(change_set)
+    assert caught.value.units == ("count2.1",)
 
 
 def test_what_has_not_failed_may_stay_unconnected() -> None:

@@ -83,6 +83,18 @@ class KillUnit:
 
 
 @dataclass(frozen=True, slots=True)
+class RestartUnits:
+    """Replace running units by new ones of the same transformations, wired as they are.
+
+    Each new unit runs beside the old one until it gives. If one can't be started or only fails, all old ones stay.
+    `by` is the file that has changed, or who asked.
+    """
+
+    units: tuple[str, ...]
+    by: str = "request"
+
+
+@dataclass(frozen=True, slots=True)
 class LoseHost:
     """A host is gone, with everything that ran there."""
 
@@ -138,4 +150,6 @@ class Stop:
 
 
 WorldChange: TypeAlias = Add | Remove | Declare | Withdraw | Restore | ReplaceWorld
-Change: TypeAlias = WorldChange | KillUnit | LoseHost | RegainHost | SetFact | FaultyCode | ReviewNow | ApplyPlan | Stop
+Change: TypeAlias = (
+    WorldChange | KillUnit | RestartUnits | LoseHost | RegainHost | SetFact | FaultyCode | ReviewNow | ApplyPlan | Stop
+)

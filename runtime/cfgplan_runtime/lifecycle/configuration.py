@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
@@ -10,6 +11,7 @@ from cfgplan.api import World
 from cfgplan.costs import labor_us, upkeep_us
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Host, Transformation
 from cfgplan.facts import FactValue
+from cfgplan.planning import fresh_units
 from cfgplan.ros.sources import NodeSource
 from cfgplan_runtime.lifecycle.back_off import BackOffs, Place
 from cfgplan_runtime.lifecycle.differences import runs_alike
@@ -257,9 +259,34 @@ def _has_ports_of(one: Transformation, other: Transformation) -> bool:
 def external_units(changes: ChangeSet | None, library: Environment) -> tuple[str, ...]:
     """The new units that a change set takes in and starts nothing for: nodes of ROS that others have started."""
     new = () if changes is None else changes.started
-    sources = ((unit.id, library.transformation[unit.transformation].source) for unit in new)
-    nodes = ((unit, NodeSource.read(source)) for unit, source in sources)
-    return tuple(unit for unit, node in nodes if node is not None and node.kind == "external")
+    return tuple(unit.id for unit in new if is_external(library.transformation[unit.transformation]))
+
+
+def is_external(transformation: Transformation) -> bool:
+    """Whether units of a transformation are nodes of ROS that others have started."""
+    node = NodeSource.read(transformation.source)
+    return node is not None and node.kind == "external"
+
+
+def restarting(running: Environment, units: Iterable[str]) -> ChangeSet:
+    """The change set that replaces running units by new ones, on the same hosts and wired alike.
+
+    Ids of units that do not run are passed over.
+    """
+    old = [unit for unit in running.units if unit.id in set(units)]
+    fresh = {
+        label: iter(ids) for label, ids in fresh_units(running, Counter(unit.transformation for unit in old)).items()
+    }
+    new_id = {unit.id: next(fresh[unit.transformation]) for unit in old}
+
+    def led(unit: ComputationUnit) -> ComputationUnit:
+        subscriptions = tuple(
+            replace(one, stream=replace(one.stream, unit=new_id.get(one.stream.unit, one.stream.unit)))
+            for one in unit.subscriptions
+        )
+        return replace(unit, id=new_id.get(unit.id, unit.id), subscriptions=subscriptions)
+
+    return running.change_to(map(led, running.units))
 
 
 def with_world(change_set: ChangeSet, world: Environment, known: Environment) -> ChangeSet:

@@ -17,8 +17,8 @@ from cfgplan_runtime import errors
 from cfgplan_runtime.lifecycle import intake
 from cfgplan_runtime.lifecycle.back_off import BackOffs, Place
 from cfgplan_runtime.lifecycle.basis import basis_of, staleness
-from cfgplan_runtime.lifecycle.changes import ApplyPlan, Stop
-from cfgplan_runtime.lifecycle.configuration import Situation, external_units, with_world
+from cfgplan_runtime.lifecycle.changes import ApplyPlan, RestartUnits, Stop
+from cfgplan_runtime.lifecycle.configuration import Situation, external_units, restarting, with_world
 from cfgplan_runtime.lifecycle.deliberation import Thought
 from cfgplan_runtime.lifecycle.fact_values import fact_seen, facts_fallen_silent
 from cfgplan_runtime.lifecycle.inbox import Asked, FactSeen, Item, Leave, PreviewAsked, Unusable
@@ -28,6 +28,7 @@ from cfgplan_runtime.lifecycle.perturbations import (
     HorizonReached,
     MayStartAgain,
     PlanGiven,
+    RestartAsked,
     ReviewRequested,
     Started,
     UpdateFailed,
@@ -81,7 +82,7 @@ def breaks_in(doing: Doing, item: Item) -> BreakIn:
     is_starting = isinstance(doing, Updating) and bool(doing.change_set.started)
     abandon = BreakIn.ABANDON if is_starting else BreakIn(0)
     match item:
-        case PreviewAsked() | Asked(ApplyPlan()):
+        case PreviewAsked() | Asked(ApplyPlan() | RestartUnits()):
             return BreakIn(0)
         case Leave() | Asked(Stop()):
             return BreakIn.INTERRUPT | abandon | BreakIn.END
@@ -207,20 +208,28 @@ def _units_known(turn: Turn) -> Turn:
 
 
 def _seen_to(turn: Turn, time_s: float) -> Turn:
-    """Have the first given plan judged, unless its basis is stale. Make previews if no plan was given."""
+    """Have the first given plan or restart judged, unless its basis is stale. Make previews if none was given."""
     state, at_s = turn.state, turn.at_s
     if not state.given:
         return turn.to(replace(state, previews=())).also(MakePreview(state.scene, state.previews))
     request, *others = state.given
-    assert isinstance(request.change, ApplyPlan)
     turn = turn.to(replace(state, given=tuple(others)))
-    world, given = state.living.world, request.change
-    if faults := staleness(given.basis, basis_of(state.scene.world, state.running)):
-        return turn.also(Respond(request.outcome, InputError(faults)))
-    entry = Entry(PlanGiven(given.by), at_s, at_s, (request.outcome,))
-    planning = Planning(state.number + 1, at_s, time_s, 0.0, world, (entry,), plans=1)
+    match request.change:
+        case ApplyPlan(change_set, basis, by):
+            asked: PlanGiven | RestartAsked = PlanGiven(by)
+            if faults := staleness(basis, basis_of(state.scene.world, state.running)):
+                return turn.also(Respond(request.outcome, InputError(faults)))
+        case RestartUnits(units, by):
+            asked, change_set = RestartAsked(units, by), restarting(state.running, units)
+            if not change_set:  # none of them runs any more
+                return turn.also(Respond(request.outcome))
+            turn = turn.renewing(unit.transformation for unit in change_set.started)
+        case other:
+            raise AssertionError(other)
+    entry = Entry(asked, at_s, at_s, (request.outcome,))
+    planning = Planning(state.number + 1, at_s, time_s, 0.0, state.living.world, (entry,), plans=1)
     turn = _units_known(turn.to(replace(turn.state, doing=planning)))
-    return turn.also(JudgeGiven(turn.state.scene, given.change_set))
+    return turn.also(JudgeGiven(turn.state.scene, change_set))
 
 
 def _given_judged(turn: Turn, thought: Thought) -> Turn:

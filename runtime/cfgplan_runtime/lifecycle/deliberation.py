@@ -184,6 +184,7 @@ class Deliberation:
         thought = replace(thought, planned=asked.environment)
         with _timed("judge", seconds):
             try:
+                found = replace(found, plan=where_spares_are(found.problem, found.plan))
                 judged = _judged(thought, found, optimises=optimises)
                 return replace(judged, warnings=(*given_up, *judged.warnings))
             except Exception as error:  # what nobody has judged is not carried out
@@ -357,7 +358,6 @@ def _exchanged(before: Environment, plan: Plan, new: ComputationUnit, spare: Com
 
 
 def _judged(thought: Thought, found: BestEffort, *, optimises: bool) -> Thought:
-    found = replace(found, plan=where_spares_are(found.problem, found.plan))
     plan, planned = found.plan, thought.planned
     # The planner gives reasons without knowing what is left out, which may be all that is missing.
     left_out = f" (left out for now: {', '.join(sorted(thought.avoided))})" if thought.avoided else ""

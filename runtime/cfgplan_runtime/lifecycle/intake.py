@@ -15,11 +15,12 @@ from cfgplan_runtime.lifecycle.changes import (
     LoseHost,
     RegainHost,
     ReplaceWorld,
+    RestartUnits,
     ReviewNow,
     SetFact,
     Stop,
 )
-from cfgplan_runtime.lifecycle.configuration import hosts_of
+from cfgplan_runtime.lifecycle.configuration import hosts_of, is_external
 from cfgplan_runtime.lifecycle.differences import difference
 from cfgplan_runtime.lifecycle.fact_values import fact_set
 from cfgplan_runtime.lifecycle.inbox import Asked, Outcome
@@ -98,6 +99,8 @@ def asked(turn: Turn, request: Asked) -> Turn:
                 return turn.to(replace(state, stops=(*state.stops, request.outcome)))
             case KillUnit(unit):
                 return _killed(turn, unit, request)
+            case RestartUnits(units):
+                return _to_be_restarted(turn, units, request)
             case LoseHost(host, cause):
                 _check_host(state, host)
                 given_up = replace(situation, given_up_hosts=situation.given_up_hosts | {host})
@@ -131,7 +134,7 @@ def _code_looked_at(turn: Turn, faults: Mapping[str, str], changed: tuple[str, .
     waiting = {place.label for place in situation.back_offs.avoided} & {*changed, *mended}
     left_out, back = faults.keys() - situation.code_faults.keys(), (mended | waiting) - faults.keys()
     back_offs = situation.back_offs.forgiving(*changed, *mended)
-    turn = turn.situated(replace(situation, code_faults=faults, back_offs=back_offs))
+    turn = turn.situated(replace(situation, code_faults=faults, back_offs=back_offs)).renewing(changed)
     if not (left_out or back):
         return turn.also(Respond(request.outcome))
     return turn.perturbed(CodeChanged(tuple(sorted(left_out)), tuple(sorted(back))), (request.outcome,))
@@ -297,16 +300,39 @@ def _silent(turn: Turn, flows: Mapping[str, Flow]) -> Turn:
     return turn.to(replace(turn.state, giving=giving))
 
 
+def _to_be_restarted(turn: Turn, units: tuple[str, ...], request: Asked) -> Turn:
+    """Note that units are to be restarted, as soon as no review is due or under way."""
+    state, situation = turn.state, turn.state.situation
+    library = state.living.world.environment.transformation
+    for unit in units:
+        _check_runs(state, unit)
+        label = state.running.unit[unit].transformation
+        if label not in library:
+            raise InputError.of(f"unit {unit!r} can't be restarted: its transformation {label!r} is there no more")
+        if is_external(library[label]):
+            mend = "restart the node where it was started"
+            raise InputError.of(f"unit {unit!r} can't be restarted: others have started its node", mend=mend)
+        if label in situation.code_faults:
+            mend = "it goes on with the code from before; mend the code"
+            raise InputError.of(f"unit {unit!r} can't be restarted: {situation.code_faults[label]}", mend=mend)
+    return turn.to(replace(state, given=(*state.given, request)))
+
+
 def _killed(turn: Turn, unit: str, request: Asked) -> Turn:
-    state, situation, running = turn.state, turn.state.situation, turn.state.running.unit
+    state, situation = turn.state, turn.state.situation
+    _check_runs(state, unit)
+    waiting = {**state.waiting, unit: (*state.waiting.get(unit, ()), request.outcome)}
+    turn = turn.to(replace(state, waiting=waiting))
+    return turn.situated(replace(situation, killed=situation.killed | {unit})).also(Terminate(unit))
+
+
+def _check_runs(state: State, unit: str) -> None:
+    running = state.running.unit
     if unit not in running:
         known = ", ".join(running)
         raise InputError.of(f"no unit {unit!r} runs", mend=f"these run: {known}" if known else None)
     if running[unit].standby:
         raise InputError.of(f"unit {unit!r} is a cold spare, and does not run")
-    waiting = {**state.waiting, unit: (*state.waiting.get(unit, ()), request.outcome)}
-    turn = turn.to(replace(state, waiting=waiting))
-    return turn.situated(replace(situation, killed=situation.killed | {unit})).also(Terminate(unit))
 
 
 def _check_host(state: State, host: str) -> None:

@@ -145,6 +145,13 @@ class ReviewRequested(Perturbation, frozen=True):
     by: str = "request"
 
 
+class RestartAsked(Perturbation, frozen=True):
+    """Units are to be replaced by new ones; `by` is a file that has changed, or who asked."""
+
+    units: tuple[str, ...]
+    by: str
+
+
 class PlanGiven(Perturbation, frozen=True):
     """Somebody has given a plan to carry out as it is."""
 

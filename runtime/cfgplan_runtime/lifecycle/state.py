@@ -121,7 +121,7 @@ class State:
     previews: tuple[Future[Preview], ...] = ()
     """Who has asked what a review would do."""
     given: tuple[Asked, ...] = ()
-    """Plans to carry out, as soon as no review is due or under way."""
+    """Plans to carry out and units to restart, as soon as no review is due or under way."""
     is_closing: bool = False
     is_over: bool = False
     number: int = 0

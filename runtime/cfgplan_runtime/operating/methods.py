@@ -58,6 +58,7 @@ class Methods:
             "remove_individual": ("name", lambda name: changes.Remove(individuals=(name,))),
             "restore": ("name", lambda name: changes.Restore((name,))),
             "kill": ("unit", changes.KillUnit),
+            "restart": ("unit", lambda unit: changes.RestartUnits((unit,), "the control socket")),
             "lose_host": ("host", lambda host: changes.LoseHost(host, "told through the control socket")),
             "regain_host": ("host", changes.RegainHost),
         }

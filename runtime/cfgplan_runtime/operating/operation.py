@@ -84,6 +84,8 @@ class Settings:
     adjust: Callable[[World], World] = lambda world: world
     check: SourceCheck | None = source_fault
     """Finds what keeps the code of a transformation from being started. None: the code is on other computers."""
+    reloads: bool = False
+    """Whether units are restarted when their code changes."""
 
 
 class Operation(Closable):
@@ -218,6 +220,7 @@ class Operation(Closable):
             running=lambda: self.runtime.environment.units,
             request=self.manager.request,
             tell=self.show,
+            reloads=settings.reloads,
         )
         self._sources.look_at(world.environment.library)
         self.manager.start()

@@ -181,6 +181,8 @@ def _cause(perturbation: kinds.Perturbation) -> str:
             return "the last update failed"
         case kinds.MayStartAgain(transformations):
             return f"{named(transformations)} may start again"
+        case kinds.RestartAsked(units):
+            return f"restart of {named(units)}"
         case kinds.PlanGiven(by):
             return f"{by} was to be carried out"
     return "asked for"

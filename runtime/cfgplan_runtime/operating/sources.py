@@ -12,7 +12,7 @@ from cfgplan.domain import ComputationUnit
 from cfgplan.errors import Fault
 from cfgplan.transformations import Transformation
 from cfgplan_runtime.children.source_faults import code_path
-from cfgplan_runtime.lifecycle.changes import FaultyCode
+from cfgplan_runtime.lifecycle.changes import FaultyCode, RestartUnits
 from cfgplan_runtime.lifecycle.file_watch import FileWatch
 from cfgplan_runtime.operating.sentences import named
 
@@ -34,7 +34,7 @@ class Sources(FileWatch):
     `library` and `running` give the transformations and the running units. `check` finds the fault of a source; with
     None no code is checked, since other computers have it. `request` is called when other transformations can be
     started than before, `tell` with each new fault. Modules that are named with dots are watched as far as they are
-    found, what unit code imports is not.
+    found, what unit code imports is not. If it `reloads`, units whose code has changed are to be restarted.
     """
 
     def __init__(
@@ -44,12 +44,14 @@ class Sources(FileWatch):
         *,
         library: Callable[[], Sequence[Transformation]],
         running: Callable[[], Iterable[ComputationUnit]],
-        request: Callable[[FaultyCode], object],
+        request: Callable[[FaultyCode | RestartUnits], object],
         tell: Callable[[str], object],
+        reloads: bool = False,
     ) -> None:
         super().__init__(self._labels_of_files, self._hear)
         self._folder, self._check = folder, check
         self._library, self._running, self._request, self._say = library, running, request, tell
+        self._reloads = reloads
         self._faults: dict[str, str] = {}
         self._lock = threading.Lock()
         self._seen: Sequence[Transformation] | None = None
@@ -98,10 +100,15 @@ class Sources(FileWatch):
         for path, of_file in sorted(labels.items()):
             known = [unit for unit in self._running() if unit.transformation in of_file]
             units = [unit.id for unit in known if not unit.standby]
-            if units and not self._faults.keys() & {*of_file}:
-                self._say(_sentence(path, units))
+            if not units or self._faults.keys() & {*of_file}:
+                continue
+            if self._reloads:
+                self._say(f"{path.name} has changed: {named(units)} {'is' if len(units) == 1 else 'are'} restarted")
+                self._request(RestartUnits(tuple(units), path.name))
+            else:
+                self._say(_advice(path, units))
 
 
-def _sentence(path: Path, units: list[str]) -> str:
-    again = f"`cfgplan ctl kill {units[0]}` has it started anew"
+def _advice(path: Path, units: list[str]) -> str:
+    again = f"`cfgplan ctl restart {units[0]}` replaces it by a new one"
     return f"{path.name} has changed, and these units run with the code from before: {named(units)}; {again}"

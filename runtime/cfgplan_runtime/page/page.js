@@ -151,7 +151,7 @@ function choose(id) {
   if (!unit) return;
   if (byId("chosen-name").textContent !== unit.id) byId("why").replaceChildren();
   byId("chosen-name").textContent = unit.id;
-  byId("kill").hidden = byId("ask-why").hidden = !token;
+  byId("restart").hidden = byId("kill").hidden = byId("ask-why").hidden = !token;
   const fed = Object.entries(unit.inputs).map(([port, from]) => `${port} ← ${[from].flat().join(", ")}`);
   const rows = { transformation: unit.transformation, host: unit.host, inputs: fed.join("; "),
     "nothing feeds": (unit.unfed || []).join(", "),
@@ -227,7 +227,9 @@ byId("closer").addEventListener("click", () => zoom(0.8));
 byId("wider").addEventListener("click", () => zoom(1.25));
 byId("fit").addEventListener("click", fit);
 byId("close").addEventListener("click", () => choose(null));
-byId("kill").addEventListener("click", () => chosen && ask("kill", { unit: chosen.slice("node ".length) }));
+for (const act of ["kill", "restart"]) {
+  byId(act).addEventListener("click", () => chosen && ask(act, { unit: chosen.slice("node ".length) }));
+}
 byId("ask-why").addEventListener("click", () => chosen && why(chosen.slice("node ".length)));
 byId("add").addEventListener("click", add);
 byId("review").addEventListener("click", () => ask("review"));

@@ -32,6 +32,7 @@ THIS_COMPUTER = "127.0.0.1"
 METHODS = (
     "add",
     "kill",
+    "restart",
     "lose_host",
     "regain_host",
     "remove_target",

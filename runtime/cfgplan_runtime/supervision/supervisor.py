@@ -173,6 +173,11 @@ class Supervisor:
         """The wires of inlets, by inlet."""
         return self.wiring.feeds
 
+    def failure(self, unit: str) -> str | None:
+        """What a unit's code raised in its last step that failed; None if none has failed."""
+        record = self._records.get(unit)
+        return None if record is None or record.failure is None else record.failure.text
+
     def dry_units(self) -> set[str]:
         """Units with outputs that have given nothing for a while: no switch waits for them."""
         now = self.backend.now()

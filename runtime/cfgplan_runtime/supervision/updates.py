@@ -62,6 +62,9 @@ class Actual(Protocol):
     def stop_s(self, unit: str) -> float | None:
         """How long its transformation lets a unit take to end; None if it does not say."""
 
+    def failure(self, unit: str) -> str | None:
+        """What a unit's code raised in its last step that failed; None if none has failed."""
+
     def dry_units(self) -> Set[str]:
         """Units with outputs that have given nothing for a while."""
 
@@ -313,6 +316,7 @@ class _Update:
             self.patience.switch_s,
         )
         self.fail_if_dead()
+        self.fail_if_only_failing(starved)
         for inlet in [inlet for inlet in actual.feeds if inlet not in wanted]:
             if inlet.unit not in self.change_set.stopped:
                 yield Disconnect(inlet)
@@ -452,6 +456,17 @@ class _Update:
         if dead:
             cause = self.actual.cause_of_death.get(dead[0])
             raise _StepFailedError(f"{dead[0]} died" + (f": {cause}" if cause else ""), dead)
+
+    def fail_if_only_failing(self, starved: Set[str]) -> None:
+        """Raise if a new unit's code fails while an old unit still gives what the new ones are to give."""
+        alive = self.actual.alive
+        if not any(
+            (old := self.rewired[inlet]) is not None and old.unit in alive - starved for inlet in self.switching()
+        ):
+            return
+        failures = {unit: text for unit in self.started if (text := self.actual.failure(unit)) is not None}
+        for unit, text in failures.items():
+            raise _StepFailedError(f"{unit} gives nothing, since its code fails: {text}", list(failures))
 
 
 def _either(said: float | None, usual: float) -> float:
