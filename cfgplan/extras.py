@@ -22,7 +22,6 @@ _EXTRA_OF = {
     "simpleeval": "ros1",
     "starlette": "page",
     "uvicorn": "page",
-    "xxhash": "ros2",
     "zenoh": "fleet",
 }
 

@@ -23,7 +23,7 @@ def add_import(parser: argparse.ArgumentParser) -> None:
         "  cfgplan import xml specifications/ --out env.yaml\n"
         "  cfgplan import wsc wsc08/set01 --out set01.yaml\n"
         "  cfgplan import ros1 live --out robot.yaml\n"
-        "  cfgplan import ros2 tcp/robot:7447 --out robot.yaml\n"
+        "  cfgplan import ros2 live --out robot.yaml\n"
         "  ros2 node info /camera | cfgplan import ros2 - --out robot.yaml\n"
         "  cfgplan import ros1 robot.launch sim:=true drive.bag --out robot.yaml"
     )
@@ -33,8 +33,8 @@ def add_import(parser: argparse.ArgumentParser) -> None:
         metavar="PATH",
         nargs="+",
         help="xml: file or folder of them. wsc: folder of a test set. ros1: `live` (the master of ROS_MASTER_URI), "
-        "a master's address, or a launch file and its arguments (NAME:=VALUE). ros2: `live`, a Zenoh router's "
-        "endpoint, a launch file in XML or YAML and its arguments, or what `ros2 node info` and `ros2 topic info -v` "
+        "a master's address, or a launch file and its arguments (NAME:=VALUE). ros2: `live`, a launch file in XML or "
+        "YAML and its arguments, or what `ros2 node info` and `ros2 topic info -v` "
         "print (FILE.txt, or `-` for standard input; ros1: `rosnode info`). Both: recordings (bags, MCAP); several are "
         "put together",
     )

@@ -94,7 +94,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     shared.add_page(parser, "the run")
     shared.add_allow_code(parser)
     parser.add_argument(
-        "--ros2", action="store_true", help="publish targets that say their message type as ROS 2 topics (rmw_zenoh)"
+        "--ros2", action="store_true", help="publish targets that say their message type as ROS 2 topics"
     )
     parser.add_argument("--local", action="store_true", help="run all of the file's hosts on this computer")
     runs = "what units are: processes of ours, or nodes of ROS 1 or ROS 2 (processes)"
@@ -121,7 +121,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     if options.page is not None:
         shared.needed_for_pages()
     if options.ros2:
-        from cfgplan_runtime.ros2.ros_session import check_installed
+        from cfgplan_runtime.ros2.topics import check_installed
 
         check_installed()
     for name in options.preload:
@@ -239,6 +239,9 @@ def _check_ros2(options: argparse.Namespace, world: World) -> None:
     checks: list[Callable[[], object]] = [partial(check_unit, each, folder) for each in units]
     checks += [partial(check_targets, world.environment, folder)] if options.ros2 else []
     _tell_faults(checks, options.env)
+    from cfgplan_runtime.ros2.ros_python import VARIABLE, ros_python
+
+    os.environ[VARIABLE] = ros_python(options.ros_python).program  # for units too, which then need not look for it
 
 
 def _tell_faults(checks: list[Callable[[], object]], file: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -13,7 +12,6 @@ from cfgplan.ros.master import master_graph
 from cfgplan.ros.pasted import is_pasted, pasted_graph
 from cfgplan.ros.recordings import is_recording, recorded_graph
 from cfgplan.ros.ros2_launch_files import XML_FILES, YAML_FILES, ros2_launch_graph
-from cfgplan.ros.router import router_graph
 from cfgplan.ros.sources import REMAPS
 
 LIVE = "live"
@@ -22,12 +20,11 @@ ROS1_SOURCES = (
     "`rosnode info`; `-` is standard input"
 )
 ROS2_SOURCES = (
-    "`live`, the endpoint of a Zenoh router such as tcp/localhost:7447, a bag, a launch file in XML or YAML, or text "
+    "`live`, a bag, a launch file in XML or YAML, or text "
     "(.txt) of `ros2 node info` and `ros2 topic info -v`; `-` is standard input; launch files in Python are programs: "
     "start them, and name `live`"
 )
 _LAUNCH_FILES = (".launch", ".xml", ".test")
-_ENDPOINT = re.compile(r"(tcp|udp|tls|quic|ws|unixsock-stream)/\S+")
 
 
 def ros1_graph(sources: Sequence[str]) -> RosGraph:
@@ -68,8 +65,6 @@ def _ros1(source: str, arguments: Mapping[str, str]) -> RosGraph:
 def _ros2(source: str, arguments: Mapping[str, str], live: Callable[[], RosGraph]) -> RosGraph:
     if source == LIVE:
         return live()
-    if _ENDPOINT.fullmatch(source):
-        return router_graph(source)
     if is_pasted(source):
         return pasted_graph(source, 2)
     path = Path(source)

@@ -143,3 +143,13 @@ def test_bags_that_these_tests_write_are_bags_to_ros_itself(tmp_path: Path) -> N
                           capture_output=True, text=True, check=True)  # fmt: skip
     assert "/words" in told.stdout
     assert "21 msgs" in told.stdout
+
+
+@pytest.mark.parametrize("version", ["ros1", "ros2"])
+def test_what_is_no_source_is_told_with_those_there_are(
+    version: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["import", version, "/nowhere", "--out", str(tmp_path / "x.yaml")]) == 30
+    said = " ".join(capsys.readouterr().err.split())
+    assert "/nowhere: there is no such file" in said
+    assert "name `live`, " in said

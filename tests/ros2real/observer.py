@@ -2,7 +2,8 @@
 """An observer for tests, by the Python that has rclpy: what comes on topics, and what the graph has, as lines of JSON.
 
 `observer.py` does what lines of its input say: `{"listen": TOPIC, "type": TYPE, "latched": BOOL}` has every message
-told that comes, `{"look": true}` the graph.
+told that comes, `{"look": true}` the graph, and `{"publish": TOPIC, "type": TYPE, "texts": [...], "every": S}` has
+these texts published one after the other, again and again.
 """
 
 from __future__ import annotations
@@ -34,19 +35,41 @@ def text_of(message: Any) -> str:
     if hasattr(message, "pose"):
         stamp, place = message.header.stamp, message.pose.pose.position
         return f"{stamp.sec * 10**9 + stamp.nanosec} {place.x} {place.y}"
-    return str(message.data if hasattr(message, "data") else message.header.frame_id)
+    if hasattr(message, "x"):
+        return f"{message.x} {message.y} {message.z}"
+    return str(message.header.frame_id if hasattr(message, "header") else message.data)
 
 
-def listen(node: Node, topic: str, kind: str, latched: bool, reliable: bool) -> None:
+def class_of(kind: str) -> Any:
     module, _, name = kind.replace("/", ".").rpartition(".")
+    return getattr(import_module(module), name)
+
+
+def quality(latched: bool = False, reliable: bool = True) -> QoSProfile:
     durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
     reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
-    node.create_subscription(
-        getattr(import_module(module), name),
-        topic,
-        lambda message: say(topic=topic, text=text_of(message)),
-        QoSProfile(depth=1000, durability=durability, reliability=reliability),
-    )
+    return QoSProfile(depth=1000, durability=durability, reliability=reliability)
+
+
+def listen(node: Node, topic: str, kind: str, **qualities: bool) -> None:
+    tell = lambda message: say(topic=topic, text=text_of(message))  # noqa: E731
+    node.create_subscription(class_of(kind), topic, tell, quality(**qualities))
+
+
+def publish(node: Node, topic: str, kind: str, texts: list[str], every: float, **qualities: bool) -> None:
+    """Publish texts; again and again if `every` is not 0."""
+    cls, waiting = class_of(kind), [*texts]
+    publisher = node.create_publisher(cls, topic, quality(**qualities))
+
+    def send() -> None:
+        waiting.extend([] if waiting else texts)
+        publisher.publish(cls(data=waiting.pop(0)))
+
+    if every:
+        node.create_timer(every, send)
+    else:
+        for _ in texts:
+            send()
 
 
 def look(node: Node) -> None:
@@ -67,9 +90,9 @@ def main() -> None:
         for line in sys.stdin:
             order = json.loads(line)
             if "listen" in order:
-                work = lambda order=order: listen(  # noqa: E731
-                    node, order["listen"], order["type"], order.get("latched", False), order.get("reliable", True)
-                )
+                work = lambda order=order: listen(node, order.pop("listen"), order.pop("type"), **order)  # noqa: E731
+            elif "publish" in order:
+                work = lambda order=order: publish(node, order.pop("publish"), order.pop("type"), **order)  # noqa: E731
             else:
                 work = lambda: look(node)  # noqa: E731
             executor.create_task(work)

@@ -56,6 +56,10 @@ class Observer:
         self._ask(listen=topic, type=kind, **quality)
         return iter(lambda: told.get(timeout=PATIENCE_S), None)
 
+    def publish(self, topic: str, *texts: str, kind: str = STRING, every: float = 0.05, **quality: bool) -> None:
+        """Publish texts one after the other, again and again unless `every` is 0."""
+        self._ask(publish=topic, type=kind, texts=texts, every=every, **quality)
+
     def gives(self, topic: str) -> bool:
         """Whether a text comes on a topic within a second."""
         if topic not in self._told:

@@ -1,4 +1,4 @@
-"""ROS 2 topics of a run, in the wire format of `rmw_zenoh`: units read and write them, and targets are published."""
+"""ROS 2: nodes as units, and topics that units of other kinds read and publish, on any middleware."""
 
 from cfgplan_runtime.ros2.units import Publisher, Subscriber
 

@@ -1,4 +1,7 @@
-"""cfgplan's end of the helper that speaks ROS 2: a process in the user's ROS Python, and lines of JSON."""
+"""cfgplan's end of the helper that speaks ROS 2: a process in the user's ROS Python, and lines of JSON.
+
+A message with a `size` and `data` is a line, and so many bytes after it.
+"""
 
 from __future__ import annotations
 
@@ -25,11 +28,18 @@ _END_S = 5.0
 Incoming = TypeVar("Incoming")
 
 
+class WithData(msgspec.Struct):
+    """A message that bytes follow on the socket."""
+
+    size: int = 0
+    data: bytes = b""
+
+
 class HostLink(Generic[Incoming]):
     """A helper, which ends with the thread that made it. Raises OSError if it can't be started.
 
     Messages are msgspec structs with a tag; `incoming` is the union of what it may say. Sending never waits: what the
-    socket does not take waits for `hear`. The helper is the node `name`.
+    socket does not take waits for `flush` or `hear`. The helper is the node `name`.
     """
 
     def __init__(self, python: RosPython, name: str, incoming: object) -> None:
@@ -59,32 +69,35 @@ class HostLink(Generic[Incoming]):
         """The last line that it has printed, once it is closed."""
         self._decoder: msgspec.json.Decoder[Incoming] = msgspec.json.Decoder(incoming)
         self._received = bytearray()
-        self._waiting: deque[bytes] = deque()
+        self._headed: WithData | None = None
+        """The message whose data has not come as a whole yet."""
+        self._waiting: deque[memoryview] = deque()
 
     @property
     def is_waiting(self) -> bool:
         """Whether something waits to be sent."""
         return bool(self._waiting)
 
-    def send(self, message: msgspec.Struct) -> None:
-        """Send a message. Does nothing once the helper has ended."""
-        self._waiting.append(msgspec.json.encode(message) + b"\n")
-        self._flush()
+    def send(self, message: msgspec.Struct, data: bytes | bytearray = b"") -> None:
+        """Send a message; `data` follows one that has its `size`. Does nothing once the helper has ended."""
+        self._waiting.append(memoryview(msgspec.json.encode(message) + b"\n"))
+        if data:
+            self._waiting.append(memoryview(data))
+        self.flush()
 
     def hear(self) -> Iterator[Incoming]:
         """What it has said by now. If `has_ended` is set afterwards, there will be no more."""
-        self._flush()
+        self.flush()
         while not self.has_ended:
             try:
-                data = self.socket.recv(1 << 16)
+                data = self.socket.recv(1 << 18)
             except BlockingIOError:
                 return
             except OSError:
                 data = b""
             self.has_ended = not data
-            *lines, rest = (self._received + data).split(b"\n")
-            self._received = bytearray(rest)
-            yield from map(self._decoder.decode, lines)
+            self._received += data
+            yield from self._whole()
 
     def await_words(self, patience_s: float) -> Iterator[Incoming]:
         """Yield its messages until it ends, or `patience_s` is over; for callers that do nothing else."""
@@ -111,7 +124,32 @@ class HostLink(Generic[Incoming]):
         self._printed.close()
         return self._process.wait()
 
-    def _flush(self) -> None:
+    def _whole(self) -> list[Incoming]:
+        """Take the messages that have come as a whole."""
+        found: list[Incoming] = []
+        at = 0
+        while True:
+            if self._headed is None:
+                end = self._received.find(b"\n", at)
+                if end < 0:
+                    break
+                message = self._decoder.decode(memoryview(self._received)[at:end])
+                at = end + 1
+                if not (isinstance(message, WithData) and message.size):
+                    found.append(message)
+                    continue
+                self._headed = message
+            size = self._headed.size
+            if len(self._received) - at < size:
+                break
+            data = bytes(memoryview(self._received)[at : at + size])
+            found.append(msgspec.structs.replace(self._headed, data=data))  # type: ignore[arg-type]
+            self._headed, at = None, at + size
+        del self._received[:at]
+        return found
+
+    def flush(self) -> None:
+        """Send what waits, as far as the socket takes it."""
         while self._waiting and not self.has_ended:
             data = self._waiting[0]
             try:

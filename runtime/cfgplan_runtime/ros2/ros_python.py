@@ -32,12 +32,15 @@ class RosPython:
     environment: Mapping[str, str]
 
 
-def ros_python(named: str | None = None) -> RosPython:
+def ros_python(named: str | None = None, *, is_known: bool = False) -> RosPython:
     """The first Python that can import rclpy. Raises InputError if the one that is named can't, or none can.
 
     In order: `named`, $CFGPLAN_ROS_PYTHON, the version that rclpy on PYTHONPATH is built for, `python3` of PATH.
+    The one that is named is not tried if it `is_known` that it can.
     """
     said = named or os.environ.get(VARIABLE)
+    if said and is_known:
+        return RosPython(said, environment_for(said))
     causes = []
     for program in [said] if said else _candidates():
         found = RosPython(program, environment_for(program))

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import re
 import threading
-import time
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from cfgplan.domain import Environment, Target
 from cfgplan.errors import Fault, InputError
-from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.lifecycle.reports import Report, Reviewed
 from cfgplan_runtime.operating.flows import Following
 from cfgplan_runtime.operating.operation import Operation
 from cfgplan_runtime.ros2.message_form import MessageForm, MisfitError
-from cfgplan_runtime.ros2.ros_session import RosPublisher, RosSession, check_installed
-from cfgplan_runtime.ros2.units import Once, PublisherParams
+from cfgplan_runtime.ros2.once import Once
+from cfgplan_runtime.ros2.topics import RosPublisher, RosTopics, check_installed
+from cfgplan_runtime.ros2.units import PublisherParams
 from cfgplan_runtime.streams.closable import Closable
 from cfgplan_runtime.streams.element import Element
 from cfgplan_runtime.streams.payload import decode
@@ -42,15 +40,14 @@ class PublishedTargets(Closable):
         self._once = Once(operation.show)
         self._lock = threading.Lock()
         self._topics: dict[str, _Topic] = {}
-        self._session = RosSession(f"cfgplan_{re.sub('[^A-Za-z0-9]', '_', operation.id)}")
-        threading.Thread(target=self._session.tell_if_alone, args=[operation.show], daemon=True).start()
+        self._node = RosTopics(f"cfgplan_{re.sub('[^A-Za-z0-9]', '_', operation.id)}", operation.show)
         self._following = Following(operation.id, self._publish)
         operation.manager.listen(self._hear)
         self._take_targets()
 
     def close(self) -> None:
         self._following.close()
-        self._session.close()
+        self._node.close()
 
     def _hear(self, report: Report) -> None:
         if isinstance(report, Reviewed):
@@ -70,7 +67,7 @@ class PublishedTargets(Closable):
         try:
             params = _params(target)
             form = params.form(self._folder)
-            publisher = self._session.publisher(target.topic, form, params.qos)
+            publisher = self._node.publisher(target.topic, form, params.quality, params.depth)
         except InputError as error:
             for fault in error.faults:
                 self._once.tell(fault.message, f"{target.topic} is not published in ROS 2: {fault.message}")
@@ -81,12 +78,10 @@ class PublishedTargets(Closable):
         published = self._topics.get(topic)
         if published is None:
             return
-        with suppress(RuntimeFaultError):  # it has just been closed
-            try:
-                message = published.form.encode(decode(element.payload), element.time_ns)
-                published.publisher.put(message, time.time_ns())
-            except MisfitError as error:
-                self._once.tell(topic + error.path, f"{topic}: a value is not published in ROS 2: {error}")
+        try:
+            published.publisher.put(published.form.encode(decode(element.payload), element.time_ns))
+        except MisfitError as error:
+            self._once.tell(topic + error.path, f"{topic}: a value is not published in ROS 2: {error}")
 
 
 def check_targets(environment: Environment, folder: Path) -> None:

@@ -6,7 +6,7 @@ import re
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,12 +14,14 @@ import msgspec
 
 from cfgplan.domain import Transformation
 from cfgplan.errors import Fault, InputError
-from cfgplan.ros import EndpointToken, MessageType, Qos
+from cfgplan.ros import MessageType
+from cfgplan.ros.qos import ServiceQuality
 from cfgplan_runtime.children.unit_code import At
 from cfgplan_runtime.errors import EncodingError, WrongPortsError
 from cfgplan_runtime.ros2.definitions import Definitions
 from cfgplan_runtime.ros2.message_form import MessageForm, MisfitError
-from cfgplan_runtime.ros2.ros_session import RosSession, check_installed, checked_name
+from cfgplan_runtime.ros2.once import Once
+from cfgplan_runtime.ros2.topics import RosTopics, check_installed, checked_domain, checked_name
 
 SUBSCRIBER, PUBLISHER = "cfgplan_runtime.ros2:Subscriber", "cfgplan_runtime.ros2:Publisher"
 _ORDERS_LOOK_S = 0.05
@@ -40,21 +42,20 @@ class PublisherParams(msgspec.Struct, forbid_unknown_fields=True):
     """The name of the node; by the topic's if None."""
     domain: int | None = None
     """ROS_DOMAIN_ID if None."""
-    connect: str | list[str] = []
-    """Endpoints of routers; see `RosSession`."""
     definitions: str | list[str] = []
     distribution: str | None = None
     """ROS_DISTRO if None; see `Definitions`."""
 
     @property
-    def qos(self) -> Qos:
-        return Qos(self.reliability, self.durability, depth=self.depth)
+    def quality(self) -> ServiceQuality:
+        return ServiceQuality(self.reliability == "reliable", self.durability == "transient_local")
 
     def check(self) -> None:
         """Raises InputError for names and numbers that ROS 2 does not allow."""
         checked_name(self.topic, "topic")
         if self.node is not None:
             checked_name(self.node, "node")
+        checked_domain(self.domain)
         if not 1 <= self.depth <= _MOST_DEPTH:
             raise InputError.of(f"`{self.depth}` is no depth of a topic", mend=f"it is from 1 to {_MOST_DEPTH}")
 
@@ -63,13 +64,9 @@ class PublisherParams(msgspec.Struct, forbid_unknown_fields=True):
         files = [self.definitions] if isinstance(self.definitions, str) else self.definitions
         return Definitions(self.distribution, files, folder).form(MessageType.read(self.type))
 
-    def open(self, tell: Callable[[str], None]) -> RosSession:
-        """Open the session of a node; `tell` is told if it reaches nobody. Raises InputError."""
-        name = self.node or f"cfgplan_{re.sub('/+', '_', self.topic.strip('/'))}"
-        connect = [self.connect] if isinstance(self.connect, str) else self.connect
-        session = RosSession(name, domain=self.domain, connect=connect)
-        threading.Thread(target=session.tell_if_alone, args=[tell], daemon=True).start()
-        return session
+    def open(self) -> RosTopics:
+        """Begin a node, which prints what goes wrong. Raises InputError."""
+        return RosTopics(self.node or f"cfgplan_{re.sub('/+', '_', self.topic.strip('/'))}", _say, domain=self.domain)
 
 
 class SubscriberParams(PublisherParams):
@@ -87,11 +84,16 @@ class Subscriber:
         self._form = self._params.form()
 
     def __iter__(self) -> Iterator[Any]:
-        topic, once = self._params.topic, Once(_say)
         mailbox = _Mailbox(self._params.depth)
-        session = self._params.open(_say)
-        session.watch_publishers(checked_name(topic, "topic"), lambda token: once.tell(*_unlike(token, self._form)))
-        session.subscribe(topic, self._form, self._params.qos, mailbox.put)
+        topics = self._params.open()
+        try:
+            topics.read(self._params.topic, self._form, self._params.quality, self._params.depth, mailbox.put)
+            yield from self._values(mailbox)
+        finally:
+            topics.close()
+
+    def _values(self, mailbox: _Mailbox) -> Iterator[Any]:
+        topic, once = self._params.topic, Once(_say)
         while True:
             letter = mailbox.take(_ORDERS_LOOK_S)
             if mailbox.dropped:
@@ -120,32 +122,21 @@ class Publisher:
         self._params = _read(params, PublisherParams)
         self._form = self._params.form()
         self._once = Once(_say)
-        self._session = self._params.open(_say)  # it is closed when nobody has it
-        self._topic = self._session.publisher(self._params.topic, self._form, self._params.qos)
+        self._topics = self._params.open()
+        self._topic = self._topics.publisher(self._params.topic, self._form, self._params.quality, self._params.depth)
 
     def __call__(self, **inputs: object) -> None:
         if len(inputs) != 1:
             raise WrongPortsError(f"a publisher has one input, not {len(inputs)}")
         (value,) = inputs.values()
-        now_ns = time.time_ns()
         try:
-            self._topic.put(self._form.encode(value, now_ns), now_ns)
+            self._topic.put(self._form.encode(value, time.time_ns()))
         except MisfitError as error:
             self._once.tell(error.path, f"{self._params.topic}: {error}")
 
-
-class Once:
-    """Tells each thing once."""
-
-    def __init__(self, tell: Callable[[str], None]) -> None:
-        self._tell = tell
-        self._told: set[str] = set()
-
-    def tell(self, what: str, text: str) -> None:
-        """Tell a text, unless it is empty or one was told about the same thing (`what`)."""
-        if text and what not in self._told:
-            self._told.add(what)
-            self._tell(text)
+    def close(self) -> None:
+        """Publish what still waits, and end the node."""
+        self._topics.close()
 
 
 def check_unit(transformation: Transformation, folder: Path) -> None:
@@ -175,17 +166,6 @@ def _read(params: Mapping[str, object], kind: type[Any]) -> Any:
         raise InputError.of(f"params of a ROS 2 topic: {error}", mend=f"they are {there}") from None
     read.check()
     return read
-
-
-def _unlike(token: EndpointToken, form: MessageForm) -> tuple[str, str]:
-    """The type or hash of a publisher that differs from the form's, and a sentence about it; empty if none does."""
-    who = f"{token.topic}: {token.node.full_name} publishes {token.type}"
-    if token.type != form.type:
-        return str(token.type), f"{who}, which does not come as {form.type}"
-    if token.type_hash != form.type_hash:
-        mend = "name its ROS by `distribution`, or the definition that it has by `definitions`"
-        return token.type_hash, f"{who} of another definition ({token.type_hash}), which does not come: {mend}"
-    return "", ""
 
 
 class _Mailbox:

@@ -1,4 +1,7 @@
-"""The helper itself: a node of ROS 2, orders that come as lines of JSON, and answers that go the same way."""
+"""The helper itself: a node of ROS 2, orders that come as lines of JSON, and answers that go the same way.
+
+A line with a `size` is followed by so many bytes, which are the message's `data`.
+"""
 
 from __future__ import annotations
 
@@ -49,13 +52,15 @@ class Host:
     def __init__(self, end: socket.socket, name: str) -> None:
         self._socket = end
         self._orders: deque[dict[str, Any]] = deque()
-        self._words: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+        self._words: queue.SimpleQueue[tuple[bytes, int | None]] = queue.SimpleQueue()
+        """What is to be sent, and the topic that waits until that is done."""
         self._is_over = False
         self.on_match: Callable[[], None] = lambda: None
         self._is_match_due = False
         self.handlers: dict[str, Callable[[dict[str, Any]], None]] = {"Finish": lambda _: self._finish()}
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        self.node: Any = Node(name, enable_rosout=False, start_parameter_services=False)
+        space, _, own = name.rpartition("/")
+        self.node: Any = Node(own, namespace=space or None, enable_rosout=False, start_parameter_services=False)
         self.context: Any = self.node.context
         self.waiting = Waiting(self.context)
         self._guard = self.node.create_guard_condition(self._do_orders)
@@ -69,9 +74,11 @@ class Host:
             python=platform.python_version(),
         )
 
-    def say(self, kind: str, **fields: object) -> None:
-        """Send a message. Never waits."""
-        self._words.put(json.dumps({"type": kind, **fields}).encode() + b"\n")
+    def say(self, kind: str, data: bytes = b"", **fields: Any) -> None:
+        """Send a message. Never waits. One with `data` is of a topic by `number`, which is told by the order `Sent`."""
+        size = {"size": len(data)} if data else {}
+        line = json.dumps({"type": kind, **size, **fields}).encode() + b"\n"
+        self._words.put((line + data, fields["number"] if data else None))
 
     def is_own(self, endpoint: Any) -> bool:
         """Whether an end of a topic, as rclpy tells of it, is the helper's."""
@@ -112,12 +119,19 @@ class Host:
     def _hear(self) -> None:
         with self._socket.makefile("rb") as lines:
             for line in lines:
-                self._orders.append(json.loads(line))
-                self._guard.trigger()
-        self._orders.append({"type": "Finish"})
+                order = json.loads(line)
+                size = order.pop("size", 0)
+                self._order(order | {"data": lines.read(size)} if size else order)
+        self._order({"type": "Finish"})
+
+    def _order(self, order: dict[str, Any]) -> None:
+        self._orders.append(order)
         self._guard.trigger()
 
     def _speak(self) -> None:
         with suppress(OSError):
             while True:
-                self._socket.sendall(self._words.get())
+                words, topic = self._words.get()
+                self._socket.sendall(words)
+                if topic is not None:
+                    self._order({"type": "Sent", "number": topic})

@@ -27,12 +27,14 @@ def main(number: str, parent: str, node: str) -> None:
     from cfgplan_runtime.ros2.host.graph import GraphLook
     from cfgplan_runtime.ros2.host.host import Host, die_with_parent
     from cfgplan_runtime.ros2.host.relays import Relays
+    from cfgplan_runtime.ros2.host.topics import Topics
 
     die_with_parent(int(parent))
     host = Host(socket.socket(fileno=int(number)), node)
     Attendance(host, Relays(host))
     Components(host)
     GraphLook(host)
+    Topics(host)
     host.run()
     host.close()
 
