@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -118,6 +119,8 @@ def amount_of(resource: str, amount: int) -> str:
 
 START_MODES = ("all", "any", "aligned")
 LEAST_HANG_S = 2
+STATE_NAME = r"(?!([Tt]rue|TRUE|[Ff]alse|FALSE|[Nn]ull|NULL)$)[A-Za-z_][A-Za-z0-9_]*"
+"""The name of a state; words that files take for other values are none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,8 +132,9 @@ class RunOptions:
     `tolerance_us`, or a port's name. `rate_hz` is a source's. `queue` elements wait at each input; when full,
     the oldest is dropped, or the producer waits if it `blocks`. A unit that is silent for `hang_us` (0: it
     may be silent) or takes more than `memory_mb` megabytes is killed; so is one that was told to end and has not within
-    `stop_us` (None: as long as the runtime usually allows, 2 s). With `state`, a new unit goes on with the
-    state of the last. A `lifecycle` node of ROS 2 is configured as a cold spare, and activated as a unit.
+    `stop_us` (None: as long as the runtime usually allows, 2 s). With `state`, a new unit goes on with the state of the
+    last; transformations whose `state` is the same name share it. A `lifecycle` node of ROS 2 is configured as a cold
+    spare, and activated as a unit.
     Raises InvalidValueError for a `hang_us` of less than 2 s.
     """
 
@@ -141,11 +145,13 @@ class RunOptions:
     blocks: bool = False
     hang_us: Natural | None = None
     memory_mb: Natural | None = None
-    state: bool = False
+    state: bool | str = False
     lifecycle: bool = False
     stop_us: Natural | None = None
 
     def __post_init__(self) -> None:
+        if isinstance(self.state, str) and not re.fullmatch(STATE_NAME, self.state):
+            raise InvalidValueError(f"{self.state!r} is no name of a state: letters, digits and underscores make one")
         if self.hang_us is not None and self.hang_us != 0 and self.hang_us < LEAST_HANG_S * 1_000_000:
             raise InvalidValueError(
                 f"signs of life come once a second, and {self.hang_us / 1e6:g} s is too short to miss one: "

@@ -46,6 +46,7 @@ from cfgplan.formats.schema_values import (
     Seconds,
     SelectorText,
     Speed,
+    StateName,
     StreamName,
     StreamNames,
     Survived,
@@ -196,7 +197,8 @@ def _row(part: type[Part], key: str, pieces: list[Any]) -> FieldRow:
         use=part.USUAL_USE if said.use is None else said.use,
         xml=key if said.xml is None and not holds_more else said.xml,
         default=field.default,
-        is_text=any(piece is str or isinstance(piece, str) for piece in pieces) and 0 not in pieces,
+        is_text=any(piece is str or isinstance(piece, str) for piece in pieces)
+        and not any(piece is bool or piece == 0 for piece in pieces),
         plain=next((piece.plain for piece in pieces if isinstance(piece, Written)), as_it_is),
     )
 
@@ -310,7 +312,7 @@ class RunPart(Part):
     memory: Whole | None = row(
         "the most memory that a unit may take, in megabytes", None, "memory_mb", Use.BOTH, ge=1, le=LONGEST_QUEUE
     )
-    state: bool = row("a new unit goes on with the state of the last", False)
+    state: StateName = row("a new unit goes on with the state of the last; a name: of the last with that name", False)
     lifecycle: bool = row("cold spares of this ROS 2 node are configured, and activated when they are needed", False)
 
 

@@ -20,7 +20,7 @@ from cfgplan.errors import InvalidValueError
 from cfgplan.facts import FactValue
 from cfgplan.noise import Noise
 from cfgplan.qualities import LARGEST_QUALITY, MICRO, Better, QualityRule, micro_units, units
-from cfgplan.transformations import ALL, CPU, LEAST_HANG_S, RunOptions
+from cfgplan.transformations import ALL, CPU, LEAST_HANG_S, STATE_NAME, RunOptions
 
 LARGEST_AMOUNT = 1_000_000_000
 SPEEDS = (Decimal("0.001"), 1000)
@@ -145,6 +145,16 @@ def _fact_value(value: object) -> FactValue:
     if type(value) is int or type(value) is Decimal:
         return _micro(value)
     raise _refusal("this is no value of a fact", "write a number, true, false or a word")
+
+
+def _state(value: object) -> bool | str:
+    """True or false, or the name of a state."""
+    if type(value) is bool:
+        return value
+    if type(value) is str and re.fullmatch(STATE_NAME, value):
+        return value
+    mend = "write true, false or a name of letters, digits and underscores"
+    raise _refusal("this says of no state that it is kept", mend)
 
 
 def _plain_fact(value: FactValue) -> object:
@@ -352,6 +362,12 @@ Fact = Annotated[
     Written(_plain_fact),
 ]
 """What is so of a fact."""
+StateName = Annotated[
+    bool | str,
+    PlainValidator(_state),
+    WithJsonSchema({"anyOf": [{"type": "boolean"}, {"type": "string", "pattern": f"^{STATE_NAME}$"}]}),
+]
+"""Whether a state is kept, or its name."""
 NoiseText = Annotated[
     Noise,
     PlainValidator(_noise),

@@ -189,6 +189,21 @@ def test_state_survives_a_restart_when_asked(run_units: StartRuntime) -> None:
     assert listener.values == sorted(set(listener.values)), "a count that began anew would fall back to 1"
 
 
+def test_transformations_whose_state_has_one_name_go_on_from_each_other(run_units: StartRuntime) -> None:
+    high, low = (worker(label, "Tally", run=RunOptions(state="altitude")) for label in ("high", "low"))
+    runtime = run_units(source(), high, low)
+    runtime.apply(start(unit("count.1"), unit("high.1", topic="/result", x="count.1/n")))
+    listener = Listener("/result")
+    eventually(lambda: len(listener.received) > 20)
+    runtime.apply(ChangeSet(stopped=("high.1",)))
+    before = len(listener.received)
+    runtime.apply(start(unit("low.1", topic="/result", x="count.1/n")))
+    eventually(lambda: len(listener.received) > before + 5)
+    runtime.close()
+    listener.join()
+    assert listener.values == sorted(set(listener.values)), "a count that began anew would fall back to 1"
+
+
 def test_values_are_those_that_were_sent(run_units: StartRuntime) -> None:
     runtime = run_units(source(code="images", rate_hz=20))
     runtime.apply(start(unit("count.1", topic="/result", port="n")))

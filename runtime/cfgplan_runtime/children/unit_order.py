@@ -23,7 +23,7 @@ def unit_order(unit: str, transformation: Transformation, state: bytes | None) -
         period_ns=None if run.rate_hz is None else round(1e9 / run.rate_hz),
         queue=run.queue,
         blocks=run.blocks,
-        keeps_state=run.state,
+        keeps_state=bool(run.state),
         state=state,
         memory_bytes=None if run.memory_mb is None else run.memory_mb << 20,
     )

@@ -57,6 +57,7 @@ class Supervisor:
         """That of the last update."""
         self._records: dict[str, UnitRecord] = {}
         self._states: dict[str, bytes] = {}
+        """The last state of the units of a transformation, by the state's name."""
         self._library: dict[str, Transformation] = {}
         self._stopping: dict[str, tuple[str, float]] = {}
         """Units that an earlier supervisor has told to stop: their hosts, and when they are killed."""
@@ -301,7 +302,7 @@ class Supervisor:
         self._records[unit.id] = UnitRecord(transformation.label, unit.host, sign_s=self.now())
         spare = self.spares.take(transformation, unit.host)
         try:
-            self.backend.start(unit.id, transformation, self._states.get(transformation.label), unit.host, spare)
+            self.backend.start(unit.id, transformation, self._states.get(_state_name(transformation)), unit.host, spare)
         except Exception:
             self._bury(unit.id)
             raise
@@ -366,7 +367,7 @@ class Supervisor:
         record.sign_s = self.now()
         record.note_status(status, self.backend.now())
         if status.state is not None:
-            self._states[record.transformation] = status.state
+            self._states[_state_name(self._library[unit])] = status.state
 
     def _bury(self, unit: str) -> None:
         self.alive.discard(unit)
@@ -435,3 +436,9 @@ def _patience_s(transformation: Transformation) -> float | None:
         return run.hang_us / 1e6 or None
     is_free_source = not transformation.inputs and run.rate_hz is None
     return None if is_free_source else HANG_S
+
+
+def _state_name(transformation: Transformation) -> str:
+    """The name of the state that units of a transformation go on with; by itself its own."""
+    state = transformation.run.state
+    return state if isinstance(state, str) else transformation.label
