@@ -238,6 +238,12 @@ class Transformation:
         """The megabytes that a unit takes on its host: `memory_mb`, or else the most that it may take."""
         return (self.run.memory_mb or 0) if self.memory_mb is None else self.memory_mb
 
+    @property
+    def state_name(self) -> str | None:
+        """The name of the state that its units go on with; None if they keep none."""
+        state = self.run.state
+        return state if isinstance(state, str) else self.label if state else None
+
     @cached_property
     def takes(self) -> Mapping[str, int]:
         """What a unit takes of a host of speed 1: CPU in microseconds each second, megabytes, and what it `needs`."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import queue
 import threading
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Protocol, TypeVar
@@ -210,10 +210,6 @@ class Runtime(Closable):
     def kill(self, unit: str) -> None:
         """End a unit at once; UnitDied follows. Does nothing if it does not run."""
         self._executor.call(lambda: self.supervisor.backend.kill(unit))
-
-    def renew(self, transformations: Collection[str]) -> None:
-        """Prepare the cold spares of these transformations anew, since their code may have changed."""
-        self._executor.call(lambda: self.supervisor.spares.renew(transformations, self.supervisor.now()))
 
     def cut(self, unit: str | None, port: str) -> None:
         """Take away what feeds an input, or a topic (`unit` is None), as if it had been lost. Raises KeyError."""

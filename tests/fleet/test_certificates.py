@@ -17,7 +17,8 @@ from typing import Literal
 import pytest
 import zenoh
 from cfgplan_runtime.fleet import certificates
-from cfgplan_runtime.fleet.certificates import make
+from cfgplan_runtime.fleet.agent import Agent
+from cfgplan_runtime.fleet.certificates import Validity, ending, make
 from cfgplan_runtime.fleet.links import config
 from cfgplan_runtime.streams.zenoh_link import Lane, ZenohLink
 from cryptography import x509
@@ -174,6 +175,57 @@ def test_who_has_no_certificate_a_strangers_or_an_expired_one_gets_no_link(
         assert is_refused(tmp_path / "r2", port)
         assert is_refused(tmp_path / "mixed", port)  # it trusts the others' authority, and refuses this agent itself
         assert is_refused(None, port)
+
+
+def aged(folder: Path, monkeypatch: pytest.MonkeyPatch, *, by: timedelta, days: int) -> Path:
+    """The folder of r1 in a fleet whose certificates were made so long ago, for so many days."""
+
+    class Then(datetime):
+        @classmethod
+        def now(cls, tz: tzinfo | None = None) -> datetime:  # type: ignore[override]
+            return datetime.now(tz) - by
+
+    with monkeypatch.context() as then:
+        then.setattr(certificates, "datetime", Then)
+        make(folder, {"r1": ADDRESS}, days=days)
+    return folder / "r1"
+
+
+def test_a_certificate_that_has_ended_is_refused_with_its_file_and_the_mend(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = aged(tmp_path, monkeypatch, by=timedelta(days=3), days=2)
+    assert main(["agent", "--name", "r1", "--certificates", str(folder), "--listen", "tls/127.0.0.1:0"]) == 30
+    said = " ".join(capsys.readouterr().err.split())
+    assert f"{folder}/host.pem: this certificate was valid until " in said
+    assert "make a folder anew by `cfgplan certificates`" in said
+
+
+def test_a_certificate_that_ends_within_a_month_is_told_once_a_day(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fresh = Validity(aged(tmp_path / "new", monkeypatch, by=timedelta(), days=40), "r1")
+    assert fresh.warning() is None
+    validity = Validity(aged(tmp_path / "old", monkeypatch, by=timedelta(days=330), days=340), "r1")
+    told = validity.warning()
+    assert told is not None
+    assert (told.host, told.days_left) == ("r1", 9)
+    assert "the certificate of r1 ends on " in ending(told)
+    assert validity.warning() is None
+    validity.tell_again()
+    assert validity.warning() == told
+
+
+def test_an_agent_ends_with_its_certificate_and_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    life = timedelta(days=1) - timedelta(seconds=8)
+    folder, runs = aged(tmp_path / "secrets", monkeypatch, by=life, days=1), tmp_path / "runs"
+    said: list[str] = []
+    runs.mkdir()
+    agent = Agent("r1", listen=[f"tls/127.0.0.1:{free_port()}"], certificates=folder, base=runs, say=said.append)
+    with pytest.raises(InputError, match=r"host\.pem: this certificate was valid until"):
+        agent.run()
+    assert said[0].startswith("the certificate of r1 ends on ")
+    assert "(0 days left)" in said[0]
 
 
 def test_an_agent_outlives_garbage(fleet: Path) -> None:

@@ -10,12 +10,9 @@ from cfgplan_runtime.lifecycle.configuration import restarting
 from cfgplan_runtime.lifecycle.perturbations import RestartAsked
 from cfgplan_runtime.lifecycle.reports import Decision
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
-from living import RESULT, source, started, worker
+from living import source, started, worker
 
-from cfgplan import api
-from cfgplan.domain import Environment
 from cfgplan.errors import InputError
-from cfgplan.planning import Failures
 
 
 def test_a_new_unit_takes_the_old_one_s_place_and_wires() -> None:
@@ -76,16 +73,3 @@ def test_fresh_ids_are_free_ones_and_units_that_do_not_run_are_passed_over() -> 
     changes = restarting(running, ["work.1", "nobody.1"])
     assert ([unit.id for unit in changes.started], changes.stopped) == (["work.2"], ("work.1",))
     assert not restarting(running, ["nobody.1"])
-
-
-def test_spares_are_prepared_anew_when_their_code_changes_and_before_a_restart() -> None:
-    library = (source(standby_us=1), worker(standby_us=1))
-    environment = Environment(library=library, targets=(RESULT,))
-    run = started(world=replace(api.world(environment, horizon_s=60), survive=Failures.UNITS))
-    running = run.runtime.environment.units
-    (spare,) = (unit.id for unit in running if unit.standby and unit.transformation == "work")
-    asked = run.runtime.backend.calls.count(("prepare", spare))
-    run.ask(FaultyCode({}, ("work",)))
-    assert run.runtime.backend.calls.count(("prepare", spare)) == asked + 1
-    run.ask(RestartUnits(("work.1",)))
-    assert run.runtime.backend.calls.count(("prepare", spare)) > asked + 1

@@ -190,14 +190,15 @@ def test_state_survives_a_restart_when_asked(run_units: StartRuntime) -> None:
 
 
 def test_transformations_whose_state_has_one_name_go_on_from_each_other(run_units: StartRuntime) -> None:
+    """Signs of life come each second; the state is that of the moment."""
     high, low = (worker(label, "Tally", run=RunOptions(state="altitude")) for label in ("high", "low"))
     runtime = run_units(source(), high, low)
     runtime.apply(start(unit("count.1"), unit("high.1", topic="/result", x="count.1/n")))
     listener = Listener("/result")
     eventually(lambda: len(listener.received) > 20)
-    runtime.apply(ChangeSet(stopped=("high.1",)))
     before = len(listener.received)
-    runtime.apply(start(unit("low.1", topic="/result", x="count.1/n")))
+    new = unit("low.1", topic="/result", x="count.1/n")
+    runtime.apply(ChangeSet(started=(new,), stopped=("high.1",)))
     eventually(lambda: len(listener.received) > before + 5)
     runtime.close()
     listener.join()

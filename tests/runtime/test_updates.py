@@ -10,6 +10,7 @@ from cfgplan_runtime import ApplyError, Patience
 from cfgplan_runtime.errors import AbandonedError
 from cfgplan_runtime.supervision.backend import Inlet
 from cfgplan_runtime.supervision.updates import (
+    AskState,
     Believe,
     CarriedOut,
     CloseTopic,
@@ -19,6 +20,7 @@ from cfgplan_runtime.supervision.updates import (
     Disconnect,
     Dump,
     EndUnit,
+    GiveState,
     GoOver,
     OpenTopic,
     StartUnit,
@@ -31,7 +33,7 @@ from cfgplan_runtime.supervision.updates import (
 from cfgplan_runtime.supervision.wiring import Wire, wanted_feeds, wanted_topics
 from world import RESULT, source, start, unit, worker
 
-from cfgplan.domain import ChangeSet, Environment, Host
+from cfgplan.domain import ChangeSet, Environment, Host, RunOptions
 
 COUNT, WORK = unit("count.1"), unit("work.1", topic="/result", x="count.1/n")
 NEW = unit("work.2", topic="/result", x="count.1/n")
@@ -71,6 +73,9 @@ class Scene:
     def stop_s(self, unit: str) -> float | None:
         return self.limits.get(unit)
 
+    def signs(self, unit: str) -> int:
+        return self.said.count(f"ask {unit}")
+
     def failure(self, unit: str) -> str | None:
         return "bad luck" if unit in self.failing and unit in self.alive else None
 
@@ -94,6 +99,10 @@ class Scene:
                     self.alive.add(started.id)
                 if started.id not in self.dying | self.slow:
                     self.ready.add(started.id)
+            case AskState(name):
+                self.said.append(f"ask {name}")
+            case GiveState(name):
+                self.said.append(f"give {name}")
             case StopUnit(name):
                 self.said.append(f"stop {name}")
                 if name not in self.stubborn:
@@ -222,6 +231,20 @@ def test_an_update_whose_unit_does_not_start_is_undone(scene: Scene, cause: str,
     assert scene.said[: 1 + len(said)] == ["start work.2", *said]
     assert [line for line in scene.said if " > " in line or line.startswith(("open", "close"))] == []
     assert (scene.feeds, scene.alive) == (feeds, {"count.1", "work.1"})
+
+
+def test_a_unit_goes_on_with_the_present_state_of_the_one_that_it_replaces() -> None:
+    high, low = (worker(label, run=RunOptions(state="altitude")) for label in ("high", "low"))
+    scene = Scene(
+        Environment((COUNT, unit("high.1", topic="/result", x="count.1/n")), (source(), high, low), (RESULT,))
+    )
+    scene.carry_out(ChangeSet(started=(unit("low.1", topic="/result", x="count.1/n"),), stopped=("high.1",)))
+    assert scene.said[:5] == ["start low.1", "wait", "ask high.1", "wait", "give low.1"]
+    scene = Scene(
+        Environment((COUNT, unit("high.1", topic="/result", x="count.1/n")), (source(), high, low), (RESULT,))
+    )
+    scene.carry_out(start(unit("low.1", x="count.1/n")))
+    assert not [word for word in scene.said if word.startswith(("ask", "give"))], "nobody ends"
 
 
 def test_a_new_unit_that_only_fails_does_not_take_over_from_one_that_gives() -> None:

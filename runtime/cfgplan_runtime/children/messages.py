@@ -137,6 +137,16 @@ class BeginUnit(msgspec.Struct, tag=True):
     state: bytes | None
 
 
+class TellState(msgspec.Struct, tag=True):
+    """Give a sign of life now, with the state."""
+
+
+class TakeState(msgspec.Struct, tag=True):
+    """Go on with the state of an earlier unit."""
+
+    state: bytes
+
+
 class Finish(msgspec.Struct, tag=True):
     """Process the elements that have arrived, then end."""
 
@@ -150,7 +160,20 @@ class TellMark(msgspec.Struct, tag=True):
 
 ToRelay: TypeAlias = Export | Import | Release | TellMark
 ToChild: TypeAlias = (
-    Feed | Serve | Cut | End | Unserve | SwitchNow | OpenOutlet | CloseOutlet | SetClock | ToRelay | BeginUnit | Finish
+    Feed
+    | Serve
+    | Cut
+    | End
+    | Unserve
+    | SwitchNow
+    | OpenOutlet
+    | CloseOutlet
+    | SetClock
+    | ToRelay
+    | BeginUnit
+    | TellState
+    | TakeState
+    | Finish
 )
 
 

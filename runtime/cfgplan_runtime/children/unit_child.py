@@ -172,6 +172,10 @@ class UnitChild:
             case messages.BeginUnit(unit, state):
                 self._set_state(state)
                 self._begun = unit
+            case messages.TellState():
+                self._say_status()
+            case messages.TakeState(state):
+                self._set_state(state)
             case messages.Finish():
                 self._ports.drain()
                 self._is_finishing = True

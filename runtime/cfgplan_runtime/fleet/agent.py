@@ -19,6 +19,7 @@ from cfgplan.domain import MANAGER
 from cfgplan.errors import InputError
 from cfgplan_runtime.children.messages import Export, Import, Marked, Release, TellMark
 from cfgplan_runtime.fleet import orders
+from cfgplan_runtime.fleet.certificates import Validity, ending
 from cfgplan_runtime.fleet.clocks import HostClock, clock_key
 from cfgplan_runtime.fleet.links import LEASE_S, PRIVATE, Lives, config, sign_period_s
 from cfgplan_runtime.fleet.relay import Relay
@@ -105,6 +106,7 @@ class Agent:
         """The error that ends this agent."""
         # Bad endpoints and certificates are refused before a process is started.
         given = config(listen, connect, certificates)
+        self._validity = None if certificates is None else Validity(certificates, name)
         with ExitStack() as stack:
             self._backend = ProcessBackend(folder=folder, preload=preload, base=base, cpu=cpu)
             stack.callback(self._backend.close)
@@ -197,6 +199,9 @@ class Agent:
         self._stop_due()
         now_s = time.monotonic()
         self._tell_superseded(now_s)
+        if self._validity is not None and (ends := self._validity.warning()) is not None:
+            self._tell_user(ending(ends))
+            self._say(orders.told(ends))
         if now_s >= self._usage_due_s:
             self._usage_due_s = now_s + USAGE_PERIOD_S
             self._tell_usage([*self._held.units, *self._held.spares])
@@ -268,6 +273,8 @@ class Agent:
         match order:
             case orders.GreetOrder(adopts):
                 self._owes_welcome = True
+                if self._validity is not None:
+                    self._validity.tell_again()
                 if not adopts:
                     self._lost += self._relay.lost
                     self._end_everything()
@@ -291,6 +298,10 @@ class Agent:
                 if self._stopping.pop(unit, None) is not None:
                     backend.stop(unit)
                 backend.kill(unit, dump=dump)
+            case orders.AskStateOrder(unit):
+                backend.ask_state(unit)
+            case orders.GiveStateOrder(unit, state):
+                backend.give_state(unit, state)
             case orders.ConnectOrder(wire, stream, inlet, queue, blocks):
                 self._hold_wire(order)
                 backend.connect(wire, stream, inlet, queue=queue, blocks=blocks)

@@ -22,6 +22,7 @@ import msgspec
 from cfgplan.domain import MANAGER
 from cfgplan.errors import Fault, InputError
 from cfgplan_runtime.streams.crossing import KEYS, host_key
+from cfgplan_runtime.supervision.events import CertificateEnds
 
 if TYPE_CHECKING:
     from cryptography import x509
@@ -35,6 +36,11 @@ _CLOCKS_DIFFER = timedelta(hours=1)
 _AUTHORITY_DAYS = 3650
 
 
+_SOON = timedelta(days=30)
+"""So long before a certificate ends it is told, once a day."""
+_ANEW = "make a folder anew by `cfgplan certificates` where the authority is, copy it here, and start again"
+
+
 class _Access(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Who belongs to the fleet, and which of them may pass on what others write."""
 
@@ -46,6 +52,44 @@ class _Access(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class _Authority:
     certificate: x509.Certificate
     key: ec.EllipticCurvePrivateKey
+
+
+class Validity:
+    """The time for which a host's folder lets it in: until its certificate ends, or that of its authority.
+
+    Links have what the folder had when they were made. `name` is that of the host. Raises InputError.
+    """
+
+    def __init__(self, folder: Path, name: str) -> None:
+        self._name, self._file = name, folder / _CERTIFICATE
+        self._ends = min(map(_end_of, (self._file, folder / _AUTHORITY_CERTIFICATE)))
+        self._due = datetime.now(UTC)
+
+    def tell_again(self) -> None:
+        """Have the warning told again, to who has not heard it."""
+        self._due = datetime.now(UTC)
+
+    def warning(self) -> CertificateEnds | None:
+        """The event to be told now, once a day; None if there is none. Raises InputError once it has ended."""
+        now = datetime.now(UTC)
+        if now < min(self._due, self._ends):
+            return None
+        self._due = now + timedelta(days=1)
+        refuse_ended(self._file, self._ends)
+        left = self._ends - now
+        return CertificateEnds(self._name, f"{self._ends:%Y-%m-%d %H:%M} UTC", left.days) if left < _SOON else None
+
+
+def ending(event: CertificateEnds) -> str:
+    """A sentence about a certificate that ends soon."""
+    days = f"{event.days_left} day{'s' if event.days_left != 1 else ''} left"
+    return f"the certificate of {event.host} ends on {event.ends} ({days}): {_ANEW}"
+
+
+def refuse_ended(file: Path, ends: datetime) -> None:
+    """Raises InputError if a certificate has ended."""
+    if ends <= datetime.now(UTC):
+        raise InputError.of(f"this certificate was valid until {ends:%Y-%m-%d %H:%M} UTC", file=str(file), mend=_ANEW)
 
 
 def make(folder: Path, hosts: Mapping[str, Sequence[str]], *, passing_on: Iterable[str] = (), days: int) -> list[Path]:
@@ -92,6 +136,8 @@ def tls(folder: Path) -> dict[str, Any]:
     if missing := sorted(name for name, path in files.items() if not path.is_file()):
         mend = "copy the host's folder that `cfgplan certificates` has made"
         raise InputError([Fault("there is no such file", file=str(folder / name), mend=mend) for name in missing])
+    for file in (_CERTIFICATE, _AUTHORITY_CERTIFICATE):
+        refuse_ended(files[file], _end_of(files[file]))
     sides = {"listen": (_KEY, _CERTIFICATE), "connect": (_KEY, _CERTIFICATE)}
     return {
         "root_ca_certificate": str(files[_AUTHORITY_CERTIFICATE]),
@@ -159,6 +205,18 @@ def _access(folder: Path) -> _Access:
         raise InputError.of(
             f"can't be read: {getattr(error, 'strerror', None) or error}", file=str(path), mend=mend
         ) from None
+
+
+def _end_of(file: Path) -> datetime:
+    """When a certificate ends. Raises InputError."""
+    from cryptography import x509
+
+    try:
+        return x509.load_pem_x509_certificate(file.read_bytes()).not_valid_after_utc
+    except (OSError, ValueError) as error:
+        mend = "copy the host's folder that `cfgplan certificates` has made"
+        message = f"this certificate can't be read: {getattr(error, 'strerror', None) or error}"
+        raise InputError.of(message, file=str(file), mend=mend) from None
 
 
 def _refuse_names(names: Iterable[str]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from math import inf
 from pathlib import Path
@@ -18,6 +19,7 @@ from cfgplan_runtime.children.unit_order import unit_order
 from cfgplan_runtime.fleet import orders, presence
 from cfgplan_runtime.fleet.adoption import adopt
 from cfgplan_runtime.fleet.agent import digest_of, source_file
+from cfgplan_runtime.fleet.certificates import Validity
 from cfgplan_runtime.fleet.routes import Counts, OrderTo, Routes
 from cfgplan_runtime.fleet.tunnels import RemoteTopics, TunnelClient, TunnelServer
 from cfgplan_runtime.streams.run_folder import RunFolder
@@ -59,7 +61,9 @@ class FleetBackend:
         library: Mapping[str, Transformation] = MappingProxyType({}),
         wait_s: float = WAIT_S,
         takes_over: bool = False,
+        certificates: Path | None = None,
     ) -> None:
+        self._validity = None if certificates is None else Validity(certificates, MANAGER)
         self._folder = folder or Path.cwd()
         self._events: list[events.Event] = []
         self._told: dict[str, _Told] = {}
@@ -118,10 +122,17 @@ class FleetBackend:
             happened, is_awake = self._presence.wait(self.now() if self._events else end_s)
             for one in happened:
                 self._take(one)
+            self._watch_certificate()
             if is_awake or self._events or self.now() >= end_s:
                 break
         told, self._events = self._events, []
         return told
+
+    def _watch_certificate(self) -> None:
+        """Tell once a day that the manager's certificate ends soon. Once it has, other hosts close the links."""
+        with suppress(InputError):
+            if self._validity is not None and (ends := self._validity.warning()) is not None:
+                self._events.append(ends)
 
     def take_hosts(self, hosts: Collection[str]) -> Collection[str]:
         greeted, absent = self._presence.take(hosts)
@@ -168,6 +179,12 @@ class FleetBackend:
 
     def kill(self, unit: str, *, dump: bool = False) -> None:
         self._presence.say(self._units.get(unit), orders.KillOrder(unit, dump))
+
+    def ask_state(self, unit: str) -> None:
+        self._presence.say(self._units.get(unit), orders.AskStateOrder(unit))
+
+    def give_state(self, unit: str, state: bytes) -> None:
+        self._presence.say(self._units.get(unit), orders.GiveStateOrder(unit, state))
 
     def connect(self, wire: int, stream: Stream, inlet: Inlet, *, queue: int, blocks: bool) -> None:
         source, target = self._units.get(stream.unit), self._host_of(inlet)

@@ -70,6 +70,7 @@ def fleet_runtime(
                 library=environment.transformation,
                 wait_s=wait_s,
                 takes_over=fleet.takes_over,
+                certificates=fleet.certificates,
             )
 
         yield stack.enter_context(Runtime(backend=backend))

@@ -91,6 +91,15 @@ class KillOrder(msgspec.Struct, tag=True):
     dump: bool
 
 
+class AskStateOrder(msgspec.Struct, tag=True):
+    unit: str
+
+
+class GiveStateOrder(msgspec.Struct, tag=True):
+    unit: str
+    state: bytes
+
+
 class ConnectOrder(msgspec.Struct, tag=True):
     wire: int
     stream: Stream
@@ -141,6 +150,8 @@ Order: TypeAlias = (
     | DiscardOrder
     | StopOrder
     | KillOrder
+    | AskStateOrder
+    | GiveStateOrder
     | ConnectOrder
     | CutOrder
     | EndWireOrder

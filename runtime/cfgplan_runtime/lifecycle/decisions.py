@@ -223,7 +223,6 @@ def _seen_to(turn: Turn, time_s: float) -> Turn:
             asked, change_set = RestartAsked(units, by), restarting(state.running, units)
             if not change_set:  # none of them runs any more
                 return turn.also(Respond(request.outcome))
-            turn = turn.renewing(unit.transformation for unit in change_set.started)
         case other:
             raise AssertionError(other)
     entry = Entry(asked, at_s, at_s, (request.outcome,))

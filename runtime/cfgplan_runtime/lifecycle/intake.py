@@ -134,7 +134,7 @@ def _code_looked_at(turn: Turn, faults: Mapping[str, str], changed: tuple[str, .
     waiting = {place.label for place in situation.back_offs.avoided} & {*changed, *mended}
     left_out, back = faults.keys() - situation.code_faults.keys(), (mended | waiting) - faults.keys()
     back_offs = situation.back_offs.forgiving(*changed, *mended)
-    turn = turn.situated(replace(situation, code_faults=faults, back_offs=back_offs)).renewing(changed)
+    turn = turn.situated(replace(situation, code_faults=faults, back_offs=back_offs))
     if not (left_out or back):
         return turn.also(Respond(request.outcome))
     return turn.perturbed(CodeChanged(tuple(sorted(left_out)), tuple(sorted(back))), (request.outcome,))

@@ -38,7 +38,7 @@ from cfgplan_runtime.lifecycle.inbox import Asked, FactSeen, Inbox, Item, Leave,
 from cfgplan_runtime.lifecycle.perturbations import Started
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Report, Snapshot, UnitEvent
-from cfgplan_runtime.lifecycle.seams import DeclaredCosts, Estimator, KeepsSpares, Middleware, SystemClock, TimeSource
+from cfgplan_runtime.lifecycle.seams import DeclaredCosts, Estimator, Middleware, SystemClock, TimeSource
 from cfgplan_runtime.lifecycle.state import State
 from cfgplan_runtime.lifecycle.turns import Effect, Happened, Happening
 from cfgplan_runtime.lifecycle.views import saving_us, target_views, unit_views
@@ -275,9 +275,6 @@ class Manager:
                 self._match(effect)
             case turns.Terminate(unit):
                 self._middleware.kill(unit)
-            case turns.RenewSpares(labels):
-                if isinstance(self._middleware, KeepsSpares):
-                    self._middleware.renew(labels)
             case turns.Observe():
                 found = tuple(self._middleware.observe())
                 self._estimator.observe(found, self._clock.now())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 from cfgplan import costs
 from cfgplan.domain import ChangeSet, Environment, Host, Transformation
@@ -53,14 +53,6 @@ class Middleware(Protocol):
 
     def stop(self) -> None:
         """Stop every unit once it has given the results of its input."""
-
-
-@runtime_checkable
-class KeepsSpares(Protocol):
-    """A middleware that prepares code before it starts."""
-
-    def renew(self, transformations: Sequence[str]) -> None:
-        """Prepare the cold spares of these transformations anew, since their code may have changed."""
 
 
 class Estimator(Protocol):

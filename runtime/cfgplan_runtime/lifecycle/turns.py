@@ -135,12 +135,6 @@ class LearnOfFailure(Effect, frozen=True):
     transformation: str
 
 
-class RenewSpares(Effect, frozen=True):
-    """Have the cold spares of transformations prepared anew, since their code may have changed."""
-
-    transformations: tuple[str, ...]
-
-
 class MakePlan(Effect, frozen=True):
     """Plan an update: Planned follows. If it `is_last` of its review, only the manager's end interrupts it."""
 
@@ -202,12 +196,6 @@ class Turn:
         entry = Entry(perturbation, self.at_s, self.at_s + delay_s, tuple(outcomes))
         entries = (*self.state.entries, entry)
         return self.to(replace(self.state, entries=entries)).also(Tell(Perturbed(perturbation)))
-
-    def renewing(self, transformations: Iterable[str]) -> Turn:
-        """Have the cold spares of transformations prepared anew, where there are any."""
-        spares = {unit.transformation for unit in self.state.running.units if unit.standby}
-        due = tuple(sorted(spares.intersection(transformations)))
-        return self.also(RenewSpares(due)) if due else self
 
     def blamed(self, place: Place, lived_s: float, cause: str, *, is_costly: bool = False) -> Turn:
         """Note a failure of a transformation whose unit has lived so long; see `BackOffs.after_failure`."""

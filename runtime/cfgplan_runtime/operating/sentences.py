@@ -93,7 +93,12 @@ def level(report: Report) -> int:
         ):
             return ERROR
         case UnitEvent(
-            events.UnitFailed() | events.UnitCutShort() | events.SpareLost() | events.InputLost() | events.RolledBack()
+            events.UnitFailed()
+            | events.UnitCutShort()
+            | events.SpareLost()
+            | events.InputLost()
+            | events.RolledBack()
+            | events.CertificateEnds()
         ):
             return WARNING
         case BackedOff() | FactSilent():
@@ -295,6 +300,10 @@ def _event(event: events.Event) -> str | None:
             return f"the {helper} gave no sign of life for {silent_s:.1f} s and is made anew"
         case events.OutOfDescriptors(cause):
             return cause
+        case events.CertificateEnds():
+            from cfgplan_runtime.fleet.certificates import ending  # this takes long
+
+            return ending(event)
         case events.OutletsLost(cause):
             return f"the topics' addresses were lost and are made anew: {cause}"
         case events.ClockMoved(host, ahead_us):

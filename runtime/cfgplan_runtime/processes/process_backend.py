@@ -236,6 +236,17 @@ class ProcessBackend:
         if child is not None:
             self._nursery.kill(child.serial, dump=dump)
 
+    def ask_state(self, unit: str) -> None:
+        self._tell_unit(unit, messages.TellState())
+
+    def give_state(self, unit: str, state: bytes) -> None:
+        self._tell_unit(unit, messages.TakeState(state))
+
+    def _tell_unit(self, unit: str, message: messages.ToChild) -> None:
+        child = self._by_name.get(unit)
+        if child is not None:
+            self._tell(child, message)
+
     def connect(self, wire: int, stream: Stream, inlet: Inlet, *, queue: int, blocks: bool) -> None:
         if inlet.is_outlet and inlet.port in self._unopened and OUTLETS in self._by_name:
             self._open(self._by_name[OUTLETS], inlet.port)

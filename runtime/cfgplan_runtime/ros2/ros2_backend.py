@@ -200,6 +200,12 @@ class Ros2Backend:
         elif node is not None and not dump:
             self._end(node, NodeProcess.kill)
 
+    def ask_state(self, unit: str) -> None:
+        """Nodes keep their states to themselves."""
+
+    def give_state(self, unit: str, state: bytes) -> None:
+        """Nodes keep their states to themselves."""
+
     def connect(self, wire: int, stream: Stream, inlet: Inlet, *, queue: int, blocks: bool) -> None:  # noqa: ARG002
         producer, consumer = self._nodes.get(stream.unit), self._nodes.get(inlet.unit)
         if producer is None or (consumer is None and not inlet.is_outlet):

@@ -131,6 +131,12 @@ class Backend(Protocol):
         With `dump` it first prints where it is.
         """
 
+    def ask_state(self, unit: str) -> None:
+        """Ask a unit for its state: UnitStatus follows at once, where the backend keeps states."""
+
+    def give_state(self, unit: str, state: bytes) -> None:
+        """Let a unit that has begun go on with the state of another."""
+
     def connect(self, wire: int, stream: Stream, inlet: Inlet, *, queue: int, blocks: bool) -> None:
         """Let `stream` feed `inlet`, at once or as the standby of what feeds it: WireSwitched follows."""
 

@@ -167,6 +167,14 @@ class HelperHung(Event, frozen=True):
     silent_s: float
 
 
+class CertificateEnds(Event, frozen=True):
+    """The certificate of a host, or of the manager, ends soon; links of others with it end then. `ends` is its time."""
+
+    host: str
+    ends: str
+    days_left: int
+
+
 class OutOfDescriptors(Event, frozen=True):
     """A process of the run has no file descriptor left, or no room on the disk for a topic's address.
 

@@ -229,6 +229,14 @@ class SimulatedBackend:
             if not found.behaviour.hung:
                 self._later(found.behaviour.stop_s, UnitStopped(unit))
 
+    def ask_state(self, unit: str) -> None:
+        self.calls.append(("ask state", unit))
+
+    def give_state(self, unit: str, state: bytes) -> None:
+        self.calls.append(("give state", unit))
+        if unit in self.units:
+            self.units[unit].state = state
+
     def kill(self, unit: str, *, dump: bool = False) -> None:
         self.calls.append(("dump" if dump else "kill", unit))
         found = self.units.get(unit)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import inf
 
@@ -64,14 +64,6 @@ class Spares:
                 del self._spares[unit]
                 self._backend.discard(unit)
         self._spares = wanted | self._spares
-        self._prepare(now_s)
-
-    def renew(self, labels: Collection[str], now_s: float) -> None:
-        """Have the spares of these transformations prepared anew, with their present code."""
-        for unit, spare in self._spares.items():
-            if spare.transformation.label in labels and spare.is_asked:
-                self._backend.discard(unit)
-                spare.is_asked, spare.prepared = False, None
         self._prepare(now_s)
 
     def watch(self, now_s: float) -> list[SpareLost]:

@@ -174,6 +174,11 @@ class Supervisor:
         """The wires of inlets, by inlet."""
         return self.wiring.feeds
 
+    def signs(self, unit: str) -> int:
+        """How many signs of life a unit has given."""
+        record = self._records.get(unit)
+        return 0 if record is None else record.signs
+
     def failure(self, unit: str) -> str | None:
         """What a unit's code raised in its last step that failed; None if none has failed."""
         record = self._records.get(unit)
@@ -249,6 +254,12 @@ class Supervisor:
                 self.backend.close_outlet(topic)
             case updates.StartUnit(unit, transformation):
                 self._start(unit, transformation)
+            case updates.AskState(unit_id):
+                self.backend.ask_state(unit_id)
+            case updates.GiveState(unit_id):
+                state = self._states.get(self._library[unit_id].state_name or "")
+                if state is not None:
+                    self.backend.give_state(unit_id, state)
             case updates.StopUnit(unit_id):
                 self.wiring.forget_inputs(unit_id)
                 self.backend.stop(unit_id)
@@ -302,7 +313,9 @@ class Supervisor:
         self._records[unit.id] = UnitRecord(transformation.label, unit.host, sign_s=self.now())
         spare = self.spares.take(transformation, unit.host)
         try:
-            self.backend.start(unit.id, transformation, self._states.get(_state_name(transformation)), unit.host, spare)
+            self.backend.start(
+                unit.id, transformation, self._states.get(transformation.state_name or ""), unit.host, spare
+            )
         except Exception:
             self._bury(unit.id)
             raise
@@ -366,8 +379,9 @@ class Supervisor:
             return
         record.sign_s = self.now()
         record.note_status(status, self.backend.now())
-        if status.state is not None:
-            self._states[_state_name(self._library[unit])] = status.state
+        name = self._library[unit].state_name
+        if status.state is not None and name is not None:
+            self._states[name] = status.state
 
     def _bury(self, unit: str) -> None:
         self.alive.discard(unit)
@@ -436,9 +450,3 @@ def _patience_s(transformation: Transformation) -> float | None:
         return run.hang_us / 1e6 or None
     is_free_source = not transformation.inputs and run.rate_hz is None
     return None if is_free_source else HANG_S
-
-
-def _state_name(transformation: Transformation) -> str:
-    """The name of the state that units of a transformation go on with; by itself its own."""
-    state = transformation.run.state
-    return state if isinstance(state, str) else transformation.label

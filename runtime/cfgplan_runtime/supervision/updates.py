@@ -18,6 +18,8 @@ from cfgplan_runtime.errors import AbandonedError, ApplyError, NoSourceError, St
 from cfgplan_runtime.supervision import wiring
 from cfgplan_runtime.supervision.backend import Inlet
 
+_STATE_S = 0.5
+"""So many seconds a unit has to say its state to the one that replaces it; else the last that it said counts."""
 TIME_TO_DUMP_S = 0.2
 """A unit that is asked where it is has so many seconds to print it before it is killed."""
 
@@ -62,6 +64,9 @@ class Actual(Protocol):
     def stop_s(self, unit: str) -> float | None:
         """How long its transformation lets a unit take to end; None if it does not say."""
 
+    def signs(self, unit: str) -> int:
+        """How many signs of life a unit has given; with the last came its state."""
+
     def failure(self, unit: str) -> str | None:
         """What a unit's code raised in its last step that failed; None if none has failed."""
 
@@ -94,6 +99,18 @@ class StartUnit(Command, frozen=True):
 
     unit: ComputationUnit
     transformation: Transformation
+
+
+class AskState(Command, frozen=True):
+    """Ask a unit for its state."""
+
+    unit: str
+
+
+class GiveState(Command, frozen=True):
+    """Let a unit that has begun go on with the last state of its name."""
+
+    unit: str
 
 
 class StopUnit(Command, frozen=True):
@@ -301,6 +318,7 @@ class _Update:
             raise _StepFailedError(f"{', '.join(slow)} was not ready within {self.patience.start_s:g} s", slow)
 
     def rewire(self) -> Commands:
+        yield from self.hand_over_states()
         actual, wanted = self.actual, self.wanted
         for inlet, stream in wanted.items():
             if not self.lives(inlet):
@@ -320,6 +338,27 @@ class _Update:
         for inlet in [inlet for inlet in actual.feeds if inlet not in wanted]:
             if inlet.unit not in self.change_set.stopped:
                 yield Disconnect(inlet)
+
+    def hand_over_states(self) -> Commands:
+        """Let new units go on with the present states of the units that they replace."""
+        actual, ending = self.actual, self.actual.alive & set(self.change_set.stopped)
+        old = {
+            name: unit.id
+            for unit in actual.environment.units
+            if unit.id in ending and (name := _state_name(actual.environment, unit)) is not None
+        }
+        new = {
+            unit.id: name
+            for unit in self.change_set.started
+            if not unit.standby and (name := _state_name(self.after, unit)) in old
+        }
+        signs = {old[name]: actual.signs(old[name]) for name in new.values()}
+        for unit in signs:
+            yield AskState(unit)
+        if signs:
+            yield WaitUntil(lambda: all(actual.signs(unit) != number for unit, number in signs.items()), _STATE_S)
+        for unit in new:
+            yield GiveState(unit)
 
     def stop(self) -> Commands:
         stopped = set(self.change_set.stopped)
@@ -467,6 +506,11 @@ class _Update:
         failures = {unit: text for unit in self.started if (text := self.actual.failure(unit)) is not None}
         for unit, text in failures.items():
             raise _StepFailedError(f"{unit} gives nothing, since its code fails: {text}", list(failures))
+
+
+def _state_name(environment: Environment, unit: ComputationUnit) -> str | None:
+    transformation = environment.transformation.get(unit.transformation)
+    return None if transformation is None else transformation.state_name
 
 
 def _either(said: float | None, usual: float) -> float:
