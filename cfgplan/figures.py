@@ -165,10 +165,12 @@ def qualities_of_targets(environment: Environment, units: Collection[Computation
 
 
 def told_qualities(environment: Environment, units: Collection[ComputationUnit]) -> dict[str, dict[str, int]]:
-    """The qualities of targets as texts and pictures tell them: without a worst value that no target asks about.
+    """The qualities of targets as texts and pictures tell them.
 
-    A stream that states nothing of an attribute has its worst value.
+    Left out are targets that only observe a fact, and a worst value that no target asks about: a stream that states
+    nothing of an attribute has it.
     """
+    observed = {fact.observed_on for fact in environment.facts if fact.by is not None}
     return {
         label: {
             name: value
@@ -177,6 +179,7 @@ def told_qualities(environment: Environment, units: Collection[ComputationUnit])
             or any(wish.attribute == name for wish in environment.target[label].quality)
         }
         for label, values in qualities_of_targets(environment, units).items()
+        if environment.target[label].topic not in observed
     }
 
 

@@ -28,6 +28,7 @@ from computers import (
     HOSTS,
     PATIENCE_S,
     RATE_HZ,
+    SLOW_LINKS,
     SOME,
     UNITS,
     Fleet,
@@ -232,6 +233,33 @@ def overload(fleet: Fleet, short: bool) -> Seen:
     return Seen(text, lost > 0 and counted > 0 and not events(runtime, "HostLost"), silence_s < 0.1)
 
 
+def slow_links(fleet: Fleet, short: bool) -> Seen:
+    """0.5 MB at 0.6 Hz over 5 Mbit/s, 2 MB at 2 Hz and 10 MB at 0.4 Hz over 50: all come, others wait under 0.1 s."""
+    from cfgplan.domain import ChangeSet
+
+    texts, holds, is_in_time = [], True, True
+    for label, (size, rate_hz, mbit_s) in list(SLOW_LINKS.items())[: 1 if short else None]:
+        with stream(fleet, "r1", "base") as (runtime, listener):
+            source = f"large{label}.1"
+            runtime.apply(
+                ChangeSet(started=(unit(source, "r1"), unit("same.2", "base", x=f"{source}/n", topic="/images")))
+            )
+            large = Listener(runtime.id, "/images", number=lambda one: int(one[0]))
+            large.await_more(2)
+            fleet.network.limit("r1", mbit_s)
+            time.sleep(5.0)  # what was under way at the higher rate delays all else once
+            start, before, span_s = time.monotonic(), len(large.values), 6.0 if short else 30.0
+            time.sleep(span_s)
+            came, silence_s = len(large.values) - before, listener.silence_s(start)
+            fleet.network.unlimit("r1")
+            wrong = listener.wrong() + images_lost(large.values)
+            what = f"{size / 1e6:g} MB at {rate_hz:g} Hz over {mbit_s:g} Mbit/s"
+            texts.append(f"{what}: {came} in {span_s:.0f} s, {wrong} wrong, another stream silent for {ms(silence_s)}")
+            holds = holds and came >= int(rate_hz * span_s) - 2 and wrong == 0 and not events(runtime, "HostLost")
+            is_in_time = is_in_time and silence_s < 0.1
+    return Seen("; ".join(texts), holds, is_in_time)
+
+
 def clocks(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
     """A source moves between hosts whose clocks are 0.5 s ahead and behind: silence under 50 ms."""
     from cfgplan.domain import ChangeSet
@@ -429,6 +457,7 @@ CASES: dict[str, tuple[Callable[[Fleet, bool], Seen], float]] = {
     "partition": (partition, LEASE_S),
     "unit killed": (unit_killed, LEASE_S),
     "overload": (overload, LEASE_S),
+    "slow links": (slow_links, LEASE_S),
     "agent killed": (agent_killed, LEASE_S),
     "clocks": (clocks, LEASE_S),
     "load": (load, LEASE_S),

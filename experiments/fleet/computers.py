@@ -24,6 +24,8 @@ UNITS = Path(__file__).parents[1] / "runtime"
 RATE_HZ = 200
 SOME = 600
 """The elements of a source that ends."""
+SLOW_LINKS = {"05": (500_000, 0.6, 5.0), "2": (2_000_000, 2.0, 50.0), "10": (10_000_000, 0.4, 50.0)}
+"""By label: bytes of an element, how many a second, and the Mbit/s of a link that they fit."""
 PATIENCE_S = 120.0
 HELPERS = ("nursery", "outlets")
 
@@ -199,11 +201,11 @@ class Fleet:
 
 
 def library() -> tuple[Any, ...]:
-    """Numbers at 200 Hz, for ever or some; images of 460 kB at 40 Hz; and a unit that gives on what it gets."""
+    """Numbers at 200 Hz, for ever or some; images of 460 kB at 40 Hz; larger ones; one that gives on what it gets."""
     from cfgplan.domain import InputPort, OutputPort, RunOptions, Transformation
 
-    def source(label: str, rate_hz: float, **params: int) -> Transformation:
-        code, run = f"measured_units.py:{label}", RunOptions(rate_hz=rate_hz)
+    def source(label: str, rate_hz: float, code: str = "", **params: int) -> Transformation:
+        code, run = f"measured_units.py:{code or label}", RunOptions(rate_hz=rate_hz)
         return Transformation(label, outputs=(OutputPort("n", "N"),), source=code, params=params, run=run)
 
     ports = (InputPort("x", "N"),), (OutputPort("n", "Y"),)
@@ -211,6 +213,7 @@ def library() -> tuple[Any, ...]:
         source("count", RATE_HZ),
         source("some", RATE_HZ, number=SOME),
         source("images", 40),
+        *(source(f"large{mb}", hz, "large", size=size) for mb, (size, hz, _) in SLOW_LINKS.items()),
         Transformation("same", *ports, source="measured_units.py:same"),
     )
 

@@ -33,6 +33,14 @@ def images() -> Iterator[Any]:
         number += 1
 
 
+def large(size: int) -> Iterator[Any]:
+    """Arrays of so many bytes."""
+    number = 0
+    while True:
+        yield numpy.full(size, number % 256, numpy.uint8)
+        number += 1
+
+
 def same(x: Any) -> Any:
     return x
 

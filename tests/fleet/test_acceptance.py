@@ -18,6 +18,7 @@ CASES = (
     "partition",
     "unit killed",
     "agent killed",
+    "slow links",
     "clocks",
     "storm",
     "host returns",

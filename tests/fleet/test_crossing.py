@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections import deque
 from random import Random
 
 import pytest
 from cfgplan_runtime.streams.crossing import (
+    _FIRST_FRAME,
     BYTES_UNDER_WAY,
+    FRAMES_UNDER_WAY,
     LAST_PIECE,
     MOST_PIECES,
-    PIECES_UNDER_WAY,
     Credit,
     Frame,
     Piece,
@@ -45,7 +47,7 @@ def carry(sending: Sending, receiving: Receiving, random: Random, *, loss: float
             told_credits.append(told)
         random.shuffle(told_credits)
         for _ in range(random.randrange(len(told_credits) + 1)):
-            sending.hear(told_credits.pop())
+            sending.hear(told_credits.pop(), now_s)
         now_s += 0.01
     return came
 
@@ -54,7 +56,7 @@ def carry(sending: Sending, receiving: Receiving, random: Random, *, loss: float
 @given(st.integers(0, 2**32), st.integers(0, 600), st.sampled_from((0.0, 0.1, 0.5)), st.sampled_from((8, 100_000)))
 def test_every_piece_comes_once_and_in_order(seed: int, count: int, loss: float, size: int) -> None:
     sending, receiving = Sending(), Receiving()
-    count = min(count, 20_000_000 // size)
+    count = min(count, 4_000_000 // size)
     for number in range(count):
         sending.offer(piece(number, size))
     sending.offer(LAST_PIECE)
@@ -100,7 +102,7 @@ def test_ends_and_marks_are_neither_dropped_nor_counted_as_lost() -> None:
 
 
 def test_the_end_of_a_stream_that_was_lost_in_a_cut_comes_at_once_when_the_link_is_there_again() -> None:
-    sending, receiving = Sending(granted=PIECES_UNDER_WAY), Receiving()
+    sending, receiving = Sending(granted=FRAMES_UNDER_WAY), Receiving()
     for number in range(200):
         sending.offer(piece(number))
     sending.due(0.0)  # lost
@@ -123,26 +125,129 @@ def test_no_more_is_under_way_than_the_receiver_has_room_for() -> None:
         sending.offer(piece(number))
     first = receiving.credit(0.0)
     assert first is not None
-    sending.hear(first)
+    sending.hear(first, 0.0)
     frames = sending.due(0.0)
-    assert len(frames) == PIECES_UNDER_WAY
+    assert len(frames) == FRAMES_UNDER_WAY
     for frame in frames:
         receiving.take(frame, 0.0)
     told = receiving.credit(0.0, has_room=False)
     assert told is not None
-    sending.hear(told)
+    sending.hear(told, 0.0)
     assert sending.due(0.0) == []
     room = receiving.credit(0.1)
     assert room is not None
-    sending.hear(room)
-    assert len(sending.due(0.1)) == PIECES_UNDER_WAY
+    sending.hear(room, 0.1)
+    assert len(sending.due(0.1)) == FRAMES_UNDER_WAY
 
 
-def test_large_pieces_do_not_fill_a_slow_link() -> None:
-    sending = Sending(granted=PIECES_UNDER_WAY)
-    for number in range(20):
-        sending.offer(piece(number, BYTES_UNDER_WAY // 2))
-    assert len(sending.due(0.0)) == 2
+def over_a_link(
+    size: int, every_s: float, rate: float, delay_s: float, until_s: float, fast_until_s: float = 0.0
+) -> tuple[Sending, int, float]:
+    """Elements over a link that carries `rate` bytes per second, at first a thousand times as much.
+
+    Returns the sender, how many came, and how long at most a frame waited in the link in the second half of the time.
+    """
+    sending, receiving = Sending(granted=FRAMES_UNDER_WAY), Receiving()
+    in_link: deque[tuple[float, Frame]] = deque()
+    told: deque[tuple[float, Credit]] = deque()
+    came, number, longest_s, free_s = 0, 0, 0.0, 0.0
+    for tick in range(round(until_s * 1000)):
+        now_s = tick / 1000
+        while number * every_s <= now_s:
+            sending.offer(piece(number, size))
+            number += 1
+        while told and told[0][0] <= now_s:
+            sending.hear(told.popleft()[1], now_s)
+        for frame in sending.due(now_s):
+            payload = b"" if frame.piece is None else frame.piece.payload
+            begin_s = max(now_s, free_s)
+            free_s = begin_s + (len(payload) + 100) / (rate if now_s >= fast_until_s else 1000 * rate)
+            in_link.append((free_s + delay_s, frame))
+            if now_s > until_s / 2:
+                longest_s = max(longest_s, free_s - now_s)
+        while in_link and in_link[0][0] <= now_s:
+            came += len(receiving.take(in_link.popleft()[1], now_s))
+        credit = receiving.credit(now_s)
+        if credit is not None:
+            told.append((now_s + delay_s, credit))
+    return sending, came, longest_s
+
+
+@pytest.mark.parametrize(
+    ("mbit", "delay_s"), [(5, 0.0), (5, 0.05), (20, 0.001), (20, 0.3), (50, 0.0), (50, 0.05), (1000, 0.001)]
+)
+def test_a_link_is_used_and_what_is_under_way_delays_others_little(mbit: int, delay_s: float) -> None:
+    """Three times as much is offered as the link carries: elements that do not fit are dropped whole."""
+    rate, size, until_s = mbit * 125_000, 500_000, 20.0 if mbit < 1000 else 2.0
+    sending, came, longest_s = over_a_link(size, size / (3 * rate), rate, delay_s, until_s)
+    limit = BYTES_UNDER_WAY / max(1e-9, 2 * delay_s)  # where the most that may be under way is the limit
+    assert came * size >= 0.75 * min(rate, limit) * until_s
+    assert longest_s <= 0.2
+    assert sending.dropped > 0
+
+
+def test_bursts_that_were_under_way_at_once_teach_the_rate_of_a_link_that_has_become_slow() -> None:
+    _, came, longest_s = over_a_link(500_000, 1.7, 5 * 125_000, 0.001, 30.0, fast_until_s=5.0)
+    assert came >= 16
+    assert longest_s <= 0.2
+
+
+@pytest.mark.parametrize(("size", "every_s", "mbit"), [(2_000_000, 0.5, 50), (500_000, 1.0, 5), (10_000_000, 2.0, 50)])
+def test_what_fits_a_slow_link_arrives(size: int, every_s: float, mbit: int) -> None:
+    sending, came, _ = over_a_link(size, every_s, mbit * 125_000, 0.001, 30.0)
+    assert (sending.dropped, came) == (0, pytest.approx(30 / every_s, abs=2))
+
+
+@pytest.mark.parametrize("size", [8, 1000, 2048, 2100, 4096, 10_000, 100_000])
+@pytest.mark.parametrize("hz", [20, 200, 1000])
+@pytest.mark.parametrize("delay_s", [0.0, 0.05])
+def test_a_link_with_room_delays_no_stream(size: int, hz: int, delay_s: float) -> None:
+    if size * hz * 2 * (delay_s + 0.05) > BYTES_UNDER_WAY:
+        pytest.skip("more is offered than may be under way")
+    sending, came, _ = over_a_link(size, 1 / hz, 125_000_000, delay_s, 5.0)
+    assert sending.dropped == 0
+    assert came >= (5.0 - delay_s - 0.1) * hz - 1
+
+
+def test_a_large_piece_goes_in_frames_and_comes_whole() -> None:
+    sending, receiving = Sending(granted=FRAMES_UNDER_WAY), Receiving()
+    sending.offer(piece(3, 200_000))
+    sending.offer(MARK)
+    frames = sending.due(0.0)
+    assert {len(frame.piece.payload) for frame in frames if frame.piece is not None} == {_FIRST_FRAME}
+    came: list[Piece] = []
+    for step in range(1, 20):
+        for frame in frames:
+            came += receiving.take(frame, step * 0.06)
+        credit = receiving.credit(step * 0.06)
+        if credit is not None:
+            sending.hear(credit, step * 0.06)
+        frames = sending.due(step * 0.06)
+    assert came == [piece(3, 200_000), MARK]
+    assert (sending.depth, sending.lost) == (0, 0)
+
+
+def test_an_element_that_was_begun_is_not_dropped() -> None:
+    sending, receiving = Sending(), Receiving()
+    room = receiving.credit(0.0)
+    assert room is not None
+    sending.hear(room, 0.0)
+    sending.offer(piece(0, 30_000_000))
+    frames = sending.due(0.0)
+    for number in range(1, 4):
+        sending.offer(piece(number, 20_000_000))
+    assert (sending.dropped, sending.lost) == (2, 4)
+    came: list[Piece] = []
+    for step in range(1, 100_000):
+        for frame in frames:
+            came += receiving.take(frame, step * 0.01)
+        credit = receiving.credit(step * 0.01)
+        if credit is not None:
+            sending.hear(credit, step * 0.01)
+        frames = sending.due(step * 0.01)
+        if not sending.depth:
+            break
+    assert [one.time_ns for one in came] == [0, 3]
 
 
 def test_what_is_newly_missing_is_asked_for_at_once_and_again_after_a_while() -> None:
@@ -176,7 +281,8 @@ def test_a_sender_without_any_credit_asks_for_one() -> None:
 
 
 def test_frames_and_told_credits_are_read_as_they_were_written() -> None:
-    for frame in (Frame(7, 3, piece(5)), Frame(8, 3, LAST_PIECE), Frame(9, 3, MARK), Frame(9, 0, None)):
+    part = Frame(4, 1, piece(2), has_more=True)
+    for frame in (Frame(7, 3, piece(5)), Frame(8, 3, LAST_PIECE), Frame(9, 3, MARK), Frame(9, 0, None), part):
         assert read_frame(frame.head(), b"" if frame.piece is None else bytes(frame.piece.payload)) == frame
     for credit in (Credit(5, 261), Credit(5, 261, (6, 9))):
         assert read_credit(credit.packed()) == credit

@@ -285,7 +285,7 @@ class Talk(Generic[Spoken]):
         """Whether messages were lost for good, so that a new session is needed."""
         self._decoder: msgspec.msgpack.Decoder[list[Spoken]] = msgspec.msgpack.Decoder(list[incoming])  # type: ignore[valid-type]
         self._unsent: list[msgspec.Struct] = []
-        self._both = crossing.Conversation(crossing.Sending(granted=crossing.PIECES_UNDER_WAY))
+        self._both = crossing.Conversation(crossing.Sending(granted=crossing.FRAMES_UNDER_WAY))
         self._put = link.publisher(crossing.crossing_key(me, SAY, other, str(session)), "orders")
         self._put_credit = link.publisher(crossing.crossing_key(me, HEARD, other, str(session)), "orders")
 

@@ -175,7 +175,7 @@ class Relay:
             if kind == "credit" and name in self._exports:
                 credit = crossing.read_credit(payload)
                 if credit is not None:
-                    self._exports[name].sending.hear(credit)
+                    self._exports[name].sending.hear(credit, now_s)
             elif kind == "data" and name in self._imports:
                 self._hand_on(name, self._imports[name], head, payload, now_s)
 
@@ -202,7 +202,7 @@ class Relay:
             payload = b"" if frame.piece is None else frame.piece.payload
             assert isinstance(payload, bytes)
             if export.thread is None:
-                lane: Lane = "large" if len(payload) > LARGE_BYTES else "small"
+                lane: Lane = "large" if frame.has_more or len(payload) > LARGE_BYTES else "small"
                 key = crossing.crossing_key(self._host, "data", export.host, name)
                 export.thread = PutThread(self._link.publisher(key, lane))
             export.thread.give(frame.head(), payload)

@@ -55,7 +55,7 @@ class _Tunnel:
         self._declare, self._ended, self._find = declare, ended, find
         self._end: socket.socket | None = None
         self._both = crossing.Conversation(
-            crossing.Sending(blocks=True, most=_MOST_TUNNEL_CHUNKS, granted=crossing.PIECES_UNDER_WAY)
+            crossing.Sending(blocks=True, most=_MOST_TUNNEL_CHUNKS, granted=crossing.FRAMES_UNDER_WAY)
         )
         self._arrived: deque[tuple[bool, bytes, bytes]] = deque()
         self._unread = bytearray()

@@ -1,8 +1,10 @@
 """Crossings: what goes from one computer to another, in order and once, over links that may lose or repeat it.
 
-The sender numbers pieces and keeps each until the receiver has told that it came. It sends at most so much beyond
-that, and no more than the receiver has room for: what waits meanwhile is bounded, and drops, or makes the producer
-wait. So a cut, a full link and a slow receiver look the same, and each crossing has a fate of its own.
+The sender cuts pieces into frames, numbers these and keeps each until the receiver has told that it came. It sends at
+most so much beyond that, and no more than the receiver has room for: what waits meanwhile is bounded, and drops, or
+makes the producer wait. So a cut, a full link and a slow receiver look the same, and each crossing has a fate of its
+own. How much is under way follows the rate at which it arrives: what waits in a slow link delays all else that goes
+there.
 """
 
 from __future__ import annotations
@@ -20,17 +22,33 @@ from cfgplan_runtime.streams.element import Buffer
 
 KEYS = "cfgplan"
 """What every key of a fleet begins with."""
-PIECES_UNDER_WAY = 256
-"""The most pieces on their way."""
-BYTES_UNDER_WAY = 1 << 20
-"""The most bytes on their way, but two pieces always: more would delay what else goes over a slow link."""
+FRAMES_UNDER_WAY = 256
+"""The most frames on their way."""
+BYTES_UNDER_WAY, _FIRST_BYTES_UNDER_WAY = 1 << 20, 1 << 17
+"""The most bytes on their way, and as long as no rate is known; but two frames always."""
+_AHEAD_S, _AHEAD_SMALL_S = 0.02, 0.08
+"""So long a link works on what is under way beyond its delay; longer on small frames, which are acknowledged later."""
+SMALL_FRAME = 2048
+"""Frames of more bytes are acknowledged sooner."""
+LARGEST_FRAME, _LEAST_FRAME, _FIRST_FRAME = 60_000, 4096, 16_384
+"""Bytes of a frame: the most, which fit into one of Zenoh's batches; the least; and as long as no rate is known."""
+_FRAME_S = 0.02
+"""A link works on a frame so long at most, if it may be so small: nothing overtakes what it has begun."""
+_LEAST_S = 0.1
+"""A rate is taken over so long at least if the link was not full: some let the first bytes after a pause pass."""
+_RATE_S, _DELAY_S = 3.0, 10.0
+"""The highest rate of so many seconds counts, and the least delay. Then the delay of an empty link is measured anew."""
+_STARTUP_GAIN, _GROWTH, _ROUNDS_ALIKE = 2, 1.25, 3
+"""At first the window is so many times as large, until the rate has not grown by such a factor in so many rounds."""
+_WAITING_S, _LEAST_WAITING = 2.0, 1 << 22
+"""What a full link carries in so many seconds may wait for it, and so many bytes at least: a lease is as long."""
 MOST_PIECES = 4096
 """The most pieces that wait to be sent: two seconds (a lease) at 2,000 Hz."""
-_TOLD_EVERY, _TOLD_EVERY_BYTES = PIECES_UNDER_WAY // 8, BYTES_UNDER_WAY // 8
-_LATEST_CREDIT_S = 0.05
-"""A piece that came is acknowledged so much later at most."""
+_TOLD_EVERY, _TOLD_EVERY_BYTES = FRAMES_UNDER_WAY // 8, BYTES_UNDER_WAY // 8
+_LATEST_CREDIT_S, _SOON_CREDIT_S = 0.05, 0.01
+"""A frame that came is acknowledged so much later at most, a large one sooner."""
 _RESEND_S, _MOST_RESEND_S = 0.25, 0.5
-"""Seconds without any acknowledgement until a piece is sent again, doubled each time up to the second value."""
+"""Seconds without any acknowledgement until a frame is sent again, doubled each time up to the second value."""
 _FIRST_ASK_S = 0.01
 """Seconds until a sender asks for its first credit, doubled each time: what was told before it was there is lost."""
 _ASK_AGAIN_S = 0.1
@@ -62,23 +80,27 @@ class Piece(NamedTuple):
 
 
 LAST_PIECE = Piece(0, 0, b"", is_last=True)
-_ELEMENT, _LAST, _QUESTION, _MARKER = range(4)
+_ELEMENT, _LAST, _QUESTION, _MARKER, _PART = range(5)
 """Kinds of frames."""
 
 
 class Frame(NamedTuple):
-    """A piece with its number; `dropped` pieces had no room, of all before it. Without a piece it asks for a credit."""
+    """A piece with its number; `dropped` pieces had no room, of all before it. Without a piece it asks for a credit.
+
+    If it `has_more` it is a part of an element, and the next frame goes on.
+    """
 
     number: int
     dropped: int
     piece: Piece | None
+    has_more: bool = False
 
     def head(self) -> bytes:
         """All but the payload."""
         piece = self.piece
         if piece is None:
             return _HEAD.pack(self.number, self.dropped, 0, 0, _QUESTION)
-        kind = _LAST if piece.is_last else _MARKER if piece.is_mark else _ELEMENT
+        kind = _LAST if piece.is_last else _MARKER if piece.is_mark else _PART if self.has_more else _ELEMENT
         return _HEAD.pack(self.number, self.dropped, piece.time_ns, piece.turn, kind)
 
 
@@ -87,9 +109,8 @@ def read_frame(head: bytes, payload: bytes) -> Frame | None:
     if len(head) != _HEAD.size:
         return None
     number, dropped, time_ns, turn, kind = _HEAD.unpack(head)
-    return Frame(
-        number, dropped, None if kind == _QUESTION else Piece(time_ns, turn, payload, kind == _LAST, kind == _MARKER)
-    )
+    piece = None if kind == _QUESTION else Piece(time_ns, turn, payload, kind == _LAST, kind == _MARKER)
+    return Frame(number, dropped, piece, kind == _PART)
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,10 +147,106 @@ def _named(host: str | None) -> str:
     return "*" if host is None else quote(host, safe="")
 
 
+class Pace:
+    """How fast frames arrive, and how much of them should be under way; times in seconds, rates in bytes per second.
+
+    Reference: delivery rate, startup and probing of the delay as in BBR (Cardwell et al., ACM Queue 2016).
+    """
+
+    def __init__(self) -> None:
+        self._sent: dict[int, tuple[float, int, bool]] = {}
+        """By frame: when it was sent, how much had arrived then, and whether more waited."""
+        self._last = self._round_ends = 0
+        """The last frame that was sent, and the one whose arrival ends a round."""
+        self._arrived = 0
+        self._rates: deque[tuple[float, float]] = deque()
+        self._delay = inf, 0.0
+        """The least delay, and when it was measured."""
+        self._probes_from: int | None = None
+        """While the delay is measured anew: the first frame that finds an empty link."""
+        self._grown_rate, self._rounds_alike = 0.0, 0
+        self._has_been_full = False
+        self._ahead_s = _AHEAD_S
+
+    @property
+    def most_waiting(self) -> int:
+        """How many bytes may wait: older ones are worth less than newer ones on a link that is full."""
+        if not self._has_been_full or self.rate is None or self._rounds_alike < _ROUNDS_ALIKE:
+            return MOST_WAITING_BYTES
+        return min(MOST_WAITING_BYTES, max(_LEAST_WAITING, round(self.rate * _WAITING_S)))
+
+    @property
+    def rate(self) -> float | None:
+        """The highest rate of the last seconds in which the link was full; None if none is known."""
+        return max((rate for _, rate in self._rates), default=None)
+
+    @property
+    def delay_s(self) -> float:
+        """The least time from sending a frame to hearing of it."""
+        return 0.0 if self._delay[0] == inf else self._delay[0]
+
+    @property
+    def window(self) -> int:
+        """How many bytes should be under way, beside two frames."""
+        if self.rate is None:
+            return _FIRST_BYTES_UNDER_WAY
+        if self._probes_from is not None:
+            return 0
+        gain = 1 if self._rounds_alike >= _ROUNDS_ALIKE else _STARTUP_GAIN
+        return min(BYTES_UNDER_WAY, max(_FIRST_FRAME, round(self.rate * (gain * self.delay_s + self._ahead_s))))
+
+    @property
+    def frame(self) -> int:
+        """How many bytes a frame should have at most."""
+        if self.rate is None:
+            return _FIRST_FRAME
+        return max(_LEAST_FRAME, min(LARGEST_FRAME, round(self.rate * _FRAME_S)))
+
+    def note_sent(self, number: int, size: int, now_s: float, *, is_full: bool) -> None:
+        """Note that a frame is sent for the first time. `is_full`: more waited for room in the window."""
+        self._ahead_s = _AHEAD_S if size > SMALL_FRAME else _AHEAD_SMALL_S
+        self._sent[number], self._last = (now_s, self._arrived, is_full), number
+        if is_full and self._probes_from is None and now_s - self._delay[1] > _DELAY_S and self._delay[0] < inf:
+            self._probes_from = number + 2
+
+    def forget(self, number: int) -> None:
+        """Note that a frame is sent again: it is not known which of the two arrives."""
+        self._sent.pop(number, None)
+
+    def note_arrived(self, number: int, size: int, now_s: float) -> None:
+        """Note that it is heard of a frame's arrival."""
+        self._arrived += size
+        sent_s, before, is_full = self._sent.pop(number, (now_s, 0, False))
+        if now_s <= sent_s:
+            return
+        delay_s, is_probe = now_s - sent_s, self._probes_from is not None and number >= self._probes_from
+        if delay_s <= self._delay[0] or is_probe:
+            self._delay, self._probes_from = (delay_s, now_s), None if is_probe else self._probes_from
+        is_full = is_full or delay_s > self.delay_s + 2 * _AHEAD_S  # it has waited in the link
+        rate = (self._arrived - before) / max(delay_s, _AHEAD_S if is_full else _LEAST_S)
+        self._has_been_full = self._has_been_full or is_full
+        if (is_full and self._probes_from is None) or self.rate is None or rate > self.rate:
+            self._rates.append((now_s, rate))
+            while self._rates[0][0] < now_s - _RATE_S:
+                self._rates.popleft()
+        if number >= self._round_ends:
+            self._round_ends = self._last + 1
+            if is_full:
+                self._end_round()
+
+    def _end_round(self) -> None:
+        """Count the rounds in which the rate did not grow any more."""
+        rate = self.rate or 0.0
+        if rate > _GROWTH * self._grown_rate:
+            self._grown_rate, self._rounds_alike = rate, min(self._rounds_alike, 0)
+        else:
+            self._rounds_alike += 1
+
+
 class Sending:
     """The sender's end. `blocks`: `is_full` tells the producer to wait; otherwise the oldest are dropped.
 
-    `granted` pieces may be sent before anything is heard of the receiver.
+    `granted` frames may be sent before anything is heard of the receiver.
     """
 
     def __init__(self, *, blocks: bool = False, most: int = MOST_PIECES, granted: int = 0) -> None:
@@ -138,8 +255,11 @@ class Sending:
         self._most = most
         self._waiting: deque[Piece] = deque()
         self._waiting_bytes = 0
+        self._begun = 0
+        """How many bytes of the first piece that waits were sent."""
         self._under_way: dict[int, Frame] = {}
         self._under_way_bytes = 0
+        self._pace = Pace()
         self._next = 0
         self._dropped_before = 0
         """How many were dropped before the last piece that arrived: the receiver knows of them."""
@@ -152,12 +272,13 @@ class Sending:
     @property
     def depth(self) -> int:
         """How many pieces have not arrived, as far as is known."""
-        return len(self._waiting) + len(self._under_way)
+        return len(self._waiting) + sum(not frame.has_more for frame in self._under_way.values())
 
     @property
     def lost(self) -> int:
         """How many elements are lost if no more is sent: those that have not arrived, and drops after the last one."""
-        pieces = [*self._waiting, *(frame.piece for frame in self._under_way.values() if frame.piece is not None)]
+        last_ones = (frame.piece for frame in self._under_way.values() if not frame.has_more)
+        pieces = [*self._waiting, *(piece for piece in last_ones if piece is not None)]
         return sum(piece.is_element for piece in pieces) + self.dropped - self._dropped_before
 
     @property
@@ -165,11 +286,12 @@ class Sending:
         return self._blocks and (len(self._waiting) >= self._most or self._waiting_bytes > MOST_WAITING_BYTES)
 
     def offer(self, piece: Piece) -> None:
-        """Have a piece sent."""
+        """Have a piece sent. An element that was begun is sent whole, and one that is dropped is dropped whole."""
         self._waiting.append(piece)
         self._waiting_bytes += len(piece.payload)
         while not self._blocks and len(self._waiting) > 1 and self._has_too_many:
-            elements = (number for number, one in enumerate(self._waiting) if one.is_element)
+            first = 1 if self._begun else 0
+            elements = (number for number, one in enumerate(self._waiting) if number >= first and one.is_element)
             oldest, newer = next(elements, None), next(elements, None)
             if oldest is None or newer is None:
                 return
@@ -177,15 +299,16 @@ class Sending:
             del self._waiting[oldest]
             self.dropped += 1
 
-    def hear(self, credit: Credit) -> None:
+    def hear(self, credit: Credit, now_s: float) -> None:
         """Note what the receiver tells; what it told before may come later."""
         arrived = [number for number in self._under_way if number < credit.expected]
         for number in arrived:
             frame = self._under_way.pop(number)
             self._under_way_bytes -= self._size(frame)
             self._dropped_before = frame.dropped
+            self._pace.note_arrived(number, self._size(frame), now_s)
         if arrived or credit.limit > self._limit:
-            self._patience_s, self._again_s = _RESEND_S, None
+            self._patience_s, self._again_s = max(_RESEND_S, 3 * self._pace.delay_s), None
         self._limit = max(self._limit, credit.limit)
         self._missing.update(credit.missing)
 
@@ -193,36 +316,52 @@ class Sending:
         """The frames to send now."""
         frames = [self._under_way[number] for number in sorted(self._missing) if number in self._under_way]
         self._missing.clear()
+        first = self._next
         while self._waiting and self._next < self._limit and self._has_window:
-            piece = self._waiting.popleft()
-            self._waiting_bytes -= len(piece.payload)
-            frame = self._under_way[self._next] = Frame(self._next, self.dropped, piece)
+            frame = self._under_way[self._next] = self._cut()
             self._under_way_bytes += self._size(frame)
             self._next += 1
-            frames.append(frame)
-        if self.depth and self._again_s is not None and now_s >= self._again_s:
+        new = [self._under_way[number] for number in range(first, self._next)]
+        for frame in new:
+            self._pace.note_sent(frame.number, self._size(frame), now_s, is_full=bool(self._waiting))
+        is_open = bool(self._waiting or self._under_way)
+        if is_open and self._again_s is not None and now_s >= self._again_s:
             # By the last one the receiver sees what else is missing.
-            known = list(self._under_way.values())
+            known = list(self._under_way.values())[: len(self._under_way) - len(new)]
             frames += known[:1] + known[1:][-1:] or [Frame(self._next, self.dropped, None)]
             self._patience_s, self._again_s = min(2 * self._patience_s, _MOST_RESEND_S), None
-        if not self.depth:
+        for frame in frames:
+            self._pace.forget(frame.number)
+        if not is_open:
             self._again_s = None
         elif self._again_s is None:
             self._again_s = now_s + self._patience_s
-        return frames
+        return frames + new
 
     @property
     def due_s(self) -> float | None:
         """The time of the next repetition, if no answer comes before."""
         return self._again_s
 
+    def _cut(self) -> Frame:
+        """The next frame of the pieces that wait: a piece, or a part of one that is larger than a frame."""
+        piece = self._waiting[0]
+        end = min(len(piece.payload), self._begun + self._pace.frame)
+        part = piece.payload if end - self._begun == len(piece.payload) else piece.payload[self._begun : end]
+        has_more = end < len(piece.payload)
+        self._waiting_bytes -= end - self._begun
+        self._begun = end if has_more else 0
+        if not has_more:
+            self._waiting.popleft()
+        return Frame(self._next, self.dropped, piece._replace(payload=part), has_more)
+
     @property
     def _has_window(self) -> bool:
-        return self._under_way_bytes < BYTES_UNDER_WAY or len(self._under_way) < 2
+        return self._under_way_bytes < self._pace.window or len(self._under_way) < 2
 
     @property
     def _has_too_many(self) -> bool:
-        return len(self._waiting) > self._most or self._waiting_bytes > MOST_WAITING_BYTES
+        return len(self._waiting) > self._most or self._waiting_bytes > self._pace.most_waiting
 
     @staticmethod
     def _size(frame: Frame) -> int:
@@ -237,6 +376,8 @@ class Receiving:
         """How many pieces had no room before the last one that was handed on."""
         self._expected = 0
         self._held: dict[int, Frame] = {}
+        self._parts: list[Buffer] = []
+        """The parts of an element whose last one has not come."""
         self._untold = self._untold_bytes = 0
         self._tell_s: float | None = None
         self._asked_s = 0.0
@@ -249,26 +390,33 @@ class Receiving:
         if frame.piece is None or frame.number < self._expected or frame.number in self._held:
             self._tell_s = now_s  # the sender does not know what has come
             return []
-        if frame.number >= self._expected + 2 * PIECES_UNDER_WAY:
+        if frame.number >= self._expected + 2 * FRAMES_UNDER_WAY:
             return []
         self._held[frame.number] = frame
-        pieces = []
+        pieces, before = [], self._expected
         while (next_one := self._held.pop(self._expected, None)) is not None:
             self._expected += 1
+            piece = next_one.piece
+            assert piece is not None
+            self._untold_bytes += len(piece.payload)
+            if next_one.has_more or self._parts:
+                self._parts.append(piece.payload)
+            if next_one.has_more:
+                continue
             self.dropped = next_one.dropped
-            assert next_one.piece is not None
-            pieces.append(next_one.piece)
-            self._untold_bytes += len(next_one.piece.payload)
-        self._untold += len(pieces)
+            pieces.append(piece._replace(payload=b"".join(self._parts)) if self._parts else piece)
+            self._parts = []
+        self._untold += self._expected - before
         is_much = self._untold >= _TOLD_EVERY or self._untold_bytes >= _TOLD_EVERY_BYTES
-        due_s = now_s if is_much or self._held else now_s + _LATEST_CREDIT_S
+        is_large = len(frame.piece.payload) > SMALL_FRAME
+        due_s = now_s if is_much or self._held else now_s + (_SOON_CREDIT_S if is_large else _LATEST_CREDIT_S)
         self._tell_s = due_s if self._tell_s is None else min(self._tell_s, due_s)
         return pieces
 
     def credit(self, now_s: float, *, has_room: bool = True) -> Credit | None:
         """What is to be told now; None if that is nothing new, or was told just now."""
-        limit = self._expected + PIECES_UNDER_WAY if has_room else self._limit
-        has_new_room = limit - self._limit >= PIECES_UNDER_WAY // 2
+        limit = self._expected + FRAMES_UNDER_WAY if has_room else self._limit
+        has_new_room = limit - self._limit >= FRAMES_UNDER_WAY // 2
         is_due = self._tell_s is not None and now_s >= self._tell_s
         if not (is_due or has_new_room):
             return None
@@ -302,7 +450,7 @@ class Conversation:
         if is_credit:
             credit = read_credit(payload)
             if credit is not None:
-                self.sending.hear(credit)
+                self.sending.hear(credit, now_s)
             return []
         frame = read_frame(head, payload)
         return [] if frame is None else self.receiving.take(frame, now_s)
