@@ -214,6 +214,7 @@ def _draw(one: Mission, out: Path) -> None:
         above.axhline(least_m, color="0.8", linestyle=":")
         above.text(MISSION_S, least_m, f" {label}", va="center", fontsize="small", color="0.4")
     above.set_ylabel("m")
+    above.set_xlim(0, MISSION_S)
     below.step(*_thinned(one.altitudes), where="post", color="C0", label="altitude of the search")
     if one.following:
         below.axvspan(one.following[0], one.following[-1], color="C2", alpha=0.15, label="the pipeline is followed")
