@@ -128,8 +128,9 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         top = name.partition(".")[0]
         if top not in sys.builtin_module_names and PathFinder.find_spec(top, ["", *sys.path]) is None:
             raise InputError.of(f"--preload: there is no module {name!r}", mend="name it as after `import`")
-    if options.reload and options.connect:
-        raise InputError.of("--reload watches files of this computer", mend="use `cfgplan ctl restart UNIT`")
+    if options.reload and (options.connect or options.middleware in _ROS):
+        what = "files of this computer" if options.connect else "unit code, and not nodes of ROS"
+        raise InputError.of(f"--reload watches {what}", mend="use `cfgplan ctl restart UNIT`")
     if not options.dry_run and (options.without or options.also or options.settings):
         mend = "add --dry-run; or edit the file, or use `cfgplan ctl` while it runs"
         raise InputError.of("--without, --with and --set are for trying out what would be planned", mend=mend)

@@ -97,6 +97,15 @@ def test_a_reloading_run_restarts_what_runs_of_an_edited_file(env: Path) -> None
         assert (set(review["change_set"]["stopped"]), review["unmet"]) == (first, {})
 
 
-def test_code_of_other_computers_is_not_reloaded(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["run", str(env), "--reload", "--connect", "tcp/127.0.0.1:1"]) == 30
-    assert "--reload watches files of this computer" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    ("options", "what"),
+    [
+        (["--connect", "tcp/127.0.0.1:1"], "files of this computer"),
+        (["--middleware", "ros2"], "unit code, and not nodes"),
+    ],
+)
+def test_code_that_a_run_can_t_watch_is_not_reloaded(
+    env: Path, options: list[str], what: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["run", str(env), "--reload", *options]) == 30
+    assert f"--reload watches {what}" in capsys.readouterr().err
