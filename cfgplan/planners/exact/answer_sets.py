@@ -49,18 +49,18 @@ def prove_by_answer_sets(work: Work) -> bool:
 
 
 def _is_fit(weighing: Weighing, most: int) -> bool:
-    """Whether costs have at most so many values, none of which is too large."""
+    """Whether clingo can weigh these costs: they have few values, and each is small enough."""
     costs = weighing.weight // weighing.scale
     return len(set(costs.tolist())) <= most and int(costs.max(initial=0)) // _unit(costs) <= LARGEST_WEIGHT
 
 
 def _unit(costs: Ints) -> int:
-    """The greatest number of which all costs are multiples."""
+    """The greatest common divisor of the costs."""
     return max(1, int(np.gcd.reduce(costs)))
 
 
 class LogicProgram:
-    """A network as a logic program: labels may run where what they need holds, and a fact holds where a giver runs.
+    """A network as a logic program: a label may run if its needs hold, and a fact holds if one of its givers runs.
 
     Raises OutOfTimeError.
     """

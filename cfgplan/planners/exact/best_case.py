@@ -127,7 +127,7 @@ class Making:
 
     @classmethod
     def of(cls, attribute: QualityAttribute, transformation: Transformation, port: OutputPort) -> Making:
-        """What an output of a transformation makes of the inputs that count."""
+        """The rule by which an output of a transformation derives its badness from the inputs that count."""
         stated = stated_of(port, attribute)
         inputs = tuple(port for port in transformation.inputs if not port.feedback)
         own = attribute.scale if stated is None else attribute.badness(stated.value)
@@ -145,7 +145,7 @@ class Making:
         return cls(inputs, stated.over, MICRO, attribute.sign * stated.value * MICRO, 0, alone)
 
     def allowed(self, badness: int, worst: int) -> int:
-        """How bad inputs may be if the output is to be no worse than a badness, as far as the rule says that."""
+        """The largest badness of inputs for a given badness of the output; `worst` where the rule bounds nothing."""
         is_combined = self.over is not Over.WORST and len(self.inputs) > 1
         if badness == worst or is_combined or self.gain != MICRO:
             return worst
@@ -153,7 +153,7 @@ class Making:
 
 
 def stated_of(port: OutputPort, attribute: QualityAttribute) -> Contribution | None:
-    """What an output states of an attribute."""
+    """The statement of an output about an attribute."""
     return next((c for c in port.quality if c.attribute == attribute.name), None)
 
 
@@ -207,7 +207,7 @@ def _most_badness(candidates: Candidates, attribute: QualityAttribute) -> dict[s
 
 
 def demands_of_quality(candidates: Candidates) -> dict[Demand, bool]:
-    """The demands whose stream is a part of what some target asks for, and whether it matters who has the demand.
+    """The demands whose streams go into the quality that a target asks for, and whether the choice of consumer matters.
 
     Mostly all who have a demand want the same stream, the best. But two attributes may have two best streams. And in a
     ring of demands, with a stream that is better than its inputs, the best for a unit may be made of the unit's own.
@@ -230,7 +230,7 @@ def demands_of_quality(candidates: Candidates) -> dict[Demand, bool]:
 
 
 def _where_it_counts(candidates: Candidates, attribute: QualityAttribute) -> set[Demand]:
-    """The demands of targets that ask for an attribute, and of inputs of which such streams are made."""
+    """The demands of the targets that ask for an attribute, and of the inputs from which their streams are derived."""
 
     def made_of(tag: str) -> Iterator[str]:
         for stream in candidates.streams(tag):

@@ -1,4 +1,4 @@
-"""The units that a configuration may have, and who may feed whom."""
+"""Candidates: the units that a configuration may contain, and the streams between them."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from cfgplan.qualities import QualityAttribute, worst_allowed
 from cfgplan.reasons import startable
 
 ONLY_IN_THE_MODEL: Final = frozenset({Feature.OPTIONAL, Feature.COUNTS, Feature.LIMITS})
-"""What first plans and bounds don't know."""
+"""Features that first plans and bounds do not handle."""
 HostName = str | None
 """Where something is; None where there are no hosts, or on no host in particular."""
 
 
 @dataclass(frozen=True, slots=True)
 class OnHost:
-    """What a unit costs on a host if it runs there or waits, and what it takes of it."""
+    """The cost of a unit that runs or waits on a host, and the resources that it takes there."""
 
     cost_us: int
     waiting_cost_us: int
@@ -61,12 +61,12 @@ class Candidate:
 
     @cached_property
     def cost_us(self) -> int:
-        """What it costs if it runs where it is cheapest."""
+        """The cost of running on the cheapest host."""
         return min(place.cost_us for place in self.places.values())
 
     @cached_property
     def waiting_cost_us(self) -> int:
-        """What it costs if it waits where it is cheapest."""
+        """The cost of waiting as a cold spare on the cheapest host."""
         return min(place.waiting_cost_us for place in self.places.values())
 
 
@@ -140,7 +140,7 @@ class Candidates:
 
     @cached_property
     def asked_for(self) -> frozenset[str]:
-        """The transformations of which a unit is pinned, or is wanted by a target or by number."""
+        """The transformations that have a pinned unit, a target of their own, or a least number of instances."""
         wanted = {*self.environment.wanted_to_run.values()}
         return frozenset(
             label
@@ -159,7 +159,7 @@ class Candidates:
         return sorted(self.network.number[label] for label in labels if label in self.network.number)
 
     def carried_us(self, stream: Stream, origin: HostName, host: HostName) -> int:
-        """What it costs to carry a stream from one host to another."""
+        """The cost of carrying a stream from one host to another over the horizon."""
         key = stream, self.environment.price_us(origin, host)
         if key not in self._carried_us:
             port = self.all[self.index_of[stream.unit]].transformation.output[stream.port]
@@ -288,7 +288,7 @@ def _places(
 
 
 def _numbers_of_new(problem: Problem, labels: frozenset[str]) -> dict[str, int]:
-    """How many new units of each transformation there may be.
+    """The most new units of each transformation.
 
     Where nothing is asked beyond the paper, a new unit beside a running one pays only if it costs no labor, or lets
     more required transformations be used.

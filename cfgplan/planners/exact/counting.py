@@ -1,4 +1,4 @@
-"""The model in which units are counted: how many of each group are on hosts of each kind."""
+"""The counting model: integer variables say how many units of each group are on hosts of each kind."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Misfit:
 
 
 class Weights(NamedTuple):
-    """The units of groups weigh so much, and all that is on one host of a kind at most `most`."""
+    """A packing constraint: the weight of a unit of each group, and the most that one host of a kind carries."""
 
     of: Mapping[int, int]
     most: int
@@ -89,7 +89,7 @@ class CountingModel:
         self.cp.add_bool_or(ways)
 
     def limit(self, kind: int, weights: Weights) -> None:
-        """Demand that the units on hosts of a kind weigh no more than so many hosts can bear."""
+        """Add the constraint that the units on hosts of a kind weigh at most what that number of hosts carries."""
         weight = LinearExpr.sum([weight * self.there[n, kind] for n, weight in weights.of.items()])
         self.cp.add(weight <= weights.most * self.used[kind])
 
@@ -119,7 +119,7 @@ class CountingModel:
         return list(dict.fromkeys((self.group_of[self.candidates.index_of[s.unit]], s.port) for s in streams))
 
     def serves(self, source: GroupOutput) -> int | None:
-        """How many may take each of the streams of an output; None: any number."""
+        """The most consumers of each stream of an output; None if it serves any number."""
         return self.groups[source[0]].first.transformation.output[source[1]].serves
 
     def is_limited(self, port: InputPort) -> bool:
@@ -127,14 +127,14 @@ class CountingModel:
         return any(self.serves(source) is not None for source in self.sources(port.tag))
 
     def most_there(self, group: int, kind: int) -> int:
-        """How many units of a group one host of a kind can bear by itself."""
+        """The most units of a group that fit on one host of a kind."""
         found, hosts = self.groups[group], self.kinds[kind]
         takes, per_host = found.first.places[hosts.first].takes, found.first.transformation.per_host
         by_room = [room // takes[each] for each, room in hosts.rooms.items() if takes.get(each)]
         return min([len(found.units), *by_room, *([] if per_host is None else [per_host])])
 
     def objective(self, which: Objective) -> LinearExpr:
-        """What may be minimised, as a sum."""
+        """An objective as a linear expression."""
         match which:
             case Objective.COST:
                 places = [self.groups[n].first.places[self.kinds[k].first] for n, k in self.there]
@@ -158,7 +158,7 @@ CountingRule = Callable[[CountingModel], None]
 
 
 def hosts_of_a_kind_bear_their_units(counts: CountingModel) -> None:
-    """All units take no more than the used hosts have room for; a host has no more of a group than it can bear."""
+    """Units take no more resources than the used hosts have, and each host holds at most `most_there` of a group."""
     for k, kind in enumerate(counts.kinds):
         counts.used[k] = counts.cp.new_int_var(0, len(kind.names), "")
         here = [n for n, group in enumerate(counts.groups) if kind.first in group.first.places]
@@ -284,7 +284,7 @@ def a_stream_serves_only_so_many(counts: CountingModel) -> None:
 
 
 def who_stays_as_it_is_has_what_it_had(counts: CountingModel) -> None:
-    """Its streams are there and it takes them; it publishes what it published, and nothing else."""
+    """A unit that stays keeps its present streams and its present publications, and gets no others."""
     index_of = counts.candidates.index_of
     for n, group in enumerate(counts.groups):
         unit = group.first.running
@@ -320,7 +320,7 @@ PLACED: Final[tuple[CountingRule, ...]] = (
     who_runs_has_company,
     hosts_alike_are_taken_in_order,
 )
-"""What the numbers of units on each host must be."""
+"""The constraints on the numbers of units on hosts."""
 COUNTED: Final[tuple[CountingRule, ...]] = (
     *PLACED,
     pinned_units_stay,
@@ -331,4 +331,4 @@ COUNTED: Final[tuple[CountingRule, ...]] = (
     a_stream_serves_only_so_many,
     who_stays_as_it_is_has_what_it_had,
 )
-"""What a configuration must be, in the order in which the variables are made."""
+"""The constraints on a configuration, in the order in which their variables are made."""

@@ -1,4 +1,4 @@
-"""From a solution to units: wired, named, and without what nothing needs."""
+"""Decode a solution into units: wired, named, and without units that nothing needs."""
 
 from __future__ import annotations
 
@@ -127,11 +127,11 @@ class _Decoding:
         return self.candidates.stream_of(self.model.unit_of(stream), tag, old)
 
     def _wired_at(self, unit: int) -> int:
-        """The place in the order of derivation at which a unit is wired: what feeds it comes before."""
+        """The position of a unit in the order of derivation: its feeders come before it."""
         return max((self.rank.get(wired.index, 0) for wired in self.model.wired_on(unit).values()), default=0)
 
     def _place(self, stream: Stream, host: HostName) -> int | None:
-        """The place in the order of derivation at which a stream is there on a host."""
+        """The position of a stream on a host in the order of derivation."""
         ways = [self.rank[way.index] for way in self.model.known_ways(stream, host) if way.index in self.rank]
         return min(ways, default=None)
 
@@ -157,7 +157,7 @@ def named(candidates: Candidates, units: list[ComputationUnit]) -> list[Computat
 
 
 def in_order(environment: Environment, unit: ComputationUnit) -> ComputationUnit:
-    """The unit with the streams of inputs that are alike swapped: they stay where they are now, others are sorted."""
+    """The unit with interchangeable inputs in a canonical order: streams that feed it now keep their inputs."""
     now = environment.unit[unit.id].feeds if unit.id in environment.unit else {}
     ports = environment.transformation[unit.transformation].inputs
     distinct = [p for p in ports if p.distinct is not None and p.count == 1 and p.name in unit.feeds]

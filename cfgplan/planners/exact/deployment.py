@@ -56,7 +56,7 @@ def plan_by_counting(candidates: Candidates, standing: Standing) -> None:
 
 
 class _Step(NamedTuple):
-    """Something to be minimised, its value in a plan, and who is told what is proven of it."""
+    """One objective of the order: its expression, its value in a plan, and the callback that takes its proven bound."""
 
     what: LinearExpr
     value: Callable[[Key], int]
@@ -79,10 +79,10 @@ class _Deployment:
         self._patterns: dict[int, Patterns] = {}
         """Of kinds of several hosts, by their numbers, once something did not fit."""
         self._least = 0
-        """What is minimised first is at least so much."""
+        """The proven lower bound of the first objective."""
 
     def count(self, kinds: Sequence[HostKind]) -> bool:
-        """Minimise all that is asked, one after the other. Returns whether all is proven.
+        """Minimise the objectives one after the other. Returns whether each minimum is proven.
 
         Where each kind is one host, each solution is a plan. Else the best numbers have to be placed, and until then
         only the bound on what is minimised first is proven.
@@ -228,7 +228,7 @@ class _Deployment:
             counts.cp.add_hint(there, number[n, counts.kinds[k].first])
 
     def _alike(self, kinds: Sequence[HostKind]) -> CountingModel:
-        """The model in which hosts are counted, less what is known not to fit."""
+        """The counting model without the numbers of units that are known not to fit."""
         counts = CountingModel(self.candidates, self.groups, kinds)
         for misfit in self.misfits:
             counts.forbid(misfit)
@@ -277,7 +277,7 @@ def _more(used: int, most: int) -> Iterator[int]:
 
 
 def _of_order(place: int, key: Key) -> int:
-    """What a plan has of the objective at a place in the order, the first at 1."""
+    """The value of a plan's n-th objective; the first is number 1."""
     return key.first[place]
 
 

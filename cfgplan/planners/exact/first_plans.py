@@ -33,7 +33,7 @@ class FirstPlans:
         self._is_weighed = any(wish.weight_us for target in candidates.environment.targets for wish in target.quality)
 
     def look(self, attempts: int) -> None:
-        """Offer a plan of cheap transformations. Then try, up to `attempts` times, to do without one of its dearest."""
+        """Offer a plan of cheap transformations, then make up to `attempts` attempts without one of its dearest."""
         candidates, standing = self.candidates, self.standing
         if len(self.network.targets) < len(candidates.environment.targets):
             return
@@ -53,7 +53,7 @@ class FirstPlans:
             self._offer_supports(around)
 
     def _first(self) -> Floats | None:
-        """The first prices at which there is a plan; None if there are none.
+        """Prices at which a first plan was found; None if none was.
 
         Prices are costs, plus more and more for each `_burden`. Where quality has a price, those with the best plan are
         returned.
@@ -90,7 +90,7 @@ class FirstPlans:
         return np.array([max([0, *values]) for values in added], np.float64)
 
     def _offer_supports(self, price: Floats) -> bool:
-        """Offer the cheapest support at these prices; where two transformations conflict, one without the dearer."""
+        """Offer the cheapest support at these prices, without the dearer of two transformations that conflict."""
         for _ in self.candidates.environment.library:
             support = plan_at(self.network, self._cost, price)
             if support is None:

@@ -109,7 +109,7 @@ def _solve(
 
 @dataclass(frozen=True)
 class Shortlist:
-    """The transformations that a plan no dearer than the incumbent may have, and landmarks that every such plan hits.
+    """The transformations that a plan at the incumbent's cost or less can contain, and landmarks that it hits.
 
     `order` sorts the transformations by reduced cost, the least first.
     """
@@ -168,5 +168,5 @@ def look_among_few(candidates: Candidates, standing: Standing, first: FirstPlans
 
 
 def _best(standing: Standing) -> set[str]:
-    """The incumbent's transformations; none if there is no incumbent."""
+    """The labels of the incumbent's transformations; empty without an incumbent."""
     return set() if standing.best is None else {unit.transformation for unit in standing.best.units}

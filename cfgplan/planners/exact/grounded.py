@@ -1,4 +1,4 @@
-"""Which chosen candidates can run on each other's streams, and which streams may feed each of their inputs.
+"""Grounding: the chosen candidates that can run on each other's streams, and the streams that may feed each input.
 
 Streams are added one by one, and a unit runs as soon as earlier streams can feed its inputs. So there is no cycle. With
 an attribute the best stream comes first: where no rule makes a value better than its inputs, values are as good as the

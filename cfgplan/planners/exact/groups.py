@@ -1,4 +1,4 @@
-"""Units and hosts of which it does not matter which one is taken, so that they can be counted."""
+"""Groups of interchangeable units and kinds of interchangeable hosts, which a model counts instead of naming them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ COUNTABLE = frozenset(
         Feature.ORDER,
     }
 )
-"""What may be asked where units are counted."""
+"""The features that the counting model handles."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class HostKind:
     names: tuple[HostName, ...]
     rooms: Mapping[str, int]
     rent_us: int = 0
-    """Over the horizon."""
+    """The rent of one host over the horizon, in microseconds."""
 
     @property
     def first(self) -> HostName:
@@ -60,7 +60,7 @@ class HostKind:
 
 
 def is_countable(candidates: Candidates) -> bool:
-    """Whether nothing asks who is wired to whom, apart from numbers of streams, and there is something to be counted.
+    """Whether the counting model applies: no feature depends on single wires, and units or hosts are interchangeable.
 
     No stream has a price on its way, and wirings close no cycles, whichever of the streams that match are taken.
     """

@@ -1,4 +1,4 @@
-"""The rules of hosts: what they bear and cost, what is carried between them, and who may be there with whom."""
+"""The rules of hosts: capacities and costs, transfers between hosts, and units that exclude or need each other."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def what_is_made_on_a_host_is_not_carried_there(model: Model) -> None:
 
 
 def links_bear_what_is_carried_and_have_their_prices(model: Model) -> None:
-    """`Model.ways` has charged a carried stream its cheapest journey; here a dearer one costs the difference."""
+    """`Model.ways` has charged a carried stream its cheapest journey. This rule adds the difference of a dearer one."""
     loads: dict[Link, list[LinearExprT]] = defaultdict(list)
     for (stream, host), carried in model.carried.items() if model.environment.links else ():
         costs_us = model.journeys_us(stream, host)
@@ -91,5 +91,5 @@ def beside_a_running_unit_run_those_that_it_runs_with(model: Model) -> None:
 
 
 def _on_hosts(model: Model, label: str) -> dict[HostName, list[IntVar]]:
-    """For each host the booleans that a unit of a transformation is there, running or as a cold spare."""
+    """The booleans of a transformation on each host: one of its units runs or waits there."""
     return grouped(on for i in model.candidates.units_of(label) for on in model.there_on(i))

@@ -24,7 +24,7 @@ def a_staying_unit_keeps_its_feeders(model: Model) -> None:
 
 
 def a_wired_unit_is_fed(model: Model) -> None:
-    """Inputs rest on hubs, or on feeders told apart; a feedback input is fed by any unit that runs."""
+    """Inputs rest on hubs, or on their feeders where these are told apart. A feedback input takes any running unit."""
     for i in model.candidates.clock.each(model.runs):
         inputs = model.candidates.all[i].transformation.inputs
         told_apart = [port for port in inputs if model.is_told_apart(i, port)]
@@ -42,7 +42,7 @@ def a_wired_unit_is_fed(model: Model) -> None:
 
 
 def an_input_told_apart_has_its_feeders(model: Model, unit: int, port: InputPort) -> list[IntVar]:
-    """Add a boolean for each stream that may feed an input. Returns what the unit's wiring then rests on."""
+    """Add a boolean for each stream that may feed an input. Returns the literals that the unit's wiring rests on."""
     may_be_own = port.feedback and port.count != ALL
     streams = [s for s in model.choices(port.tag) if model.unit_of(s) != unit or may_be_own]
     connects = model.connects[unit, port.name] = {stream: model.boolean() for stream in streams}
@@ -78,7 +78,7 @@ def an_input_told_apart_has_its_feeders(model: Model, unit: int, port: InputPort
 
 
 def an_input_takes_its_number_of_streams_or_none(model: Model, unit: int, port: InputPort) -> None:
-    """So many streams of different units, or all that there are of other ones; none at an optional input."""
+    """An input takes `count` streams of different units, or `all` streams of others. An optional one may take none."""
     connects, runs = model.connects[unit, port.name], model.runs[unit]
     fed = model.is_fed[unit, port.name] = model.boolean() if port.optional else runs
     if port.optional:
@@ -121,7 +121,7 @@ def inputs_of_a_group_are_fed_by_different_transformations(model: Model) -> None
 
 
 def units_that_feed_each_other_come_one_after_the_other(model: Model) -> None:
-    """Implied, but where inputs need not be fed there are too many ways to close a ring to cut them one by one.
+    """An implied rule: inputs that may stay unfed allow too many rings to cut each of them lazily.
 
     In small problems there are as many where streams are counted, limited or compared.
     """
@@ -190,7 +190,7 @@ def _first_ways(model: Model, stream: Stream, demand: int, host: HostName) -> li
 
 
 def one_stream_meets_a_demand(model: Model, key: tuple[int, HostName], first: dict[Stream, list[IntVar]]) -> None:
-    """All who have the demand there and are wired take it: its quality is theirs."""
+    """Each wired consumer of the demand takes the hub's stream, and so has its quality."""
     meets = model.meets[key] = {stream: model.boolean() for stream, ways in first.items() if ways}
     for stream, taken in meets.items():
         model.rests_on_any(taken, first[stream])

@@ -1,4 +1,4 @@
-"""What a session keeps between plans: closure and network of the library, landmarks, the last plan, what is at rest."""
+"""The memory of a session: closure and network of the library, landmarks, the last plan, and the plan at rest."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from cfgplan.planning import Problem
 
 @dataclass(frozen=True)
 class Structure:
-    """What depends on library, matching, targets and `pinned` alone, whatever else runs and whatever it costs.
+    """The part of a problem that library, matching, targets and `pinned` determine, whatever the costs and other units.
 
     `pinned` are the pinned transformations with running units. `network` is that of the relevant transformations.
     """
@@ -37,7 +37,7 @@ class Structure:
 
     @classmethod
     def of(cls, problem: Problem, old: Structure | None, clock: Clock) -> Structure:
-        """The structure of a problem; what still holds is taken from an `old` one. Raises OutOfTimeError."""
+        """The structure of a problem. Parts of an `old` one are reused where they still hold. Raises OutOfTimeError."""
         environment = problem.environment
         is_known = old is not None and old.similarity == problem.similarity and _alike(old.environment, environment)
         closure = Closure.of(problem, clock, old.closure if old is not None and is_known else None)
@@ -83,7 +83,7 @@ class Structure:
 
 
 class Memory:
-    """What a session keeps of the problems with one matching. Each stage of a plan may add to it."""
+    """The memory of all problems with one matching. Each stage of a plan may add to it."""
 
     def __init__(self, structure: Structure, last: frozenset[str] = frozenset(), aside: Memory | None = None) -> None:
         """`last` are the transformations of the last plan. `aside` is the memory of another matching.
@@ -98,7 +98,7 @@ class Memory:
 
     @classmethod
     def of(cls, problem: Problem, known: Memory | None, clock: Clock) -> Memory:
-        """What holds of a problem out of what is `known`; raises OutOfTimeError."""
+        """The memory for a problem, with the parts of `known` that still hold. Raises OutOfTimeError."""
         last, aside = (frozenset[str](), None) if known is None else (known.last, known._aside)
         if known is not None and known.structure.similarity != problem.similarity:
             known._aside = None

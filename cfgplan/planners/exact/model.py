@@ -1,4 +1,4 @@
-"""The constraint model of an update: its booleans. `rules` says what they must be.
+"""The constraint model of an update: its booleans. The constraints on them are in `rules`.
 
 Booleans say which candidates run, where, and which of them stay as they are. Inputs that do not care who feeds them
 share one boolean for each demand and host (a *hub*), so that the model grows with the ports and not with inputs times
@@ -78,7 +78,7 @@ class Model:
         apart = self.idle_feeders | self.keeping_each_other
         company = candidates.environment.companions if apart else frozenset()
         self.tracked = _downstream_of(candidates, sorted(apart.union(required)), company)
-        """Where it matters who feeds whom: downstream of required transformations, and of what has to be `needed`."""
+        """The candidates whose feeders matter: those downstream of required transformations or of `needed` units."""
         self._demand_of_tag: dict[str, int] = {}
         self._demand_of_streams: dict[tuple[Stream, ...], int] = {}
         self._streams: list[tuple[Stream, ...]] = []
@@ -158,7 +158,7 @@ class Model:
         return self._streams[demand]
 
     def _units_by_demand(self) -> dict[int, set[int]]:
-        """The candidates that have each demand at an ordinary input, told apart or not."""
+        """The candidates with each demand at an ordinary input, by demand; inputs told apart are included."""
         needing: dict[int, set[int]] = defaultdict(set)
         for i, candidate in self.candidates.clock.each(enumerate(self.candidates.all)):
             for port in candidate.transformation.inputs if candidate.may_run else ():
@@ -211,12 +211,12 @@ class Model:
         return any(stream in self.placed for stream in self._streams[demand])
 
     def journeys_us(self, stream: Stream, host: HostName) -> dict[HostName, int]:
-        """What it costs to carry a stream to a host from each other one where it may be made."""
+        """The cost of carrying a stream to a host from each other host where it may be produced."""
         origins = [origin for origin in self.runs_on[self.unit_of(stream)] if origin != host]
         return {origin: self.candidates.carried_us(stream, origin, host) for origin in origins}
 
     def ways(self, stream: Stream, host: HostName) -> list[IntVar]:
-        """Booleans one of which holds if the stream is there on a host; one for carrying it is added if needed."""
+        """The booleans of the ways to have a stream on a host, one of which a present stream implies."""
         unit = self.unit_of(stream)
         is_made_elsewhere = self.runs_on[unit].keys() != {host}
         if host is not None and stream in self.placed and is_made_elsewhere and (stream, host) not in self.carried:
@@ -226,7 +226,7 @@ class Model:
         return self.known_ways(stream, host)
 
     def known_ways(self, stream: Stream, host: HostName) -> list[IntVar]:
-        """The `ways` that the model has already; in a solution the stream is there by no other."""
+        """The `ways` that the model has already. No other way exists in a solution."""
         unit = self.unit_of(stream)
         if host is None or stream not in self.placed:
             return [self.runs[unit]]
@@ -234,7 +234,7 @@ class Model:
         return [way for way in ways if way is not None]
 
     def present(self, stream: Stream, host: HostName) -> IntVar:
-        """The boolean that the stream is there on a host."""
+        """The boolean of a stream that is present on a host."""
         ways = self.ways(stream, host)
         if len(ways) == 1:
             return ways[0]
@@ -243,7 +243,7 @@ class Model:
         return present
 
     def wired_on(self, unit: int) -> dict[HostName, IntVar]:
-        """For each host the boolean that the candidate is wired anew there."""
+        """The boolean of each host that the candidate is rewired there."""
         places = self.runs_on[unit]
         return dict.fromkeys(places, self.is_wired[unit]) if len(places) == 1 else places
 
@@ -266,7 +266,7 @@ class Model:
         return LinearExpr.sum([*terms, *self.more_costs])
 
     def objective(self, which: Objective) -> LinearExprT:
-        """What may be minimised, as a sum."""
+        """An objective as a linear expression."""
         match which:
             case Objective.COST:
                 return self.cost()
@@ -288,7 +288,7 @@ class Model:
         return (len(started) + 1) * LinearExpr.sum(self.rewired()) + LinearExpr.sum(started)
 
     def rewired(self) -> list[IntVar]:
-        """The booleans that kept units are wired anew."""
+        """The booleans of kept units that are rewired."""
         return [self.is_wired[i] for i in self.runs if self.candidates.all[i].running is not None]
 
     def started(self) -> list[IntVar]:
@@ -302,7 +302,7 @@ def _feeders_of_idle_inputs(candidates: Candidates) -> frozenset[int]:
 
 
 def _keeping_each_other(candidates: Candidates) -> frozenset[int]:
-    """The candidates of which several may run for a number or for company, though each of them needs another.
+    """The candidates that may run in a ring only for a number or for company, each of them needed by another.
 
     So may those that others run with, or that numbers ask for, if they feed a ring that feedback or company closes.
     """

@@ -1,4 +1,4 @@
-"""What hosts alike can bear: limits on units from all patterns, the sets of units that one host can have.
+"""Capacity of interchangeable hosts: limits on units from patterns, the sets of units that fit on one host.
 
 The units on hosts of a kind are a sum of as many patterns. If by some weights no pattern weighs more than `most`, these
 units weigh at most `most` times the number of hosts. Weights that say the most are the prices of the linear program
@@ -71,7 +71,7 @@ class Patterns:
         return False
 
     def _heavy(self, weights: Mapping[int, int], clock: Clock) -> list[Pattern]:
-        """Some patterns, one of which weighs most; none if the time is over before that is proven."""
+        """Patterns that include a heaviest one. Empty if the time ends before one is proven heaviest."""
         self._cp.maximize(LinearExpr.sum([weights[n] * there for n, there in self._there.items()]))
         found: list[Pattern] = []
 

@@ -15,7 +15,7 @@ from cfgplan.planning import Problem
 
 
 class Rooms:
-    """What is on each host so far. Where there are no hosts, all is on one that has room for everything."""
+    """The units that are placed on each host. Without hosts, one host has room for everything."""
 
     def __init__(self, problem: Problem) -> None:
         self._problem, self._environment = problem, problem.environment
@@ -36,7 +36,7 @@ class Rooms:
         return True
 
     def lacks(self, kind: Transformation, name: HostName) -> Iterator[str]:
-        """What a host would have to have for one more unit, in words."""
+        """The resources that a host lacks for one more unit, as text; empty if it lacks none."""
         host = None if name is None else self._environment.host[name]
         for resource, amount in self._takes(kind, name).items():
             room = None if host is None else host.room(resource, self._problem.horizon_s)
@@ -57,7 +57,7 @@ class Rooms:
         return sum(not there[other] for other in kind.beside) - is_awaited
 
     def rent_us(self, name: HostName) -> int:
-        """What a host where nothing is yet would cost each second; 0 for others."""
+        """The rent of an empty host in microseconds per second; 0 for a host with units."""
         return 0 if name is None or self._there[name].total() else self._environment.host[name].rent_us
 
     def _takes(self, kind: Transformation, name: HostName) -> Mapping[str, int]:
@@ -65,7 +65,7 @@ class Rooms:
 
 
 class Places:
-    """What is placed so far: the host of each unit, cold spares included, and what feeds each input and target."""
+    """A partial placement: the host of each unit and cold spare, and the stream of each input and target."""
 
     def __init__(self, candidates: Candidates) -> None:
         self.candidates = candidates
@@ -96,7 +96,7 @@ class Places:
         return False
 
     def _by_price(self, grounded: Grounded, unit: int, hosts: Iterable[HostName]) -> list[HostName]:
-        """Hosts by the company they keep, then by what it costs to run a unit there, and to carry its inputs there."""
+        """The hosts for a unit: by missing company, then by the cost of running it and of carrying its inputs there."""
         candidate, strangers = self.candidates.all[unit], self._rooms.strangers
         horizon_s = self.candidates.problem.horizon_s
 

@@ -1,4 +1,4 @@
-"""Takes away what a configuration does not need: units that no target, pin, number, company or failure asks for."""
+"""Pruning removes units that no target, pin, number of instances, company or failure needs."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class _Pruning:
         return problem.survive is None or can_do_without(self._candidates, units.values(), units[unit_id])
 
     def _goes_with_its_users(self, unit_id: str) -> bool:
-        """Take away a unit of a ring, and all that can't run without it. False if what is needed could not either."""
+        """Remove a unit of a ring, and the units that can't run without it. False if a needed unit is among them."""
         going = {*reached([unit_id], self._breaking_without)}
         others = [unit for unit in self._units.values() if unit.id not in going]
         running = Counter(unit.transformation for unit in others if not unit.standby)

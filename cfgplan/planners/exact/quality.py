@@ -1,4 +1,4 @@
-"""How bad streams are, in the constraint model: a number for each possible value, the larger the worse.
+"""Quality in the constraint model: each possible value of an attribute has a number, larger for a worse value.
 
 A stream may count as worse than the wiring makes it, never as better: since every rule is monotone and only good
 streams are asked for, the solver makes them as good as they are. Only where a stream is chosen there is a variable.
@@ -171,7 +171,7 @@ class _Badness:
         cp.add(badness >= LinearExpr.sum(terms))  # implied, but what the linear relaxation needs
 
     def _delay(self, where: Hashable, stream: Stream) -> IntVar | None:
-        """What links add to a stream's badness on its way to a target or an input told apart; None if they do not."""
+        """The badness that links add on the way to a target or an input told apart; None if they add none."""
         model, made_on = self.model, self.model.runs_on[self.model.unit_of(stream)]
         if Feature.LATENCY not in model.problem.features:
             return None
@@ -223,7 +223,7 @@ class _Badness:
         return [(self.of_choice((*where, s), port.tag, {s: taken}), [taken]) for s, taken in connects.items()]
 
     def _at(self, unit: int, port: InputPort) -> IntVar:
-        """How bad the stream at a candidate's input is."""
+        """The number of the stream at a candidate's input."""
         model, where = self.model, ("input", unit, port.name)
         if (unit, port.name) in model.connects:
             return self.of_choice(where, port.tag, model.connects[unit, port.name])

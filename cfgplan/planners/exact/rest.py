@@ -1,4 +1,4 @@
-"""What a proven plan says about the plans after a small change.
+"""The plan at rest: what its proof implies for plans after a small change of costs.
 
 At rest nothing is to be changed: the plan runs, and no other is cheaper. Then costs change: a unit that dies costs its
 labor again, estimates move. A plan is no better than the plan at rest if it has all labels of that one that got dearer,
@@ -28,7 +28,7 @@ class Remainder(NamedTuple):
 
     @classmethod
     def by(cls, bound: Bound, limit: int) -> Remainder:
-        """What may be in a plan that costs at most `limit`."""
+        """The labels that a plan of cost `limit` or less can contain."""
         return cls(bound.core.labels[bound.may_be_used(limit)], bound.value, bound)
 
 
@@ -64,14 +64,14 @@ class Rest:
         return Rest.of(plan, cost, known, self._bound_at(cost), clock) if limit <= known else None
 
     def limit_at(self, cost: Ints) -> int:
-        """The bound's limit at other costs: plans within it cost at most `limit` at rest."""
+        """The limit of the bound at other costs that admits each plan of cost `limit` or less at rest."""
         fallen = cost < self.cost
         less = int((self.cost - cost)[fallen].sum())
         share = float((cost[fallen] / self.cost[fallen]).min(initial=1.0))
         return max(self.limit - less, int(self.limit * share * (1 - 1e-9)) if share else -1)
 
     def left(self, cost: Ints, step: int, plan: Ints, clock: Clock) -> Remainder | None:
-        """What may be in a plan as good as this one at these costs; None if the costs differ too much.
+        """The labels that a plan as good as this one can contain at these costs; None if the costs differ too much.
 
         The costs of all plans are multiples of `step`.
         """
@@ -106,13 +106,13 @@ def _charged(bound: Bound, enough: int, limit: int, clock: Clock) -> Bound:
 
 
 def _without(label: int, bound: Bound, limit: int, clock: Clock) -> Remainder:
-    """What may be in a plan that lacks a label and costs at most `limit`."""
+    """The labels that a plan of cost `limit` or less without one label can contain."""
     cost = np.where(bound.core.labels == label, np.maximum(limit + 1, bound.cost), bound.cost)
     return Remainder.by(tightened(bound.at(cost), limit + 1, limit, clock), limit)
 
 
 def _with(label: int, bound: Bound, limit: int, clock: Clock) -> Remainder:
-    """What may be in a plan that has a label and costs at most `limit`: the label is paid, and then free."""
+    """The labels that a plan of cost `limit` or less with one label can contain: this label is paid once, then free."""
     is_it = bound.core.labels == label
     own = int(bound.cost[is_it][0])
     if not bound.may_be_used(limit)[is_it][0]:

@@ -116,7 +116,7 @@ class PlannerSession:
         time_limit_s: float | None,
         report: OnProgress | None,
     ) -> Plan:
-        """Plan a problem of which a part gave no answer, or one whose ties may not be the best."""
+        """Plan a whole problem after a part of it gave no answer, or an answer with unproven ties."""
         problem = before.whole
         clock = known.clock.with_limit(time_limit_s, self._tuning)
         part = _reduced(problem, clock, is_certain=True)
@@ -134,7 +134,7 @@ class PlannerSession:
         return found
 
     def _planned_first(self, problem: Problem, clock: Clock, report: OnProgress | None) -> Plan | None:
-        """A first plan of a problem, and what is proven until it is there.
+        """A first plan of a problem, with the bound that is proven by then.
 
         Required transformations come before the largest cost: None if a plan within it leaves some unused.
         """
@@ -146,7 +146,7 @@ class PlannerSession:
 
 
 def _reduced(problem: Problem, clock: Clock, *, is_certain: bool = False) -> Reduced:
-    """What is left to be planned; the whole problem if the time ends before that is known."""
+    """The reduced problem; the whole problem if the time ends before it is known."""
     if not clock.tuning.reduces:
         return Reduced(problem, problem)
     try:
@@ -181,7 +181,7 @@ def plan(
 
 
 def offer_what_runs(standing: Standing) -> None:
-    """Offer what runs, less what nothing needs: as it is wired, and rewired where it must be.
+    """Offer the running units without needless ones, first wired as they are, then rewired where they must be.
 
     No clock is looked at, so that a plan is there at any limit. What first plans don't know is not rewired.
     """

@@ -105,7 +105,7 @@ def raise_bound(work: Work) -> bool:
 
 
 def _known_plan(work: Work, network: Network) -> set[int] | None:
-    """The plan at rest or the last one; None if it no longer is a plan."""
+    """The plan at rest or the last plan; None if it is not valid any more."""
     known, memory = set(network.pinned), work.memory
     if memory.rest is not None:
         known |= set(memory.rest.plan.tolist())
@@ -154,7 +154,7 @@ def close_gap(work: Work) -> bool:
 
 
 def solve(work: Work) -> bool:
-    """Leave to the solver what is still open."""
+    """Search the remaining labels by the solver."""
     if not work.standing.is_over:
         work.search(work.left.landmarks(), work.missed).run()
     return True
@@ -202,7 +202,7 @@ def decide(work: Work) -> bool:
 
 
 def _proves(work: Work, weighing: Weighing, plan: set[int]) -> bool:
-    """Search below the plan. True if the cost is proven; what is left may then differ in changes only."""
+    """Search for cheaper plans. True if the cost is proven; other plans can then differ only in their changes."""
     network, tuning = work.structure.network, work.clock.tuning.decide
     limit = least = weighing.of_plan(numbers(plan))
     is_proven = False

@@ -1,4 +1,4 @@
-"""What one plan works on: the incumbent and what is proven, what the session keeps, and what bounds leave."""
+"""The working state of one plan: incumbent, proven bounds, the session's memory, and the labels that bounds leave."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Left:
-    """What bounds leave of a network: the labels that a better plan may have, and a plan if one is known.
+    """The remaining labels of a network, which a better plan can contain, and a plan if one is known.
 
     No plan weighs less than `value`. With `is_complete` no other labels can be in a better plan. With `holds_for` all
     this holds only for plans that leave no more required transformations unused.
@@ -44,7 +44,7 @@ class Left:
 
     @classmethod
     def by(cls, part: Remainder, network: Network, weighing: Weighing, plan: Ints | None, *, is_over: bool) -> Left:
-        """What is left by a bound; if the time `is_over`, no labels but the plan's."""
+        """The labels that a bound leaves; only the plan's if the time `is_over`."""
         value, labels = weighing.least(part.value), part.labels
         if plan is not None and is_over and value < weighing.of_plan(plan):
             labels = plan
@@ -67,7 +67,7 @@ class Left:
 
 
 class Work:
-    """One plan on its way: each stage goes on from what the one before it has left."""
+    """The state of one plan in progress. Each stage starts from the state that the previous stage left."""
 
     left: Left
     candidates: Candidates
@@ -87,7 +87,7 @@ class Work:
             self.standing.offer(candidates, units)
 
     def take(self, left: Left) -> None:
-        """Go on with what is left: raise the proven bound, offer the plan, and see whether all is proven.
+        """Continue with the remaining labels: raise the proven bound, offer the plan, and return whether all is proven.
 
         Raises OutOfTimeError if there is no plan to be offered.
         """
@@ -140,7 +140,7 @@ class Work:
         return Search(self.candidates, self.standing, landmarks=landmarks, missed=missed)
 
     def missed(self, labels: Collection[str], clock: Clock) -> list[tuple[list[str], int]]:
-        """Landmarks that these labels do not hit; none if the labels are grounded and meet what is wanted."""
+        """Landmarks that these labels do not hit. Empty if the labels are grounded and meet every target."""
         network = self.structure.network
         uses = np.zeros(len(network.labels))
         uses[[network.number[label] for label in labels]] = 1.0
