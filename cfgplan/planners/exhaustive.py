@@ -250,7 +250,7 @@ def _least(problem: Problem, after: Environment) -> OracleRank:
 
 
 def _first(problem: Problem, after: Environment, dear_us: int, rewired: int) -> tuple[int, ...]:
-    """What comes first of a configuration with this cost and number of rewired units."""
+    """The leading objectives of a configuration with this cost and number of rewired units."""
     if Feature.ORDER not in problem.features:
         return ()
     values = {**values_of(problem, after), Objective.COST: dear_us, Objective.REWIRED: rewired}
@@ -302,7 +302,7 @@ def _wirings(
 ) -> Iterator[tuple[int, Units]]:
     """Every wiring of the units that meets the targets, is grounded and distinct, and how many units it rewires.
 
-    Those that rewire more than they `may_rewire` are left out; not all are lean.
+    Wirings with more than `may_rewire` rewired units are left out; not all are lean.
     """
     hot = tuple(unit for unit in units if not unit.standby)
     demands = _demands(problem, hot)

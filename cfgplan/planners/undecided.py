@@ -50,7 +50,7 @@ class Deciding:
         self._refined: tuple[Similarity, Similarity, Similarity] | None = None
 
     def known(self, problem: Problem) -> Problem:
-        """The problem with what has been decided since it was stated."""
+        """The problem with the pairs that were decided since."""
         was = problem.similarity
         if self._decider is None or not was.open or was is self._decider.similarity:
             return problem
@@ -147,7 +147,7 @@ def used_pairs(environment: Environment, similarity: Similarity) -> Iterator[Pai
 
 
 def _compelling_pairs(problem: Problem) -> tuple[Pair, ...]:
-    """The open pairs that forbid plans if they match: at inputs that have to be fed by what there is.
+    """The open pairs that forbid plans if they match: at inputs that running units have to feed.
 
     An input that no plan can have asks for none, however pairs are decided. All pairs count where more than the cost is
     minimised: what else gets less by more matches is not known.
@@ -174,7 +174,7 @@ def _of_use(problem: Problem) -> frozenset[str]:
 
 
 def _without_a_claim(plan: Plan, undecided: tuple[Pair, ...]) -> Plan:
-    """The plan without its proofs, which do not hold if the pairs match; unknown if there is no change set."""
+    """The plan without its proofs, which do not hold if the pairs match; it is unknown without a change set."""
     if plan.change_set is None:
         return replace(plan.unproven, status=Status.UNKNOWN, cost_us=None, reasons={}, undecided=undecided)
     return replace(plan.unproven, status=Status.FEASIBLE, undecided=undecided)

@@ -1,7 +1,7 @@
 """Quality in the constraint model: each possible value of an attribute has a number, larger for a worse value.
 
 A stream may count as worse than the wiring makes it, never as better: since every rule is monotone and only good
-streams are asked for, the solver makes them as good as they are. Only where a stream is chosen there is a variable.
+streams are asked for, the solver makes them as good as they are. Variables exist only where a stream is chosen.
 """
 
 from __future__ import annotations
@@ -132,7 +132,7 @@ class _Badness:
         return self._is_beyond[key]
 
     def _in_spans(self, number: IntVar, spans: Collection[int]) -> Iterator[tuple[int, list[LiteralT]]]:
-        """Those of some spans that a number may be in or be the next before, with the literals that say so."""
+        """The spans that a number may be in, or be the next number before, with the literals that say so."""
         ordered = sorted(spans)
         if not ordered:
             return
@@ -190,7 +190,7 @@ class _Badness:
         return delay
 
     def _made(self, stream: Stream) -> Iterator[tuple[int, LinearExprT, list[LiteralT]]]:
-        """What the number of a stream, times another, is at least where some literals hold."""
+        """The lower bound of a stream's number times another one, under some literals."""
         model, numbers, unit = self.model, self.numbers, self.model.unit_of(stream)
         transformation = model.candidates.all[unit].transformation
         making = Making.of(self.attribute, transformation, transformation.output[stream.port])

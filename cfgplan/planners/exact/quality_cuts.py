@@ -1,4 +1,4 @@
-"""Which cuts on chains of streams help: those that the linear relaxation of who runs violates.
+"""Cuts on chains of streams, chosen because the linear relaxation violates them.
 
 The relaxation has landmarks, what units need and the cuts so far. Its solution runs each unit to some share. Potentials
 are chosen by a chain that takes the best streams first, as far as their shares reach.
@@ -42,7 +42,7 @@ def chain_cuts(candidates: Candidates, landmarks: ChainLandmarks, clock: Clock) 
 
 
 class _Asked:
-    """What a target asks, and its badness in the relaxation: between `least` and `most`, in units of `unit`."""
+    """The wish of a target, and its badness in the relaxation: between `least` and `most`, in units of `unit`."""
 
     def __init__(self, candidates: Candidates, chains: Chains, target: Target, wish: Wish) -> None:
         self.target, self.wish = target.label, wish

@@ -118,7 +118,7 @@ def _joined(spans: Iterable[Span], least_gap: int = 1) -> tuple[Span, ...]:
 class _Maker:
     """An output's value is `gain` millionths of its inputs' together plus `add`, at best `least`; `alone` without any.
 
-    All values are signed: what is larger is worse.
+    All values are signed: a larger one is worse.
     """
 
     inputs: tuple[InputPort, ...]
@@ -218,7 +218,7 @@ class _Values:
         return [(floor((min(low, 0) - down) * growth), ceil((max(high, 0) + up) * growth))]
 
     def _fed(self, maker: _Maker) -> tuple[Span, ...]:
-        """The values, as far as they are known, of what may feed the inputs that count for an output."""
+        """The known values of the streams that may feed the inputs that count for an output."""
         givers = {giver for port in maker.inputs for giver in self._givers(port.tag)}
         return _joined(span for giver in givers for span in self.of.get(giver, ()))
 
@@ -228,7 +228,7 @@ class _Values:
         return ((spans[0][0], spans[-1][1]),) if spans and maker.is_joined else spans
 
     def _image(self, maker: _Maker, span: Span) -> Span:
-        """What an output makes of inputs in a span."""
+        """The values of an output for inputs in a span."""
         low, high = min(span[0], span[0] * maker.times), max(span[1], span[1] * maker.times)
         made = [max(maker.least, -(-maker.gain * value // MICRO) + maker.add) for value in (low, high)]
         return self._within((made[0], made[1]))
@@ -263,7 +263,7 @@ class _Values:
 
 
 def _step(candidates: Candidates, attribute: QualityAttribute, late: Iterable[int]) -> int:
-    """Return a number of which all badness is a multiple; 1 on a scale whose worst is its best, where all is 0."""
+    """Return a common divisor of all badness; 1 on a scale whose worst is its best, where all is 0."""
     outputs = [port for t in candidates.kinds.values() for port in t.outputs]
     stated = [c for port in outputs for c in port.quality if c.attribute == attribute.name]
     is_cut = any(c.rule is QualityRule.SCALE or c.over is Over.MEAN for c in stated)

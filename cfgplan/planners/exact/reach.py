@@ -1,4 +1,4 @@
-"""Which transformations can start among themselves, from sources on; kept up to date while more are added.
+"""The transformations that can start among themselves, beginning with sources; updated while more are added.
 
 Feedback inputs count as fed, and so does a distinct group with enough feeders: where there are such, some labels that
 are reached can't really run.
@@ -26,15 +26,15 @@ class Reach:
             self.add(label)
 
     def meets(self, tag: str) -> bool:
-        """Whether what the tag demands is there."""
+        """Whether a stream for the tag is reached."""
         return self._network.fact_of_tag.get(tag) in self._holding
 
     def runs(self, label: int) -> bool:
-        """Whether a label is there and what it needs holds."""
+        """Whether a label was added and its needs hold."""
         return self._missing.get(label) == 0
 
     def add(self, label: int) -> None:
-        """Add a label, and what it starts."""
+        """Add a label, and the labels that it lets start."""
         self._added, self._fired = None, []
         if label in self._missing:
             return

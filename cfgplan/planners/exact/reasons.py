@@ -1,4 +1,4 @@
-"""Why no configuration meets all that is asked, where every target alone could have a stream."""
+"""Reasons why no configuration meets all targets together, although each target alone could have a stream."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def _missing_streams(problem: Problem, givers: Givers, t: Transformation) -> str
 
 
 def _missing_together(problem: Problem) -> str | None:
-    """Name a resource of which some hosts have less than the indispensable transformations need there; or None."""
+    """Name a resource that indispensable transformations exceed on some hosts; or None."""
     environment = problem.environment
     demands: dict[str, list[tuple[str, int, tuple[Host, ...]]]] = defaultdict(list)
     for t in environment.library if environment.hosts else ():
@@ -157,7 +157,7 @@ def _missing_host(problem: Problem) -> str | None:
 
 
 def _placed(problem: Problem, t: Transformation, wanted: int) -> tuple[int, str]:
-    """How many of the `wanted` units of a transformation find a host if nothing else is there, and what the next lacks:
+    """The number of `wanted` units of a transformation that fit on empty hosts, and the resource that the next lacks:
     `3 finds no host with 512 MB of memory left`; empty if all find one.
     """
     most = wanted if t.max_instances is None else min(wanted, t.max_instances)

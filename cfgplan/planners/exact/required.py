@@ -20,7 +20,7 @@ from cfgplan.planners.networks.network import Network, Weighing, costs
 
 
 def left_with_all(work: Work) -> Left:
-    """What may be in a plan that uses all required transformations; if such a plan is found it is offered."""
+    """The labels that a plan with all required transformations can contain. Such a plan is offered if one is found."""
     clock, structure, standing = work.clock, work.structure, work.standing
     required = frozenset(t.label for t in structure.network.transformations if t.required)
     network = structure.network_with(work.problem, required, clock)
@@ -59,7 +59,7 @@ def _few(work: Work, required: frozenset[str], shunned: set[int]) -> list[str] |
 
 
 def _way_to_a_target(network: Network, cost: Ints, label: int, shunned: set[int]) -> list[int]:
-    """The cheapest chain from a label to one that offers what is wanted; each offers what the next one needs.
+    """The cheapest chain from a label to one that meets a target; each label feeds the next one.
 
     Labels that feed the first are avoided, as they could hardly be fed by it. The chain is empty if there is none.
     """

@@ -1,4 +1,4 @@
-"""The search: one objective after the other, each by rounds of solving and of forbidding what is no plan."""
+"""The search minimises one objective after the other. Each round solves the model and forbids a bad solution."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ class Search:
         return True
 
     def _minimise_in_order(self) -> bool:
-        """Minimise what comes before the cost or beside it, in order, each with those before it at their least.
+        """Minimise the objectives before and beside the cost in order, each with the earlier ones at their minimum.
 
         False if the time is over before all are proven, or if each plan is proven to cost more than is allowed.
         """
@@ -156,7 +156,7 @@ class Search:
         return True
 
     def _minimise_one(self, objective: LinearExprT, place: int, learn: Callable[[int], None] | None) -> bool:
-        """Minimise what has a place in `Key.first`, and keep it at its least; False if the time is over."""
+        """Minimise an objective of `Key.first`, and fix it at its minimum. False if the time is over."""
         if not self.minimise(objective, lambda key: key.first[place], learn) or not self.is_all:
             return False
         assert self.standing.best is not None
@@ -260,10 +260,10 @@ class Search:
         return self.standing.offer(candidates, named(candidates, lean(candidates, units)))
 
     def _look_at(self, solution: CpSolverSolutionCallback) -> bool:
-        """Consider a solution on the way. Returns whether the solver goes on, as it does after a plan.
+        """Check a solution that the solver found on its way. Returns True, to go on, if it is a plan.
 
-        What is no plan is forbidden at once, since to find the best solution beside it takes long; but with hosts, to
-        begin anew takes longer.
+        A solution without a plan stops the solver and is forbidden at once, since proving the best one beside it takes
+        long. With hosts the solver goes on, since a new start takes longer there.
         """
         return self.consider(self.true_of(solution.boolean_value)) is not None or self._has_hosts
 
@@ -299,7 +299,7 @@ class Search:
         model.enough_of_each_run(self._missed(used, self.standing.clock))
 
     def _forbid_alone(self, true: set[int]) -> None:
-        """Forbid who is where, waits, stays and feeds whom in a solution."""
+        """Forbid the placement, waiting, staying and wiring of a solution."""
         model = self.model
         self._unexplained += 1
         if (

@@ -1,6 +1,6 @@
-"""Whether units can be wired anew to meet targets where they share streams, by a model of those units alone.
+"""A model of given units decides whether they can be rewired to meet targets while they share streams.
 
-Outputs that serve only so many, and inputs that take all streams, make it a matter of who runs and who feeds whom.
+Outputs with a limit on consumers, and inputs that take all streams, make the choice of units and wires matter.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Whether a configuration is valid, before it becomes the incumbent and cuts anything off.
 
-Every rule is looked at, whoever made the configuration: an invalid incumbent makes proofs false. The judge looks again
-at what is handed out; it shares no code with this.
+Every rule is checked for each configuration, because an invalid incumbent makes proofs false. The judge checks the
+answer again, and shares no code with this module.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from cfgplan.qualities import is_met
 
 
 def flaws(candidates: Candidates, units: Collection[ComputationUnit]) -> Iterator[str]:
-    """Yield what makes a configuration invalid, in words: nothing if it is valid.
+    """Yield each flaw of a configuration as text; a valid one yields none.
 
     The candidates may be part of all: what has to run is read off the problem.
     """
@@ -96,7 +96,7 @@ class _Configuration:
                 yield f"the pinned unit {unit.id} is missing"
 
     def has_needless_units(self) -> bool:
-        """Whether no target, pin, number or company needs some unit, nor a failure that the others bear."""
+        """Whether some unit is needless: no target, pin, number, company or failure needs it."""
         needed = needed_in_all(self.problem, self.units, ())
         spares: set[str] = set()
         if len(needed) < len(self.units) and self.problem.survive is not None:
@@ -106,7 +106,7 @@ class _Configuration:
         return len(needed) < len(self.units)
 
     def beyond_the_paper(self) -> Iterator[str]:
-        """What breaks the rules that the paper does not have."""
+        """The flaws by rules beyond the paper."""
         asked = self.problem.features
         if Feature.QUALITY in asked:
             yield from self._of_quality()
@@ -126,7 +126,7 @@ class _Configuration:
                     yield f"target {target.label} gets too bad a stream"
 
     def _of_company(self) -> Iterator[str]:
-        """Of hosts without room, conflicts, missing company, numbers."""
+        """Flaws of hosts without room, of conflicts, of missing company, and of numbers of instances."""
         there = Counter(unit.transformation for unit in self.units)
         running = Counter(unit.transformation for unit in self.hot.values())
         rooms = Rooms(self.problem)
@@ -150,7 +150,7 @@ class _Configuration:
                 yield f"units of {kind.label} are there with one that they conflict with"
 
     def _of_sharing(self) -> Iterator[str]:
-        """Of streams that too many take, and inputs that have to take more."""
+        """Flaws of streams with too many consumers, and of inputs with too few streams."""
         kinds = {unit.id: self.library[unit.transformation] for unit in self.hot.values()}
         left = {
             Stream(unit_id, port.name): port.serves - self.taken[Stream(unit_id, port.name)]

@@ -1,4 +1,4 @@
-"""How far the planner has come: the incumbent, the proven bound, what else is proven.
+"""The standing of the planner: the incumbent, the proven bound, and other proofs.
 
 Nothing here needs the constraint solver: where the first plan meets the bound it is never imported.
 """
@@ -30,10 +30,10 @@ class Incumbent(NamedTuple):
 
 
 class Standing:
-    """The incumbent, and what is proven about the optimum."""
+    """The incumbent, and the proofs about the optimum."""
 
     def __init__(self, problem: Problem, clock: Clock, report: OnProgress | None, whole: Problem | None = None) -> None:
-        """Reasons are those of the `whole` problem, of which this one is what is left."""
+        """Reasons are given for the `whole` problem, from which this one was reduced."""
         self.problem = problem
         self._whole = problem if whole is None else whole
         self.clock = clock
@@ -110,7 +110,7 @@ class Standing:
         self.are_ties_proven = True
 
     def prove_infeasible(self) -> None:
-        """Note the proof that there is no plan. Raises ContradictionError if one is known."""
+        """Note the proof that no plan exists. Raises ContradictionError if one is known."""
         if self.best is not None:
             raise ContradictionError("no plan is said to be possible, but one is known")
         self.is_infeasible = True
@@ -132,7 +132,7 @@ class Standing:
             self.tell()
 
     def raise_bound_of(self, objective: Objective, bound: int) -> None:
-        """Note that no plan as good in what comes before an objective has less of it."""
+        """Note a lower bound of an objective for plans that are as good in the objectives before it."""
         if objective is Objective.COST:
             self.raise_bound(bound)
         else:

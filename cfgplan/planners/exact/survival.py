@@ -1,10 +1,10 @@
 """Single failures in the constraint model, as landmarks that have to be hit twice.
 
-A landmark of a target is a set of sites (transformations, and hosts where these matter) of which every way to meet the
-target runs one. After the failure of a unit the others can still meet all targets exactly if every landmark has two
-units there: one of them may be the failing one, and a lone cold spare does not meet the target now. After the failure
-of a host every landmark needs a unit on another one. There are too many landmarks to name, so those that a solution
-misses are added, round by round.
+A landmark of a target is a set of sites (transformations, on hosts where these matter). Each way to meet the target
+runs a unit at one of them. After the failure of a unit the others can still meet all targets exactly if every landmark
+has two units there: one of them may be the failing one, and a lone cold spare does not meet the target now. After the
+failure of a host every landmark needs a unit on another one. There are too many landmarks to name, so those that a
+solution misses are added, round by round.
 
 Where it matters how many units of a site there are, only those count that are more than a number: with no more of each
 the target can't be met.
@@ -109,7 +109,7 @@ class Survival:
         return []
 
     def forbid_spares(self, model: Model, true: Collection[int], needless: Collection[int]) -> None:
-        """Forbid spares where all others are there that a solution has: these bear all failures."""
+        """Forbid these spares beside all other units of the solution, which survive each failure without them."""
         states = [(i, literal) for i in model.runs_on for _, literal in model.there_on(i)]
         for spare in needless:
             others = [literal.negated() for i, literal in states if literal.index in true and i != spare]

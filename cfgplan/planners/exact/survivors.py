@@ -1,4 +1,4 @@
-"""Which single failures leave a target without a stream: what the units that are left can start decides."""
+"""Single failures that leave a target without a stream, found by starting the remaining units."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ def a_target_is_published_by_one_unit(model: Model) -> None:
 
 
 def a_unit_runs_that_a_target_wants(model: Model) -> None:
-    """Where it matters who feeds whom there is a boolean for the first unit that runs, as for one that publishes."""
+    """The first running unit has a boolean where feeders matter, as a unit that publishes has."""
     for target, label in model.environment.wanted_to_run.items():
         running = [(i, model.runs[i]) for i in model.to_run(label)]
         met = model.boolean()
@@ -74,9 +74,7 @@ def units_that_could_keep_each_other_are_needed(model: Model) -> None:
 
 
 def who_is_needed(model: Model) -> Mapping[int, IntVar]:
-    """For each tracked unit a boolean that it serves a target, is pinned, or is there by number or for a failure, or
-    that a unit needs it which is needed.
-    """
+    """The boolean of each tracked unit that it is needed: by a target, a pin, a number, a failure, or a needed unit."""
     if model.needed:
         return model.needed
     candidates, roots = model.candidates, defaultdict[int, list[IntVar]](list)

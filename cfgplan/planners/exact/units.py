@@ -75,7 +75,7 @@ def _there(model: Model, label: str) -> list[IntVar]:
 
 
 def new_units_come_in_order(model: Model) -> None:
-    """Of several new units of a transformation the first ones are taken: they are all alike."""
+    """New units of a transformation are interchangeable, so the first ones are used."""
     candidates = model.candidates.all
     for i in range(1, len(candidates)):
         one, next_one = candidates[i - 1], candidates[i]
@@ -84,7 +84,7 @@ def new_units_come_in_order(model: Model) -> None:
 
 
 def one_of_new_units_alike_is_enough(model: Model) -> None:
-    """Of new units that meet the same demands at most one runs, and those that have a need share it.
+    """At most one of several new units that meet the same demands runs, and its consumers share it.
 
     It shortens the proof where nothing is asked beyond the paper; `closing.program.alike` says why it holds. Where
     transformations are required two of them may be wanted.

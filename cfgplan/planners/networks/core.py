@@ -128,7 +128,7 @@ def crowds_of_group(inputs: Mapping[tuple[int, ...], int]) -> Iterator[tuple[tup
 
 @dataclass(frozen=True)
 class Core:
-    """`needs[label]` are facts, `givers[fact]` labels. The last label is the goal, which needs all that is wanted.
+    """`needs[label]` are facts, `givers[fact]` labels. The last label is the goal, which needs every target.
 
     `labels` and `facts` are the numbers that they have in the whole network. A fact holds when as many of its givers
     are there as it `takes`; None if one is enough everywhere.

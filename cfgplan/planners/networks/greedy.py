@@ -24,7 +24,7 @@ FREE = 1e-3
 def first_plan(network: Network, cost: Ints, attempts: int, clock: Clock) -> set[int] | None:
     """A plan, after up to `attempts` attempts to do without one of its members; None if none was found.
 
-    Raises OutOfTimeError if there is no time for a first one.
+    Raises OutOfTimeError if the time ends before a first plan.
     """
     plan = plan_at(network, cost, cost.astype(np.float64) + 1.0, clock.each)
     return None if plan is None else with_less(network, cost, plan, attempts, clock)
@@ -55,7 +55,7 @@ def _without(network: Network, cost: Ints, plan: set[int], label: int) -> set[in
 
 
 def cost_of(cost: Ints, labels: Iterable[int]) -> int:
-    """What labels cost together."""
+    """The cost of labels together."""
     return int(cost[list(labels)].sum())
 
 
@@ -91,7 +91,7 @@ def _total(network: Network, price: Floats) -> list[float] | None:
 
 
 def _added(values: list[float]) -> float:
-    """The sum, but at most DEAREST if all are finite: what is needed twice in each of many layers would overflow."""
+    """The sum, but at most DEAREST if all are finite. A need that repeats in many layers would overflow."""
     return min(sum(values), DEAREST) if max(values) < np.inf else np.inf
 
 

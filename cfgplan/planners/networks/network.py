@@ -2,7 +2,7 @@
 
 For least cost alone one unit of each transformation is enough, so the problem is one of *labels*:
 choose a set of them, grounded, that meets the targets. A *fact* is a demand (merged with all demands
-that the same transformations can meet): "somebody offers this", or "so many do" for the inputs of a distinct
+that the same transformations can meet): "a label offers this", or "N labels do" for the inputs of a distinct
 group. Feedback inputs are left out: bounds stay valid.
 """
 
@@ -26,8 +26,8 @@ from cfgplan.reasons import Each, Givers, distinct_groups
 class Network:
     """The core of a problem with the names of its labels and the facts of its tags.
 
-    `special` are the labels with distinct or feedback inputs, `pinned` those that run in every plan. Those that are the
-    only ones to feed a target or a pinned label are pinned too.
+    `special` are the labels with distinct or feedback inputs, `pinned` those that run in every plan. The only
+    feeder of a target or of a pinned label is pinned too.
     """
 
     def __init__(
@@ -87,7 +87,7 @@ class Network:
 def costs(problem: Problem, network: Network) -> tuple[int, Ints]:
     """The fixed cost of the network's pinned labels, and what each label costs beyond that, in microseconds.
 
-    Of a pinned transformation all running units are kept, of other labels one unit is enough.
+    All running units of a pinned transformation are kept; other labels need one unit.
     """
     running = Counter(unit.transformation for unit in problem.environment.units)
     library = problem.environment.transformation  # the network may be older than costs are
@@ -103,7 +103,7 @@ def costs(problem: Problem, network: Network) -> tuple[int, Ints]:
 class Weighing:
     """The `weight` of each label of a network where plans are compared: `scale` for a microsecond of cost.
 
-    Of plans that cost the same the one with fewer rewired units is better, then the one with fewer started units. Cost
+    Plans of equal cost compare by rewired units, then by started units; fewer are better. Cost
     and changes are one sum, so that a bound on it may prove a plan best in all of them.
 
     If `scale` exceeds 1, a start adds 1 and a rewiring that can't be avoided adds `rewiring`. The fixed cost of pinned
@@ -166,7 +166,7 @@ class Weighing:
         return weight // self.scale + self.fixed_us
 
     def of_key(self, key: Key) -> int:
-        """The weight of a plan with this key: its cost and what it really changes."""
+        """The weight of a plan with this key: its cost and its real changes."""
         return (key.cost_us - self.fixed_us) * self.scale + key.rewired * self.rewiring + key.started
 
     def changes(self, weight: int) -> tuple[int, int] | None:

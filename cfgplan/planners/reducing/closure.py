@@ -1,4 +1,4 @@
-"""The closure of a library: who gives what, what can be started at all, and what of that may be needed."""
+"""The closure of a library: the givers of each demand, and the transformations that can start and may be needed."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from cfgplan.reasons import Each, Givers, startable
 
 @dataclass(frozen=True)
 class Closure:
-    """`givers` know who gives what; `possible` are the transformations that can be started; `relevant` those of them
-    that may be needed; `asked_for` those of which every plan has a unit: by a pin, a number or a target.
+    """`givers` has the givers of each demand; `possible` are the transformations that can be started; `relevant` those
+    of them that may be needed; `asked_for` those with a unit in every plan: by a pin, a number or a target.
     """
 
     givers: Givers
@@ -38,7 +38,7 @@ class Closure:
 
 
 def asked_for(environment: Environment) -> frozenset[str]:
-    """The labels of which a running unit is pinned, or a unit is asked for by number or by a target."""
+    """The labels with a pinned running unit, a least number of instances, or a target that wants a unit of them."""
     running = {unit.transformation for unit in environment.units}
     asked = (t.label for t in environment.library if t.min_instances or (t.pinned and t.label in running))
     return frozenset([*asked, *environment.wanted_to_run.values()])

@@ -545,7 +545,7 @@ class _Wiring:
             self._readers[stream.unit].add(unit.id)
 
     def _free(self, unit: ComputationUnit, port: InputPort) -> Iterator[Stream]:
-        """Yield the streams that may feed an input, given all that is fed already."""
+        """Yield the streams that may feed an input beside the inputs that are fed already."""
         below = set() if port.feedback else set(reached([unit.id], lambda here: sorted(self._readers[here])))
         there = self._feeding_the_group(unit, port)
         for tag in sorted(self._offers.keys() & self._problem.similarity.offers.get(port.tag, frozenset())):

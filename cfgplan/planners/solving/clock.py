@@ -32,7 +32,7 @@ class ContradictionError(Exception):
 
 
 class Clock:
-    """Runs from construction; over at the time limit or when somebody sets `stop`."""
+    """A clock that runs from construction. It is over at the time limit, or when `stop` is set."""
 
     def __init__(self, time_limit_s: float | None = None, stop: Event | None = None, tuning: Tuning = USUAL) -> None:
         self._began = self._phase_began = time.monotonic()
@@ -56,8 +56,9 @@ class Clock:
         return other
 
     def for_a_first_plan(self, problem: Problem) -> Clock:
-        """A clock that began when this one did and is over once there is a plan, or when this process has used as much
-        CPU time as a first plan may take. So the load of the computer does not decide whether there is a plan.
+        """A clock with the start of this one, over once a plan is known or after the CPU time of a first plan.
+
+        So the load of the computer does not decide whether a plan is found.
         """
         environment = problem.environment
         parts = len(environment.library) + len(environment.units) + len(environment.hosts)

@@ -79,7 +79,7 @@ def repeatable_solver(*, small: bool, time_limit_s: float | None) -> CpSolver:
 
 
 def at_least(model: CpModel, least: int, literals: Sequence[IntVar]) -> None:
-    """Demand that at least `least` of the literals hold; one that is there twice counts twice."""
+    """Demand that at least `least` of the literals hold; a repeated literal counts as often as it is given."""
     if least == 1:
         model.add_bool_or(literals)
     else:
@@ -99,8 +99,8 @@ def solve(
     A model with larger numbers than the engine is exact with is solved without full linearisation, and the engine's
     "optimal" or "infeasible" stands only if it says so without any linearisation too: else the status is "feasible" or
     "unknown". No bound is learned before that.
-    Raises KeyboardInterrupt if Ctrl-C comes before the thread is there, and what `look_at` raises. No solving thread is
-    left behind: it would make the process abort when that ends.
+    Raises KeyboardInterrupt if Ctrl-C comes before the thread has begun, and the exceptions of `look_at`. No
+    solving thread is left behind: it would make the process abort when that ends.
     """
     is_exact = model.is_exact()
     if not is_exact:

@@ -1,4 +1,4 @@
-"""What rests on what: the AND-OR graph over a model's booleans, its closure, and cuts from it."""
+"""Support: the AND-OR graph over a model's booleans, its closure, and cuts from it."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Support:
         return rank
 
     def cut(self, true: Collection[int], rank: Collection[int]) -> tuple[list[int], list[int]]:
-        """What is not grounded, as a cut (propositions, ways in): any of the former needs one of the latter.
+        """The ungrounded booleans as a cut (propositions, ways in): any proposition needs one of the ways in.
 
         The propositions are the true ones that rest on any of others and can't be derived.
         """
