@@ -214,32 +214,33 @@ def _folder_of_xml(folder: FilePath) -> Document:
     return Document(folder, fields.EnvironmentPart(format=fields.FORMAT), tuple(files), tuple(faults))
 
 
-def _included(main: FilePath, source: Source, names: list[str]) -> tuple[list[File], list[Fault]]:
+def _included(main: FilePath, source: Source, said: str | list[str]) -> tuple[list[File], list[Fault]]:
     files: list[File] = []
     faults: list[Fault] = []
     seen = {_identity(main)}
-    for index, name in enumerate(names):
+    for index, name in enumerate([said] if isinstance(said, str) else said):
+        entry: Path = ("include",) if isinstance(said, str) else ("include", index)
         path = main.parent / name
         try:
             members = _members(path, main)
         except OSError as error:
             members = []
-            faults.append(source.fault(("include", index), f"{name} can't be read: {error.strerror}", "check the path"))
+            faults.append(source.fault(entry, f"{name} can't be read: {error.strerror}", "check the path"))
         if is_folder(path) and not members:
             mend = f"put files into it that end in {', '.join(SUFFIXES)}, or remove this entry"
-            faults.append(source.fault(("include", index), f"the folder {name} has no environment files", mend))
+            faults.append(source.fault(entry, f"the folder {name} has no environment files", mend))
         for member in members:
             if _identity(member) in seen:
                 itself = _identity(member) == _identity(main)
                 what = f"{member} is this file itself" if itself else f"{member} is included twice"
-                faults.append(source.fault(("include", index), what, "remove this entry"))
+                faults.append(source.fault(entry, what, "remove this entry"))
                 continue
             seen.add(_identity(member))
             try:
                 _, file, more = _read_file(member, fields.IncludedPart)
             except InputError as error:
                 shown = name if member == path else str(FilePath(name) / member.name)
-                faults += (_at_entry(fault, shown, source, ("include", index)) for fault in error.faults)
+                faults += (_at_entry(fault, shown, source, entry) for fault in error.faults)
                 files.append(File(source, broken={"transformations": (Broken(),), "targets": (Broken(),)}))
                 continue
             files.append(file)

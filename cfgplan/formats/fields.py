@@ -532,7 +532,7 @@ class EnvironmentPart(Part):
     horizon: Horizon = row("how far ahead upkeep counts: whole seconds, or `10m`, `1h`", DEFAULT_HORIZON_S, "horizon_s")
     max_cost: Cost | None = row("the most that an update may cost, in CPU seconds", to="max_cost_us")
     defaults: DefaultsPart | None = row("costs of transformations that state none", xml=ELEMENT)
-    include: FileList | None = row("files and folders with more transformations and targets", xml=ELEMENT)
+    include: FileNames | None = row("file or folder, or several, with more transformations and targets", xml=ELEMENT)
     hosts: list[HostPart] | None = row("where units run; if absent, nothing is placed")
     transfer: Cost = row("CPU seconds for each megabyte that goes from host to host", 0, "transfer_us")
     links: list[LinkPart] | None = row("what carries streams from host to host: the first that fits two hosts")

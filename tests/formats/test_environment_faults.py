@@ -110,6 +110,7 @@ TARGET = "targets: [{label: t, topic: /t, tag: T}]\n"
         ),
         ("label: !color red\n", (2, 8), "the YAML tag !color is not supported", None),
         ("include: [nothing.yaml]\n", (2, 11), "nothing.yaml: there is no such file", "check the path"),
+        ("include: nothing.yaml\n", (2, 10), "nothing.yaml: there is no such file", "check the path"),
         ("ontology: [1]\n", (2, 12), "text, but is the number 1", None),
         ("ontology: 1\n", (2, 11), "text, but is the number 1", None),
         (f"{A}units: [{{id: u, transformation: b}}]\n", (4, 33), "there is no transformation `b`", "write the label"),

@@ -154,6 +154,12 @@ def test_included_files_and_folders_add_transformations_and_targets(tmp_path: Pa
     assert [target.label for target in environment.targets] == ["c"]
 
 
+def test_one_included_file_needs_no_list(tmp_path: Path) -> None:
+    (tmp_path / "d.yaml").write_text("transformations: [{label: d}]\n")
+    environment = load_text(tmp_path, "format: cfgplan/1\ninclude: d.yaml\n").environment
+    assert [t.label for t in environment.library] == ["d"]
+
+
 def test_a_world_knows_where_its_parts_are_written(tmp_path: Path) -> None:
     world = load_text(tmp_path, WHOLE)
     file = str(tmp_path / "env.yaml")
