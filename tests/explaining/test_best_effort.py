@@ -12,7 +12,7 @@ from typing import Any
 
 from hypothesis import given
 from hypothesis import strategies as st
-from worlds import TAGS, examples, problems
+from worlds import TAGS, examples, oracle_of, problems
 
 from cfgplan.domain import Environment, OutputPort, Similarity, Target, Transformation
 from cfgplan.explaining import BestEffort, best_effort
@@ -24,7 +24,7 @@ from cfgplan.reasons import unmet_reasons
 from cfgplan.validity import plan_violations
 
 many = examples(100)
-oracle, cpsat = PLANNERS["exhaustive"], PLANNERS["cpsat"]
+oracle, cpsat = oracle_of, PLANNERS["cpsat"]
 
 
 @st.composite

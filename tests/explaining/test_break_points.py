@@ -9,7 +9,7 @@ import pytest
 from fleets import fleets
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from worlds import examples, problems
+from worlds import examples, oracle_of, problems
 
 from cfgplan.costs import LARGEST_COST_US
 from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
@@ -26,7 +26,8 @@ cpsat = PLANNERS["cpsat"]
 
 def oracle(problem: Problem) -> Plan:
     size = len(problem.environment.units) + len(problem.environment.library)
-    return PLANNERS["exhaustive" if size < 6 else "cpsat"](replace(problem, max_cost_us=None))
+    problem = replace(problem, max_cost_us=None)
+    return oracle_of(problem) if size < 6 else PLANNERS["cpsat"](problem)
 
 
 def is_envelope(found: Sensitivity, cost_at: dict[int, int | None]) -> None:

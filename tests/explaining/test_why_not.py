@@ -8,7 +8,7 @@ import pytest
 from fleets import fleets
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from worlds import examples, problems
+from worlds import examples, oracle_of, problems
 
 from cfgplan.domain import Environment, Host, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.explaining.limits import Limit, limits_of, without_limits
@@ -25,7 +25,7 @@ cpsat = PLANNERS["cpsat"]
 def oracle(problem: Problem) -> Plan:
     """The exhaustive planner where it is quick; else the exact one, which is held against it elsewhere."""
     size = len(problem.environment.units) + len(problem.environment.library)
-    return PLANNERS["exhaustive" if size < 5 else "cpsat"](problem)
+    return oracle_of(problem) if size < 5 else PLANNERS["cpsat"](problem)
 
 
 @many

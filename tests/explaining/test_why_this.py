@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from worlds import examples, problems
+from worlds import examples, oracle_of, problems
 
 from cfgplan.domain import (
     ComputationUnit,
@@ -29,7 +29,7 @@ cpsat = PLANNERS["cpsat"]
 
 def oracle(problem: Problem) -> Plan:
     size = len(problem.environment.units) + len(problem.environment.library)
-    return PLANNERS["exhaustive" if size < 6 else "cpsat"](problem)
+    return oracle_of(problem) if size < 6 else cpsat(problem)
 
 
 @many
