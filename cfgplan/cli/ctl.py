@@ -35,6 +35,7 @@ example:
   cfgplan ctl review
   cfgplan ctl plan --out plan.json     (what a review would do now)
   cfgplan ctl why camera.1
+  cfgplan ctl logs camera --follow     (what its units print, those that have died too)
   cfgplan ctl apply plan.json          (refused if something has changed since)
   cfgplan ctl stop
   cfgplan ctl state --connect tls/10.0.0.3:7447 --certificates /etc/cfgplan/manager      (from another computer)
@@ -55,6 +56,9 @@ class _Command:
     key: str = ""
 
 
+_FOLLOWS_S = 0.3
+"""Seconds between two looks at what a unit has printed."""
+
 _COMMANDS = (
     _Command("state", "show targets, units, reviews and what was added"),
     _Command("add", "add what a file says, under the file's name", "FILE", "YAML or JSON; - is standard input"),
@@ -73,6 +77,7 @@ _COMMANDS = (
     _Command("review", "plan now, as if the horizon were reached", method="review"),
     _Command("plan", "say what a review would do now, and change nothing"),
     _Command("why", "say why a unit runs, and what doing without it would cost", "UNIT", "its id, such as camera.1"),
+    _Command("logs", "print what a unit has printed", "UNIT", "its id, or a label: all its units, ended ones too"),
     _Command("apply", "carry out a plan that was made for what runs", "FILE", "what `ctl plan --out` wrote"),
     _Command("events", "print what happens, until the run ends"),
     _Command("socket", "print where the run's control socket is, for other programs"),
@@ -103,6 +108,11 @@ def add_to(parser: argparse.ArgumentParser) -> None:
             each.add_argument("--name", type=normal, metavar="NAME", help="the name to add it under (the file's)")
         if command.name == "plan":
             shared.add_out(each)
+        if command.name == "logs":
+            each.add_argument("--follow", action="store_true", help="go on until the run ends")
+            each.add_argument(
+                "--last", type=shared.count, metavar="N", help="only the last N lines (up to 1,000 of a unit)"
+            )
         if command.method or command.name in ("add", "fact", "plan", "why", "apply"):
             shared.add_time(each, "--wait", 60.0, "how long to wait for the review (60s)")
 
@@ -136,6 +146,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
                     reply = control.call("why", timeout_s=options.wait + 10, unit=options.operand, wait_s=options.wait)
                     screen.show_json(reply) if screen.json else screen.show("\n".join(reply["says"]))
                     return Exit.OK
+                case "logs":
+                    return _logs(control, screen, options)
                 case "apply":
                     params = {"name": options.operand, "text": text}
                     return _change(control, screen, "apply", params, "Done.", options.wait)
@@ -166,6 +178,38 @@ def _events(control: Control, screen: Screen) -> Exit:
             elif event["says"] is not None:
                 screen.write(f"{time.strftime('%H:%M:%S')}  {printable(event['says'])}\n")
             screen.flush()
+    except KeyboardInterrupt:
+        screen.note("stopped")
+    return Exit.OK
+
+
+def _logs(control: Control, screen: Screen, options: argparse.Namespace) -> Exit:
+    """Print lines of a unit, or of all units of a label, which then stand before each line."""
+    from cfgplan_runtime.errors import ControlError
+
+    name, after = options.operand, 0
+    lines = control.call("logs", timeout_s=60, unit=name)["lines"]
+    if options.last is not None:
+        lines = lines[max(0, len(lines) - options.last) :]
+    if not lines and not options.follow:
+        screen.note(f"{name} has printed nothing")
+    try:
+        while True:
+            for line in lines:
+                after = line["number"]
+                if screen.json:
+                    screen.write(json.dumps({"format_version": OUTPUT_VERSION, **line}, ensure_ascii=False) + "\n")
+                else:
+                    at = time.strftime("%H:%M:%S", time.localtime(line["time_s"]))
+                    unit = "" if line["unit"] == name else f"{line['unit']}  "
+                    screen.write(f"{at}  {unit}{printable(line['line'])}\n")
+            screen.flush()
+            if not options.follow:
+                return Exit.OK
+            time.sleep(_FOLLOWS_S)
+            lines = control.call("logs", timeout_s=60, unit=name, after=after)["lines"]
+    except ControlError:
+        screen.note(f"run {control.system.run} has ended")
     except KeyboardInterrupt:
         screen.note("stopped")
     return Exit.OK

@@ -86,6 +86,8 @@ def test_edited_code_is_advised_to_be_restarted_and_a_restart_uses_it(
         await_event(run, "Warning")
         assert main(["ctl", "restart", review["change_set"]["started"][0]["id"]]) == 30
         assert "no lens" in capsys.readouterr().out
+        assert main(["ctl", "logs", review["change_set"]["started"][0]["transformation"]]) == 0
+        assert "ValueError: no lens" in capsys.readouterr().out
 
 
 def test_a_reloading_run_restarts_what_runs_of_an_edited_file(env: Path) -> None:

@@ -19,6 +19,7 @@ from cfgplan_runtime.lifecycle.reports import Review, Snapshot
 from cfgplan_runtime.operating.control_server import Method
 from cfgplan_runtime.operating.declaration import declaration
 from cfgplan_runtime.operating.flows import Flows
+from cfgplan_runtime.operating.printed import Printed
 from cfgplan_runtime.operating.protocol import Record, RefusedError
 from cfgplan_runtime.operating.records import review_record, snapshot_record, wired
 from cfgplan_runtime.operating.sentences import preview_sentence
@@ -43,11 +44,12 @@ class Controlled(Protocol):
 
 
 class Methods:
-    """The methods of a manager by name. `flows` gives rate and latency by topic."""
+    """The methods of a manager by name. `flows` gives rate and latency by topic, `printed` what units have printed."""
 
-    def __init__(self, manager: Controlled, flows: Flows | None = None) -> None:
+    def __init__(self, manager: Controlled, flows: Flows | None = None, printed: Printed | None = None) -> None:
         self._manager = manager
         self._flows = flows or Flows()
+        self._printed = printed or Printed()
 
     def by_name(self) -> dict[str, Method]:
         """The methods for the control server; `cfgplan/manual/control.md` has their params and results."""
@@ -70,6 +72,7 @@ class Methods:
             "plan": self._plan,
             "apply": self._apply,
             "why": self._why,
+            "logs": self._logs,
             "stop": self._stop,
             **{name: self._changing(key, change) for name, (key, change) in one_name.items()},
         }
@@ -135,6 +138,23 @@ class Methods:
         except CfgplanError as error:
             raise _refusal(error) from None
         return {"says": list(why_lines(why))}
+
+    def _logs(self, params: Mapping[str, Any]) -> Record:
+        _only(params, "unit", "after")
+        name, after = _text(params, "unit"), params.get("after", 0)
+        if isinstance(after, bool) or not isinstance(after, int) or after < 0:
+            raise RefusedError(
+                "bad_params", "`after` is no number of a line", "give the `number` of the last one, or 0"
+            )
+        lines = self._printed.lines(name, after)
+        if not lines and not after:
+            known = sorted(
+                {text for unit in self._manager.snapshot().units for text in (unit.unit.id, unit.unit.transformation)}
+            )
+            if name not in known:
+                listed = f"there is {', '.join(known)}" if known else "none runs"
+                raise RefusedError("refused", f"no unit {name!r} runs, and none has printed anything", listed)
+        return {"lines": [line.record() for line in lines]}
 
     def _apply(self, params: Mapping[str, Any]) -> Record:
         _only(params, "text", "name", "wait_s")

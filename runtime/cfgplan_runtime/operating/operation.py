@@ -33,6 +33,7 @@ from cfgplan_runtime.operating.control_server import ControlServer
 from cfgplan_runtime.operating.flows import Flows, Following
 from cfgplan_runtime.operating.methods import Methods
 from cfgplan_runtime.operating.observed_facts import ObservedFacts
+from cfgplan_runtime.operating.printed import Printed
 from cfgplan_runtime.operating.recording import Recorder
 from cfgplan_runtime.operating.records import logging_to, report_record
 from cfgplan_runtime.operating.sentences import sentence
@@ -205,7 +206,9 @@ class Operation(Closable):
             self.manager.listen(logging_to(self.log))
         if self.recorder is not None:
             self.manager.listen(self.recorder.report)
-        methods = Methods(self.manager, self.flows).by_name()
+        printed = Printed()
+        self.manager.listen(printed.hear)
+        methods = Methods(self.manager, self.flows, printed).by_name()
         self._observed = ObservedFacts(self.id, self.manager, self.show)
         stack.callback(self._observed.close)
         self._server = ControlServer(base_folder() / self.id, methods, str(self._path.resolve()))
