@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
+import re
 import statistics
 import subprocess
 import sys
@@ -260,6 +261,29 @@ def slow_links(fleet: Fleet, short: bool) -> Seen:
     return Seen("; ".join(texts), holds, is_in_time)
 
 
+def crowded_link(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
+    """2 MB at 2 Hz, 32 Mbit/s, over 20: a run says that the link takes less, what is needed, and what it gives."""
+    from cfgplan_runtime.operating.crowded_links import CrowdedLinks
+    from cfgplan_runtime.operating.flows import Flows
+
+    from cfgplan.domain import ChangeSet
+
+    with stream(fleet, "r1", "base") as (runtime, _):
+        flows, links, told = Flows(), CrowdedLinks(), list[str]()
+        runtime.listen(flows.hear)
+        runtime.apply(ChangeSet(started=(unit("large2.1", "r1"), unit("same.2", "base", x="large2.1/n", topic="/big"))))
+        Listener(runtime.id, "/big", number=lambda one: int(one[0])).await_more(2)
+        fleet.network.limit("r1", 20.0)
+        end_s = time.monotonic() + 40.0
+        while not told and time.monotonic() < end_s:
+            time.sleep(0.5)
+            told += links.told(flows.crossings, time.monotonic())
+        fleet.network.unlimit("r1")
+        figures = [float(one) for one in re.findall(r"([\d.]+) Mbit/s", " ".join(told))]
+        holds = len(figures) == 2 and 24 <= figures[0] <= 40 and 12 <= figures[1] <= 24
+    return Seen(told[0] if told else "nothing was told in 40 s", holds and not events(runtime, "HostLost"))
+
+
 def clocks(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
     """A source moves between hosts whose clocks are 0.5 s ahead and behind: silence under 50 ms."""
     from cfgplan.domain import ChangeSet
@@ -458,6 +482,7 @@ CASES: dict[str, tuple[Callable[[Fleet, bool], Seen], float]] = {
     "unit killed": (unit_killed, LEASE_S),
     "overload": (overload, LEASE_S),
     "slow links": (slow_links, LEASE_S),
+    "crowded link": (crowded_link, LEASE_S),
     "agent killed": (agent_killed, LEASE_S),
     "clocks": (clocks, LEASE_S),
     "load": (load, LEASE_S),

@@ -19,6 +19,7 @@ CASES = (
     "unit killed",
     "agent killed",
     "slow links",
+    "crowded link",
     "clocks",
     "storm",
     "host returns",

@@ -298,3 +298,17 @@ def test_frames_and_told_credits_are_read_as_they_were_written() -> None:
 def test_garbage_is_neither_frame_nor_credit(garbage: bytes) -> None:
     assert read_frame(garbage, b"") is None
     assert read_credit(garbage) is None
+
+
+def test_what_is_dropped_for_want_of_room_in_the_link_is_told_from_what_the_receiver_had_no_room_for() -> None:
+    crowded, shut = Sending(granted=FRAMES_UNDER_WAY), Sending(granted=0)
+    for sending in (crowded, shut):
+        for turn in range(40):
+            sending.offer(piece(turn, size=1_000_000))
+            sending.due(0.0)
+        assert sending.dropped > 0
+        assert sending.offered_bytes == 40_000_000
+        assert sending.arrived_bytes == 0
+    assert (crowded.crowded, shut.crowded) == (crowded.dropped, 0)
+    crowded.hear(Credit(2, FRAMES_UNDER_WAY), 0.1)
+    assert 0 < crowded.arrived_bytes < crowded.offered_bytes

@@ -284,11 +284,23 @@ class Marked(msgspec.Struct, tag=True):
 
 
 class CrossingCounts(msgspec.Struct, frozen=True):
-    """Of a stream to another host: what there was to send, what had no room, and what has not arrived yet."""
+    """Of a stream to another host: what there was to send, what had no room, and what has not arrived yet.
+
+    `crowded` of those that were dropped had no room in the link, the others none at the receiver. `offered_bytes` were
+    there to be sent, `arrived_bytes` are known to have arrived.
+    """
 
     elements: int = 0
     dropped: int = 0
     waiting: int = 0
+    crowded: int = 0
+    offered_bytes: int = 0
+    arrived_bytes: int = 0
+
+    def __add__(self, other: CrossingCounts) -> CrossingCounts:
+        return CrossingCounts(
+            **{name: getattr(self, name) + getattr(other, name) for name in CrossingCounts.__struct_fields__}
+        )
 
 
 FromRelay: TypeAlias = ImportUnused | Marked

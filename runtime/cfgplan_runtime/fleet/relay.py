@@ -78,7 +78,14 @@ class Relay:
     def counts(self) -> dict[str, messages.CrossingCounts]:
         """The counts of each export; for any thread."""
         return {
-            name: messages.CrossingCounts(one.input.elements, one.sending.dropped, one.sending.depth)
+            name: messages.CrossingCounts(
+                one.input.elements,
+                one.sending.dropped,
+                one.sending.depth,
+                one.sending.crowded,
+                one.sending.offered_bytes,
+                one.sending.arrived_bytes,
+            )
             for name, one in list(self._exports.items())
         }
 

@@ -77,19 +77,12 @@ class Counts:
         for name in [name for name in self._last if routes.crossing(name) is None and name not in told]:
             (_, source, target), counts = self._last.pop(name)
             ended = msgspec.structs.replace(counts, waiting=0)
-            self._released[source, target] = _sum(self._released.get((source, target)), ended)
+            self._released[source, target] = self._released.get((source, target), CrossingCounts()) + ended
         found = {("", *hosts): counts for hosts, counts in self._released.items()}
         for name, ((stream, *hosts), counts) in self._last.items():
             labels = (stream if routes.crossing(name) else "", hosts[0], hosts[1])
-            found[labels] = _sum(found.get(labels), counts)
+            found[labels] = found.get(labels, CrossingCounts()) + counts
         return found
-
-
-def _sum(one: CrossingCounts | None, other: CrossingCounts) -> CrossingCounts:
-    """The sum of both."""
-    if one is None:
-        return other
-    return CrossingCounts(one.elements + other.elements, one.dropped + other.dropped, one.waiting + other.waiting)
 
 
 class Routes:

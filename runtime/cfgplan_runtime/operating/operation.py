@@ -30,6 +30,7 @@ from cfgplan_runtime.lifecycle.manager import Manager
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Decision, Ended, Observed, Report, Reviewed
 from cfgplan_runtime.operating.control_server import ControlServer
+from cfgplan_runtime.operating.crowded_links import CrowdedLinks
 from cfgplan_runtime.operating.flows import Flows, Following
 from cfgplan_runtime.operating.methods import Methods
 from cfgplan_runtime.operating.observed_facts import ObservedFacts
@@ -110,6 +111,7 @@ class Operation(Closable):
         self._quiet_s: dict[str, float] = {}
         """For each quiet topic of a met target: since when; infinite once that was reported."""
         self._spinning = Spinning()
+        self._crowded = CrowdedLinks()
         self.failure = ""
         """Why the manager ended without being asked; empty otherwise."""
         self.begun = threading.Event()
@@ -255,6 +257,8 @@ class Operation(Closable):
                 self._tell_of_silence()
                 library = self.manager.world.environment.transformation
                 for warning in self._spinning.told(observations, library, time.monotonic()):
+                    self.show(warning)
+                for warning in self._crowded.told(self.flows.crossings, time.monotonic()):
                     self.show(warning)
                 return
             case Ended(cause):

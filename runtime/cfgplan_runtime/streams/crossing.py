@@ -251,6 +251,9 @@ class Sending:
 
     def __init__(self, *, blocks: bool = False, most: int = MOST_PIECES, granted: int = 0) -> None:
         self.dropped = 0
+        self.crowded = 0
+        """How many were dropped since the link had no room for them; the others had none at the receiver."""
+        self.offered_bytes = self.arrived_bytes = 0
         self._blocks = blocks
         self._most = most
         self._waiting: deque[Piece] = deque()
@@ -289,6 +292,7 @@ class Sending:
         """Have a piece sent. An element that was begun is sent whole, and one that is dropped is dropped whole."""
         self._waiting.append(piece)
         self._waiting_bytes += len(piece.payload)
+        self.offered_bytes += len(piece.payload)
         while not self._blocks and len(self._waiting) > 1 and self._has_too_many:
             first = 1 if self._begun else 0
             elements = (number for number, one in enumerate(self._waiting) if number >= first and one.is_element)
@@ -298,6 +302,7 @@ class Sending:
             self._waiting_bytes -= len(self._waiting[oldest].payload)
             del self._waiting[oldest]
             self.dropped += 1
+            self.crowded += self._next < self._limit
 
     def hear(self, credit: Credit, now_s: float) -> None:
         """Note what the receiver tells; what it told before may come later."""
@@ -305,6 +310,7 @@ class Sending:
         for number in arrived:
             frame = self._under_way.pop(number)
             self._under_way_bytes -= self._size(frame)
+            self.arrived_bytes += self._size(frame)
             self._dropped_before = frame.dropped
             self._pace.note_arrived(number, self._size(frame), now_s)
         if arrived or credit.limit > self._limit:
