@@ -16,7 +16,7 @@ from typing import Any, NoReturn, TextIO, cast
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.interrupts import Ending, end_below_threads, ended_cleanly
 from cfgplan.cli.screen import FULL_DISK, Screen
-from cfgplan.errors import CfgplanError, Fault, InputError, known
+from cfgplan.errors import CfgplanError, Fault, InputError, did_you_mean, known
 from cfgplan.extras import install
 
 VERBS: Mapping[str, str] = MappingProxyType(
@@ -75,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _main(arguments: Sequence[str], ending: Ending) -> int:
-    screen, options, code = Screen(json="--json" in arguments), argparse.Namespace(), Exit.OK
+    screen, options, code = Screen(json="--json" in arguments, command=arguments), argparse.Namespace(), Exit.OK
     try:
         try:
             _say_every_character(screen)
@@ -84,7 +84,7 @@ def _main(arguments: Sequence[str], ending: Ending) -> int:
             if not hasattr(options, "run"):
                 parser.print_help(sys.stderr)
                 return Exit.BAD_INPUT
-            screen = Screen(json=getattr(options, "json", False))
+            screen = Screen(json=getattr(options, "json", False), command=arguments)
             _say_every_character(screen)
             refuse_overwriting(options)
             code = Exit(options.run(options, screen))
@@ -172,11 +172,14 @@ class Parser(argparse.ArgumentParser):
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         known, unknown = super().parse_known_args(args, namespace)
         if unknown:
-            self.error(f"unrecognized arguments: {' '.join(unknown)}")
+            option = unknown[0].partition("=")[0]
+            close = did_you_mean(option, self._option_string_actions) if option.startswith("-") else None
+            self.error(f"unrecognized arguments: {' '.join(unknown)}", close)
         return known, unknown
 
-    def error(self, message: str) -> NoReturn:
-        raise InputError.of(message, mend=f"{self.prog} --help tells more")
+    def error(self, message: str, mend: str | None = None) -> NoReturn:
+        more = f"{self.prog} --help tells more"
+        raise InputError.of(message, mend=f"{mend} {more}" if mend else more)
 
 
 class _Version(argparse.Action):
