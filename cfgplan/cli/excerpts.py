@@ -16,6 +16,7 @@ _MARGIN = 40
 """How much of a long line stands before the place, at most."""
 _WORD = re.compile(r'"(?:[^"\\]|\\.)*"|\'[^\']*\'|\$\{[^}]*\}|[^\s,:{}\[\]()"\']+|\S')
 _OPTION = re.compile(r"(?:^|argument |\s)(--?[\w-]+)")
+_VALUE = re.compile(r"^argument [^:]*: (\S+)")
 _QUOTED = re.compile(r"`([^`]+)`|'([^']*)'")
 _MISSING = "the following arguments are required"
 
@@ -41,7 +42,7 @@ def _of_file(file: str, number: int, column: int | None) -> Excerpt | None:
     try:
         if not Path(file).is_file():  # a pipe can't be read twice
             return None
-        with open(file, encoding="utf-8-sig", errors="replace") as text:
+        with Path(file).open(encoding="utf-8-sig", errors="replace") as text:
             line = next(islice(text, number - 1, number), None)
     except (OSError, ValueError):
         return None
@@ -73,6 +74,7 @@ def _named(fault: Fault, words: Sequence[str]) -> int | None:
     if "" in words and "empty" in fault.message:
         return words.index("")
     told = [one or other for one, other in _QUOTED.findall(fault.message)]
+    told += [*_VALUE.findall(fault.message), *_option_of(fault)[1:]]
     for name in _options(fault):
         for at, word in enumerate(words):
             if word.partition("=")[0] == name and name:
@@ -88,9 +90,13 @@ def _named(fault: Fault, words: Sequence[str]) -> int | None:
 
 def _options(fault: Fault) -> Iterator[str]:
     """The options that a fault names, in the order in which it names them."""
-    if (fault.file or "").startswith("-"):
-        yield fault.file or ""
+    yield from _option_of(fault)[:1]
     yield from _OPTION.findall(fault.message)
+
+
+def _option_of(fault: Fault) -> list[str]:
+    """The option that stands for a fault's file or key, and its value; empty without one."""
+    return next((each.split() for each in (fault.file, fault.key) if each is not None and each.startswith("-")), [])
 
 
 def drawn(found: Excerpt) -> tuple[str, str, str]:

@@ -6,6 +6,7 @@ import argparse
 import contextlib
 import io
 import os
+import re
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from importlib import import_module
@@ -18,6 +19,7 @@ from cfgplan.cli.interrupts import Ending, end_below_threads, ended_cleanly
 from cfgplan.cli.screen import FULL_DISK, Screen
 from cfgplan.errors import CfgplanError, Fault, InputError, did_you_mean, known
 from cfgplan.extras import install
+from cfgplan.summary import some
 
 VERBS: Mapping[str, str] = MappingProxyType(
     {
@@ -178,8 +180,25 @@ class Parser(argparse.ArgumentParser):
         return known, unknown
 
     def error(self, message: str, mend: str | None = None) -> NoReturn:
+        mend = mend or _mend_of_arguments(message)
         more = f"{self.prog} --help tells more"
         raise InputError.of(message, mend=f"{mend} {more}" if mend else more)
+
+
+def _mend_of_arguments(message: str) -> str | None:
+    """What to do about a refusal of argparse; None where its message says it, or nothing is known."""
+    _, is_missing, names = message.partition("the following arguments are required: ")
+    if is_missing:
+        return f"write {names} here;"
+    if message.endswith("expected one argument"):
+        return "write a value after it;"
+    if message.startswith("unrecognized arguments: "):
+        return "leave it out, or put quotes around a value with a space in it;"
+    found = re.search(r"invalid choice: '(.*)' \(choose from (.*)\)", message)
+    if found is None:
+        return None
+    choices = [each.strip("' ") for each in found[2].split(",")]
+    return did_you_mean(found[1], choices, f"write {some(choices, _MOST_CHOICES)};")
 
 
 class _Version(argparse.Action):
@@ -253,6 +272,7 @@ class Chatter:
             os.close(nowhere)
 
 
+_MOST_CHOICES = 8
 _READ = ("env", "envs", "also", "path", "plan", "guesses", "features")
 _WRITTEN = ("out", "plot", "log", "record")
 
