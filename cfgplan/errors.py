@@ -111,11 +111,13 @@ def close_names(name: str, names: Collection[str], most: int = 1) -> list[str]:
     from difflib import get_close_matches
 
     there = {*names}
+    if alike := sorted(each for each in there if each.casefold() == name.casefold()):
+        return alike[:most]
     if len(there) <= _MOST_NAMES_COMPARED:
         close = get_close_matches(name, sorted(there), n=most)
     else:
         close = [edited for edited in _edits(name) if edited in there][:most]
-    return close or sorted(each for each in there if each.casefold() == name.casefold())
+    return close
 
 
 def _edits(name: str) -> Iterator[str]:

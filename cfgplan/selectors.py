@@ -117,11 +117,21 @@ class ExpressionReader(ABC, Generic[Meaning]):
         if not is_name and self._ends_operand(token):
             what = f"{self._written()!r} stands" if token else f"the {self.what} ends"
             quoted = f"; a name is written \"'{self._written()}'\"" if self._is_keyword() else ""
-            raise self._error(f"{what} where {self.wanted} is wanted", f"write {self.examples}{quoted}")
+            mend = self._mend_of_order(token) or f"write {self.examples}{quoted}"
+            raise self._error(f"{what} where {self.wanted} is wanted", mend)
         self._at += 1
         found = self.other(self._words[self._at - 1]) if is_name else self._compound(token)
         self._depth -= 1
         return found
+
+    def _mend_of_order(self, token: str) -> str | None:
+        """What to do about a sign that stands twice, or a word that stands before its role; None for others."""
+        before, role, filler = self._tokens[self._at - 1], *(*self._words[self._at + 1 :], "", "")[:2]
+        if token == before and token in ("⊓", "⊔"):
+            return f"write `{'and' if token == '⊓' else 'or'}` once"
+        if token in self.restrictions and role[:1].isalpha() and filler[:1].isalnum():
+            return f"the property stands first: `{role} {token} {filler}`"
+        return None
 
     def _is_keyword(self) -> bool:
         """Whether the next token is a word that means more than a name."""

@@ -40,8 +40,10 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
     world, every, noisy = _faults(options, screen)
     faulty = [*shared.code_faults(world, world.environment.transformation)]
-    for warning in (*noisy, *faulty):
+    for warning in noisy:
         screen.warn(warning)
+    for code_fault in faulty:
+        screen.warn_of(code_fault)
     if not world.environment.units and options.against is None:
         return _nothing_runs(options, world, screen)
     found, gone = every, 0

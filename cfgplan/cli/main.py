@@ -6,6 +6,7 @@ import argparse
 import contextlib
 import io
 import os
+import re
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from importlib import import_module
@@ -16,8 +17,9 @@ from typing import Any, NoReturn, TextIO, cast
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.interrupts import Ending, end_below_threads, ended_cleanly
 from cfgplan.cli.screen import FULL_DISK, Screen
-from cfgplan.errors import CfgplanError, Fault, InputError, known
+from cfgplan.errors import CfgplanError, Fault, InputError, did_you_mean, known
 from cfgplan.extras import install
+from cfgplan.summary import some
 
 VERBS: Mapping[str, str] = MappingProxyType(
     {
@@ -75,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _main(arguments: Sequence[str], ending: Ending) -> int:
-    screen, options, code = Screen(json="--json" in arguments), argparse.Namespace(), Exit.OK
+    screen, options, code = Screen(json="--json" in arguments, command=arguments), argparse.Namespace(), Exit.OK
     try:
         try:
             _say_every_character(screen)
@@ -84,7 +86,7 @@ def _main(arguments: Sequence[str], ending: Ending) -> int:
             if not hasattr(options, "run"):
                 parser.print_help(sys.stderr)
                 return Exit.BAD_INPUT
-            screen = Screen(json=getattr(options, "json", False))
+            screen = Screen(json=getattr(options, "json", False), command=arguments)
             _say_every_character(screen)
             refuse_overwriting(options)
             code = Exit(options.run(options, screen))
@@ -172,11 +174,31 @@ class Parser(argparse.ArgumentParser):
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         known, unknown = super().parse_known_args(args, namespace)
         if unknown:
-            self.error(f"unrecognized arguments: {' '.join(unknown)}")
+            option = unknown[0].partition("=")[0]
+            close = did_you_mean(option, self._option_string_actions) if option.startswith("-") else None
+            self.error(f"unrecognized arguments: {' '.join(unknown)}", close)
         return known, unknown
 
-    def error(self, message: str) -> NoReturn:
-        raise InputError.of(message, mend=f"{self.prog} --help tells more")
+    def error(self, message: str, mend: str | None = None) -> NoReturn:
+        mend = mend or _mend_of_arguments(message)
+        more = f"{self.prog} --help tells more"
+        raise InputError.of(message, mend=f"{mend} {more}" if mend else more)
+
+
+def _mend_of_arguments(message: str) -> str | None:
+    """What to do about a refusal of argparse; None where its message says it, or nothing is known."""
+    _, is_missing, names = message.partition("the following arguments are required: ")
+    if is_missing:
+        return f"write {names} here;"
+    if message.endswith("expected one argument"):
+        return "write a value after it;"
+    if message.startswith("unrecognized arguments: "):
+        return "leave it out, or put quotes around a value with a space in it;"
+    found = re.search(r"invalid choice: '(.*)' \(choose from (.*)\)", message)
+    if found is None:
+        return None
+    choices = [each.strip("' ") for each in found[2].split(",")]
+    return did_you_mean(found[1], choices, f"write {some(choices, _MOST_CHOICES)};")
 
 
 class _Version(argparse.Action):
@@ -250,6 +272,7 @@ class Chatter:
             os.close(nowhere)
 
 
+_MOST_CHOICES = 8
 _READ = ("env", "envs", "also", "path", "plan", "guesses", "features")
 _WRITTEN = ("out", "plot", "log", "record")
 

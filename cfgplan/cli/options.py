@@ -9,7 +9,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from decimal import Decimal, InvalidOperation
 from io import BytesIO
 from pathlib import Path
@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from cfgplan.canonical import normal
 from cfgplan.cli.screen import Screen, ShownWork, decided_by
-from cfgplan.errors import InvalidValueError
+from cfgplan.errors import Fault, InvalidValueError
 from cfgplan.extras import needed
+from cfgplan.formats.places import Place
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -232,14 +233,14 @@ def setting(text: str) -> tuple[str, str]:
     """`KEY=VALUE`, where the key may hold `=` itself."""
     key, equals, value = normal(text).rpartition("=")
     if not (key and equals and value):
-        raise argparse.ArgumentTypeError(f"{text!r} is not KEY=VALUE")
+        raise argparse.ArgumentTypeError(f"{text!r} is not KEY=VALUE: write one, such as horizon=60")
     return key.strip(), value.strip()
 
 
 def count(text: str) -> int:
     value = _decimal(text)
     if value != value.to_integral_value() or value < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1: write one, such as 3")
     return int(value)
 
 
@@ -262,14 +263,14 @@ def port(text: str) -> int:
 def not_negative(text: str) -> float:
     value = _decimal(text)
     if value < 0:
-        raise argparse.ArgumentTypeError(f"{text!r} is negative")
+        raise argparse.ArgumentTypeError(f"{text!r} is negative: write a number of 0 or more")
     return float(value)
 
 
 def positive(text: str) -> float:
     value = _decimal(text)
     if value <= 0:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number: write one above 0")
     return float(value)
 
 
@@ -286,9 +287,15 @@ def _decimal(text: str) -> Decimal:
     try:
         value = Decimal(text)
     except InvalidOperation:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number") from None
+        from cfgplan.costs import meant_s
+
+        meant = meant_s(text)
+        such = (
+            f"write seconds as a plain number: {meant.normalize():f}" if meant is not None else "write one, such as 10"
+        )
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number: {such}") from None
     if not value.is_finite():
-        raise argparse.ArgumentTypeError(f"{text!r} is not a finite number")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a finite number: write one, such as 10")
     if value > _LARGEST_NUMBER:
         raise argparse.ArgumentTypeError(f"{text!r} is too large: the limit is {_LARGEST_NUMBER}")
     return value
@@ -314,7 +321,9 @@ def out_file(text: str) -> str:
         if path.is_dir():
             raise argparse.ArgumentTypeError(f"{text!r} is a folder: name a file")
         if not path.parent.is_dir():
-            raise argparse.ArgumentTypeError(f"{text!r} can't be written: there is no folder {str(path.parent)!r}")
+            raise argparse.ArgumentTypeError(
+                f"{text!r} can't be written: there is no folder {str(path.parent)!r}; make it"
+            )
         if not path.exists() and not os.access(path.parent, os.W_OK):
             raise argparse.ArgumentTypeError(f"{text!r} can't be written: the folder is read-only")
     except OSError as error:
@@ -371,15 +380,25 @@ def duration(text: str) -> float:
     return float(seconds)
 
 
-def code_faults(world: api.World, labels: Iterable[str]) -> Iterator[str]:
-    """The faults of transformations' code, each with its place in the file."""
+def code_faults(world: api.World, labels: Iterable[str]) -> Iterator[Fault]:
+    """The faults of transformations' code, each with its place in the code, or else in the environment file."""
     if world.file is None or world.environment.hosts:  # the hosts have their own code
         return
     from cfgplan_runtime.children.source_faults import source_fault
 
     path = world.file.path
+    folder = path if path.is_dir() else path.parent
     for label in labels:
-        fault = source_fault(world.environment.transformation[label], path if path.is_dir() else path.parent)
-        if fault is not None:
-            place = world.file.place(transformation=label)
-            yield f"{':'.join(map(str, place or (path,)))}: {label} can't be started: {fault}"
+        fault = source_fault(world.environment.transformation[label], folder)
+        if fault is None:
+            continue
+        place = world.file.place(transformation=label, key="source")
+        said = f"{label} can't be started: "
+        if fault.file is not None and fault.line is not None:
+            by = f", as {place.file}:{place.line} names it" if place else ""
+            message = f"{said}{fault.message}{by}"
+            yield replace(fault, file=str(folder / fault.file), message=message)
+        else:
+            told = f"{fault.file}: {fault.message}" if fault.file else fault.message
+            at = place or Place(str(path), 1, 1)
+            yield Fault(f"{said}{told}", at.file, at.line, at.column, mend=fault.mend)

@@ -6,7 +6,7 @@ import errno
 import json
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from enum import Enum
@@ -21,6 +21,7 @@ from cfgplan.summary import counted as counted
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
+    from rich.text import Text
 
     from cfgplan.planning import Progress
 
@@ -87,8 +88,10 @@ def decided_by(counts: Mapping[str, int]) -> str:
 class Screen:
     """Output for a terminal or, as JSON, for a program. Only terminals get colours."""
 
-    def __init__(self, *, json: bool) -> None:
+    def __init__(self, *, json: bool, command: Sequence[str] = ()) -> None:
         self.json = json
+        self.command = command
+        """The words of the command line, in which faults are shown that no line of a file has."""
         self.seconds: dict[str, float] = {}
         self._is_full = False
 
@@ -162,21 +165,35 @@ class Screen:
         self.note(f"warning: {text}", style="yellow")
 
     def faults(self, faults: Iterable[Fault]) -> None:
-        """Show what is wrong with the input: place, what, mend."""
-        from rich.text import Text
-
+        """Show what is wrong with the input: place, what, the line with a caret, mend."""
         faults = list(faults)
         if self.json:
             self.show_json({"errors": faults})
             return
         for fault in faults:
-            line = Text("error: ", style="bold red")
-            line.append(f"{fault.place}: " if fault.place else "", style="bold")
-            line.append(f"{fault.key}: " if fault.key else "", style="cyan")
-            line.append(fault.message)
-            if fault.mend:
-                line.append(f"\n       {fault.mend}", style="green")
-            self._err.print(line, soft_wrap=True)
+            self._err.print(self._told(fault, "error: ", "bold red"), soft_wrap=True)
+
+    def warn_of(self, fault: Fault) -> None:
+        """Show what is wrong with the input where the work goes on without it."""
+        self._err.print(self._told(fault, "warning: ", "yellow"), soft_wrap=True)
+
+    def _told(self, fault: Fault, kind: str, style: str) -> Text:
+        """A fault with its place, the line that it is about, and its mend."""
+        from rich.text import Text
+
+        from cfgplan.cli.excerpts import drawn, excerpt
+
+        text = Text(kind, style=style)
+        text.append(f"{fault.place}: " if fault.place else "", style="bold")
+        text.append(f"{fault.key}: " if fault.key else "", style="cyan")
+        text.append(fault.message, style="not bold default")
+        if (found := excerpt(fault, self.command)) is not None:
+            line, space, carets = drawn(found)
+            text.append(f"\n{line}\n{space}", style="not bold default")
+            text.append(carets, style=style)
+        if fault.mend:
+            text.append(f"\n       {fault.mend}", style="green")
+        return text
 
     def internal_error(self, error: Exception) -> None:
         """Report a bug of this package: the input is not to blame."""

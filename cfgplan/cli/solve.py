@@ -119,8 +119,8 @@ def _solve(options: argparse.Namespace, screen: Screen, task: shared.Task) -> Ex
         for line in left_out_lines(world.environment):
             screen.note(line)
         started = {unit.transformation for unit in plan.change_set.started} if plan.change_set is not None else set()
-        for line in shared.code_faults(world, sorted(started)):
-            screen.warn(line)
+        for fault in shared.code_faults(world, sorted(started)):
+            screen.warn_of(fault)
         if options.verbose:
             screen.note("\n".join(f"  {name:32} {count}" for name, count in plan.counts.items()))
         screen.times()

@@ -22,6 +22,16 @@ from cfgplan.formats.places import Path, Source, Spot
 from cfgplan.formats.schema_faults import schema_faults
 
 _BEGINS = "a file is a mapping that begins with `format: cfgplan/1`"
+_LAUNCH_FILE = "a launch file", "make an environment of it: `cfgplan import ros2 FILE --out env.yaml`"
+_ONTOLOGY = "an ontology", "name it under `ontology:` of an environment file"
+_OTHER_KINDS = {
+    **dict.fromkeys((".ttl", ".owl", ".rdf", ".jsonld", ".omn", ".ofn"), _ONTOLOGY),
+    ".launch": ("a launch file", "make an environment of it: `cfgplan import ros1 FILE --out env.yaml`"),
+    ".launch.py": _LAUNCH_FILE,
+    ".launch.xml": _LAUNCH_FILE,
+    ".py": ("Python code", "name its classes under `source:` of an environment file"),
+}
+"""What somebody may name in place of an environment, by its ending, and what to do with it."""
 SUFFIXES = (".yaml", ".yml", ".json", ".xml")
 P = TypeVar("P", bound=BaseModel)
 
@@ -139,6 +149,9 @@ def read_declared(name: str, data: Mapping[str, Any]) -> tuple[File, list[Fault]
 
 
 def _read_file(path: FilePath, part: type[P]) -> tuple[P, File, list[Fault]]:
+    kind = next((kind for ending, kind in _OTHER_KINDS.items() if path.name.endswith(ending)), None)
+    if kind is not None and path.is_file():
+        raise InputError.of(f"this is {kind[0]}, not an environment", file=str(path), mend=kind[1])
     return _read_source(read_source(path), part)
 
 
@@ -148,6 +161,8 @@ def _read_source(source: Source, part: type[P]) -> tuple[P, File, list[Fault]]:
         raise InputError.of("the file is empty", file=source.file, mend=_BEGINS)
     if not isinstance(data, dict):
         raise InputError([*source.faults, source.fault((), "this is not an environment", _BEGINS)])
+    if "format" not in data and (kind := _other_kind(data)):
+        raise InputError([source.fault((), f"this is {kind[0]}, not an environment", kind[1])])
     faults = list(source.faults)
     bad: dict[Any, set[int]] = {}
     try:
@@ -159,6 +174,17 @@ def _read_source(source: Source, part: type[P]) -> tuple[P, File, list[Fault]]:
         bad = _bad_entries([e["loc"] for e in errors])
         model = part.model_validate(_good_entries(data, bad))
     return model, _file(source, model, data, bad), faults
+
+
+def _other_kind(data: Mapping[str, object]) -> tuple[str, str] | None:
+    """What a mapping is that does not say that it is an environment; None if it may be one."""
+    if "format_version" in data and "change_set" in data:
+        return "a plan", "name the environment that it was made of; `cfgplan ctl apply` takes a plan"
+    if "services" in data and "transformations" not in data:
+        return "a file of Docker Compose", f"name an environment: {_BEGINS}"
+    if "launch" in data and "transformations" not in data:
+        return _LAUNCH_FILE
+    return None
 
 
 def _bad_entries(paths: list[Path]) -> dict[Any, set[int]]:

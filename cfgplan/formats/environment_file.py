@@ -98,11 +98,14 @@ class EnvironmentFile:
         port: str | None = None,
         target: str | None = None,
         transformation: str | None = None,
+        key: str | None = None,
     ) -> Place | None:
-        """Where a unit, target or transformation, or a port of it, is written; None if no file has it."""
+        """Where a unit, target or transformation is written, or a port or the value of a key of it; None if nowhere."""
         for kind, name in (("unit", unit), ("target", target), ("transformation", transformation)):
             origin = self.origins.get((kind, name)) if name is not None else None
             if origin is not None:
+                if key is not None:
+                    return origin.at(key).place
                 return (origin if port is None else _port_of(origin, port)).place
         return None
 

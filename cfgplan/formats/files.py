@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from itertools import islice
 from pathlib import Path
 
-from cfgplan.errors import Fault, InputError
+from cfgplan.errors import Fault, InputError, close_names
 from cfgplan.formats.json_text import read_json
 from cfgplan.formats.places import Source
 from cfgplan.formats.yaml_text import read_yaml
 
 LARGEST_FILE_BYTES = 128 * 2**20
+_MOST_BESIDE = 500
 _UNREADABLE: dict[type[Exception], tuple[str, str]] = {
     FileNotFoundError: ("there is no such file", "check the path"),
     IsADirectoryError: ("this is a folder, not a file", "name the file in it"),
@@ -51,12 +53,23 @@ def read_bytes(path: Path) -> bytes:
         why = getattr(error, "strerror", None) or error
         message, mend = _UNREADABLE.get(type(error), (f"the file can't be read: {why}", "check the path"))
         mend = "name /dev/stdin for standard input" if name == "-" else mend
+        if isinstance(error, FileNotFoundError):
+            close = close_names(path.stem, _stems_beside(path))
+            mend = f"did you mean `{path.with_name(close[0] + path.suffix)}`?" if close else mend
         raise InputError.of(message, file=name, mend=mend) from None
     if len(content) > LARGEST_FILE_BYTES:
         raise InputError.of(
             f"the file is larger than {LARGEST_FILE_BYTES // 2**20} MiB", file=name, mend="split it by `include:`"
         )
     return content
+
+
+def _stems_beside(path: Path) -> list[str]:
+    """The names, without their ending, of files beside a path that end as it does; the first few hundred."""
+    try:
+        return sorted(islice((each.stem for each in path.parent.iterdir() if each.suffix == path.suffix), _MOST_BESIDE))
+    except OSError:
+        return []
 
 
 def is_folder(path: Path) -> bool:

@@ -2,18 +2,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from decimal import Decimal
+from math import ceil
 from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel
 
-from cfgplan.errors import Fault, did_you_mean
+from cfgplan.costs import meant_s
+from cfgplan.errors import Fault, close_names
 from cfgplan.formats.fields import FORMAT, EnvironmentPart, IncludedPart
 from cfgplan.formats.places import Path, Source
 from cfgplan.formats.scalars import resolve
-from cfgplan.formats.schema_values import FULL_FORM, PORT, SHORT_FORM
+from cfgplan.formats.schema_values import FULL_FORM, LARGEST_AMOUNT, PORT, SHORT_FORM
 
+_SYNONYMS: Mapping[str, tuple[str, ...]] = {
+    **dict.fromkeys(("cost", "costs", "price"), ("upkeep", "labor", "max_cost")),
+    **dict.fromkeys(("cpu", "load", "cpu_seconds"), ("upkeep",)),
+    **dict.fromkeys(("startup", "start_cost", "setup"), ("labor",)),
+    "name": ("label", "id"),
+    "id": ("label", "name"),
+    "label": ("id", "name", "labels"),
+    "version": ("format",),
+    **dict.fromkeys(("code", "class", "command", "file", "exec", "executable", "program", "script"), ("source",)),
+    **dict.fromkeys(("parameters", "args", "arguments", "config"), ("params",)),
+    **dict.fromkeys(("components", "nodes", "services", "library"), ("transformations",)),
+    **dict.fromkeys(("goals", "wanted", "queries"), ("targets",)),
+    **dict.fromkeys(("subscribes", "subscribe", "in", "takes"), ("inputs",)),
+    **dict.fromkeys(("publishes", "publish", "out", "gives"), ("outputs",)),
+    **dict.fromkeys(("owl", "ttl", "vocabulary"), ("ontology",)),
+    **dict.fromkeys(("concept", "class", "wants"), ("tag",)),
+    **dict.fromkeys(("machines", "computers", "robots"), ("hosts",)),
+    **dict.fromkeys(("value", "default"), ("declared",)),
+}
+"""What people write for keys, and the keys that they may mean."""
+_EACH_MEANS = {
+    "upkeep": "CPU seconds of each second that it runs",
+    "labor": "CPU seconds of one start",
+    "max_cost": "the most that an update may cost",
+}
+_UNITS_OF_BYTES = {"k": Decimal("0.001"), "m": Decimal(1), "g": Decimal(1000)}
 _KINDS_OF_VALUE = {
     "string_type": "text",
     "int_type": "a whole number",
@@ -30,12 +59,33 @@ _KINDS_OF_VALUE = {
 def schema_faults(source: Source, root: Path, errors: Sequence[Any], part: type[BaseModel]) -> Iterator[Fault]:
     """The faults of pydantic's errors for the value at `root` of a source."""
     nominals = {error["loc"][:-1] for error in errors if _is_nominal(error)}
+    meant = {(*error["loc"][:-1], key) for error in errors for key in _meant_keys(error, root, part)}
     for error in errors:
         if error["loc"][:-1] in nominals and error["type"] == "extra_forbidden":
+            continue
+        if error["type"] == "missing" and error["loc"] in meant:
             continue
         path = root + tuple(step for step in error["loc"] if step not in (SHORT_FORM, FULL_FORM, "[key]"))
         at_key = error["loc"][-1:] == ("[key]",)
         yield _fault(source, path, at_key, error, part)
+
+
+def _meant_keys(error: Any, root: Path, part: type[BaseModel]) -> tuple[str, ...]:
+    """The keys that an unknown key may stand for, the likeliest first; none for any other error."""
+    if error["type"] != "extra_forbidden":
+        return ()
+    path = root + tuple(step for step in error["loc"] if step not in (SHORT_FORM, FULL_FORM))
+    return _keys_like(str(path[-1]), [*_keys_at(part, path[:-1])])
+
+
+def _keys_like(name: str, known: Collection[str]) -> tuple[str, ...]:
+    """The known keys that an unknown one stands for: by what it means, or else by its spelling."""
+    said = tuple(key for key in _SYNONYMS.get(name.casefold(), ()) if key in known)
+    return said or tuple(close_names(name, known))
+
+
+def _keys_at(part: type[BaseModel], path: Path) -> Mapping[str, Any]:
+    return (_part_at(part, path) or part).model_fields
 
 
 def _is_nominal(error: Any) -> bool:
@@ -64,13 +114,14 @@ def _fault(source: Source, path: Path, at_key: bool, error: Any, part: type[Base
         if str(path[-1]).startswith("format"):
             return source.fault(path, f"`{path[-1]}` is {_shown(value)}", f"this cfgplan reads `{path[-1]}: {wanted}`")
         wanted += " or a mapping" if error["loc"][-1] == SHORT_FORM else ""
-        return source.fault(path, f"this must be {wanted}, but is {_described(value)}", "write one of these")
+        return source.fault(path, f"this must be {wanted}, but is {_described(value)}", f"write {wanted}")
     if kind == "model_type" and error["loc"][-1:] == (FULL_FORM,):
-        short = "a tag" if path[-2] in ("inputs", "outputs") else "a number"
+        is_port = path[-2] in ("inputs", "outputs")
+        short = "a tag" if is_port else "a number"
         message = f"this must be {short} or a mapping, but is {_described(value)}"
-        return source.fault(path, message, f"write {short} here")
+        return source.fault(path, message, f"write {short} here{', such as `Image`' if is_port else ', such as 0.3'}")
     if kind in _KINDS_OF_VALUE:
-        return source.fault(path, *_wrong_kind(source, path, _KINDS_OF_VALUE[kind], value), at_key=at_key)
+        return source.fault(path, *_wrong_kind(source, path, _KINDS_OF_VALUE[kind], value, part), at_key=at_key)
     if kind == "string_pattern_mismatch":
         barred = "slashes, line breaks or control characters" if error["ctx"]["pattern"] == PORT else "line breaks"
         message = f"{_shown(value)} is no name" if value else "the name is empty"
@@ -90,13 +141,30 @@ def _fault(source: Source, path: Path, at_key: bool, error: Any, part: type[Base
 
 
 def _unknown_key(source: Source, path: Path, part: type[BaseModel]) -> Fault:
-    known = sorted((_part_at(part, path[:-1]) or part).model_fields)
-    name = str(path[-1])
+    fields = _keys_at(part, path[:-1])
+    known, name = sorted(fields), str(path[-1])
+    inner = next((key for key in known if name in _keys_within(fields[key])), None)
+    first, _, rest = name.partition(":")
+    meant = _keys_like(name, known)
     if part is IncludedPart and len(path) == 1 and name in EnvironmentPart.model_fields:
-        mend: str | None = "an included file has only transformations and targets: move this key to the main file"
+        mend = "an included file has only transformations and targets: move this key to the main file"
+    elif first in known and rest:
+        mend = f"put a space after the colon: `{first}: {rest}`"
+    elif name.casefold() not in _SYNONYMS and inner is not None:
+        mend = f"it stands under `{inner}`: write `{inner}: {{{name}: ...}}`"
+    elif len(meant) > 1 and any(key in _EACH_MEANS for key in meant):
+        mend = f"write {' or '.join(f'`{key}` ({_EACH_MEANS[key]})' for key in meant)}"
+    elif name == "type" and "kind" in known:
+        mend = "a message type stands at a port: `image: {tag: Image, type: sensor_msgs/Image}`; `kind` is free text"
     else:
-        mend = did_you_mean(name, known, f"the keys here are {', '.join(known)}")
+        mend = f"did you mean `{meant[0]}`?" if meant else f"the keys here are {', '.join(known)}"
     return source.fault(path, f"unknown key `{name}`", mend, at_key=True)
+
+
+def _keys_within(field: Any) -> Collection[str]:
+    """The keys of the one mapping that a field may hold."""
+    inner = None if _holds_several(field.annotation) else _part_in(field.annotation)
+    return () if inner is None else inner.model_fields
 
 
 def _part_at(part: type[BaseModel], path: Path) -> type[BaseModel] | None:
@@ -123,25 +191,79 @@ def _holds_several(annotation: Any) -> bool:
     return get_origin(annotation) in (list, dict) or any(map(_holds_several, get_args(annotation)))
 
 
-def _wrong_kind(source: Source, path: Path, wanted: str, value: object) -> tuple[str, str]:
+def _wrong_kind(source: Source, path: Path, wanted: str, value: object, part: type[BaseModel]) -> tuple[str, str]:
     message = f"this must be {wanted}, but is {_described(value)}"
     written = source.locate(path, False).text
-    if wanted == "text" and written is not None and not isinstance(value, str):
-        return message, f'write it in quotes: "{written}"' if written else "write a text, or remove the key"
-    if wanted == "text" and isinstance(value, dict):
-        return message, "write it in quotes: a text that begins with { is read as a mapping"
-    if wanted == "text" and isinstance(value, list):
-        return message, "write it in quotes: a text that begins with [ is read as a list"
-    if isinstance(value, str) and wanted.startswith(("a number", "a whole")):
-        example = "0.3" if wanted.startswith("a number") else "600"
-        return message, f"write a plain number, such as {example}" + _if_quoted(value)
+    if wanted == "text":
+        return message, _as_text(path, written, value)
+    if wanted.startswith(("a number", "a whole")):
+        return message, _as_number(path, wanted, value)
     if isinstance(value, str) and wanted == "true or false":
         return message, "write true or false" + _if_quoted(value)
     if wanted == "a list":
-        return message, "begin each entry with `- `"
-    if path[-1:] in (("inputs",), ("outputs",)) and isinstance(value, list):
-        return message, "write each port as `name: tag`, such as {image: Image, pose: Pose}"
+        is_one = isinstance(value, str | int | Decimal)
+        return message, f"write [{value}], or begin each entry with `- `" if is_one else "begin each entry with `- `"
+    if wanted.startswith("a mapping"):
+        return message, _as_mapping(path, value, part)
     return message, f"write {wanted} here"
+
+
+def _as_text(path: Path, written: str | None, value: object) -> str:
+    """The mend of a value that is no text, and has to be one."""
+    if path[-2:-1] in (("inputs",), ("outputs",)) and value is None and not written:
+        mend = "write `name: tag`; in braces a comma begins the next port: join concepts by `and`, or quote the tag"
+        return mend if " " in str(path[-1]) else f"write a tag: `{path[-1]}: Image`"
+    if written is not None and not isinstance(value, str):
+        return f'write it in quotes: "{written}"' if written else "write a text, or remove the key"
+    if isinstance(value, list) and len(value) == 1 and isinstance(value[0], str):
+        return f"write it without brackets, `{value[0]}`, or in quotes: a text that begins with [ is read as a list"
+    return f"write it in quotes: a text that begins with {'{' if isinstance(value, dict) else '['} is read as a " + (
+        "mapping" if isinstance(value, dict) else "list"
+    )
+
+
+def _as_number(path: Path, wanted: str, value: object) -> str:
+    """The mend of a value that is no number, or no whole one; what its unit says is converted."""
+    is_whole = wanted.startswith("a whole")
+    if isinstance(value, Decimal) and value.is_finite() and abs(value) < LARGEST_AMOUNT:
+        return f"write a whole number, such as {ceil(value)}"
+    if not isinstance(value, str):
+        return f"write {wanted} here"
+    if path[-1] == "memory":
+        found = re.fullmatch(r"(\d+(?:\.\d+)?) ?([kmg])i?b?", value.casefold())
+        if found is not None and (megabytes := Decimal(found[1]) * _UNITS_OF_BYTES[found[2]]) >= 1:
+            return f"write megabytes, a plain number: {_plain(megabytes // 1)}"
+        return "write megabytes, a plain number, such as 200" + _if_quoted(value)
+    meant = meant_s(value)
+    if path[-1] == "horizon":
+        seconds = 600 if meant is None else ceil(meant)
+        return f"write a whole number of seconds, such as {seconds}, or a span such as 10m or 1h" + _if_quoted(value)
+    is_time = not is_whole and "seconds" in wanted
+    if is_time and meant is not None and isinstance(resolve(value), str):
+        return f"write a plain number of seconds: {_plain(meant)}"
+    return f"write a plain number, such as {'600' if is_whole else '0.3'}" + _if_quoted(value)
+
+
+def _as_mapping(path: Path, value: object, part: type[BaseModel]) -> str:
+    """The mend of a value that is no mapping, by the keys that belong there."""
+    if path[-1:] in (("inputs",), ("outputs",)):
+        return "write each port as `name: tag`, such as {image: Image, pose: Pose}"
+    if path[-1:] == ("params",):
+        return "write each as `name: value`, such as {gain: 3}"
+    inner = _part_at(part, path)
+    keys = [] if inner is None else [*inner.model_fields]
+    needed = [] if inner is None else [key for key in keys if inner.model_fields[key].is_required()]
+    if needed and not isinstance(value, dict | list):
+        first = "..." if value is None else value
+        rest = "".join(f", {key}: ..." for key in needed[1:])
+        return f"write {{{needed[0]}: {str(first).lower() if isinstance(value, bool) else first}{rest}}}"
+    return f"write a mapping of {', '.join(keys[:6])} here" if keys else "write a mapping of keys to values here"
+
+
+def _plain(number: Decimal) -> str:
+    """A number without exponent and trailing zeros."""
+    text = f"{number:f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
 
 
 def _if_quoted(value: str) -> str:

@@ -16,6 +16,7 @@ from cfgplan.errors import Fault, InputError
 from cfgplan.formats.garbage import no_garbage_collection
 from cfgplan.formats.places import DEEPEST_NESTING, Path, Source, Spot
 from cfgplan.formats.scalars import FIRST_OF_NON_TEXT, resolve
+from cfgplan.formats.yaml_faults import TOO_DEEP, syntax_fault
 
 MOST_ALIASED_VALUES = 1_000_000
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -28,7 +29,7 @@ def read_yaml(text: str, file: str) -> Source:
         try:
             data, faults = _YamlReading(text, file).document()
         except yaml.YAMLError as error:
-            raise InputError([_syntax_fault(error, text, file)]) from None
+            raise InputError([syntax_fault(error, text, file)]) from None
     return Source(file, data, _YamlLocator(text), tuple(faults))
 
 
@@ -97,7 +98,7 @@ class _YamlReading:
                 if not is_list and key is _NO_KEY:
                     self._stop(event, "a key is a list or a mapping", 'write it in quotes if it is text, such as "{a}"')
                 if len(above) > DEEPEST_NESTING:
-                    self._stop(event, *_TOO_DEEP)
+                    self._stop(event, *TOO_DEEP)
                 if event.tag is not None and not event.implicit:
                     self._check_yaml_tag(event)
                 if event.anchor is not None:
@@ -203,35 +204,3 @@ def _child(node: Any, step: str | int) -> tuple[Any, Any]:
             if isinstance(key, yaml.ScalarNode) and normal(key.value) == step:
                 return key, value
     return None, None
-
-
-_TOO_DEEP = f"values are nested more than {DEEPEST_NESTING} deep", "flatten the document"
-_YAML_MENDS = {
-    "cannot start any token": "indent by spaces, not tabs; quote a text that begins with @, ` or %",
-    "mapping values are not allowed": 'quote a text that has ": " in it, and check the indentation',
-    "expected <block end>": "check the indentation; a text that begins with a quote, { or [ must be quoted as a whole",
-    "expected ',' or '}'": "quote a text that has one of { } [ ] in it, such as a tag with {a}, or close the mapping",
-    "expected ',' or ']'": "quote a text that has one of { } [ ] in it, or close the list",
-}
-
-
-def _syntax_fault(error: yaml.YAMLError, text: str, file: str) -> Fault:
-    mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
-    problem = getattr(error, "problem", None) or getattr(error, "reason", None) or str(error)
-    mend = next(
-        (mend for part, mend in _YAML_MENDS.items() if part in problem), "check the indentation and the quotes here"
-    )
-    if mark is None:
-        bad = next((i for i, character in enumerate(text) if not _printable(character)), 0)
-        line = text.count("\n", 0, bad)
-        column = bad - (text.rfind("\n", 0, bad) + 1)
-        mend = "remove the control character, or write it as an escape in double quotes"
-    else:
-        line, column = mark.line, mark.column
-    if "nesting depth" in problem:  # newer ones of PyYAML have a limit too, and look ahead
-        return Fault(_TOO_DEEP[0], file, line + 1, column + 1, mend=_TOO_DEEP[1])
-    return Fault(f"this is not YAML: {problem}", file, line + 1, column + 1, mend=mend)
-
-
-def _printable(character: str) -> bool:
-    return character in "\t\n\r\x85" or " " <= character <= "~" or character >= "\xa0"

@@ -211,6 +211,19 @@ def _read(path: Path, shown: str) -> _Document:
     return document
 
 
+_USUAL_NAMESPACES = {
+    "owl": "<http://www.w3.org/2002/07/owl#>",
+    "rdf": "<http://www.w3.org/1999/02/22-rdf-syntax-ns#>",
+    "rdfs": "<http://www.w3.org/2000/01/rdf-schema#>",
+    "xsd": "<http://www.w3.org/2001/XMLSchema#>",
+}
+
+
+def _usual_namespace(prefix: str) -> str:
+    """The namespace that a prefix usually stands for, or one to be replaced."""
+    return _USUAL_NAMESPACES.get(prefix, f"<http://example.org/{prefix}#>")
+
+
 def _syntax_of(text: str, suffix: str) -> str:
     lines = (line.strip() for line in text.splitlines())
     start = next((line for line in lines if line and not line.startswith("#")), "")
@@ -234,6 +247,10 @@ def _parse_rdf(text: str, syntax: str, base: str, shown: str) -> _Document:
             line, column = _xml_error_place(text)
         told = _PLACE.sub("", error.msg)
         message, mend = f"the ontology can't be read as {name}: {told}", f"write valid {name}"
+        if undeclared := re.search(r"[Pp]refix (\S*): has not been declared", told):
+            mend = f"declare it above: `@prefix {undeclared[1]}: {_usual_namespace(undeclared[1])} .`"
+        if Path(shown).suffix in (".yaml", ".yml"):
+            mend = "name an ontology: this is no file of Turtle, RDF/XML, JSON-LD or another syntax of OWL"
         if "LoadDocument" in told:
             message = f"the ontology can't be read as {name}: its `@context` is another document"
             mend = "write the `@context` into the file: web addresses are not fetched"

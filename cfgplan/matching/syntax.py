@@ -35,7 +35,7 @@ from cfgplan.matching.concepts import (
 from cfgplan.matching.expressions import BUILT_IN_ROLE
 from cfgplan.matching.names import NameTable
 from cfgplan.matching.ontology import Ontology
-from cfgplan.selectors import QUANTIFYING, RESTRICTIONS, ExpressionReader
+from cfgplan.selectors import KEYWORDS, QUANTIFYING, RESTRICTIONS, ExpressionReader
 
 SOURCE_ROLE: Final = "hasSource"
 """The property that the paper's form `P(a)` means: P ⊓ ∃hasSource.{a}."""
@@ -103,6 +103,45 @@ class _TagReader(ExpressionReader[Concept]):
         mend = did_you_mean(token.casefold(), _BETWEEN_NAMES) if token[:1].isalpha() else None
         if mend:
             raise self._error(f"{token!r} is not expected here", mend)
+
+    def _meant_here(self, name: str, at: int) -> str | None:
+        """What somebody means who writes a name at a place where it means nothing; None if that can't be told."""
+        follows, then = (*self._words[at + 1 :], "", "")[:2]
+        if name.casefold() in KEYWORDS:
+            return f"write `{name.casefold()}` in small letters"
+        if follows == "/":
+            return f"a message type stands beside the tag: `{{tag: ..., type: {name}/{then}}}`"
+        if follows in ("<", ">", "=") and not self._ontology.property_names.has(name):
+            return f"a tag compares no numbers: state `{name}` under `quality:`"
+        if self._ontology.property_names.has(name):
+            filler = then if follows in (".", "=", ":") else follows
+            word = "value" if self._ontology.individual_names.has(filler) else "some"
+            is_filler = filler[:1].isalnum() and filler not in KEYWORDS
+            return f"write `{name} {word} {filler if is_filler else self._example()}`"
+        local = name.rpartition(":")[2]
+        if ":" in name and (self._ontology.class_names.has(local) or self._ontology.individual_names.has(local)):
+            return f"write `{local}`, without prefix"
+        if (joined := f"{name}{follows}") and follows and (close := self._property_like(joined)):
+            return f"did you mean `{close}`?"
+        return None
+
+    def _property_like(self, name: str) -> str | None:
+        """The property that is written so but for capitals; None if there is none."""
+        names = self._ontology.property_names.by_short_name
+        return next((each for each in sorted(names) if each.casefold() == name.casefold()), None)
+
+    def _example(self) -> str:
+        return next(iter(sorted(self._ontology.class_names.by_short_name)), "Thing")
+
+    def _mend_here(self, usual: str) -> str:
+        token, follows = self._words[self._at], (*self._words[self._at + 1 :], "", "")[:2]
+        if follows[0] == "/" and token:
+            return usual
+        if token == "/":
+            return "a message type stands beside the tag, under `type:`"
+        if token in ("<", ">", "="):
+            return "a tag compares no numbers: state them under `quality:`"
+        return usual
 
     def _restriction(self) -> Concept:
         self._at -= 1
@@ -180,7 +219,8 @@ class _TagReader(ExpressionReader[Concept]):
         try:
             return self._ontology.find(name, vocabularies) or (None, self._ontology.free_iri(name))
         except UnknownNameError as error:
-            raise self._error(error.message, mend or error.mend, at) from error
+            meant = self._meant_here(name, at) if self._ontology.class_names in vocabularies else None
+            raise self._error(error.message, meant or mend or error.mend, at) from error
 
     def _number(self) -> int:
         token = self._tokens[self._at]

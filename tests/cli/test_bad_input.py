@@ -57,14 +57,17 @@ def test_a_command_that_is_wrong_says_what_and_how_to_mend_it(
 
 @pytest.mark.usefixtures("env")
 def test_the_name_of_no_file_and_of_no_host_is_bad_input(run: Run) -> None:
-    assert run("solve", "") == (30, "", "error: the name of the environment file is empty\n       name a file\n")
+    told = "error: the name of the environment file is empty\n    $ cfgplan solve ''\n                    ^^\n"
+    assert run("solve", "") == (30, "", f"{told}       name a file\n")
     assert run("agent", "--name", "").code == 30
 
 
 def test_a_name_that_stands_for_something_else_is_told_what_may_stand_there(run: Run, env: Path) -> None:
     Path("house.ttl").write_text(f"{PREFIXES} :X a owl:Class . :i a :X .")
     env.write_text("format: cfgplan/1\nontology: house.ttl\n" + LIBRARY.replace("o: X", "o: '{X}'"))
-    assert "'X' is a class, but an individual is wanted here\n       write one, such as i" in run("check", env).err
+    err = run("check", env).err
+    assert "'X' is a class, but an individual is wanted here\n" in err
+    assert "^\n       write one, such as i" in err
 
 
 def test_an_ontology_that_contradicts_itself_is_named_as_from_here(run: Run, env: Path) -> None:

@@ -84,7 +84,11 @@ def told(folder: Path, of: Transformation) -> str:
             transformation("units.py:Detector", threshold=5),
             "units.py:5: Detector.__call__ needs `image`, and there is no such input",
         ),
-        (GOOD, transformation("units.py:camera", "image"), "units.py:9: camera takes no input `image` (it takes none)"),
+        (
+            GOOD,
+            transformation("units.py:camera", "image"),
+            "units.py:9: camera takes no input `image` (remove it there: the code takes none)",
+        ),
         (
             "import nosuchmodule\n" + GOOD,
             transformation("units.py:camera"),

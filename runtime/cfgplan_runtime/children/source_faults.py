@@ -307,7 +307,7 @@ class _Unit:
         for name in names:
             if name not in signature.takes and not signature.takes_any:
                 taken = sorted(signature.takes)
-                there = f"it takes {some(taken, _MOST_NAMED)}" if taken else "it takes none"
+                there = f"it takes {some(taken, _MOST_NAMED)}" if taken else "remove it there: the code takes none"
                 raise self.module.fault(message.format(name), at, did_you_mean(name, taken, there))
 
     def _check_needs(self, signature: _Signature, names: Collection[str], message: str, at: ast.AST) -> None:

@@ -1,0 +1,131 @@
+"""What is wrong with a text that is no YAML: the line where the slip is, and what to write there.
+
+The parser names the first place that it can't go on from. A missing colon, bracket or quote is often before it.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import NamedTuple
+
+import yaml
+
+from cfgplan.errors import Fault
+from cfgplan.formats.places import DEEPEST_NESTING
+
+TOO_DEEP = f"values are nested more than {DEEPEST_NESTING} deep", "flatten the document"
+_KEY_BEGINS = re.compile(r"\s*(?:- *)?([\w.-]+)(:?)(\s*)(\S.*)?$")
+_PAIR = re.compile(r"(?:[\w.-]+|\"[^\"]*\"|'[^']*'): ")
+
+
+class _Slip(NamedTuple):
+    """Where the slip is, counted from 0, and its mend."""
+
+    line: int
+    column: int
+    mend: str
+
+
+def syntax_fault(error: yaml.YAMLError, text: str, file: str) -> Fault:
+    """The fault of a text that the parser refuses."""
+    problem = getattr(error, "problem", None) or getattr(error, "reason", None) or str(error)
+    mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
+    if mark is None:
+        bad = next((i for i, character in enumerate(text) if not _printable(character)), 0)
+        line, column = text.count("\n", 0, bad), bad - (text.rfind("\n", 0, bad) + 1)
+        mend = "remove the control character, or write it as an escape in double quotes"
+        return Fault(f"this is not YAML: {problem}", file, line + 1, column + 1, mend=mend)
+    if "nesting depth" in problem:  # newer ones of PyYAML have a limit too, and look ahead
+        return Fault(TOO_DEEP[0], file, mark.line + 1, mark.column + 1, mend=TOO_DEEP[1])
+    slip = _slip(problem, mark, getattr(error, "context_mark", None) or mark, text.splitlines())
+    return Fault(f"this is not YAML: {_in_words(problem)}", file, slip.line + 1, slip.column + 1, mend=slip.mend)
+
+
+def _in_words(problem: str) -> str:
+    words = {
+        "could not find expected ':'": "this line has no `: ` between a key and its value",
+        "found unexpected end of stream": "the quote that begins here is never closed",
+        "found a tab character that violates indentation": "a tab indents this line",
+        "mapping values are not allowed in this context": "a key stands here inside of a value",
+        "block sequence entries are not allowed in this context": "a list begins in the line of its key",
+        "did not find expected '-' indicator": "this line goes on with no entry of the list above",
+        "did not find expected key": "this goes on with no key of the mapping above",
+        "found character that cannot start any token": "no value begins with this character",
+    }
+    return words.get(problem, problem)
+
+
+def _slip(problem: str, mark: yaml.Mark, begin: yaml.Mark, lines: list[str]) -> _Slip:
+    """What was meant where the parser stops at `mark`, inside of what begins at `begin`."""
+    here = lines[mark.line] if mark.line < len(lines) else ""
+    at = _Slip(mark.line, mark.column, "check the indentation and the quotes here")
+    if "\t" in here[: mark.column + 1] and not here[: mark.column].strip():
+        return at._replace(mend="indent by spaces, not tabs")
+    if "could not find expected ':'" in problem:
+        return _Slip(begin.line, begin.column, _colon(lines[begin.line][begin.column :]))
+    if "found unexpected end of stream" in problem:
+        return _Slip(begin.line, begin.column, f"close it with {lines[begin.line][begin.column]}")
+    if "cannot start any token" in problem:
+        return at._replace(mend="put quotes around the text")
+    if "mapping values are not allowed" in problem:
+        return at._replace(mend=_second_colon(here[: mark.column], mark.line, lines))
+    if "block sequence entries are not allowed" in problem:
+        return at._replace(mend="put each `- ` on a line of its own, below the key")
+    if "expected ',' or" in problem:
+        return _flow(problem, mark, begin, lines)
+    if "expected '-' indicator" in problem or "expected key" in problem:
+        return at._replace(mend=_line_between(mark, begin, lines))
+    return at
+
+
+def _colon(written: str) -> str:
+    found = _KEY_BEGINS.match(written)
+    if found is None or not found[4]:
+        return "write `key: value`, or quote the text"
+    return f"put a colon and a space after the key: `{found[1]}: {found[4]}`"
+
+
+def _second_colon(before: str, number: int, lines: list[str]) -> str:
+    """The mend of a line with a `: ` where the parser is inside a value: of this line, or of the line above."""
+    if pair := _PAIR.search(before + ": "):
+        value = lines[number][pair.end() :]
+        if pair.end() < len(before):
+            is_port = pair[0] in ("inputs: ", "outputs: ")
+            return f"put braces around it: `{{{value}}}`" if is_port else f'put quotes around the value: "{value}"'
+    above = next(
+        (n for n in range(number - 1, -1, -1) if lines[n].strip() and not lines[n].lstrip().startswith("#")), 0
+    )
+    return f"begin this key in the column of the keys beside it: line {above + 1} begins elsewhere, and has its value"
+
+
+def _flow(problem: str, mark: yaml.Mark, begin: yaml.Mark, lines: list[str]) -> _Slip:
+    """The slip in braces or brackets: one that is not closed, a comma that is missing, or a text to be quoted."""
+    close = "}" if "}" in problem else "]"
+    here = lines[mark.line] if mark.line < len(lines) else ""
+    if mark.line != begin.line:
+        return _Slip(begin.line, begin.column, f"close it with {close}")
+    if here[mark.column : mark.column + 1] == ":" and (found := re.search(r"(\S+) ([\w.-]+)$", here[: mark.column])):
+        return _Slip(mark.line, mark.column, f"put a comma between two keys: `{found[1]}, {found[2]}:`")
+    mend = "quote a text that has one of { } [ ] in it, such as a tag with {a}, or put a comma between two values"
+    return _Slip(mark.line, mark.column, mend)
+
+
+def _line_between(mark: yaml.Mark, begin: yaml.Mark, lines: list[str]) -> str:
+    """The mend of a line that continues neither the list or mapping that begins at `begin` nor what it holds."""
+    rest = lines[mark.line][mark.column :] if mark.line < len(lines) else ""
+    before = lines[mark.line][: mark.column] if mark.line < len(lines) else ""
+    if before.strip():
+        return "quote the text as a whole: what begins with a quote, { or [ ends with it"
+    if re.match(r"-[^\s-]", rest):
+        return f"put a space after the dash: `- {rest[1:]}`"
+    if rest.startswith("- "):
+        above = next((each for each in reversed(lines[: mark.line]) if each.lstrip().startswith("- ")), "")
+        return f"begin each `- ` of a list in one column: {len(above) - len(above.lstrip()) + 1}, as above"
+    is_item = lines[begin.line][begin.column :].startswith("- ")
+    if is_item and mark.column == begin.column:
+        return f"an item of the list begins with `- `: write `- {rest}`"
+    return "begin this key in the column of the keys beside it"
+
+
+def _printable(character: str) -> bool:
+    return character in "\t\n\r\x85" or " " <= character <= "~" or character >= "\xa0"

@@ -1,0 +1,126 @@
+"""Beginners' mistakes: each gets one message with the place, a caret, the cause, and a mend that mends it."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+import yaml
+from command import Run
+
+
+class Row(NamedTuple):
+    right: str
+    wrong: str
+    place: str
+    cause: str
+    mend: str
+    mended: str | None = None
+
+
+class Command(NamedTuple):
+    wrong: str
+    marked: str
+    cause: str
+    mend: str
+    mended: str
+
+
+TABLE = yaml.safe_load(Path(__file__).with_name("mistakes.yaml").read_text())
+WORLD, BESIDE = TABLE["world"], TABLE["beside"]
+ROWS = [Row(**row) for rows in TABLE["slips"].values() for row in rows]
+COMMANDS = [Command(**row) for row in TABLE["commands"]]
+
+LOADS = (0, 1)
+"""Codes of `check` for a file that loads; 1 says that what runs there breaks a rule."""
+REFUSED = 30
+_WRITTEN = re.compile(
+    r"(?:did you mean|write|write it as|after the key:|after the colon:|after the dash:|around it:) `([^`]+)`"
+)
+_NUMBER = re.compile(r"(?:seconds|megabytes, a plain number): ([\d.]+)$")
+
+
+@pytest.fixture(autouse=True)
+def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name, text in BESIDE.items():
+        Path(name).write_text(text)
+    Path("env.yaml").write_text(WORLD)
+
+
+def _with(right: str, written: str) -> str:
+    assert right in WORLD
+    return WORLD.replace(right, written, 1)
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: f"{row.wrong} for {row.right}")
+def test_a_slip_in_a_file_is_told_with_its_place_and_its_line_and_is_mended_as_told(run: Run, row: Row) -> None:
+    mended = _with(row.right, row.right if row.mended is None else row.mended)
+    Path("env.yaml").write_text(_with(row.right, row.wrong))
+    code, _, err = run("check", "env.yaml")
+    said, *below = err.rstrip("\n").split("\n")
+    kind, _, message = said.partition(": ")
+    assert (kind, code) in (("error", REFUSED), ("warning", 0))
+    assert message.startswith(f"{row.place}: ")
+    assert message.endswith(row.cause)
+    assert below[2:] == [f"       {row.mend}"], "there is one message, with one mend"
+    _assert_marked(row.place, *below[:2])
+    for suggested in _WRITTEN.findall(row.mend):
+        assert suggested in mended or "..." in suggested or suggested == "name: tag"
+    for number in _NUMBER.findall(row.mend):
+        assert f": {number}\n" in mended
+    Path("env.yaml").write_text(mended)
+    after = run("check", "env.yaml")
+    assert (after.code in LOADS, after.err) == (True, "")
+
+
+def _assert_marked(place: str, shown: str, carets: str) -> None:
+    """Hold the two lines below a message against the place in the file that it names."""
+    file, line, column = [*place.split(":"), "1"][:3]
+    written = Path(file).read_text().split("\n")[int(line) - 1]
+    assert shown == f"{line:>5} | {written}".replace("\t", " ").rstrip()
+    assert re.fullmatch(r" {6}\| *\^+", carets)
+    if ":" in place.partition(":")[2]:
+        assert carets.index("^") == len("      | ") + int(column) - 1
+
+
+@pytest.mark.parametrize("row", COMMANDS, ids=lambda row: row.wrong)
+def test_a_slip_in_a_command_is_told_with_a_caret_and_is_mended_as_told(run: Run, row: Command) -> None:
+    code, _, err = run(*shlex.split(row.wrong))
+    said, shown, carets, *mend = err.rstrip("\n").split("\n")
+    assert code == REFUSED
+    assert said == f"error: {row.cause}"
+    assert shown == f"    $ cfgplan {row.wrong}"
+    assert mend == [f"       {row.mend}"]
+    begin, end = carets.index("^"), len(carets)
+    assert shown[begin:end] == row.marked
+    assert carets.strip("^ ") == ""
+    for suggested in _WRITTEN.findall(row.mend):
+        assert suggested in row.mended
+    after = run(*shlex.split(row.mended))
+    assert after.code < REFUSED, after.err
+
+
+def test_an_undeclared_prefix_of_an_ontology_is_mended_by_the_line_that_is_told(run: Run) -> None:
+    Path("env.yaml").write_text(WORLD.replace("house.ttl", "bad.ttl"))
+    told = re.search(r"`(@prefix owl: .*)`", run("check", "env.yaml").err)
+    assert told is not None
+    Path("bad.ttl").write_text(told[1] + "\n" + BESIDE["house.ttl"].replace("@prefix owl:", "@prefix other:"))
+    assert run("check", "env.yaml").code == 0
+
+
+def test_what_is_told_to_programs_has_no_line_of_the_file(run: Run) -> None:
+    Path("env.yaml").write_text(_with("upkeep: 0.2", "upkep: 0.2"))
+    code, out, err = run("check", "env.yaml", "--json")
+    assert (code, err) == (REFUSED, "")
+    assert '"upkep: 0.2"' not in out
+    assert '"mend": "did you mean `upkeep`?"' in out
+
+
+def test_the_table_has_the_mistakes_of_many_beginners() -> None:
+    assert len(ROWS) >= 120
+    assert len(COMMANDS) >= 30
+    assert len({row.wrong for row in (*ROWS, *COMMANDS)}) == len(ROWS) + len(COMMANDS)
