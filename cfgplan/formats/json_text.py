@@ -17,6 +17,18 @@ from cfgplan.formats.scalars import resolve
 
 _JSON_TOKEN = re.compile(r'\s*("(?:[^"\\]|\\.)*"|[^\s"\[\]{},:]+|[\[\]{},:])')
 
+_MENDS = {
+    "Expecting property name": "put the key in double quotes, or remove the comma before",
+    "Illegal trailing comma": "remove the comma",
+    "',' delimiter": "put a comma between two values, or close what is open",
+    "':' delimiter": "put a colon between key and value",
+    "Expecting value": "write a value, with text in double quotes, or remove the comma before",
+    "Extra data": "keep one value in a file",
+    "Unterminated string": 'close the text with "',
+    "Invalid control character": "write it as an escape, such as \\n, or close the text before it",
+    "Invalid \\escape": "write a backslash twice",
+}
+
 
 def read_json(text: str, file: str) -> Source:
     """Read one JSON document; raises InputError where reading can't go on."""
@@ -36,7 +48,8 @@ def read_json(text: str, file: str) -> Source:
             text, object_pairs_hook=mapping, parse_float=Decimal, parse_int=resolve, parse_constant=Decimal
         )
     except json.JSONDecodeError as error:
-        fault = Fault(f"this is not JSON: {error.msg}", file, error.lineno, error.colno, mend="mend the syntax here")
+        mend = next((mend for part, mend in _MENDS.items() if part in error.msg), "mend the syntax here")
+        fault = Fault(f"this is not JSON: {error.msg}", file, error.lineno, error.colno, mend=mend)
         raise InputError([fault]) from None
     except RecursionError:
         raise _too_deep(file) from None

@@ -134,9 +134,7 @@ class _TagReader(ExpressionReader[Concept]):
         return next(iter(sorted(self._ontology.class_names.by_short_name)), "Thing")
 
     def _mend_here(self, usual: str) -> str:
-        token, follows = self._words[self._at], (*self._words[self._at + 1 :], "", "")[:2]
-        if follows[0] == "/" and token:
-            return usual
+        token = self._words[self._at]
         if token == "/":
             return "a message type stands beside the tag, under `type:`"
         if token in ("<", ">", "="):

@@ -112,6 +112,47 @@ def test_an_undeclared_prefix_of_an_ontology_is_mended_by_the_line_that_is_told(
     assert run("check", "env.yaml").code == 0
 
 
+@pytest.mark.parametrize(
+    ("wrong", "column", "mend", "mended"),
+    [
+        ("{'format': 'cfgplan/1'}", 2, "put the key in double quotes", '{"format": "cfgplan/1"}'),
+        ('{"format" "cfgplan/1"}', 11, "put a colon between key and value", '{"format": "cfgplan/1"}'),
+        ('{"format": "cfgplan/1" "horizon": 9}', 24, "put a comma", '{"format": "cfgplan/1", "horizon": 9}'),
+        ('{"format": cfgplan/1}', 12, "with text in double quotes", '{"format": "cfgplan/1"}'),
+        ('{"format": "cfgplan/1}', 12, 'close the text with "', '{"format": "cfgplan/1"}'),
+        ('{"format": "cfgplan/1"}}', 24, "keep one value", '{"format": "cfgplan/1"}'),
+    ],
+)
+def test_a_slip_in_json_is_told_likewise(run: Run, wrong: str, column: int, mend: str, mended: str) -> None:
+    Path("env.json").write_text(wrong)
+    code, _, err = run("check", "env.json")
+    said, *below = err.rstrip("\n").split("\n")
+    assert code == REFUSED
+    assert said.startswith(f"error: env.json:1:{column}: this is not JSON: ")
+    _assert_marked(f"env.json:1:{column}", *below[:2])
+    assert mend in below[2]
+    Path("env.json").write_text(mended)
+    assert run("check", "env.json").code == 0
+
+
+@pytest.mark.parametrize(
+    ("tag", "mend", "mended"),
+    [
+        ("some hasPlace Kitchen", "the property stands first: `hasPlace some Kitchen`", "hasPlace some Kitchen"),
+        ("geometry_msgs/Pose", "a message type stands beside the tag, under `type:`", "Pose"),
+        ("Image and frequency > 10", "state them under `quality:`", "Image"),
+        ("Image AND Ball", "did you mean `and`?", "Image and Ball"),
+        ("Image || Ball", "write `or` once", "Image or Ball"),
+    ],
+)
+def test_a_slip_in_a_tag_is_told_without_an_ontology_too(run: Run, tag: str, mend: str, mended: str) -> None:
+    world = WORLD.replace("ontology: house.ttl\n", "").replace("tag: Person", "tag: TAG")
+    Path("env.yaml").write_text(world.replace("TAG", tag))
+    assert mend in run("check", "env.yaml").err
+    Path("env.yaml").write_text(world.replace("TAG", mended))
+    assert run("check", "env.yaml").code in LOADS
+
+
 def test_what_is_told_to_programs_has_no_line_of_the_file(run: Run) -> None:
     Path("env.yaml").write_text(_with("upkeep: 0.2", "upkep: 0.2"))
     code, out, err = run("check", "env.yaml", "--json")

@@ -88,7 +88,7 @@ def test_one_that_is_not_there_is_named_before_any_work(verb: str, capsys: pytes
     assert main([verb, "nothing.yaml", "--planner", "no_such_module:plan"]) == Exit.BAD_INPUT
     said = capsys.readouterr().err
     assert "No module named 'no_such_module'" in said
-    assert "nothing.yaml" not in said
+    assert "nothing.yaml:" not in said
 
 
 def test_one_in_the_folder_of_the_call_is_found(

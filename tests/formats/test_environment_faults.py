@@ -30,7 +30,12 @@ TARGET = "targets: [{label: t, topic: /t, tag: T}]\n"
             "did you mean `upkeep`?",
         ),
         ("defaults: {labour: 3}\n", (2, 12), "unknown key `labour`", "did you mean `labor`?"),
-        ("horizon: '600'\n", (2, 10), "this must be a whole number, but is the text '600'", "write a plain number"),
+        (
+            "horizon: '600'\n",
+            (2, 10),
+            "this must be a whole number, but is the text '600'",
+            "write a whole number of seconds, such as 600",
+        ),
         ("horizon: 600.5\n", (2, 10), "this must be a whole number, but is the number 600.5", None),
         ("horizon: -1\n", (2, 10), "the number -1 is out of range", "at least 0"),
         ("horizon: 1000000000000\n", (2, 10), "out of range", "at most 1000000000"),
@@ -185,10 +190,10 @@ def test_a_fault_has_its_place_and_its_mend(
         ("# nothing\n", (None, None), "the file is empty"),
         ("just a text\n", (1, 1), "this is not an environment"),
         ("- a\n- b\n", (1, 1), "this is not an environment"),
-        ("a: [1, 2\nb: 3\n", (2, 2), "this is not YAML"),
+        ("a: [1, 2\nb: 3\n", (1, 4), "this is not YAML"),
         ("a: 1\n\tb: 2\n", (2, 1), "this is not YAML"),
         ("a: b: c\n", (1, 5), "this is not YAML"),
-        ("a: 'open\n", (2, 1), "this is not YAML"),
+        ("a: 'open\n", (1, 4), "this is not YAML: the quote that begins here is never closed"),
         ("a: \x01\n", (1, 4), "this is not YAML"),
         ("format: cfgplan/1\n---\nformat: cfgplan/1\n", (2, 1), "a second document begins"),
         ("a: " + "[" * 100 + "]" * 100, (1, 68), "nested more than 64 deep"),
@@ -322,7 +327,8 @@ def test_a_nominal_inside_of_a_tag_is_told_to_be_quoted(tmp_path: Path) -> None:
 
 def test_a_port_may_be_a_tag_or_a_mapping(tmp_path: Path) -> None:
     fault = only_fault(tmp_path, HEAD + "transformations: [{label: a, outputs: {o: [A]}}]\n")
-    assert (fault.message, fault.mend) == ("this must be a tag or a mapping, but is a list", "write a tag here")
+    mend = "write a tag here, such as `Image`"
+    assert (fault.message, fault.mend) == ("this must be a tag or a mapping, but is a list", mend)
 
 
 def test_every_cycle_of_units_is_named(tmp_path: Path) -> None:

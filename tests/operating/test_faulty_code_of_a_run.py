@@ -26,7 +26,9 @@ def test_a_fault_of_code_is_a_warning_before_anything_runs(
     (env.parent / "units.py").write_text(BROKEN)
     assert main([verb, str(env)]) == 0
     said = capsys.readouterr().err
-    assert f"warning: {env}:5:5: camera(piff) can't be started: {SAYS}" in said
+    place, _, what = SAYS.partition(": ")
+    assert f"warning: {env.with_name(place)}: camera(piff) can't be started: {what}, as {env}:" in said
+    assert "    1 | import nosuchmodule\n      | ^^^" in said
     (env.parent / "units.py").write_text(UNITS)
     assert main([verb, str(env)]) == 0
     assert "can't be started" not in capsys.readouterr().err
