@@ -12,6 +12,7 @@ import inspect
 import json
 import os
 import ssl
+import sys
 import threading
 import uuid
 from collections import deque
@@ -86,10 +87,12 @@ class Connection:
         self.name = f"{address.hostname}:{address.port}"
         self.refusal = ""
         """Why the broker lets nobody in; empty if it does, or was not reached yet."""
+        self.away = ""
+        """Why the broker is away, and is tried again; empty if it is there, or was not tried yet."""
         self.on_begin: Callable[[], None] = lambda: None
         """Called after each connection that begins."""
         self._host, self._port, self._keepalive = address.hostname or "", address.port or 0, keepalive
-        self._say, self._is_told_away = say, False
+        self._say = say
         self.changed = threading.Condition()
         self.client: Client = Client(
             CallbackAPIVersion.VERSION2,
@@ -104,7 +107,7 @@ class Connection:
         if address.scheme == "mqtts" or ca is not None:
             self.client.tls_set_context(_context(ca, certificate, key))
         self.client.on_connect = self._begun
-        self.client.on_connect_fail = lambda *_: self._tell_away("does not answer")
+        self.client.on_connect_fail = lambda *_: self._tell_away(f"does not answer ({sys.exception()})")
         self.client.on_disconnect = self._ended
 
     def open(self, *, keeps_session: bool) -> None:
@@ -153,9 +156,9 @@ class Connection:
             else:
                 self._tell_away(f"refuses the connection: {code}")
             return
-        if self._is_told_away:
+        if self.away:
             self._say(f"{self.name} is there again")
-        self._is_told_away = False
+        self.away = ""
         self.on_begin()
         with self.changed:
             self.changed.notify_all()
@@ -166,15 +169,16 @@ class Connection:
 
     def _tell_away(self, what: str) -> None:
         """Tell once that the broker is away."""
-        if not self._is_told_away:
-            self._is_told_away = True
+        was_away, self.away = self.away, what
+        if not was_away:
             self._say(f"the broker {self.name} {what}; it is tried again")
 
 
 class Subscriber:
     """A source: gives the messages of `topic`, which may have the wildcards `+` and `#`.
 
-    An element is the value that a message holds by `payload` (json, text, number or bytes); with wildcards, or if
+    An element is the value that a message holds by `payload` (json, text, number or bytes), or what is in it at
+    `field`: a key, or a list of those that lead to it. With wildcards, or if
     `with_topic` is true, a mapping with its `topic` and `value`. Messages that the broker has retained come first,
     unless `retained` is false. For the other parameters see `Connection`. Raises InputError, and MqttRefusedError when
     it runs.
@@ -188,10 +192,12 @@ class Subscriber:
         payload: PayloadForm = "json",
         retained: bool = True,
         with_topic: bool | None = None,
+        field: str | list[str | int] | None = None,
         **connection: Any,
     ) -> None:
-        _check(qos, payload, connection)
-        self._topic, self._qos, self._payload, self._retained = _filter(topic), qos, payload, retained
+        check_parameters(qos, payload, connection)
+        self._field = _path(field, payload)
+        self._topic, self._qos, self._payload, self._retained = topic_filter(topic), qos, payload, retained
         self._with_topic = any(mark in topic for mark in "+#") if with_topic is None else with_topic
         self._waiting: deque[MQTTMessage] = deque()
         self._connections = 0
@@ -213,8 +219,8 @@ class Subscriber:
                     yield None
                     continue
                 try:
-                    value = _decoded(bytes(message.payload), self._payload)
-                except (ValueError, RecursionError) as error:
+                    value = _within(_decoded(bytes(message.payload), self._payload), self._field)
+                except (ValueError, LookupError, RecursionError) as error:
                     self._tell_once(message.topic, error)
                 else:
                     yield {"topic": message.topic, "value": value} if self._with_topic else value
@@ -253,7 +259,8 @@ class Subscriber:
     def _tell_once(self, topic: str, error: Exception) -> None:
         if topic not in self._told:
             self._told.add(topic)
-            _say(f"{topic}: a message is no {self._payload}, and is left out: {error}")
+            fault = "has no such field" if isinstance(error, LookupError) else f"is no {self._payload}"
+            _say(f"{topic}: a message {fault}, and is left out: {error}")
 
 
 class Publisher:
@@ -274,7 +281,7 @@ class Publisher:
         will: Mapping[str, Any] | None = None,
         **connection: Any,
     ) -> None:
-        _check(qos, payload, connection)
+        check_parameters(qos, payload, connection)
         if not _is_plain(topic):
             raise InputError.of(f"`{topic}` is no topic to publish on", mend="it has no wildcards, and is not empty")
         if will is not None:
@@ -287,6 +294,8 @@ class Publisher:
             client.will_set(will["topic"], will.get("payload", ""), will.get("qos", 1), kept)
         self._unsent: set[int] = set()
         """The messages that the broker has not confirmed; of `qos` 0, that were not sent."""
+        self._sent_early: set[int] = set()
+        """Those that it has confirmed before `publish` has told their numbers."""
         self._connection.client.on_publish = self._sent
         self._connection.open(keeps_session=qos > 0)
         self._connection.wait()
@@ -297,11 +306,15 @@ class Publisher:
         (value,) = inputs.values()
         self._connection.check()
         payload = _encoded(value, self._payload)
-        with self._connection.changed:  # confirmed only once it is noted
-            info = self._connection.client.publish(self._topic, payload, self._qos, self._retain)
-            if info.rc in _TAKEN:
-                self._unsent.add(info.mid)
-                return
+        # The library calls `_sent` under a lock that `publish` takes too: no lock may be held here.
+        info = self._connection.client.publish(self._topic, payload, self._qos, self._retain)
+        if info.rc in _TAKEN:
+            with self._connection.changed:
+                if info.mid in self._sent_early:
+                    self._sent_early.discard(info.mid)
+                else:
+                    self._unsent.add(info.mid)
+            return
         self._lost += 1
         if self._lost == 1:
             _say(f"{self._topic}: {_MOST_WAITING} messages wait for {self._connection.name}; newer ones are lost")
@@ -314,7 +327,10 @@ class Publisher:
 
     def _sent(self, _client: Client, _data: object, number: int, _code: object, _properties: object) -> None:
         with self._connection.changed:
-            self._unsent.discard(number)
+            if number in self._unsent:
+                self._unsent.discard(number)
+            else:
+                self._sent_early.add(number)
             self._connection.changed.notify_all()
 
 
@@ -362,7 +378,7 @@ def _context(ca: str | None, certificate: str | None, key: str | None) -> ssl.SS
     return context
 
 
-def _check(qos: int, payload: str, connection: Mapping[str, Any]) -> None:
+def check_parameters(qos: int, payload: str, connection: Mapping[str, Any]) -> None:
     """Raises InputError for parameters that no unit of MQTT can have."""
     if "password" in connection:
         mend = "write `password_env: VARIABLE` or `password_file: FILE`"
@@ -384,7 +400,7 @@ def _check(qos: int, payload: str, connection: Mapping[str, Any]) -> None:
         )
 
 
-def _filter(topic: str) -> str:
+def topic_filter(topic: str) -> str:
     """A topic filter. Raises InputError."""
     levels = topic.split("/")
     is_right = bool(topic) and "\0" not in topic and all("+" not in level or level == "+" for level in levels)
@@ -421,6 +437,28 @@ def _decoded(payload: bytes, form: str) -> object:
             return payload.decode()
         case _:
             return payload
+
+
+def _path(field: object, payload: str) -> tuple[str | int, ...]:
+    """The keys that lead to a field. Raises InputError."""
+    if field is None:
+        return ()
+    keys = tuple(field) if isinstance(field, list) else (field,)
+    if not keys or not all(isinstance(key, str | int) for key in keys):
+        raise InputError.of(f"`{field}` is no field", mend="write a key, or a list of those that lead to it")
+    if payload != "json":
+        raise InputError.of(f"a message that is a {payload} has no fields", mend="write `payload: json`")
+    return keys
+
+
+def _within(value: Any, keys: tuple[str | int, ...]) -> object:
+    """What is in a value where keys lead to. Raises LookupError."""
+    for key in keys:
+        try:
+            value = value[key]
+        except (LookupError, TypeError):
+            raise LookupError(key) from None
+    return value
 
 
 def _encoded(value: object, form: str) -> bytes:

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import datetime
-import os
 import queue
-import shutil
-import signal
 import socket
 import subprocess
 import sys
@@ -20,62 +17,19 @@ from typing import Any
 import pytest
 from cfgplan_runtime import mqtt
 from cfgplan_runtime.mqtt import MqttRefusedError, Publisher, Subscriber
+from mosquitto import NEEDS_MOSQUITTO, PATIENCE_S, Broker, running
 from watching import StartRuntime
 from world import eventually, start, unit
 
 from cfgplan.domain import InputPort, OutputPort, Transformation
 from cfgplan.errors import InputError
 
-MOSQUITTO = shutil.which("mosquitto", path=f"{os.environ.get('PATH', os.defpath)}:/usr/sbin")
-PATIENCE_S = 30.0
-
-pytestmark = [
-    pytest.mark.skipif(MOSQUITTO is None, reason="there is no MQTT broker (apt install mosquitto)"),
-    pytest.mark.xdist_group("mqtt"),
-]
+pytestmark = [NEEDS_MOSQUITTO, pytest.mark.xdist_group("mqtt")]
 
 
 @pytest.fixture(autouse=True)
 def paho() -> None:
     pytest.importorskip("paho", reason="paho-mqtt is not installed (extra mqtt)")
-
-
-class Broker:
-    """A mosquitto of a test's own, which keeps sessions over a restart."""
-
-    def __init__(self, folder: Path, *more: str) -> None:
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            self.port = free.getsockname()[1]
-        self.name = f"127.0.0.1:{self.port}"
-        self.config = folder / "mosquitto.conf"
-        lines = [f"listener {self.port} 127.0.0.1", "user root", "persistence true", f"persistence_location {folder}/"]
-        self.config.write_text("\n".join([*lines, *(more or ("allow_anonymous true",))]) + "\n")
-        self.start()
-
-    def start(self) -> None:
-        assert MOSQUITTO is not None
-        quiet = subprocess.DEVNULL
-        self.process = subprocess.Popen([MOSQUITTO, "-c", self.config], stdout=quiet, stderr=quiet)
-        eventually(self._answers)
-
-    def stop(self, number: int = signal.SIGTERM) -> None:
-        self.process.send_signal(number)
-        self.process.wait(PATIENCE_S)
-
-    def _answers(self) -> bool:
-        with suppress(OSError), socket.create_connection(("127.0.0.1", self.port), 1.0):
-            return True
-        return False
-
-
-@contextmanager
-def running(folder: Path, *more: str) -> Iterator[Broker]:
-    broker = Broker(folder, *more)
-    try:
-        yield broker
-    finally:
-        broker.stop(signal.SIGKILL)
 
 
 @pytest.fixture
@@ -202,6 +156,21 @@ def test_nothing_is_lost_while_the_broker_is_away(broker: Broker, hear: Hear, pu
     assert [*dict.fromkeys(number for number in rest if number >= 50)] == [*range(50, 149)]
 
 
+def test_confirmations_that_come_while_a_message_is_published_block_nothing(broker: Broker, publish: Publish) -> None:
+    publisher = publish(broker.name, "count")
+
+    def send() -> None:
+        for number in range(3000):
+            publisher(x=number)
+
+    thread = threading.Thread(target=send, daemon=True)
+    thread.start()
+    thread.join(PATIENCE_S)
+    assert not thread.is_alive()
+    eventually(lambda: not publisher._unsent)
+    assert not publisher._sent_early
+
+
 def test_a_message_counts_as_taken_once_the_next_is_asked_for(broker: Broker, publish: Publish) -> None:
     first = iter(Subscriber(broker.name, "job", client_id="worker"))
     next(first)
@@ -317,6 +286,18 @@ def test_a_run_takes_from_a_broker_and_gives_to_it(
     assert heard.next() == {"on": True}
 
 
+def test_a_field_of_a_message_is_given_and_messages_without_it_are_told_once(
+    broker: Broker, hear: Hear, publish: Publish, capsys: pytest.CaptureFixture[str]
+) -> None:
+    heard, inner = hear(broker.name, "air", field="co2"), hear(broker.name, "air", field=["pm", 1, "2.5"])
+    publisher = publish(broker.name, "air")
+    for value in ({"t": 1}, [3], {"co2": 600, "pm": [0, {"2.5": 7}]}):
+        publisher(x=value)
+    assert (heard.next(), inner.next()) == (600, 7)
+    told = capsys.readouterr().out
+    assert told.count("air: a message has no such field, and is left out: co2") == 1
+
+
 def test_what_is_no_value_is_told_once_and_left_out(
     broker: Broker, hear: Hear, publish: Publish, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -416,6 +397,9 @@ def make_certificate(folder: Path) -> None:
         ({"topic": ""}, "is no filter of topics"),
         ({"qos": 3}, "`3` is no quality of service"),
         ({"payload": "yaml"}, "`yaml` is no form of a payload"),
+        ({"field": []}, r"`\[\]` is no field"),
+        ({"field": {"a": 1}}, "is no field"),
+        ({"field": "a", "payload": "number"}, "a message that is a number has no fields"),
         ({"password": "secret"}, "a password does not belong into an environment file"),
         ({"usrname": "bob"}, "did you mean `username`"),
         ({"username": "bob", "password_env": "NO_SUCH_VARIABLE"}, "the variable NO_SUCH_VARIABLE is not set"),
