@@ -42,7 +42,7 @@ ALLOWED_SKIPS = (
 )
 """Reasons for which a test may be skipped in CI, as regular expressions: the machine, the data or a peer lacks it."""
 SKIPS_ARE_LISTED = os.environ.get("CFGPLAN_SKIPS") == "listed"
-_ROOMS_WITH_PROCESSES = {"cli", "fleet", "lifecycle", "nao", "operating", "ros1", "ros2", "ros2real", "runtime"}
+_ROOMS_WITH_PROCESSES = {"cli", "fleet", "lifecycle", "mqtt", "nao", "operating", "ros1", "ros2", "ros2real", "runtime"}
 _OF_FUNCTIONS = "_hypothesis_internal_use_settings"
 
 

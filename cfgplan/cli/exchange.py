@@ -16,6 +16,17 @@ from cfgplan.errors import InputError
 if TYPE_CHECKING:
     from cfgplan.ros.graph import RosGraph
 
+_LISTEN_S = 10.0
+_CONNECTION = (
+    ("username", "NAME", "the name that the broker knows; it stands in the file too, as all that follows"),
+    ("password_env", "VARIABLE", "the variable of the environment that holds the password"),
+    ("password_file", "FILE", "the file that holds the password"),
+    ("ca", "FILE", "who is trusted (TLS)"),
+    ("certificate", "FILE", "who this client is (TLS)"),
+    ("key", "FILE", "the key of the certificate"),
+)
+"""Options of `import mqtt` that go on to each source."""
+
 
 def add_import(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
@@ -25,9 +36,10 @@ def add_import(parser: argparse.ArgumentParser) -> None:
         "  cfgplan import ros1 live --out robot.yaml\n"
         "  cfgplan import ros2 live --out robot.yaml\n"
         "  ros2 node info /camera | cfgplan import ros2 - --out robot.yaml\n"
-        "  cfgplan import ros1 robot.launch sim:=true drive.bag --out robot.yaml"
+        "  cfgplan import ros1 robot.launch sim:=true drive.bag --out robot.yaml\n"
+        "  cfgplan import mqtt localhost --for 1m --out house.yaml"
     )
-    parser.add_argument("what", choices=("xml", "wsc", "ros1", "ros2"), help="what to read")
+    parser.add_argument("what", choices=("xml", "wsc", "ros1", "ros2", "mqtt"), help="what to read")
     parser.add_argument(
         "path",
         metavar="PATH",
@@ -36,7 +48,7 @@ def add_import(parser: argparse.ArgumentParser) -> None:
         "a master's address, or a launch file and its arguments (NAME:=VALUE). ros2: `live`, a launch file in XML or "
         "YAML and its arguments, or what `ros2 node info` and `ros2 topic info -v` "
         "print (FILE.txt, or `-` for standard input; ros1: `rosnode info`). Both: recordings (bags, MCAP); several are "
-        "put together",
+        "put together. mqtt: a broker (HOST, HOST:PORT, mqtt://HOST:PORT, or mqtts://HOST:PORT for TLS)",
     )
     parser.add_argument(
         "--objective",
@@ -56,6 +68,7 @@ def add_import(parser: argparse.ArgumentParser) -> None:
     )
     python = "ros2 live: the Python that has rclpy (CFGPLAN_ROS_PYTHON, or that of a sourced setup.bash, or python3)"
     parser.add_argument("--ros-python", metavar="PYTHON", help=python)
+    _add_mqtt(parser)
     shared.add_out(parser)
     parser.set_defaults(run=_import)
 
@@ -67,6 +80,7 @@ def _import(options: argparse.Namespace, screen: Screen) -> Exit:
     given = {"--objective": options.objective and options.what != "wsc"}
     given |= {"--ros-python": options.ros_python and options.what != "ros2"}
     given |= {"--guesses": options.guesses and not is_ros, "--works": options.works and not is_ros}
+    given |= {f"--{name.replace('_', '-')}": value for name, value in _of_mqtt(options) if options.what != "mqtt"}
     if foreign := [name for name, is_foreign in given.items() if is_foreign]:
         raise InputError.of(f"{', '.join(foreign)}: not for `import {options.what}`", mend="leave it out")
     _refuse_ending(options.out, "yaml")
@@ -74,7 +88,10 @@ def _import(options: argparse.Namespace, screen: Screen) -> Exit:
         return _import_ros(options, screen)
     path, *more = options.path
     if more:
-        raise InputError.of("this is one path too many", file=more[0], mend="name one file or folder")
+        one = "broker" if options.what == "mqtt" else "file or folder"
+        raise InputError.of("this is one path too many", file=more[0], mend=f"name one {one}")
+    if options.what == "mqtt":
+        return _import_mqtt(path, options, screen)
     if options.what == "xml":
         shared.put(api.converted(path, "yaml"), options.out, screen)
         return Exit.OK
@@ -87,6 +104,50 @@ def _import(options: argparse.Namespace, screen: Screen) -> Exit:
     shared.put(environment_text, options.out, screen)
     if dropped := unread(Path(path)):
         screen.warn(f"not read: {', '.join(dropped)}; costs are the number of services, concepts those of taxonomy.xml")
+    return Exit.OK
+
+
+def _add_mqtt(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("mqtt")
+    shared.add_span(group, f"listen so long ({_LISTEN_S:g}s)")
+    shared.add_several(group, "--topic", "FILTER", "listen to these topics only, such as house/# (all)")
+    for name, metavar, means in _CONNECTION:
+        group.add_argument(f"--{name.replace('_', '-')}", metavar=metavar, help=means)
+
+
+def _of_mqtt(options: argparse.Namespace) -> list[tuple[str, object]]:
+    """What is said of the options of `import mqtt`."""
+    connection = [(name, getattr(options, name)) for name, _, _ in _CONNECTION]
+    return [(name, value) for name, value in [("for", options.span), ("topic", options.topic), *connection] if value]
+
+
+def _import_mqtt(broker: str, options: argparse.Namespace, screen: Screen) -> Exit:
+    from cfgplan_runtime.mqtt_listening import listen
+    from rich.table import Table
+
+    from cfgplan.mqtt.environments import mqtt_imported
+
+    ontology = _beside(options.out, "a broker becomes two files, the environment and its ontology", ".ttl")
+    connection = {name: value for name, _, _ in _CONNECTION if (value := getattr(options, name)) is not None}
+    span_s = _LISTEN_S if options.span is None else options.span
+    screen.note(f"Listening for {span_s:g} s.")
+    with screen.phase("listen"):
+        traffic = listen(broker, span_s, options.topic or ("#",), **connection)
+    found = mqtt_imported(traffic, {"broker": broker, **connection})
+    shared.put(found.ontology, str(ontology), screen)
+    shared.put(found.text(ontology.name), options.out, screen)
+    shown = Table("topic", "field", "payload", "every", "retained", "tag", box=None, pad_edge=False)
+    for source in found.sources:
+        period_s, path = source.topic.period_s, ".".join(map(str, source.path))
+        every = "" if period_s is None else f"{period_s:.3g} s"
+        kept = "yes" if source.topic.is_retained else "no"
+        shown.add_row(source.topic.name, path, source.topic.form, every, kept, source.tag)
+    screen.show(shown)
+    for note in found.notes:
+        screen.warn(f"not taken over: {note}")
+    for hint in found.hints:
+        screen.note(f"hint: {hint}")
+    screen.note(f"{found.size}. Nothing is wanted yet: the head of {options.out} shows how to say it.")
     return Exit.OK
 
 

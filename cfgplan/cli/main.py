@@ -40,7 +40,7 @@ VERBS: Mapping[str, str] = MappingProxyType(
         "certificates": "make a fleet's own authority, and a certificate for each of its hosts",
         "demo": "play the paper's case study: two robots, one ball, a failure and a fusion",
         "compare": "run planners side by side, each run in a process of its own, and check them against each other",
-        "import": "make an environment file of a graph of ROS nodes, of the paper's XML, or of a composition test set",
+        "import": "make an environment file of ROS nodes, an MQTT broker, the paper's XML, or a composition test set",
         "export": "write the JSON Schema of environment files, one as YAML or the paper's XML, or a ROS 2 launch file",
         "init": "write a small environment of one's own, with its ontology and unit code",
         "completion": "print what a shell needs to complete these commands: bash or zsh",

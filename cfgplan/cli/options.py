@@ -124,9 +124,9 @@ def add_time(parser: argparse.ArgumentParser, name: str, default_s: float, means
     parser.add_argument(name, type=duration, default=default_s, metavar="TIME", help=means)
 
 
-def add_span(parser: argparse.ArgumentParser) -> None:
+def add_span(parser: argparse._ActionsContainer, means: str = "stop after 30s, 5m, 1h") -> None:
     """`--for`: for how long a verb goes on; None for as long as it likes."""
-    parser.add_argument("--for", dest="span", type=duration, metavar="TIME", help="stop after 30s, 5m, 1h")
+    parser.add_argument("--for", dest="span", type=duration, metavar="TIME", help=means)
 
 
 def add_survive(parser: argparse.ArgumentParser) -> None:

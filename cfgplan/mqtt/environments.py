@@ -1,0 +1,178 @@
+"""From what came from a broker to an environment: its file and its ontology's, and what can't be taken over."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from math import ceil
+from typing import Any, Final
+
+from cfgplan.domain import Environment, OutputPort, Transformation
+from cfgplan.errors import InputError
+from cfgplan.formats.dump import dump_yaml, plain_environment
+from cfgplan.formats.fields import DEFAULT_HORIZON_S
+from cfgplan.mqtt.discovery import Entity, Path, discovered
+from cfgplan.mqtt.traffic import HeardTopic, Traffic, fits
+from cfgplan.mqtt.vocabulary import MqttVocabulary
+from cfgplan.qualities import MICRO
+from cfgplan.summary import counted, some
+
+_SUBSCRIBER: Final = "cfgplan_runtime.mqtt:Subscriber"
+_COSTS: Final = ("labor", "upkeep")
+_ALIKE: Final = 3
+"""So many topics that differ in one level are told."""
+_PATIENCE: Final = 5
+"""A target is silent after so many periods of its source, rounded up to seconds."""
+
+
+@dataclass(frozen=True, slots=True)
+class MqttSource:
+    """A source of the file: a topic, or a field of its messages, what is known of it, and its tag."""
+
+    label: str
+    topic: HeardTopic
+    path: Path
+    entity: Entity | None
+    tag: str
+    is_silent: bool
+
+
+@dataclass(frozen=True)
+class MqttImported:
+    """The environment of a broker, its ontology (Turtle), and what was not taken over, or is worth a look."""
+
+    traffic: Traffic
+    sources: tuple[MqttSource, ...]
+    environment: Environment
+    ontology: str
+    notes: tuple[str, ...]
+    hints: tuple[str, ...]
+
+    @property
+    def size(self) -> str:
+        """How much was imported, in words."""
+        told = sum(source.entity is not None for source in self.sources)
+        return f"{counted(len(self.sources), 'source')}, {told} of them described by discovery messages"
+
+    def text(self, ontology: str) -> str:
+        """The environment file (YAML), which names its ontology file so; comments above tell the rest."""
+        plain = plain_environment(self.environment, horizon_s=DEFAULT_HORIZON_S, ontology=[ontology])
+        for transformation in plain.get("transformations", ()):
+            for cost in _COSTS:
+                transformation.pop(cost, None)
+        return "".join(f"# {_on_one_line(line)}\n" for line in self._heading()) + dump_yaml(plain)
+
+    def _heading(self) -> Iterator[str]:
+        yield f"Imported from the broker {self.traffic.broker} in {self.traffic.span_s:g} s: {self.size}."
+        yield from (f"Not taken over: {note}." for note in self.notes)
+        yield from (f"Hint: {hint}." for hint in self.hints)
+        wanted = next((source for source in self.sources if source.entity and source.entity.kind), self.sources[0])
+        yield "Nothing is wanted yet. Say it so; with `silent` another source of the kind takes over from a dead one:"
+        yield "  targets:"
+        silent = "" if wanted.topic.period_s is None else f", silent: {_silent_s(wanted.topic.period_s)}s"
+        tag = wanted.tag.rpartition(" and ")[0] or wanted.tag
+        yield f"    - {{label: {wanted.label}, topic: /{wanted.label}, tag: {tag}{silent}}}"
+
+
+def mqtt_imported(traffic: Traffic, params: Mapping[str, Any]) -> MqttImported:
+    """The environment of sources for all that came; each has these parameters of a connection too.
+    Raises InputError if there is no source at all.
+
+    A topic whose messages discovery describes becomes a source for each value that is described, any other topic one.
+    """
+    told = discovered(traffic.discovery)
+    heard = {topic.name: topic for topic in traffic.topics}
+    asked = [entity for entity in told.entities if fits(entity.topic, traffic.asked)]
+    described = [entity for entity in asked if entity.path is not None]
+    words = MqttVocabulary(described)
+    taken: set[str] = set()
+    sources: list[MqttSource] = []
+
+    def add(topic: HeardTopic, entity: Entity | None = None) -> None:
+        path = (entity.path if entity is not None else None) or ()
+        label = words.tag(topic.name, path)
+        sources.append(
+            MqttSource(label, topic, path, entity, words.tag(topic.name, path, entity), topic.name not in heard)
+        )
+        taken.add(topic.name)
+
+    for entity in described:
+        add(heard.get(entity.topic) or _silent(entity), entity)
+    for topic in traffic.topics:
+        if topic.name not in taken | told.commands:
+            add(topic)
+    sources.sort(key=lambda source: source.label)
+    commands = sorted(told.commands & heard.keys() - taken)
+    environment = Environment(
+        units=(), library=tuple(_transformation(source, params) for source in sources), targets=()
+    )
+    notes = (*traffic.notes, *_notes(traffic, asked, told.unread, commands))
+    if not sources:
+        mend = "listen longer (--for 60s), or name other topics (--topic)"
+        raise InputError.of(f"nothing that came from {traffic.broker} can be a source: {'; '.join(notes)}", mend=mend)
+    return MqttImported(traffic, tuple(sources), environment, words.text, notes, tuple(_hints(sources)))
+
+
+def _silent(entity: Entity) -> HeardTopic:
+    """A topic that is described, and on which nothing came: its form is guessed from the description."""
+    if entity.path:
+        return HeardTopic(entity.topic, "json", False)
+    return HeardTopic(entity.topic, "number" if entity.is_measured and entity.unit else "text", False)
+
+
+def _transformation(source: MqttSource, params: Mapping[str, Any]) -> Transformation:
+    topic = source.topic
+    own = {"topic": topic.name, "payload": "json" if source.path else topic.form, "retained": topic.is_retained}
+    if source.path:
+        own["field"] = source.path[0] if len(source.path) == 1 else list(source.path)
+    rate_uhz = 0 if topic.period_s is None else round(float(f"{1 / topic.period_s:.3g}") * MICRO)
+    output = OutputPort("value", source.tag, rate_uhz=rate_uhz, size_bytes=topic.size)
+    return Transformation(source.label, outputs=(output,), source=_SUBSCRIBER, params={**params, **own})
+
+
+def _notes(
+    traffic: Traffic, entities: Iterable[Entity], unread: Iterable[str], commands: Iterable[str]
+) -> Iterator[str]:
+    if traffic.sparkplug:
+        yield f"{counted(traffic.sparkplug, 'topic')} of Sparkplug (spBv1.0/...), whose messages are not read"
+    if unread := list(unread):
+        yield f"{some(unread)}: no message that describes an entity"
+    if untold := sorted({entity.topic for entity in entities if entity.path is None}):
+        yield f"the descriptions of values on {some(untold)}: their templates do more than look up a field"
+    if commands := list(commands):
+        yield f"{some(commands)}: commands to devices, for which `cfgplan_runtime.mqtt:Publisher` is there"
+
+
+def _hints(sources: Iterable[MqttSource]) -> Iterator[str]:
+    """Topics that differ in one level only and give the same kind of value, and mappings that nothing describes."""
+    groups: defaultdict[tuple[object, ...], set[str]] = defaultdict(set)
+    for source in sources:
+        levels, entity = source.topic.name.split("/"), source.entity
+        kind = (source.topic.form, source.path, entity and (entity.kind, entity.is_measured, entity.unit))
+        for number in range(len(levels)):
+            groups["/".join([*levels[:number], "+", *levels[number + 1 :]]), kind].add(levels[number])
+    for (pattern, _), differing in groups.items():
+        if len(differing) >= _ALIKE:
+            yield (
+                f"{pattern}: {len(differing)} topics differ only there ({some(sorted(differing))}); a subscriber to "
+                "the pattern gives the values of all with their topics, a template makes a source of each"
+            )
+    if mappings := [f"{source.topic.name} ({some(source.topic.fields)})" for source in sources if _is_open(source)]:
+        yield f"messages with fields: {some(mappings)}; with `field` in its `params` a source gives one of them"
+    if silent := sorted({source.topic.name for source in sources if source.is_silent}):
+        yield f"{some(silent)}: described, but nothing came; the form of the payload is guessed"
+
+
+def _on_one_line(text: str) -> str:
+    """A text with escapes in place of what would end a comment, or can't stand in one."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+def _silent_s(period_s: float) -> int:
+    return ceil(period_s * _PATIENCE)
+
+
+def _is_open(source: MqttSource) -> bool:
+    """Whether a source gives mappings of which nothing says more."""
+    return source.entity is None and bool(source.topic.fields)

@@ -1,0 +1,140 @@
+"""What came from a broker while somebody listened: its topics, and how each one's messages look."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+TopicForm = Literal["number", "json", "text", "bytes"]
+"""How all messages of a topic hold their values."""
+_DISCOVERY, _CONFIG = "homeassistant/", "/config"
+_SPARKPLUG = "spBv1.0/"
+_MOST_FIELDS = 100
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class HeardTopic:
+    """A topic: the form of its messages, whether the broker keeps the last one, and how they came.
+
+    `period_s` is the mean time from message to message; None with fewer than two that came live. `size` is a message's
+    mean number of bytes, `fields` are the keys of messages that are mappings.
+    """
+
+    name: str
+    form: TopicForm
+    is_retained: bool
+    period_s: float | None = None
+    size: int = 0
+    fields: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Traffic:
+    """The topics of a broker by name, discovery messages by topic, and how many topics of Sparkplug there were.
+
+    `asked` are the filters of topics that were listened to, `notes` what was missed.
+    """
+
+    broker: str
+    span_s: float
+    topics: tuple[HeardTopic, ...]
+    asked: tuple[str, ...] = ("#",)
+    discovery: Mapping[str, bytes] = field(default_factory=dict)
+    sparkplug: int = 0
+    notes: tuple[str, ...] = ()
+
+
+def fits(topic: str, filters: Iterable[str]) -> bool:
+    """Whether a topic is one of those that a filter names, by `+` for a level and `#` for all that follow."""
+    levels = topic.split("/")
+    return any(_fits(levels, asked.split("/")) for asked in filters)
+
+
+def _fits(levels: Sequence[str], asked: Sequence[str]) -> bool:
+    if asked and asked[-1] == "#":
+        asked, levels = asked[:-1], levels[: len(asked) - 1]
+    return len(levels) == len(asked) and all(want in ("+", is_) for want, is_ in zip(asked, levels, strict=True))
+
+
+class Ear:
+    """Takes messages one after the other, and keeps what `Traffic` tells of them."""
+
+    def __init__(self) -> None:
+        self._topics: dict[str, _Topic] = {}
+        self._discovery: dict[str, bytes] = {}
+        self._sparkplug: set[str] = set()
+
+    def take(self, topic: str, payload: bytes, *, is_retained: bool, time_s: float) -> None:
+        """Take a message. One without a payload says that a retained message is gone."""
+        if topic.startswith(_SPARKPLUG):
+            self._sparkplug.add(topic)
+        elif topic.startswith(_DISCOVERY) and topic.endswith(_CONFIG):
+            self._discovery[topic] = payload
+        elif payload:
+            self._topics.setdefault(topic, _Topic()).take(payload, is_retained=is_retained, time_s=time_s)
+
+    def traffic(self, broker: str, span_s: float, asked: tuple[str, ...], notes: tuple[str, ...] = ()) -> Traffic:
+        """All that was taken."""
+        topics = tuple(each.heard(name) for name, each in sorted(self._topics.items()))
+        discovery = {topic: payload for topic, payload in sorted(self._discovery.items()) if payload}
+        return Traffic(broker, span_s, topics, asked, discovery, len(self._sparkplug), notes)
+
+
+class _Topic:
+    """What is known of one topic so far."""
+
+    def __init__(self) -> None:
+        self._forms: set[TopicForm] = set()
+        self._fields: dict[str, None] = {}
+        self._number = self._live = self._bytes = 0
+        self._is_retained = False
+        self._first_s = self._last_s = 0.0
+
+    def take(self, payload: bytes, *, is_retained: bool, time_s: float) -> None:
+        if not is_retained or self._number:  # the first retained message may be an old one
+            self._first_s, self._last_s = (self._first_s if self._live else time_s), time_s
+            self._live += 1
+        self._number += 1
+        self._bytes += len(payload)
+        self._is_retained |= is_retained
+        form, fields = _looks(payload)
+        self._forms.add(form)
+        if len(self._fields) < _MOST_FIELDS:
+            self._fields.update(dict.fromkeys(fields))
+
+    def heard(self, name: str) -> HeardTopic:
+        apart_s = self._last_s - self._first_s
+        period_s = apart_s / (self._live - 1) if self._live > 1 and apart_s > 0 else None
+        return HeardTopic(name, self._form, self._is_retained, period_s, self._bytes // self._number, (*self._fields,))
+
+    @property
+    def _form(self) -> TopicForm:
+        """The only form of all messages, or the one that takes all of them in."""
+        if len(self._forms) == 1:
+            return next(iter(self._forms))
+        if "bytes" in self._forms:
+            return "bytes"
+        return "text" if "text" in self._forms else "json"
+
+
+def _looks(payload: bytes) -> tuple[TopicForm, tuple[str, ...]]:
+    """The form of a message, and the keys of one that is a mapping."""
+    try:
+        text = payload.decode()
+    except UnicodeDecodeError:
+        return "bytes", ()
+    if "\0" in text:
+        return "bytes", ()
+    try:
+        if math.isfinite(float(payload)):
+            return "number", ()
+    except ValueError:
+        pass
+    try:
+        value = json.loads(text)
+    except (ValueError, RecursionError):
+        return "text", ()
+    return "json", tuple(map(str, value)) if isinstance(value, dict) else ()

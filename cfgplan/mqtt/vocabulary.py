@@ -1,0 +1,168 @@
+"""The small ontology of a broker: topics, kinds of values, units and areas as concepts, and the tags made of them."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Iterator
+from typing import Final
+from unicodedata import normalize
+
+from cfgplan.mqtt.discovery import Entity, Path
+from cfgplan.selectors import KEYWORDS
+
+MQTT_NAMES: Final = "urn:cfgplan:mqtt#"
+"""Begins the IRI of each concept that stands for a kind of value, a unit, an area or a topic."""
+_ROOTS: Final = {
+    "Quantity": "Kinds of measurements, by Home Assistant's device classes.",
+    "State": "Kinds of states. Each comes as its device says it: ON, open, true.",
+    "Unit": "Units of measurement.",
+    "Area": "Areas in which devices are.",
+    "Topic": "Messages by their topics: those below `house/kitchen` are `house-kitchen` too.",
+}
+_ROLES: Final = ("inUnit", "inArea")
+_NO_CONCEPTS: Final = KEYWORDS | {"thing", "nothing"}
+_ABOVE: Final = {
+    "AtmosphericPressure": "Pressure",
+    "GarageDoorState": "DoorState",
+    "DoorState": "OpeningState",
+    "WindowState": "OpeningState",
+    "Pm1": "ParticulateMatter",
+    "Pm25": "ParticulateMatter",
+    "Pm10": "ParticulateMatter",
+}
+"""What is also what, among Home Assistant's device classes."""
+_UNITS: Final = {
+    normalize("NFKC", sign): name
+    for sign, name in {
+        "°C": "DegreeCelsius",
+        "°F": "DegreeFahrenheit",
+        "K": "Kelvin",
+        "%": "Percent",
+        "lx": "Lux",
+        "W": "Watt",
+        "kW": "Kilowatt",
+        "Wh": "WattHour",
+        "kWh": "KilowattHour",
+        "V": "Volt",
+        "mV": "Millivolt",
+        "A": "Ampere",
+        "mA": "Milliampere",
+        "Hz": "Hertz",
+        "Pa": "Pascal",
+        "hPa": "Hectopascal",
+        "kPa": "Kilopascal",
+        "bar": "Bar",
+        "mbar": "Millibar",
+        "ppm": "PartsPerMillion",
+        "ppb": "PartsPerBillion",
+        "µg/m³": "MicrogramPerCubicMetre",
+        "mg/m³": "MilligramPerCubicMetre",
+        "dB": "Decibel",
+        "dBm": "DecibelMilliwatt",
+        "°": "Degree",
+        "m": "Metre",
+        "cm": "Centimetre",
+        "mm": "Millimetre",
+        "km": "Kilometre",
+        "m/s": "MetrePerSecond",
+        "km/h": "KilometrePerHour",
+        "m³": "CubicMetre",
+        "m³/h": "CubicMetrePerHour",
+        "L": "Litre",
+        "s": "Second",
+        "min": "Minute",
+        "h": "Hour",
+        "d": "Day",
+        "g": "Gram",
+        "kg": "Kilogram",
+    }.items()
+}
+"""Signs of units and their names."""
+
+
+class MqttVocabulary:
+    """The concepts of entities and topics; those of topics are made when they are first asked for.
+
+    Each level of a topic is below the one before: `house-kitchen-temperature` is a `house-kitchen`. Letters that no
+    name takes are written `_`.
+    """
+
+    def __init__(self, entities: Iterable[Entity]) -> None:
+        self._words: dict[tuple[str, ...], str] = {}
+        self._taken = {*_ROOTS, *_ROLES}
+        self._lines: dict[str, list[tuple[str, str, str]]] = {root: [] for root in _ROOTS}
+        """By root: each concept, the one above it, and what it stands for."""
+        self._kinds = {entity: [*self._parts(entity)] for entity in entities}
+
+    def tag(self, topic: str, path: Path = (), entity: Entity | None = None) -> str:
+        """What a source gives: messages of a topic, or a field of them; of an entity its kind, unit and area too."""
+        return " and ".join([*(self._kinds[entity] if entity is not None else ()), self._topic(topic, path)])
+
+    def _parts(self, entity: Entity) -> Iterator[str]:
+        if entity.kind is not None:
+            root = "Quantity" if entity.is_measured else "State"
+            yield self._kind(_camel(entity.kind) + ("" if entity.is_measured else root), root, entity.kind)
+        if entity.unit is not None:
+            sign = normalize("NFKC", entity.unit)
+            yield f"inUnit some {self._concept(('Unit', sign), _UNITS.get(sign, _plain(sign)), 'Unit', entity.unit)}"
+        if entity.area is not None:
+            yield f"inArea some {self._concept(('Area', entity.area), _camel(entity.area), 'Area', entity.area)}"
+
+    def _kind(self, word: str, root: str, label: str) -> str:
+        above = self._kind(_ABOVE[word], root, _ABOVE[word]) if word in _ABOVE else root
+        return self._concept((root, word), word, above, label)
+
+    def _topic(self, name: str, path: Path) -> str:
+        levels, steps = name.split("/"), [*map(str, path)]
+        key: tuple[str, ...] = ("Topic",)
+        above, words = "Topic", [""]
+        for number, part in enumerate([*levels, *steps]):
+            key = (*key, part) if number < len(levels) else (*key, "", part)  # no topic but a field has such a key
+            words.append(_plain(part))
+            label = " ".join(["/".join(levels[: number + 1]), *steps[: max(number + 1 - len(levels), 0)]])
+            above = self._concept(key, "-".join(filter(None, words)) or "_", above, label)
+        return above
+
+    def _concept(self, key: tuple[str, ...], word: str, above: str, label: str) -> str:
+        """The concept of a key, which begins with its root; a new one is named by the word, or nearly so."""
+        if key in self._words:
+            return self._words[key]
+        if word.casefold() in _NO_CONCEPTS or not word[:1].isalpha():
+            word = f"{key[0].casefold()}-{word or '_'}"
+        while word in self._taken:
+            word += "_"
+        self._taken.add(word)
+        self._words[key] = word
+        self._lines[key[0]].append((word, above, label))
+        return word
+
+    @property
+    def text(self) -> str:
+        """The ontology in Turtle."""
+        return "\n".join([*self._turtle(), ""])
+
+    def _turtle(self) -> Iterator[str]:
+        yield f"@prefix : <{MQTT_NAMES}> ."
+        yield "@prefix owl: <http://www.w3.org/2002/07/owl#> ."
+        yield "@prefix rdfs: <http://www.w3.org/2000/01/rdf-schema#> ."
+        yield ""
+        yield f"<{MQTT_NAMES.rstrip('#')}> a owl:Ontology ."
+        yield ""
+        yield from (f":{role} a owl:ObjectProperty ." for role in _ROLES)
+        for root, about in _ROOTS.items():
+            yield ""
+            yield f"# {about}"
+            yield f":{root} a owl:Class ."
+            for word, above, label in sorted(self._lines[root]):
+                said = json.dumps(label, ensure_ascii=False)
+                yield f":{word} a owl:Class ; rdfs:subClassOf :{above} ; rdfs:label {said} ."
+
+
+def _camel(text: str) -> str:
+    return "".join(part[:1].upper() + part[1:] for part in _plain(text).split("_"))
+
+
+def _plain(text: str) -> str:
+    """A text in letters, digits and underscores without accents."""
+    return re.sub(r"[^A-Za-z0-9_]", "_", "".join(c for c in normalize("NFKD", text) if not "̀" <= c <= "ͯ"))

@@ -1,0 +1,101 @@
+"""Listening to a broker for a while: what comes on its topics, kept ones included."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+from cfgplan.errors import InputError
+from cfgplan.mqtt.traffic import Ear, Traffic
+from cfgplan.summary import some
+from cfgplan_runtime.mqtt import Connection, check_parameters, topic_filter
+
+if TYPE_CHECKING:
+    from paho.mqtt.client import Client, MQTTMessage
+
+_ANSWER_S: Final = 10.0
+"""A broker that has not let a client in after so many seconds is none."""
+_LOOK_S: Final = 0.05
+_DISCOVERY: Final = "homeassistant/#"
+
+
+def listen(broker: str, span_s: float, topics: Sequence[str] = ("#",), **connection: Any) -> Traffic:
+    """What comes on topics of a broker within `span_s` seconds, and the discovery messages that it keeps.
+
+    Nothing is published, and nothing is confirmed: whoever listens besides misses nothing. For the other parameters see
+    `Connection`. Raises InputError if there is no such broker, or if nothing comes.
+    """
+    check_parameters(0, "bytes", connection)
+    return _Listening(broker, [*map(topic_filter, topics)], connection).traffic(span_s)
+
+
+class _Listening:
+    def __init__(self, broker: str, topics: Sequence[str], connection: dict[str, Any]) -> None:
+        self._asked = tuple(topics)
+        self._topics = self._asked if "#" in topics else (*topics, _DISCOVERY)
+        self._ear = Ear()
+        self._refused: list[str] = []
+        self._is_subscribed = self._was_there = False
+        self._woken = threading.Event()
+        """Set once something is known: the broker is away, or has answered."""
+        self._connection = Connection(broker, lambda _: self._woken.set(), **connection)
+        self._connection.on_begin = self._subscribe
+        client = self._connection.client
+        client.on_message, client.on_subscribe = self._hear, self._subscribed
+
+    def traffic(self, span_s: float) -> Traffic:
+        name = self._connection.name
+        self._connection.open(keeps_session=False)
+        try:
+            deadline_s = time.monotonic() + _ANSWER_S
+            while not self._connection.refusal and time.monotonic() < deadline_s:
+                if self._woken.wait(_LOOK_S):
+                    break
+            self._refuse()
+            time.sleep(span_s)
+            with self._connection.changed:
+                away, refused = self._connection.away, tuple(self._refused)
+                notes = [f"what came after the broker {away}"] if away else []
+                if refused:
+                    notes.append(f"{some(refused)}: the broker lets this client read nothing of it")
+                found = self._ear.traffic(name, span_s, self._asked, tuple(notes))
+        finally:
+            self._connection.close()
+        if not found.topics and not found.discovery and not found.sparkplug:
+            mend = "listen longer (--for 60s), or name other topics (--topic)"
+            raise InputError.of(f"nothing came from {name} in {span_s:g} s", mend=mend)
+        return found
+
+    def _refuse(self) -> None:
+        """Raises InputError if this client can't listen."""
+        name, away, refusal = self._connection.name, self._connection.away, self._connection.refusal
+        if refusal:
+            mend = "name it by --username, with --password-env or --password-file; certificates by --certificate, --key"
+            raise InputError.of(f"{name}: {refusal.partition(';')[0]}", mend=mend)
+        mend = "start it, or name the address of one that runs: HOST:PORT, or mqtts://HOST:PORT for TLS"
+        if away and not self._was_there:
+            ended = f"what listens at {name} is no broker of MQTT 5, or speaks TLS: it ended the connection"
+            raise InputError.of(ended if away.startswith("is lost") else f"the broker {name} {away}", mend=mend)
+        if not self._is_subscribed:
+            raise InputError.of(f"what listens at {name} does not answer as a broker of MQTT 5 does", mend=mend)
+        if len(self._refused) == len(self._topics):
+            mend = "name what it may read: --topic house/#"
+            raise InputError.of(f"{name} lets this client read nothing of {some(self._refused)}", mend=mend)
+
+    def _subscribe(self) -> None:
+        from paho.mqtt.subscribeoptions import SubscribeOptions
+
+        self._was_there = True
+        options = SubscribeOptions(0, retainAsPublished=True)
+        self._connection.client.subscribe([(topic, options) for topic in self._topics])
+
+    def _subscribed(self, _client: Client, _data: object, _number: int, codes: Sequence[Any], _properties: Any) -> None:
+        self._refused = [topic for topic, code in zip(self._topics, codes, strict=False) if code.is_failure]
+        self._is_subscribed = True
+        self._woken.set()
+
+    def _hear(self, _client: Client, _data: object, message: MQTTMessage) -> None:
+        with self._connection.changed:
+            self._ear.take(message.topic, bytes(message.payload), is_retained=message.retain, time_s=message.timestamp)
