@@ -72,7 +72,7 @@ def test_a_goal_that_is_cancelled_ends_so(runtime: Runtime, observer: Observer) 
 def test_a_goal_stays_with_its_server_and_the_next_goes_to_the_new_one(runtime: Runtime, observer: Observer) -> None:
     """A goal may begin while the update is under way: it ends at the old server all the same."""
     heard = begin(runtime, observer, order=50)
-    assert any(text == "feedback 100 5" for text in heard)
+    assert any(text.startswith("feedback 100") for text in heard)
     switch(runtime)
     results = [text for text in iter(heard.__next__, f"result {SUCCEEDED} 200 50") if text.startswith("result")]
     assert set(results) == {f"result {SUCCEEDED} 100 50"}
@@ -82,7 +82,7 @@ def test_goals_of_a_server_that_has_died_are_aborted_and_the_next_goes_to_its_re
     runtime: Runtime, observer: Observer
 ) -> None:
     heard = begin(runtime, observer, order=0)
-    assert any(text == "feedback 100 5" for text in heard)
+    assert any(text.startswith("feedback 100") for text in heard)
     pid = runtime.pid("a.1")
     assert pid is not None
     os.kill(pid, signal.SIGKILL)
