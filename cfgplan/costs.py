@@ -28,18 +28,21 @@ def span_s(text: str) -> Decimal | None:
     return None if found is None else Decimal(found[1]) * _SECONDS_OF[found[2]]
 
 
-_MEANT_SECONDS = (("ms", "0.001"), ("s", "1"), ("m", "60"), ("h", "3600"), ("d", "86400"), ("%", "0.01"))
+_MEANT_SECONDS = {**_SECONDS_OF, "d": Decimal(86_400), "%": Decimal("0.01")}
 _WORDS_OF_TIME = r"(ms|msecs?|milliseconds?|s|secs?|seconds?|m|mins?|minutes?|h|hrs?|hours?|d|days?|%)"
 
 
 def meant_s(text: str) -> Decimal | None:
-    """The seconds, or the part of a core, that 0,2 or 500 ms, 10 min, 20 % or 1d mean; None for any other text."""
+    """The seconds, or the part of a core, that 0,2 or 500 ms, 10 min, 20 % or 1d mean; None for any other text.
+
+    A comma before three digits may stand between thousands, and decides nothing.
+    """
     found = re.fullmatch(rf"(\d{{1,12}}(?:[.,]\d{{1,12}})?) ?{_WORDS_OF_TIME}?", text.strip(), re.IGNORECASE)
-    if found is None:
+    if found is None or re.fullmatch(r"\d+,\d{3}", found[1]):
         return None
     unit = (found[2] or "s").lower()
     short = "ms" if unit.startswith(("ms", "mil")) else unit[0]
-    return Decimal(found[1].replace(",", ".")) * Decimal(dict(_MEANT_SECONDS)[short])
+    return Decimal(found[1].replace(",", ".")) * _MEANT_SECONDS[short]
 
 
 def horizon_s(text: str) -> int:

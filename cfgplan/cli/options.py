@@ -238,7 +238,7 @@ def setting(text: str) -> tuple[str, str]:
 
 
 def count(text: str) -> int:
-    value = _decimal(text)
+    value = _decimal(text, is_count=True)
     if value != value.to_integral_value() or value < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1: write one, such as 3")
     return int(value)
@@ -283,17 +283,15 @@ def cost(text: str) -> int:
         raise argparse.ArgumentTypeError(str(error)) from None
 
 
-def _decimal(text: str) -> Decimal:
+def _decimal(text: str, *, is_count: bool = False) -> Decimal:
     try:
         value = Decimal(text)
     except InvalidOperation:
         from cfgplan.costs import meant_s
 
-        meant = meant_s(text)
-        such = (
-            f"write seconds as a plain number: {meant.normalize():f}" if meant is not None else "write one, such as 10"
-        )
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number: {such}") from None
+        meant = None if is_count else meant_s(text)
+        such = "such as 10" if meant is None else f"{meant.normalize():f}"
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number: write a plain one, {such}") from None
     if not value.is_finite():
         raise argparse.ArgumentTypeError(f"{text!r} is not a finite number: write one, such as 10")
     if value > _LARGEST_NUMBER:

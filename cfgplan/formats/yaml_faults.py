@@ -37,7 +37,10 @@ def syntax_fault(error: yaml.YAMLError, text: str, file: str) -> Fault:
         return Fault(f"this is not YAML: {problem}", file, line + 1, column + 1, mend=mend)
     if "nesting depth" in problem:  # newer ones of PyYAML have a limit too, and look ahead
         return Fault(TOO_DEEP[0], file, mark.line + 1, mark.column + 1, mend=TOO_DEEP[1])
-    slip = _slip(problem, mark, getattr(error, "context_mark", None) or mark, text.splitlines())
+    lines = text.splitlines()
+    if "mapping values are not allowed" in problem and (slip := _bare_key(mark.line, lines)):
+        return Fault("this is not YAML: this key has no colon", file, slip.line + 1, slip.column + 1, mend=slip.mend)
+    slip = _slip(problem, mark, getattr(error, "context_mark", None) or mark, lines)
     return Fault(f"this is not YAML: {_in_words(problem)}", file, slip.line + 1, slip.column + 1, mend=slip.mend)
 
 
@@ -80,8 +83,10 @@ def _slip(problem: str, mark: yaml.Mark, begin: yaml.Mark, lines: list[str]) -> 
 
 def _colon(written: str) -> str:
     found = _KEY_BEGINS.match(written)
-    if found is None or not found[4]:
+    if found is None:
         return "write `key: value`, or quote the text"
+    if not found[4]:
+        return f"put a colon after the key: `{found[1]}:`"
     return f"put a colon and a space after the key: `{found[1]}: {found[4]}`"
 
 
@@ -92,10 +97,26 @@ def _second_colon(before: str, number: int, lines: list[str]) -> str:
         if pair.end() < len(before):
             is_port = pair[0] in ("inputs: ", "outputs: ")
             return f"put braces around it: `{{{value}}}`" if is_port else f'put quotes around the value: "{value}"'
-    above = next(
-        (n for n in range(number - 1, -1, -1) if lines[n].strip() and not lines[n].lstrip().startswith("#")), 0
-    )
+    above = _line_above(number, lines)
     return f"begin this key in the column of the keys beside it: line {above + 1} begins elsewhere, and has its value"
+
+
+def _line_above(number: int, lines: list[str]) -> int:
+    """The number of the line above that is neither empty nor a comment; 0 without one."""
+    said = (n for n in range(number - 1, -1, -1) if lines[n].strip() and not lines[n].lstrip().startswith("#"))
+    return next(said, 0)
+
+
+def _bare_key(number: int, lines: list[str]) -> _Slip | None:
+    """The slip of a line above that is a key without its colon, and has the line with this number below it."""
+    above = _line_above(number, lines)
+    found = _KEY_BEGINS.match(lines[above]) if above < number else None
+    if found is None or found[2] or found[4]:
+        return None
+    indent, below = found.start(1), len(lines[number]) - len(lines[number].lstrip())
+    if below < indent or (below == indent and not lines[number].lstrip().startswith("- ")):
+        return None
+    return _Slip(above, indent, f"put a colon after the key: `{found[1]}:`")
 
 
 def _flow(problem: str, mark: yaml.Mark, begin: yaml.Mark, lines: list[str]) -> _Slip:

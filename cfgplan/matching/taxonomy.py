@@ -11,6 +11,7 @@ from cfgplan.matching.names import short_name
 from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.suggestions import words_of
 from cfgplan.matching.syntax import parse_tag
+from cfgplan.turtle import heading
 
 _NAMES_IRI: Final = "urn:cfgplan:names#"
 _INDIVIDUAL: Final = re.compile(r"\{\s*([^{}]+?)\s*\}|\bvalue\s+([^\s()]+)")
@@ -31,12 +32,7 @@ def taxonomy(tags: Iterable[str]) -> tuple[str, tuple[str, ...]]:
     kinds = ((classes, "owl:Class"), (roles, "owl:ObjectProperty"), (individuals, "owl:NamedIndividual"))
     above = _above(classes)
     lines = [
-        f"@prefix : <{_NAMES_IRI}> .",
-        "@prefix owl: <http://www.w3.org/2002/07/owl#> .",
-        "@prefix rdfs: <http://www.w3.org/2000/01/rdf-schema#> .",
-        "",
-        f"<{_NAMES_IRI.rstrip('#')}> a owl:Ontology .",
-        "",
+        *heading(_NAMES_IRI),
         "# An output feeds an input if its tag is the input's or below it. Each rdfs:subClassOf is guessed from names:",
         "# look at them, and add your own.",
     ]

@@ -32,8 +32,10 @@ _LONG: Final = {
     "val_tpl": "value_template",
 }
 """The abbreviations of the keys that are read."""
+DISCOVERY: Final = "homeassistant/"
+"""Begins the topics of discovery messages."""
 _COMMANDS: Final = re.compile(r"(\w+_)?(command_topic|cmd_t)|set_\w+_(topic|t)")
-_TOPIC: Final = re.compile(r"homeassistant/(\w+)/(?:[\w-]+/)?[\w-]+/config")
+_TOPIC: Final = re.compile(rf"{DISCOVERY}(\w+)/(?:[\w-]+/)?[\w-]+/config")
 _FILTER: Final = r"\s*\|\s*(?:float|int|round|default|is_defined)\s*(?:\([^()|]*\))?"
 _TEMPLATE: Final = re.compile(
     rf"""\{{\{{-?\s*value(_json((?:\.\w+|\[\s*(?:'[^']*'|"[^"]*"|\d+)\s*\])+))?(?:{_FILTER})*\s*-?\}}\}}"""

@@ -8,9 +8,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
+from cfgplan.mqtt.discovery import DISCOVERY
+
 TopicForm = Literal["number", "json", "text", "bytes"]
 """How all messages of a topic hold their values."""
-_DISCOVERY, _CONFIG = "homeassistant/", "/config"
+_CONFIG = "/config"
 _SPARKPLUG = "spBv1.0/"
 _MOST_FIELDS = 100
 
@@ -71,7 +73,7 @@ class Ear:
         """Take a message. One without a payload says that a retained message is gone."""
         if topic.startswith(_SPARKPLUG):
             self._sparkplug.add(topic)
-        elif topic.startswith(_DISCOVERY) and topic.endswith(_CONFIG):
+        elif topic.startswith(DISCOVERY) and topic.endswith(_CONFIG):
             self._discovery[topic] = payload
         elif payload:
             self._topics.setdefault(topic, _Topic()).take(payload, is_retained=is_retained, time_s=time_s)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterable, Iterator
 from typing import Final
@@ -10,6 +9,7 @@ from unicodedata import normalize
 
 from cfgplan.mqtt.discovery import Entity, Path
 from cfgplan.selectors import KEYWORDS
+from cfgplan.turtle import class_line, heading
 
 MQTT_NAMES: Final = "urn:cfgplan:mqtt#"
 """Begins the IRI of each concept that stands for a kind of value, a unit, an area or a topic."""
@@ -143,20 +143,14 @@ class MqttVocabulary:
         return "\n".join([*self._turtle(), ""])
 
     def _turtle(self) -> Iterator[str]:
-        yield f"@prefix : <{MQTT_NAMES}> ."
-        yield "@prefix owl: <http://www.w3.org/2002/07/owl#> ."
-        yield "@prefix rdfs: <http://www.w3.org/2000/01/rdf-schema#> ."
-        yield ""
-        yield f"<{MQTT_NAMES.rstrip('#')}> a owl:Ontology ."
-        yield ""
+        yield from heading(MQTT_NAMES)
         yield from (f":{role} a owl:ObjectProperty ." for role in _ROLES)
         for root, about in _ROOTS.items():
             yield ""
             yield f"# {about}"
             yield f":{root} a owl:Class ."
             for word, above, label in sorted(self._lines[root]):
-                said = json.dumps(label, ensure_ascii=False)
-                yield f":{word} a owl:Class ; rdfs:subClassOf :{above} ; rdfs:label {said} ."
+                yield class_line(word, above, label)
 
 
 def _camel(text: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -10,6 +9,7 @@ from collections.abc import Iterable, Iterator
 from cfgplan.ros.graph import RosGraph, RosPort
 from cfgplan.ros.types import MessageType
 from cfgplan.selectors import KEYWORDS
+from cfgplan.turtle import class_line, heading
 
 ROS_NAMES = "urn:cfgplan:ros#"
 """Begins the IRI of each concept that stands for a message type, a topic or a service."""
@@ -60,12 +60,7 @@ class RosVocabulary:
         return word
 
     def _lines(self) -> Iterator[str]:
-        yield f"@prefix : <{ROS_NAMES}> ."
-        yield "@prefix owl: <http://www.w3.org/2002/07/owl#> ."
-        yield "@prefix rdfs: <http://www.w3.org/2000/01/rdf-schema#> ."
-        yield ""
-        yield f"<{ROS_NAMES.rstrip('#')}> a owl:Ontology ."
-        yield ""
+        yield from heading(ROS_NAMES)
         yield "# Message types. Say here what is also what, such as"
         yield "#   :nav_msgs-Odometry rdfs:subClassOf :geometry_msgs-PoseWithCovarianceStamped ."
         yield ":Message a owl:Class ."
@@ -90,7 +85,7 @@ class RosVocabulary:
     @staticmethod
     def _classes(above: str, members: Iterable[tuple[str, str]]) -> Iterator[str]:
         for word, label in sorted(members):
-            yield f":{word} a owl:Class ; rdfs:subClassOf :{above} ; rdfs:label {json.dumps(label)} ."
+            yield class_line(word, above, label)
 
 
 def _short(digest: str) -> str:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 from cfgplan.errors import InputError
+from cfgplan.mqtt.discovery import DISCOVERY
 from cfgplan.mqtt.traffic import Ear, Traffic
 from cfgplan.summary import some
 from cfgplan_runtime.mqtt import Connection, check_parameters, topic_filter
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
 _ANSWER_S: Final = 10.0
 """A broker that has not let a client in after so many seconds is none."""
 _LOOK_S: Final = 0.05
-_DISCOVERY: Final = "homeassistant/#"
 
 
 def listen(broker: str, span_s: float, topics: Sequence[str] = ("#",), **connection: Any) -> Traffic:
@@ -34,7 +34,7 @@ def listen(broker: str, span_s: float, topics: Sequence[str] = ("#",), **connect
 class _Listening:
     def __init__(self, broker: str, topics: Sequence[str], connection: dict[str, Any]) -> None:
         self._asked = tuple(topics)
-        self._topics = self._asked if "#" in topics else (*topics, _DISCOVERY)
+        self._topics = self._asked if "#" in topics else (*topics, f"{DISCOVERY}#")
         self._ear = Ear()
         self._refused: list[str] = []
         self._is_subscribed = self._was_there = False

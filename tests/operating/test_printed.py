@@ -63,10 +63,15 @@ def test_what_is_kept_is_bounded(printed: Printed, monkeypatch: pytest.MonkeyPat
     lines = printed.lines("a")
     assert (len(lines), lines[0].line) == (LINES_KEPT, "6")
     assert len(lines[-1].line) < 5000
+    monkeypatch.setattr(kept, "MOST_CHARACTERS", 25_000)
     say(printed, "b.1", "b")
     say(printed, "a.1", "again")
     say(printed, "c.1", "c")
     assert (bool(printed.lines("a")), printed.lines("b"), bool(printed.lines("c"))) == (True, [], True)
+    say(printed, "c.1", *["y" * 4000] * 5)
+    assert (printed.lines("a"), len(printed.lines("c"))) == ([], 6)
+    say(printed, "d.1", "z")
+    assert [line.line for line in printed.lines("d")] == ["z"]
 
 
 @pytest.fixture

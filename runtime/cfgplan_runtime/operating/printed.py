@@ -16,7 +16,8 @@ from cfgplan_runtime.supervision.events import UnitDied, UnitPrinted
 LINES_KEPT = 1000
 """The last lines of each unit that are kept."""
 UNITS_KEPT = 300
-"""Units whose lines are kept. Beyond that the unit that has been silent for longest is forgotten."""
+MOST_CHARACTERS = 1 << 24
+"""Units, and characters of all their lines, that are kept. Beyond that the unit that was silent for longest goes."""
 _LONGEST_KEPT = 4096
 
 
@@ -40,7 +41,7 @@ class Printed:
         self._now_s = now_s
         self._lock = threading.Lock()
         self._of: OrderedDict[str, deque[PrintedLine]] = OrderedDict()
-        self._number = 0
+        self._number = self._characters = 0
 
     def hear(self, report: Report) -> None:
         """Listen to a manager: keep the line, if the report is of one."""
@@ -62,8 +63,12 @@ class Printed:
     def _keep(self, unit: str, line: str) -> None:
         with self._lock:
             self._number += 1
-            lines = self._of.setdefault(unit, deque(maxlen=LINES_KEPT))
+            lines = self._of.setdefault(unit, deque())
             lines.append(PrintedLine(self._number, self._now_s(), unit, line[:_LONGEST_KEPT]))
+            self._characters += len(lines[-1].line)
+            if len(lines) > LINES_KEPT:
+                self._characters -= len(lines.popleft().line)
             self._of.move_to_end(unit)
-            while len(self._of) > UNITS_KEPT:
-                self._of.popitem(last=False)
+            while len(self._of) > UNITS_KEPT or self._characters > MOST_CHARACTERS:
+                _, forgotten = self._of.popitem(last=False)
+                self._characters -= sum(len(one.line) for one in forgotten)

@@ -1,0 +1,22 @@
+"""Lines of Turtle that each written ontology has."""
+
+from __future__ import annotations
+
+import json
+
+
+def heading(names: str) -> tuple[str, ...]:
+    """The prefixes, of which the empty one stands for `names` (an IRI that ends in #), and the ontology itself."""
+    return (
+        f"@prefix : <{names}> .",
+        "@prefix owl: <http://www.w3.org/2002/07/owl#> .",
+        "@prefix rdfs: <http://www.w3.org/2000/01/rdf-schema#> .",
+        "",
+        f"<{names.rstrip('#')}> a owl:Ontology .",
+        "",
+    )
+
+
+def class_line(word: str, above: str, label: str) -> str:
+    """A class below another one, with its label."""
+    return f":{word} a owl:Class ; rdfs:subClassOf :{above} ; rdfs:label {json.dumps(label, ensure_ascii=False)} ."
