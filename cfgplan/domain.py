@@ -40,8 +40,10 @@ from cfgplan.transformations import START_MODES as START_MODES
 from cfgplan.transformations import InputPort as InputPort
 from cfgplan.transformations import OutputPort as OutputPort
 from cfgplan.transformations import RunOptions as RunOptions
+from cfgplan.transformations import Statement as Statement
 from cfgplan.transformations import Transformation as Transformation
 from cfgplan.transformations import amount_of as amount_of
+from cfgplan.transformations import as_taught
 
 T = TypeVar("T")
 
@@ -167,7 +169,7 @@ def _following(transformation: Transformation, facts: Mapping[str, Fact]) -> Tra
         fact = facts.get(contribution.by.fact) if contribution.by is not None else None
         if contribution.by is None or fact is None or isinstance(fact.value, bool | str):
             return contribution
-        return replace(contribution, value=contribution.by.at(fact.value))
+        return replace(contribution, value=contribution.by.at(fact.value), seen=0).taught(contribution.seen)
 
     outputs = (replace(port, quality=tuple(map(stated, port.quality))) for port in transformation.outputs)
     return replace(transformation, outputs=tuple(outputs))
@@ -557,10 +559,34 @@ class Environment:
         library = tuple(changed.get(t.label, t) for t in self.library) if changed else self.library
         return replace(self, facts=tuple(facts.values()), library=library)
 
+    def with_qualities(self, seen: Mapping[Statement, int]) -> Environment:
+        """The environment in which outputs are as good as observed streams have taught, and else as stated.
+
+        `seen` says by how much the own part of an output differs from the stated one, in micro-units.
+        """
+        touched = {one.transformation for one in seen} | self.taught.keys()
+        changed = {t.label: as_taught(t, seen) for t in self.library if t.label in touched}
+        return replace(self, library=tuple(changed.get(t.label, t) for t in self.library)) if changed else self
+
+    @cached_property
+    def taught(self) -> Mapping[str, tuple[Statement, ...]]:
+        """The statements of which observed streams have taught something, by transformation; others are not there."""
+        found = {
+            t.label: tuple(
+                Statement(t.label, port.name, each.attribute)
+                for port in t.outputs
+                for each in port.quality
+                if each.seen
+            )
+            for t in self.library
+        }
+        return MappingProxyType({label: stated for label, stated in found.items() if stated})
+
     @property
     def as_declared(self) -> Environment:
-        """The environment in which facts are what is declared."""
-        return self.with_facts({fact.name: fact.declared for fact in self.facts}) if self.facts else self
+        """The environment in which facts and qualities are what is declared."""
+        plain = self.with_qualities({})
+        return plain.with_facts({fact.name: fact.declared for fact in self.facts}) if self.facts else plain
 
     @property
     def sides(self) -> Mapping[str, bool]:
@@ -588,8 +614,9 @@ class Environment:
             }
         )
 
-    def _shown(self, contribution: Contribution) -> str:
-        attribute, value = self.quality.get(contribution.attribute), contribution.value
+    def shown(self, contribution: Contribution, value: int) -> str:
+        """A value of what an output states, for people: `0.3 m`, or a factor."""
+        attribute = self.quality.get(contribution.attribute)
         is_number = attribute is None or contribution.rule is QualityRule.SCALE
         return f"{units(value):f}" if is_number or attribute is None else attribute.shown(value)
 
@@ -597,7 +624,7 @@ class Environment:
     def quality_by_facts(self) -> dict[str, str]:
         """The qualities that follow facts as they are now: `camera/image error` to `0.82 m, brightness is 0.2`."""
         return {
-            f"{label}/{port} {each.attribute}": f"{self._shown(each)}, {self.fact[each.by.fact]}"
+            f"{label}/{port} {each.attribute}": f"{self.shown(each, each.value)}, {self.fact[each.by.fact]}"
             for label, stated in self.following.items()
             for port, each in stated
             if each.by is not None and each.by.fact in self.fact

@@ -8,7 +8,7 @@ that the best wiring misses is missed by all.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from enum import StrEnum
 from fractions import Fraction
@@ -155,7 +155,9 @@ class Contribution:
     """What an output states of one attribute: a rule, its own value (micro-units) and how inputs are combined.
 
     An output without inputs that count (all but feedback) has its own value, whatever the rule. A value that follows
-    a fact is the one for the fact as it is now, and `by` says how it follows.
+    a fact is the one for the fact as it is now, and `by` says how it follows. `observe` names the field of an element
+    that says how good the element is, in units of the attribute. `seen` is the part of the value that observed streams
+    have taught, beyond what is `stated`.
     """
 
     attribute: str
@@ -163,6 +165,8 @@ class Contribution:
     value: int
     over: Over = Over.WORST
     by: Curve | None = None
+    observe: str | None = None
+    seen: int = 0
 
     def __post_init__(self) -> None:
         largest = LARGEST_FACTOR if self.rule is QualityRule.SCALE else LARGEST_QUALITY
@@ -174,6 +178,18 @@ class Contribution:
                     f"the {what} {units(value):f} of {self.attribute} is out of range: "
                     f"write {units(least):f} to {units(largest):f}"
                 )
+
+    @property
+    def stated(self) -> int:
+        """The own value without what observed streams have taught."""
+        return self.value - self.seen
+
+    def taught(self, seen: int) -> Contribution:
+        """The contribution whose value differs by so much from the stated one, as far as the rule allows."""
+        largest = LARGEST_FACTOR if self.rule is QualityRule.SCALE else LARGEST_QUALITY
+        least = -LARGEST_QUALITY if self.rule is QualityRule.ADD else 0
+        value = min(max(self.stated + seen, least), largest)
+        return replace(self, value=value, seen=value - self.stated)
 
 
 @dataclass(frozen=True, slots=True, order=True)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import attrgetter
 from types import MappingProxyType
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 from cfgplan.arguments import AtLeast, Natural, checked
 from cfgplan.canonical import fields_of, refuse_duplicates, store_resources, store_sorted
@@ -268,3 +268,29 @@ class Transformation:
     def output(self) -> Mapping[str, OutputPort]:
         """The output ports by name."""
         return MappingProxyType({port.name: port for port in self.outputs})
+
+
+class Statement(NamedTuple):
+    """The place where an output states a quality attribute."""
+
+    transformation: str
+    output: str
+    attribute: str
+
+    def __str__(self) -> str:
+        return f"{self.attribute} of {self.transformation}/{self.output}"
+
+
+def as_taught(transformation: Transformation, seen: Mapping[Statement, int]) -> Transformation:
+    """The transformation as observed streams have taught it."""
+    outputs = (
+        replace(
+            port,
+            quality=tuple(
+                each.taught(seen.get(Statement(transformation.label, port.name, each.attribute), 0))
+                for each in port.quality
+            ),
+        )
+        for port in transformation.outputs
+    )
+    return replace(transformation, outputs=tuple(outputs))

@@ -155,10 +155,12 @@ def _contribution(contribution: Contribution, environment: domain.Environment) -
         and attribute is not None
         and attribute.rule is contribution.rule
         and contribution.over is Over.WORST
+        and contribution.observe is None
     ):
         return value
     over = {} if contribution.over is Over.WORST else {"of": contribution.over.value}
-    return {contribution.rule.value: value, **over}
+    observe = {} if contribution.observe is None else {"observe": contribution.observe}
+    return {contribution.rule.value: value, **over, **observe}
 
 
 def _attribute(attribute: QualityAttribute) -> dict[str, Any]:

@@ -264,6 +264,7 @@ class ContributionPart(Part):
     scale: PositiveGiven | None = row("a factor on the value of the inputs")
     set: PositiveGiven | None = row("the value, whatever the inputs are")
     of: Literal["worst", "best", "mean", "sum"] = row("how several inputs count", "worst")
+    observe: Name | None = row("where an element holds how good it is; `pose.error` leads further in", use=Use.RUNNING)
 
 
 QualityGiven = Annotated[Annotated[Micro, _SHORT] | Annotated[ContributionPart, _FULL], _CHOICE]

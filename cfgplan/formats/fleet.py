@@ -175,10 +175,10 @@ class FleetReader:
         if attribute is None:
             return None
         stated: dict[QualityRule, Any] = {attribute.rule: part}
-        over = Over.WORST
+        over, observe = Over.WORST, None
         if isinstance(part, ContributionPart):
             stated = {rule: getattr(part, rule) for rule in QualityRule if getattr(part, rule) is not None}
-            over = Over(part.of)
+            over, observe = Over(part.of), part.observe
         if len(stated) != 1:
             message = "an output says exactly one of add, limit, scale and set"
             entry.note(message, "write one of them, such as {scale: 0.7}")
@@ -187,8 +187,8 @@ class FleetReader:
         curve = value if isinstance(value, CurvePart) else None
         try:
             if curve is None:
-                return Contribution(name, rule, value, over)
-            return self._following(entry.at(rule.value), Contribution(name, rule, 0, over), curve)
+                return Contribution(name, rule, value, over, observe=observe)
+            return self._following(entry.at(rule.value), Contribution(name, rule, 0, over, observe=observe), curve)
         except InvalidValueError as error:
             message, _, mend = str(error).partition(": ")
             entry.note(message, mend)

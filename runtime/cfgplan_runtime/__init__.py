@@ -15,6 +15,7 @@ from cfgplan.exports import exports
 
 if TYPE_CHECKING:
     from cfgplan_runtime.children.unit_code import At as At
+    from cfgplan_runtime.children.unit_code import WithQuality as WithQuality
     from cfgplan_runtime.errors import ApplyError as ApplyError
     from cfgplan_runtime.errors import NoSuchTopicError as NoSuchTopicError
     from cfgplan_runtime.errors import RuntimeFaultError as RuntimeFaultError
@@ -48,7 +49,7 @@ __all__, _exported, __dir__ = exports(
         "supervision.simulated_backend": "SimulatedBackend",
         "streams.subscription": "Received subscribe",
         "supervision.supervisor": "Supervisor",
-        "children.unit_code": "At",
+        "children.unit_code": "At WithQuality",
     },
 )
 

@@ -34,6 +34,8 @@ class UnitOrder(msgspec.Struct, frozen=True, tag=True):
     """The inputs that neither start a step nor hold one back."""
     counts: dict[str, int] = {}
     """How many streams the inputs take that take several; ALL: as many as there are."""
+    qualities: dict[str, dict[str, str | None]] = {}
+    """By output: the quality attributes that it states, each with the field of a value that says it, if one does."""
 
 
 class SpareOrder(msgspec.Struct, frozen=True, tag=True):
@@ -231,6 +233,21 @@ class PortCounts(msgspec.Struct, frozen=True):
     waiting: int = 0
 
 
+class Quality(msgspec.Struct, frozen=True):
+    """What the elements of an output said of a quality attribute since the last sign of life, in units of it.
+
+    `squares` is the sum of the squares of the distances from the mean.
+    """
+
+    elements: int
+    mean: float
+    squares: float
+
+
+Qualities: TypeAlias = dict[str, dict[str, Quality]]
+"""By output and attribute."""
+
+
 class UnitSign(msgspec.Struct, tag=True):
     """A sign of life, with counts since the start, and the state if it is to survive a restart."""
 
@@ -239,6 +256,7 @@ class UnitSign(msgspec.Struct, tag=True):
     inputs: dict[str, PortCounts]
     outputs: dict[str, PortCounts]
     state: bytes | None = None
+    qualities: Qualities = {}
 
 
 class Flow(msgspec.Struct, frozen=True):

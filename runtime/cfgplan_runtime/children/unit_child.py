@@ -16,6 +16,7 @@ from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.ports import Ports, UnitInput, UnitOutput
 from cfgplan_runtime.children.program import ProgramCode
 from cfgplan_runtime.children.program_source import names_program
+from cfgplan_runtime.children.said_qualities import SaidQualities
 from cfgplan_runtime.children.steps import Step, StepQueue
 from cfgplan_runtime.children.unit_code import Given, UnitCode, imported_files
 from cfgplan_runtime.errors import EncodingError, ProgramEndedError, ProgramFaultError, WrongPortsError
@@ -81,6 +82,7 @@ class UnitChild:
         for port in order.outputs:
             self._ports.outputs[port] = UnitOutput()
         self._encoder = PayloadEncoder()
+        self._qualities = SaidQualities(order.qualities)
         self._last: dict[str, Moment] = {}
         self._results: Iterator[Given] | None = None
         self._next_step: Step | None = None
@@ -269,6 +271,8 @@ class UnitChild:
                 return
             time_ns, turn = self._moment_of(given)
             self._ports.emit(given.port, Outgoing(time_ns, turn, self._encoder.encode(given.value)))
+            for fault in self._qualities.take(given.port, given.value, given.quality):
+                self._ports.say(messages.Trouble("no quality", self.step, fault))
         except Exception as error:
             self._results = None
             self._fail(error)
@@ -314,7 +318,14 @@ class UnitChild:
             self._ports.say(messages.Trouble(kind, self.step, text, self._reported - _MOST_REPORTS))
         self._reported = 0
         self._ports.say(
-            messages.UnitSign(self.step, self._errors, self._input_counts(), self._ports.output_counts(), self._state())
+            messages.UnitSign(
+                self.step,
+                self._errors,
+                self._input_counts(),
+                self._ports.output_counts(),
+                self._state(),
+                self._qualities.taken(),
+            )
         )
 
     def _input_counts(self) -> dict[str, messages.PortCounts]:

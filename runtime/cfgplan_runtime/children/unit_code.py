@@ -18,7 +18,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from types import GeneratorType, ModuleType
+from types import GeneratorType, MappingProxyType, ModuleType
 from typing import Any
 
 from cfgplan_runtime.errors import BadSourceError, WrongPortsError
@@ -36,12 +36,24 @@ class At:
 
 
 @dataclass(frozen=True, slots=True)
+class WithQuality:
+    """A value that says how good it is: by quality attribute a number in the attribute's unit.
+
+    It may be the value of an `At`. Only what the output states in the environment is taken in.
+    """
+
+    value: object
+    quality: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
 class Given:
     """One value for one output port. Without `time_ns` it has its step's moment."""
 
     port: str
     value: object
     time_ns: int | None = None
+    quality: Mapping[str, float] = MappingProxyType({})
 
 
 class UnitCode:
@@ -190,4 +202,8 @@ _NEVER = object()
 
 
 def _timed(port: str, value: object) -> Given:
-    return Given(port, value.value, value.time_ns) if isinstance(value, At) else Given(port, value)
+    time_ns = value.time_ns if isinstance(value, At) else None
+    found = value.value if isinstance(value, At) else value
+    if isinstance(found, WithQuality):
+        return Given(port, found.value, time_ns, found.quality)
+    return Given(port, found, time_ns)

@@ -25,5 +25,10 @@ def unit_order(unit: str, transformation: Transformation, state: bytes | None) -
         blocks=run.blocks,
         keeps_state=bool(run.state),
         state=state,
+        qualities={
+            port.name: {stated.attribute: stated.observe for stated in port.quality}
+            for port in transformation.outputs
+            if port.quality
+        },
         memory_bytes=None if run.memory_mb is None else run.memory_mb << 20,
     )

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from cfgplan.api import World
 from cfgplan.costs import labor_us, upkeep_us
-from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Host, Transformation
+from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Host, Statement, Transformation
 from cfgplan.facts import FactValue
 from cfgplan.planning import fresh_units
 from cfgplan.ros.sources import NodeSource
@@ -52,6 +52,8 @@ class Situation:
     """Whether a host of which the middleware has said nothing is not there yet."""
     facts: Mapping[str, FactValue] = field(default_factory=dict)
     """The facts of the world that have been set since the run began, by name."""
+    qualities: Mapping[Statement, int] = field(default_factory=dict)
+    """By how much outputs are better or worse than stated, as observed streams have taught; in micro-units."""
     code_faults: Mapping[str, str] = field(default_factory=dict)
     """Why the code of transformations can't be started, by label."""
     given_up_hosts: frozenset[str] = frozenset()
@@ -78,8 +80,10 @@ class Situation:
         return self.code_faults.get(label) or self.back_offs.why_not(label, host)
 
     def as_it_is(self, world: World) -> World:
-        """The world with the facts as they have been set."""
-        return replace(world, environment=world.environment.with_facts(self.facts)) if self.facts else world
+        """The world with the facts as they have been set, and outputs as good as streams have said."""
+        if not (self.facts or self.qualities):
+            return world
+        return replace(world, environment=world.environment.with_facts(self.facts).with_qualities(self.qualities))
 
     def is_lost(self, host: str | None) -> bool:
         """Whether nothing may be planned on a host, since it is not there or was given up."""

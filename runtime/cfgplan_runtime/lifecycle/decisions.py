@@ -28,6 +28,7 @@ from cfgplan_runtime.lifecycle.perturbations import (
     HorizonReached,
     MayStartAgain,
     PlanGiven,
+    QualitiesObserved,
     RestartAsked,
     ReviewRequested,
     Started,
@@ -36,6 +37,7 @@ from cfgplan_runtime.lifecycle.perturbations import (
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Decision, Ended, Observed, Review, ReviewBegan, Reviewed
 from cfgplan_runtime.lifecycle.state import Doing, Entry, Gathering, Planning, State, Updating
+from cfgplan_runtime.lifecycle.stream_qualities import qualities_faded, qualities_learned
 from cfgplan_runtime.lifecycle.turns import (
     ApplyUpdate,
     Effect,
@@ -63,7 +65,15 @@ from cfgplan_runtime.lifecycle.worlds import LivingWorld
 from cfgplan_runtime.supervision.delays import doubling_s
 from cfgplan_runtime.supervision.events import HostJoined, HostLost, InputLost, UnitDied
 
-_OPTIMISING = (Started, CodeChanged, FactsChanged, HorizonReached, ReviewRequested, MayStartAgain)
+_OPTIMISING = (
+    Started,
+    CodeChanged,
+    FactsChanged,
+    QualitiesObserved,
+    HorizonReached,
+    ReviewRequested,
+    MayStartAgain,
+)
 
 
 class BreakIn(Flag):
@@ -160,7 +170,8 @@ def _tick(turn: Turn, time_s: float) -> Turn:
         turn = turn.situated(replace(state.situation, back_offs=back_offs))
         turn = turn.perturbed(MayStartAgain(tuple(sorted({place.label for place in ended}))))
     if state.horizon_at_s <= at_s:
-        turn = turn.to(replace(turn.state, cycle_began_s=inf)).perturbed(HorizonReached(state.living.world.horizon_s))
+        turn = qualities_faded(turn.to(replace(turn.state, cycle_began_s=inf)))
+        turn = turn.perturbed(HorizonReached(state.living.world.horizon_s))
     state = (turn := facts_fallen_silent(turn)).state
     if state.doing is None and state.due_s <= at_s:
         turn = turn.to(replace(state, doing=Gathering(at_s + state.policy.gather_s)))
@@ -295,6 +306,7 @@ def _updated(turn: Turn, updated: Updated) -> Turn:
         turn, failed = _failed(turn, updating, updated.error)
         return _reviewed(turn, updating.planning, thought, failed)
     turn = turn.situated(turn.state.situation.without(*updating.change_set.stopped))
+    turn = turn.to(replace(turn.state, seen=turn.state.seen.after_update()))
     turn = _reviewed(turn, updating.planning, thought, None)
     for gone, lived_s in updating.gone:
         turn = intake.died(turn, gone, lived_s)
@@ -419,7 +431,7 @@ def _seen(turn: Turn, seen: Seen) -> Turn:
     found, state = seen.observations, turn.state
     next_s = turn.at_s + state.policy.observe_every_s
     state = replace(state, observations={one.unit: one for one in found}, observe_at_s=next_s)
-    return turn.to(state).also(Tell(Observed(found)))
+    return qualities_learned(turn.to(state).also(Tell(Observed(found))))
 
 
 def _ended(turn: Turn) -> Turn:

@@ -76,6 +76,7 @@ def heard(turn: Turn, event: events.Event) -> Turn:
         case events.InputLost(unit_or_none, port):
             return _lost(turn, SubscriptionLost(unit_or_none, port))
         case events.UnitStatus():
+            turn = turn.to(replace(state, seen=state.seen.after_status(event, turn.at_s)))
             return _still_failing(_giving(turn, event), event)
         case events.TopicsStatus(flows) if state.living.may_be_silent or state.situation.silences:
             return _silent(turn, flows)
@@ -176,9 +177,9 @@ def _noted(turn: Turn, unit: str, note: Note) -> Turn:
 
 
 def _unnoted(turn: Turn, unit: str) -> Turn:
-    """Forget the note on a unit that is gone, or whose id another unit has now."""
+    """Forget what was noted of a unit that is gone, or whose id another unit has now."""
     left = {other: note for other, note in turn.state.notes.items() if other != unit}
-    return turn.to(replace(turn.state, notes=left))
+    return turn.to(replace(turn.state, notes=left, seen=turn.state.seen.without(unit)))
 
 
 def _gone(turn: Turn, unit: str, cause: str) -> Turn:

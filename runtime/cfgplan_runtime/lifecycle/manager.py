@@ -40,6 +40,7 @@ from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Report, Snapshot, UnitEvent
 from cfgplan_runtime.lifecycle.seams import DeclaredCosts, Estimator, Middleware, SystemClock, TimeSource
 from cfgplan_runtime.lifecycle.state import State
+from cfgplan_runtime.lifecycle.stream_qualities import quality_views
 from cfgplan_runtime.lifecycle.turns import Effect, Happened, Happening
 from cfgplan_runtime.lifecycle.views import saving_us, target_views, unit_views
 from cfgplan_runtime.lifecycle.warm_matching import WarmMatching
@@ -162,6 +163,7 @@ class Manager:
             seen.left_out,
             {name: now - last.at_s for name, last in state.heard.items()},
             seen.quality_by_facts,
+            quality_views(world.environment.with_facts(situation.facts), state.seen, now),
         )
 
     @property

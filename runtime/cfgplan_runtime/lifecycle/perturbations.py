@@ -108,6 +108,12 @@ class FactsChanged(Perturbation, frozen=True):
     requalified: tuple[str, ...] = ()
 
 
+class QualitiesObserved(Perturbation, frozen=True):
+    """Streams say for sure that outputs are better or worse than was known; each with its value and the declared one."""
+
+    outputs: tuple[str, ...]
+
+
 class CodeChanged(Perturbation, frozen=True):
     """The code of units has changed: that of those `left_out` can't be started, that of those `back` may be again."""
 

@@ -114,6 +114,24 @@ class BackingOff:
     host: str | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class QualityView:
+    """The own part of an output, as observed streams have taught it; in micro-units, a factor in millionths.
+
+    Plans go by `planned`: the `stated` value until the `estimate` is another for sure. `error` is the standard error of
+    the estimate, which was observed last `ago_s` seconds ago.
+    """
+
+    transformation: str
+    output: str
+    attribute: str
+    stated: int
+    planned: int
+    estimate: int
+    error: int
+    ago_s: float
+
+
 class Phase(StrEnum):
     """Where in its cycle a manager is."""
 
@@ -161,6 +179,8 @@ class Snapshot:
     """By fact that a stream observes: how long ago its last value came."""
     by_facts: Mapping[str, str] = field(default_factory=dict)
     """The qualities that follow facts as they are now; see `Environment.quality_by_facts`."""
+    qualities: tuple[QualityView, ...] = ()
+    """What observed streams have taught of outputs."""
 
 
 class Report(msgspec.Struct, frozen=True):

@@ -20,6 +20,7 @@ from cfgplan_runtime.lifecycle.perturbations import Perturbation, SubscriptionLo
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Phase, Review
 from cfgplan_runtime.lifecycle.silence import Giving
+from cfgplan_runtime.lifecycle.stream_qualities import SeenQualities
 from cfgplan_runtime.lifecycle.worlds import LivingWorld
 from cfgplan_runtime.supervision.observation import Observation
 
@@ -114,6 +115,7 @@ class State:
     giving: Giving = field(default_factory=Giving)
     heard: Mapping[str, Heard] = field(default_factory=dict)
     """By fact of the world that a stream observes: what came last."""
+    seen: SeenQualities = field(default_factory=SeenQualities)
     faults: tuple[Fault, ...] = ()
     """Why the last state of the world's file can't be used."""
     stops: tuple[Outcome, ...] = ()

@@ -180,6 +180,8 @@ def _cause(perturbation: kinds.Perturbation) -> str:
             return "code has changed"
         case kinds.FactsChanged():
             return "facts have changed"
+        case kinds.QualitiesObserved():
+            return "streams are better or worse than was known"
         case kinds.HorizonReached():
             return "horizon reached"
         case kinds.UpdateFailed():
@@ -236,6 +238,8 @@ def _perturbation(perturbation: kinds.Perturbation) -> str | None:
             return f"host {host} is there"
         case kinds.CodeChanged(left_out, back):
             return "code: " + _each_said((left_out, "can't be started"), (back, "may be started again"))
+        case kinds.QualitiesObserved(outputs):
+            return f"streams say how good they are: {'; '.join(outputs)}"
         case kinds.FactsChanged(left_out, back, requalified):
             how = "gives another quality" if len(requalified) == 1 else "give another quality"
             parts = [(left_out, "may not run any more"), (back, "may run again"), (requalified, how)]

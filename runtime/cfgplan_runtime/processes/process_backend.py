@@ -489,9 +489,9 @@ class ProcessBackend:
                 self._from_relay.append(message)
             case messages.Unserved(topic, cause):
                 self._events.append(events.OutOfDescriptors(f"subscribers of {topic} wait: {cause}"))
-            case messages.UnitSign(steps, errors, inputs, outputs, state):
+            case messages.UnitSign(steps, errors, inputs, outputs, state, qualities):
                 child.steps = steps
-                self._events.append(events.UnitStatus(name, steps, errors, inputs, outputs, state))
+                self._events.append(events.UnitStatus(name, steps, errors, inputs, outputs, state, qualities))
 
     def _tell_ready(self, child: ChildProcess) -> None:
         """Report a unit as ready once it has said so and its process id is known, in either order."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from cfgplan_runtime.children.messages import CrossingCounts, Flow, PortCounts
+from cfgplan_runtime.children.messages import CrossingCounts, Flow, PortCounts, Qualities
 
 
 class Event(msgspec.Struct, frozen=True):
@@ -126,6 +126,7 @@ class UnitStatus(Event, frozen=True):
     inputs: dict[str, PortCounts]
     outputs: dict[str, PortCounts]
     state: bytes | None = None
+    qualities: Qualities = {}
 
 
 class OutletsLost(Event, frozen=True):

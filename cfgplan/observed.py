@@ -1,0 +1,398 @@
+"""How good the own parts of outputs are, learned from streams that say how good they are.
+
+An output's own part deviates from the stated value by a normally distributed amount: its mean is 0 and its standard
+deviation TRUST of the stated value (of its logarithm where the rule is `scale`). The difference between the mean of what
+a stream says and what is predicted for it is shared out, by their variances, among the parts that lie between it and the
+streams before it that say how good they are (an extended Kalman filter with a diagonal covariance). What is not observed
+any more fades to the stated value.
+
+A part is left alone where nothing can tell whose the difference is: behind the better of two inputs that can't be told
+apart, behind a factor on an input near 0, and at the ends of the scale.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from graphlib import CycleError, TopologicalSorter
+from math import exp, sqrt
+from types import MappingProxyType
+from typing import Final, NamedTuple
+
+from cfgplan.domain import ComputationUnit, Environment, Statement, Stream
+from cfgplan.qualities import MICRO, Contribution, Over, QualityAttribute, QualityRule
+
+TRUST: Final = 0.5
+"""The standard deviation of a part that was not observed, as a share of the stated value."""
+FORGET_S: Final = 300.0
+"""After so many seconds without an observation, half of what was learned is left."""
+NEWS: Final = 0.05
+"""A stream has to differ from what is predicted by this share of it; less teaches nothing new."""
+NEWS_ERRORS: Final = 4.0
+"""A stream has to differ from what is predicted by so many standard errors; less may be noise."""
+APART_ERRORS: Final = 2.0
+MEMORY_S: Final = 5.0
+"""After so many seconds, what a stream has said counts half in its mean."""
+LEAST_ELEMENTS: Final = 5
+_ROUNDS: Final = 8
+_STILL: Final = 0.001
+"""A fit ends when a round moves the prediction by no more than this share."""
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """Of some values: how many there are, their mean, and the sum of the squares of their distances from it."""
+
+    number: int
+    mean: float
+    squares: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """An exponential mean of what a stream says, in micro-units of the attribute; new values count most.
+
+    `weight` and `weight2` are the sums of the values' weights and of their squares, `squares` is the weighted sum of
+    squared distances from the mean. `number` counts all values since `since_s`.
+    """
+
+    since_s: float
+    at_s: float
+    number: int = 0
+    mean: float = 0.0
+    weight: float = 0.0
+    weight2: float = 0.0
+    squares: float = 0.0
+
+    def after(self, figures: Figures, at_s: float) -> Window:
+        """The window with more values, which have come by `at_s`."""
+        fading = 0.5 ** ((at_s - self.at_s) / MEMORY_S)
+        old, new = self.weight * fading, float(figures.number)
+        distance = figures.mean - self.mean
+        return replace(
+            self,
+            at_s=at_s,
+            number=self.number + figures.number,
+            mean=self.mean + distance * new / (old + new) if new else self.mean,
+            weight=old + new,
+            weight2=self.weight2 * fading**2 + new,
+            squares=self.squares * fading + figures.squares + (distance**2 * old * new / (old + new) if new else 0.0),
+        )
+
+    @property
+    def sample(self) -> Sample | None:
+        """The mean with its variance; None while there are too few values."""
+        if self.number < LEAST_ELEMENTS or self.weight <= 0:
+            return None
+        return Sample(self.mean, self.squares / self.weight * self.weight2 / self.weight**2)
+
+    @property
+    def is_full(self) -> bool:
+        """Whether it reaches back as long as it remembers."""
+        return self.number >= LEAST_ELEMENTS and self.at_s - self.since_s >= MEMORY_S
+
+
+class Sample(NamedTuple):
+    """The mean of what a stream says of an attribute, and the variance of that mean; in micro-units."""
+
+    mean: float
+    variance: float
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """By how much a part deviates from what is stated (micro-units; for `scale`, in the logarithm), and its variance."""
+
+    deviation: float
+    variance: float
+    seen_s: float
+
+    def at(self, at_s: float, usual: float) -> Estimate:
+        """The estimate as it has faded by a time; `usual` is the variance of a part that was never observed."""
+        left = 0.5 ** (max(0.0, at_s - self.seen_s - MEMORY_S) / FORGET_S)
+        return Estimate(self.deviation * left, usual + (self.variance - usual) * left**2, self.seen_s)
+
+
+Estimates = Mapping[Statement, Estimate]
+Samples = Mapping[tuple[Stream, str], Sample]
+"""By stream and attribute."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lesson:
+    """What samples have taught: the estimates, and the outputs whose streams were other than predicted."""
+
+    estimates: Estimates
+    news: tuple[Statement, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class _Predicted:
+    """A predicted value, how it depends on parts (its derivatives), and the variance that it has from samples."""
+
+    value: float
+    by: Mapping[Statement, float] = field(default_factory=dict)
+    variance: float = 0.0
+
+    def times(self, factor: float) -> _Predicted:
+        by = {part: slope * factor for part, slope in self.by.items()}
+        return _Predicted(self.value * factor, by, self.variance * factor**2)
+
+    def plus(self, other: _Predicted) -> _Predicted:
+        by = dict(self.by)
+        for part, slope in other.by.items():
+            by[part] = by.get(part, 0.0) + slope
+        return _Predicted(self.value + other.value, by, self.variance + other.variance)
+
+
+def learned(
+    environment: Environment,
+    samples: Samples,
+    estimates: Estimates,
+    at_s: float,
+    *,
+    fresh: frozenset[tuple[Stream, str]] = frozenset(),
+) -> Lesson:
+    """What the samples of running units teach, in an environment with stated qualities.
+
+    A stream teaches if it is other than predicted for sure, or if it is `fresh`: then it also confirms.
+    """
+    found, news = _Parts(environment, samples, dict(estimates), at_s), []
+    for unit in _feeders_first(environment):
+        for port in environment.transformation[unit.transformation].outputs:
+            for stated in port.quality:
+                stream = Stream(unit.id, port.name)
+                if (stream, stated.attribute) in samples and found.learn(
+                    unit, stream, stated, is_fresh=(stream, stated.attribute) in fresh
+                ):
+                    news.append(Statement(unit.transformation, port.name, stated.attribute))
+    return Lesson(MappingProxyType(found.estimates), tuple(dict.fromkeys(news)))
+
+
+def taught(environment: Environment, estimates: Estimates, at_s: float) -> dict[Statement, int]:
+    """By how much parts differ from what is stated, in micro-units, as `Environment.with_qualities` takes it.
+
+    What has faded to less than NEWS of the stated value is left out.
+    """
+    found = {}
+    for statement, estimate in estimates.items():
+        stated = stated_at(environment, statement)
+        if stated is None:
+            continue
+        deviation = estimate.at(at_s, usual_variance(stated)).deviation
+        seen = stated.stated * (exp(deviation) - 1) if stated.rule is QualityRule.SCALE else deviation
+        if abs(seen) >= NEWS * abs(stated.stated):
+            found[statement] = round(seen)
+    return found
+
+
+def stated_at(environment: Environment, statement: Statement) -> Contribution | None:
+    """The statement of an output; None if it is not there any more."""
+    transformation = environment.transformation.get(statement.transformation)
+    port = None if transformation is None else transformation.output.get(statement.output)
+    return next((each for each in port.quality if each.attribute == statement.attribute), None) if port else None
+
+
+def usual_variance(stated: Contribution) -> float:
+    """The variance of a part that was never observed, in its own terms."""
+    return TRUST**2 if stated.rule is QualityRule.SCALE else (TRUST * max(abs(stated.stated), 1)) ** 2
+
+
+class _Parts:
+    """Estimates while they learn."""
+
+    def __init__(
+        self, environment: Environment, samples: Samples, estimates: dict[Statement, Estimate], at_s: float
+    ) -> None:
+        self._environment = environment
+        self._samples = samples
+        self.estimates = estimates
+        self._at_s = at_s
+        self._trail: set[Stream] = set()
+
+    def learn(self, unit: ComputationUnit, stream: Stream, stated: Contribution, *, is_fresh: bool) -> bool:
+        """Learn from the sample of a stream. Returns whether it was other than predicted for sure."""
+        attribute, sample = self._environment.quality[stated.attribute], self._samples[(stream, stated.attribute)]
+        ends = sorted((attribute.worst, attribute.best))
+        if not ends[0] < sample.mean < ends[1]:
+            sample = Sample(min(max(sample.mean, ends[0]), ends[1]), sample.variance)
+        first = self._predicted(unit, stream, attribute, sample.mean)
+        if first is None or not first.by:
+            return False
+        self._refresh(first.by)
+        misses, noise = sample.mean - first.value, sample.variance + first.variance
+        is_news = abs(misses) > max(NEWS * abs(first.value), NEWS_ERRORS * sqrt(noise))
+        if not (is_news or is_fresh):
+            return False
+        before = {part: self._estimate(part) for part in first.by}
+        spread = sum(slope**2 * before[part].variance for part, slope in first.by.items())
+        wider = max(1.0, (misses**2 - noise) / spread) if is_news and spread else 1.0
+        self._fit(unit, stream, attribute, sample, before, wider)
+        return is_news
+
+    def _fit(
+        self,
+        unit: ComputationUnit,
+        stream: Stream,
+        attribute: QualityAttribute,
+        sample: Sample,
+        before: Mapping[Statement, Estimate],
+        wider: float,
+    ) -> None:
+        """Move parts to where their prediction meets a sample, by their variances `wider` than before."""
+        variance = {part: before[part].variance * wider for part in before}
+        for _ in range(_ROUNDS):
+            now = self._predicted(unit, stream, attribute, sample.mean)
+            if now is None or not now.by.keys() <= before.keys():
+                return
+            spread = sum(slope**2 * variance[part] for part, slope in now.by.items())
+            total = spread + sample.variance + now.variance
+            if total <= 0:
+                return
+            held = {part: self._estimate(part).deviation for part in now.by}
+            moved = sum(slope * (held[part] - before[part].deviation) for part, slope in now.by.items())
+            share = (sample.mean - now.value + moved) / total
+            for part, slope in now.by.items():
+                deviation = before[part].deviation + slope * variance[part] * share
+                left = variance[part] * (1 - slope**2 * variance[part] / total)
+                self.estimates[part] = Estimate(deviation, max(left, 0.0), self._at_s)
+            if abs(spread * share - moved) <= _STILL * abs(now.value):
+                return
+
+    def _refresh(self, parts: Mapping[Statement, float]) -> None:
+        """Let what was learned of observed parts not fade."""
+        for part in parts:
+            if part in self.estimates:
+                known = self._estimate(part)
+                self.estimates[part] = replace(known, seen_s=self._at_s)
+
+    def _estimate(self, part: Statement) -> Estimate:
+        stated = stated_at(self._environment, part)
+        assert stated is not None  # predictions name statements of the library
+        usual = usual_variance(stated)
+        known = self.estimates.get(part)
+        return Estimate(0.0, usual, self._at_s) if known is None else known.at(self._at_s, usual)
+
+    def _predicted(
+        self, unit: ComputationUnit, stream: Stream, attribute: QualityAttribute, said: float | None = None
+    ) -> _Predicted | None:
+        """What a stream is predicted to be; None if nothing can tell. `said` is what it says, if it says anything."""
+        transformation = self._environment.transformation[unit.transformation]
+        port = transformation.output[stream.port]
+        stated = next((each for each in port.quality if each.attribute == attribute.name), None)
+        part = Statement(unit.transformation, port.name, attribute.name)
+        self._trail.add(stream)
+        try:
+            inputs = self._inputs(unit, attribute)
+        finally:
+            self._trail.discard(stream)
+        if inputs is None:
+            return None
+        if not inputs:
+            return _Predicted(float(attribute.worst)) if stated is None else self._own(part, stated)
+        theirs = self._combined(attribute, Over.WORST if stated is None else stated.over, inputs)
+        if stated is None or theirs is None:
+            return None if theirs is None else _kept(attribute, theirs)
+        own = self._own(part, stated)
+        match stated.rule:
+            case QualityRule.SET:
+                return _kept(attribute, own)
+            case QualityRule.ADD:
+                return _kept(attribute, own.plus(theirs))
+            case QualityRule.SCALE:
+                if abs(theirs.value) <= APART_ERRORS * sqrt(theirs.variance):
+                    return None
+                factor = own.value / MICRO
+                scaled = theirs.times(factor)
+                return _kept(attribute, scaled.plus(_Predicted(0.0, {part: theirs.value * factor})))
+            case QualityRule.LIMIT:
+                binding = self._limiting(attribute, own, theirs, said)
+                return None if binding is None else _kept(attribute, binding)
+
+    def _limiting(
+        self, attribute: QualityAttribute, own: _Predicted, theirs: _Predicted, said: float | None
+    ) -> _Predicted | None:
+        """The worse of an own part and the inputs; None if nothing can tell which that is.
+
+        If both the inputs and the stream say how good they are, it is the one that explains what the stream says.
+        """
+        if said is not None and theirs.by == {}:
+            is_bound_by_own = attribute.sign * (said - theirs.value) > NEWS * abs(theirs.value)
+            is_own_too_bad = attribute.sign * (own.value - said) > 0
+            return own if is_bound_by_own or is_own_too_bad else theirs
+        return self._first_if_apart(*sorted((own, theirs), key=lambda one: -attribute.sign * one.value))
+
+    def _own(self, part: Statement, stated: Contribution) -> _Predicted:
+        deviation = self._estimate(part).deviation
+        if stated.rule is QualityRule.SCALE:
+            return _Predicted(stated.stated * exp(deviation), {part: stated.stated * exp(deviation)})
+        return _Predicted(stated.stated + deviation, {part: 1.0})
+
+    def _inputs(self, unit: ComputationUnit, attribute: QualityAttribute) -> list[_Predicted] | None:
+        """The streams that count at a unit; None if nothing can tell of one of them."""
+        environment, found = self._environment, []
+        ordinary = [port.name for port in environment.transformation[unit.transformation].inputs if not port.feedback]
+        for stream in (stream for name in ordinary for stream in unit.feeds.get(name, ())):
+            giver = environment.unit.get(stream.unit)
+            if giver is None or giver.transformation not in environment.transformation or stream in self._trail:
+                return None
+            sample = self._samples.get((stream, attribute.name))
+            known = (
+                self._predicted(giver, stream, attribute)
+                if sample is None
+                else _Predicted(sample.mean, {}, sample.variance)
+            )
+            if known is None:
+                return None
+            journey = environment.latency(attribute.name, giver.host, unit.host)
+            found.append(known.plus(_Predicted(float(journey))) if journey else known)
+        return found
+
+    def _combined(self, attribute: QualityAttribute, over: Over, inputs: list[_Predicted]) -> _Predicted | None:
+        if len(inputs) == 1:
+            return inputs[0]
+        if over in (Over.SUM, Over.MEAN):
+            total = _Predicted(0.0)
+            for one in inputs:
+                total = total.plus(one)
+            return total if over is Over.SUM else total.times(1 / len(inputs))
+        worst_first = sorted(inputs, key=lambda one: -attribute.sign * one.value)
+        binding, next_to_it = worst_first[:2] if over is Over.WORST else worst_first[:-3:-1]
+        return self._first_if_apart(binding, next_to_it)
+
+    def _first_if_apart(self, first: _Predicted, second: _Predicted) -> _Predicted | None:
+        """The first of two predictions, unless one depends on parts and they can't be told apart."""
+        doubt = APART_ERRORS * sqrt(self._error(first) ** 2 + self._error(second) ** 2)
+        is_sure = not (first.by or second.by) or abs(first.value - second.value) > doubt
+        return first if is_sure else None
+
+    def _error(self, predicted: _Predicted) -> float:
+        """The standard error of a prediction."""
+        of_parts = (slope**2 * self._estimate(part).variance for part, slope in predicted.by.items())
+        return sqrt(predicted.variance + sum(of_parts))
+
+
+def _kept(attribute: QualityAttribute, predicted: _Predicted) -> _Predicted:
+    """The prediction within the scale; at its ends it depends on nothing."""
+    low, high = sorted((attribute.worst, attribute.best))
+    if low < predicted.value < high:
+        return predicted
+    return _Predicted(min(max(predicted.value, low), high))
+
+
+def _feeders_first(environment: Environment) -> list[ComputationUnit]:
+    """The units of known transformations, each after those that feed it; without those in a ring or behind one."""
+    known = {unit.id: unit for unit in environment.units if unit.transformation in environment.transformation}
+    sorter: TopologicalSorter[str] = TopologicalSorter()
+    for unit in known.values():
+        ports = environment.transformation[unit.transformation].input
+        sorter.add(unit.id, *(one.stream.unit for one in unit.subscriptions if not ports[one.port].feedback))
+    order: list[str] = []
+    with suppress(CycleError):
+        sorter.prepare()
+    while sorter.is_active():
+        ready = sorter.get_ready()
+        sorter.done(*ready)
+        order += ready
+    return [known[unit_id] for unit_id in order if unit_id in known]

@@ -1,0 +1,91 @@
+"""How good the elements of a unit say they are: sums of what their fields say, from one sign of life to the next."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import isfinite
+
+from cfgplan_runtime.children.messages import Qualities, Quality
+
+_NOTHING = Quality(0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class _Missing:
+    """A value does not have this field."""
+
+    field: str
+
+
+class SaidQualities:
+    """Takes in the values that a unit gives. `stated` has the attributes of each output, with the field that says them.
+
+    A value says an attribute by its field, or by the mapping that unit code gives beside it, which counts first.
+    """
+
+    def __init__(self, stated: Mapping[str, Mapping[str, str | None]]) -> None:
+        self._stated = stated
+        self._fields = {
+            port: {attribute: field.split(".") for attribute, field in fields.items() if field is not None}
+            for port, fields in stated.items()
+        }
+        self._sums: dict[tuple[str, str], Quality] = {}
+        self._faulty = set[tuple[str, str]]()
+        """The outputs and attributes of which the last value said nothing that can be used."""
+
+    def take(self, port: str, value: object, beside: Mapping[str, float]) -> list[str]:
+        """Take in a value of an output. Returns faults in words, each once until a value is good again."""
+        found = []
+        said: dict[str, object] = {}
+        for attribute, steps in self._fields.get(port, {}).items():
+            said[attribute] = value if attribute in beside else _within(value, steps)
+        said.update(beside)
+        for attribute, number in said.items():
+            if fault := self._taken(port, attribute, number):
+                if (port, attribute) not in self._faulty:
+                    found.append(f"output {port} {fault}")
+                self._faulty.add((port, attribute))
+            elif self._faulty:
+                self._faulty.discard((port, attribute))
+        return found
+
+    def _taken(self, port: str, attribute: str, said: object) -> str:
+        """Take in what is said of an attribute. Returns why it can't be used; empty if it can."""
+        if attribute not in self._stated.get(port, ()):
+            return f"says its {attribute}, which the environment does not state of it"
+        if isinstance(said, _Missing):
+            return f"does not say its {attribute}: a value has no field {said.field!r}"
+        try:
+            number = float(said) if not isinstance(said, str | bytes | bool) else None  # type: ignore[arg-type]
+        except (TypeError, ValueError, OverflowError):
+            number = None
+        if number is None or not isfinite(number):
+            return f"does not say its {attribute}: {said!r:.60} is no finite number"
+        self._sums[port, attribute] = _after(self._sums.get((port, attribute), _NOTHING), number)
+        return ""
+
+    def taken(self) -> Qualities:
+        """The sums since the last call."""
+        found: Qualities = {}
+        for (port, attribute), sums in self._sums.items():
+            found.setdefault(port, {})[attribute] = sums
+        self._sums = {}
+        return found
+
+
+def _within(value: object, steps: Sequence[str]) -> object:
+    """What a value holds in a field that several steps lead to."""
+    for step in steps:
+        if not isinstance(value, Mapping) or step not in value:
+            return _Missing(".".join(steps))
+        value = value[step]
+    return value
+
+
+def _after(sums: Quality, number: float) -> Quality:
+    """The sums with a number more (Welford)."""
+    elements = sums.elements + 1
+    distance = number - sums.mean
+    mean = sums.mean + distance / elements
+    return Quality(elements, mean, sums.squares + distance * (number - mean))
