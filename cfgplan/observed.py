@@ -1,10 +1,10 @@
 """How good the own parts of outputs are, learned from streams that say how good they are.
 
 An output's own part deviates from the stated value by a normally distributed amount: its mean is 0 and its standard
-deviation TRUST of the stated value (of its logarithm where the rule is `scale`). The difference between the mean of what
-a stream says and what is predicted for it is shared out, by their variances, among the parts that lie between it and the
-streams before it that say how good they are (an extended Kalman filter with a diagonal covariance). What is not observed
-any more fades to the stated value.
+deviation TRUST of the stated value (of its logarithm where the rule is `scale`). A stream differs from what is
+predicted for it by some amount. The parts between it and the streams before it that say how good they are share that
+amount by their variances (an extended Kalman filter with a diagonal covariance). A part that is not observed any more
+fades to the stated value.
 
 A part is left alone where nothing can tell whose the difference is: behind the better of two inputs that can't be told
 apart, behind a factor on an input near 0, and at the ends of the scale.
@@ -102,7 +102,7 @@ class Sample(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """By how much a part deviates from what is stated (micro-units; for `scale`, in the logarithm), and its variance."""
+    """By how much a part deviates from what is stated (micro-units; for `scale`, its logarithm), and the variance."""
 
     deviation: float
     variance: float

@@ -14,7 +14,7 @@ import itertools
 import random
 from collections.abc import Callable, Sequence
 from math import exp
-from statistics import fmean, median
+from statistics import fmean
 
 from cfgplan.domain import (
     ComputationUnit,
@@ -67,10 +67,9 @@ def running(environment: Environment, configuration: Configuration) -> Environme
 def values(rule: QualityRule, table: Table, configuration: Configuration) -> list[float]:
     """The error after each stage."""
     parts = [table[place] for place in enumerate(configuration)]
-    found = list(
+    return list(
         itertools.accumulate(parts, (lambda a, b: a * b) if rule is QualityRule.SCALE else (lambda a, b: a + b))
     )
-    return found
 
 
 def regret(rule: QualityRule, table: Table, true: Table) -> float:
@@ -114,9 +113,7 @@ def main(arguments: Sequence[str] | None = None, tell: Callable[[str], object] =
     parser.add_argument("--draws", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
-    tell(
-        f"{'rule':6} {'observed':>9} {'runs':>5} {'declared':>9} {'learned':>9} {'ratio':>6}   mean regret of the choice"
-    )
+    tell(f"{'rule':6} {'observed':>9} {'runs':>5} {'declared':>9} {'learned':>9} {'ratio':>6}  mean regrets")
     for rule, share, runs in itertools.product((QualityRule.ADD, QualityRule.SCALE), (1.0, 0.5, 0.0), (2, 4, 8)):
         found = [draw(options.seed + each, rule, share, runs) for each in range(options.draws)]
         before, after = (fmean(column) for column in zip(*found, strict=True))

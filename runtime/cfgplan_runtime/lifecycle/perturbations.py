@@ -109,7 +109,7 @@ class FactsChanged(Perturbation, frozen=True):
 
 
 class QualitiesObserved(Perturbation, frozen=True):
-    """Streams say for sure that outputs are better or worse than was known; each with its value and the declared one."""
+    """Streams say that outputs are better or worse than was known; each with its value and the declared one."""
 
     outputs: tuple[str, ...]
 

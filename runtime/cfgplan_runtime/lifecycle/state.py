@@ -19,8 +19,8 @@ from cfgplan_runtime.lifecycle.inbox import Asked, Outcome
 from cfgplan_runtime.lifecycle.perturbations import Perturbation, SubscriptionLost, UnitGone, UpdateFailed
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Phase, Review
+from cfgplan_runtime.lifecycle.seen_qualities import SeenQualities
 from cfgplan_runtime.lifecycle.silence import Giving
-from cfgplan_runtime.lifecycle.stream_qualities import SeenQualities
 from cfgplan_runtime.lifecycle.worlds import LivingWorld
 from cfgplan_runtime.supervision.observation import Observation
 
