@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from graphlib import CycleError, TopologicalSorter
-from math import exp, sqrt
+from math import exp, inf, sqrt
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
@@ -35,7 +35,9 @@ APART_ERRORS: Final = 2.0
 MEMORY_S: Final = 5.0
 """After so many seconds, what a stream has said counts half in its mean."""
 LEAST_ELEMENTS: Final = 5
-_ROUNDS: Final = 8
+_ROUNDS: Final = 20
+_STEP: Final = 1.0
+"""The logarithm of a factor moves by at most this in a round, lest it overshoots."""
 _STILL: Final = 0.001
 """A fit ends when a round moves the prediction by no more than this share."""
 
@@ -242,6 +244,7 @@ class _Parts:
     ) -> None:
         """Move parts to where their prediction meets a sample, by their variances `wider` than before."""
         variance = {part: before[part].variance * wider for part in before}
+        longest = {part: _STEP if self._is_factor(part) else inf for part in before}
         for _ in range(_ROUNDS):
             now = self._predicted(unit, stream, attribute, sample.mean)
             if now is None or not now.by.keys() <= before.keys():
@@ -254,10 +257,12 @@ class _Parts:
             moved = sum(slope * (held[part] - before[part].deviation) for part, slope in now.by.items())
             share = (sample.mean - now.value + moved) / total
             for part, slope in now.by.items():
-                deviation = before[part].deviation + slope * variance[part] * share
+                wanted = before[part].deviation + slope * variance[part] * share
+                deviation = min(max(wanted, held[part] - longest[part]), held[part] + longest[part])
                 left = variance[part] * (1 - slope**2 * variance[part] / total)
                 self.estimates[part] = Estimate(deviation, max(left, 0.0), self._at_s)
-            if abs(spread * share - moved) <= _STILL * abs(now.value):
+            change = sum(slope * (self.estimates[part].deviation - held[part]) for part, slope in now.by.items())
+            if abs(change) <= _STILL * abs(now.value):
                 return
 
     def _refresh(self, parts: Mapping[Statement, float]) -> None:
@@ -266,6 +271,10 @@ class _Parts:
             if part in self.estimates:
                 known = self._estimate(part)
                 self.estimates[part] = replace(known, seen_s=self._at_s)
+
+    def _is_factor(self, part: Statement) -> bool:
+        stated = stated_at(self._environment, part)
+        return stated is not None and stated.rule is QualityRule.SCALE
 
     def _estimate(self, part: Statement) -> Estimate:
         stated = stated_at(self._environment, part)
@@ -290,7 +299,7 @@ class _Parts:
         if inputs is None:
             return None
         if not inputs:
-            return _Predicted(float(attribute.worst)) if stated is None else self._own(part, stated)
+            return _kept(attribute, _Predicted(float(attribute.worst)) if stated is None else self._own(part, stated))
         theirs = self._combined(attribute, Over.WORST if stated is None else stated.over, inputs)
         if stated is None or theirs is None:
             return None if theirs is None else _kept(attribute, theirs)

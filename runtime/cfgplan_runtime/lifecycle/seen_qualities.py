@@ -1,0 +1,58 @@
+"""What streams have said of how good they are, and what was learned of it, as one value."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+from cfgplan.domain import Stream
+from cfgplan.observed import Estimates, Figures, Window
+from cfgplan.qualities import MICRO
+from cfgplan_runtime.supervision.events import UnitStatus
+
+Said = tuple[Stream, str]
+"""A stream, and the attribute that it says."""
+_MOST_SAID: Final = 1e12
+"""In units of an attribute; larger numbers are cut, since sums of their squares have no end."""
+
+
+@dataclass(frozen=True, slots=True)
+class SeenQualities:
+    """What streams have said of quality attributes since the last update, and what was learned ever."""
+
+    windows: Mapping[Said, Window] = field(default_factory=dict)
+    heard: frozenset[str] = frozenset()
+    """Units that have spoken since the last update; the first time, they may speak of streams before it."""
+    confirmed: frozenset[Said] = frozenset()
+    """What has taught since the last update, though nothing was new."""
+    is_new: bool = False
+    """Whether something was said of which nobody has learned."""
+    estimates: Estimates = field(default_factory=dict)
+
+    def after_status(self, status: UnitStatus, at_s: float) -> SeenQualities:
+        """Take in what the outputs of a unit said."""
+        if not status.qualities:
+            return self
+        if status.unit not in self.heard:
+            return replace(self, heard=self.heard | {status.unit})
+        windows = dict(self.windows)
+        for port, said in status.qualities.items():
+            for attribute, quality in said.items():
+                key = (Stream(status.unit, port), attribute)
+                mean = min(max(quality.mean, -_MOST_SAID), _MOST_SAID) * MICRO
+                figures = Figures(quality.elements, mean, min(quality.squares, _MOST_SAID**2) * MICRO**2)
+                windows[key] = windows.get(key, Window(at_s, at_s)).after(figures, at_s)
+        return replace(self, windows=windows, is_new=True)
+
+    def after_update(self) -> SeenQualities:
+        """Begin anew: units have other inputs now. What was learned stays."""
+        return SeenQualities(estimates=self.estimates)
+
+    def without(self, unit: str) -> SeenQualities:
+        """Forget what the outputs of a unit said that has ended."""
+        if unit not in self.heard:
+            return self
+        windows = {said: window for said, window in self.windows.items() if said[0].unit != unit}
+        confirmed = frozenset(said for said in self.confirmed if said[0].unit != unit)
+        return replace(self, windows=windows, heard=self.heard - {unit}, confirmed=confirmed)
