@@ -146,15 +146,27 @@ def world_of(document: Document, ontology: Ontology) -> World:
 
 
 @checked
-def what_if(world: World, *, without: Collection[str] = (), settings: Mapping[str, str] | None = None) -> World:
+def what_if(
+    world: World,
+    *,
+    without: Collection[str] = (),
+    settings: Mapping[str, str] | None = None,
+    observed: str | os.PathLike[str] | None = None,
+) -> World:
     """The world without some transformations, units or targets, and with other values of `settings`.
 
     Settings are `horizon`, `max_cost`, `facts.NAME`, `T.labor`, `T.upkeep`, `T.pinned`, `T.required` and `T.priority`,
-    with values as they are written in files. Raises InputError.
+    with values as they are written in files. `observed` is a file with the facts and qualities that a run has observed
+    (`cfgplan ctl observed --out`); settings count more. Raises InputError.
     """
     from cfgplan.explaining import what_if as supposing
 
-    environment = supposing.without(world.environment, without)
+    environment = world.environment
+    if observed is not None:
+        from cfgplan.formats.observed_file import read_observed
+
+        environment = read_observed(observed, environment)
+    environment = supposing.without(environment, without)
     supposed = supposing.Supposed(environment, world.horizon_s, world.max_cost_us)
     supposed = supposing.with_settings(supposed, settings or {})
     environment, horizon_s, max_cost_us = supposed.environment, supposed.horizon_s, supposed.max_cost_us

@@ -568,6 +568,12 @@ class Environment:
         changed = {t.label: as_taught(t, seen) for t in self.library if t.label in touched}
         return replace(self, library=tuple(changed.get(t.label, t) for t in self.library)) if changed else self
 
+    def stated(self, statement: Statement) -> Contribution | None:
+        """What an output states of a quality attribute; None if it states nothing, or is not there."""
+        transformation = self.transformation.get(statement.transformation)
+        port = None if transformation is None else transformation.output.get(statement.output)
+        return next((each for each in port.quality if each.attribute == statement.attribute), None) if port else None
+
     @cached_property
     def taught(self) -> Mapping[str, tuple[Statement, ...]]:
         """The statements of which observed streams have taught something, by transformation; others are not there."""
@@ -621,14 +627,19 @@ class Environment:
         return f"{units(value):f}" if is_number or attribute is None else attribute.shown(value)
 
     @property
-    def quality_by_facts(self) -> dict[str, str]:
-        """The qualities that follow facts as they are now: `camera/image error` to `0.82 m, brightness is 0.2`."""
-        return {
-            f"{label}/{port} {each.attribute}": f"{self.shown(each, each.value)}, {self.fact[each.by.fact]}"
+    def qualities_now(self) -> dict[str, str]:
+        """The qualities that follow facts or were observed: `camera/image error` to `0.82 m, brightness is 0.2`."""
+        found = {
+            str(Statement(label, port, each.attribute)): f"{self.shown(each, each.value)}, {self.fact[each.by.fact]}"
             for label, stated in self.following.items()
             for port, each in stated
             if each.by is not None and each.by.fact in self.fact
         }
+        for statement in (each for some in self.taught.values() for each in some):
+            if each := self.stated(statement):
+                value, stated_value = self.shown(each, each.value), self.shown(each, each.stated)
+                found[str(statement)] = f"{value} observed, {stated_value} declared"
+        return found
 
     @property
     def possible(self) -> Environment:

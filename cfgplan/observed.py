@@ -12,7 +12,7 @@ apart, behind a factor on an input near 0, and at the ends of the scale.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from graphlib import CycleError, TopologicalSorter
@@ -20,8 +20,9 @@ from math import exp, inf, sqrt
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
-from cfgplan.domain import ComputationUnit, Environment, Statement, Stream
+from cfgplan.domain import ComputationUnit, Environment, Similarity, Statement, Stream
 from cfgplan.qualities import MICRO, Contribution, Over, QualityAttribute, QualityRule
+from cfgplan.summary import some
 
 TRUST: Final = 0.5
 """The standard deviation of a part that was not observed, as a share of the stated value."""
@@ -34,10 +35,16 @@ NEWS_ERRORS: Final = 4.0
 APART_ERRORS: Final = 2.0
 MEMORY_S: Final = 5.0
 """After so many seconds, what a stream has said counts half in its mean."""
+TEACHES_S: Final = 2 * MEMORY_S
+"""A stream that goes on as predicted teaches that again after so many seconds."""
 LEAST_ELEMENTS: Final = 5
+_DOUBT: Final = 8.0
+"""Few values say little of their own spread: with ten of them, the variance of their mean counts 1.8 times."""
 _ROUNDS: Final = 20
 _STEP: Final = 1.0
 """The logarithm of a factor moves by at most this in a round, lest it overshoots."""
+_LEAST_DOUBT: Final = 1e-6
+"""No part is surer than this share of its usual variance, however exact a stream is: it may change."""
 _STILL: Final = 0.001
 """A fit ends when a round moves the prediction by no more than this share."""
 
@@ -87,7 +94,8 @@ class Window:
         """The mean with its variance; None while there are too few values."""
         if self.number < LEAST_ELEMENTS or self.weight <= 0:
             return None
-        return Sample(self.mean, self.squares / self.weight * self.weight2 / self.weight**2)
+        share = self.weight2 / self.weight**2
+        return Sample(self.mean, self.squares / self.weight * share * (1 + _DOUBT * share))
 
     @property
     def is_full(self) -> bool:
@@ -123,10 +131,10 @@ Samples = Mapping[tuple[Stream, str], Sample]
 
 @dataclass(frozen=True, slots=True)
 class Lesson:
-    """What samples have taught: the estimates, and the outputs whose streams were other than predicted."""
+    """What samples have taught: the estimates, and whether a stream was other than predicted for sure."""
 
     estimates: Estimates
-    news: tuple[Statement, ...] = ()
+    is_news: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,40 +168,77 @@ def learned(
 
     A stream teaches if it is other than predicted for sure, or if it is `fresh`: then it also confirms.
     """
-    found, news = _Parts(environment, samples, dict(estimates), at_s), []
+    found, is_news = _Parts(environment, samples, dict(estimates), at_s), False
     for unit in _feeders_first(environment):
         for port in environment.transformation[unit.transformation].outputs:
             for stated in port.quality:
-                stream = Stream(unit.id, port.name)
-                if (stream, stated.attribute) in samples and found.learn(
-                    unit, stream, stated, is_fresh=(stream, stated.attribute) in fresh
-                ):
-                    news.append(Statement(unit.transformation, port.name, stated.attribute))
-    return Lesson(MappingProxyType(found.estimates), tuple(dict.fromkeys(news)))
+                said = Stream(unit.id, port.name), stated.attribute
+                if said in samples:
+                    is_news |= found.learn(unit, said[0], stated, is_fresh=said in fresh)
+    return Lesson(MappingProxyType(found.estimates), is_news)
 
 
-def taught(environment: Environment, estimates: Estimates, at_s: float) -> dict[Statement, int]:
-    """By how much parts differ from what is stated, in micro-units, as `Environment.with_qualities` takes it.
+def told(
+    environment: Environment,
+    estimates: Estimates,
+    before: Mapping[Statement, int],
+    at_s: float,
+    *,
+    fades: bool = False,
+) -> dict[Statement, int]:
+    """By how much outputs differ from what is stated, as plans are to go by it: `Environment.with_qualities` takes it.
 
-    What has faded to less than NEWS of the stated value is left out.
+    What was told `before` changes only by NEWS of the value. It stays as it is where nothing is observed any more,
+    unless it `fades` now: then it is what is left of it.
     """
-    found = {}
-    for statement, estimate in estimates.items():
-        stated = stated_at(environment, statement)
+    found: dict[Statement, int] = {}
+    for statement, known in estimates.items():
+        stated = environment.stated(statement)
         if stated is None:
             continue
-        deviation = estimate.at(at_s, usual_variance(stated)).deviation
-        seen = stated.stated * (exp(deviation) - 1) if stated.rule is QualityRule.SCALE else deviation
-        if abs(seen) >= NEWS * abs(stated.stated):
-            found[statement] = round(seen)
+        seen, was = round(own_part(stated, known, at_s)[0]) - stated.stated, before.get(statement, 0)
+        may_change = fades or at_s - known.seen_s <= MEMORY_S
+        if kept := (seen if may_change and abs(seen - was) > NEWS * abs(stated.stated + was) else was):
+            found[statement] = kept
     return found
 
 
-def stated_at(environment: Environment, statement: Statement) -> Contribution | None:
-    """The statement of an output; None if it is not there any more."""
-    transformation = environment.transformation.get(statement.transformation)
-    port = None if transformation is None else transformation.output.get(statement.output)
-    return next((each for each in port.quality if each.attribute == statement.attribute), None) if port else None
+def own_part(stated: Contribution, known: Estimate, at_s: float) -> tuple[float, float]:
+    """The own part of an output as it is known, and its standard error; in micro-units, a factor in millionths."""
+    estimate = known.at(at_s, usual_variance(stated))
+    if stated.rule is QualityRule.SCALE:
+        value = stated.stated * exp(estimate.deviation)
+        return value, abs(value) * sqrt(estimate.variance)
+    return stated.stated + estimate.deviation, sqrt(estimate.variance)
+
+
+def hidden(environment: Environment, similarity: Similarity) -> Iterator[str]:
+    """The outputs whose own parts may stay as declared, since nothing can tell which of their inputs counts."""
+    for transformation in environment.library:
+        ordinary = [port for port in transformation.inputs if not port.feedback]
+        if len(ordinary) < 2 and all(port.count == 1 for port in ordinary):
+            continue
+        for port in transformation.outputs:
+            for stated in port.quality:
+                if (
+                    stated.observe is None
+                    or stated.rule is QualityRule.SET
+                    or stated.over not in (Over.WORST, Over.BEST)
+                ):
+                    continue
+                silent = [
+                    f"{giver.label}/{given.name}"
+                    for giver in environment.library
+                    for given in giver.outputs
+                    if any(similarity.holds(given.tag, one.tag) for one in ordinary)
+                    and not any(one.attribute == stated.attribute and one.observe for one in given.quality)
+                ]
+                if silent:
+                    yield (
+                        f"{transformation.label}/{port.name} says its {stated.attribute}, but may stay as declared: "
+                        f"only its {stated.over} input counts, and {some(silent)} says nothing of its own; "
+                        "add `observe:` there, or count the inputs by `of: mean` or `of: sum`"
+                    )
 
 
 def usual_variance(stated: Contribution) -> float:
@@ -214,7 +259,7 @@ class _Parts:
         self._trail: set[Stream] = set()
 
     def learn(self, unit: ComputationUnit, stream: Stream, stated: Contribution, *, is_fresh: bool) -> bool:
-        """Learn from the sample of a stream. Returns whether it was other than predicted for sure."""
+        """Learn from the sample of a stream, if it is other than predicted for sure or fresh. Returns the former."""
         attribute, sample = self._environment.quality[stated.attribute], self._samples[(stream, stated.attribute)]
         ends = sorted((attribute.worst, attribute.best))
         if not ends[0] < sample.mean < ends[1]:
@@ -223,15 +268,19 @@ class _Parts:
         if first is None or not first.by:
             return False
         self._refresh(first.by)
-        misses, noise = sample.mean - first.value, sample.variance + first.variance
-        is_news = abs(misses) > max(NEWS * abs(first.value), NEWS_ERRORS * sqrt(noise))
-        if not (is_news or is_fresh):
-            return False
         before = {part: self._estimate(part) for part in first.by}
+        known = sum(slope**2 * before[part].variance for part, slope in first.by.items() if part in self.estimates)
+        misses, noise = sample.mean - first.value, sample.variance + first.variance
         spread = sum(slope**2 * before[part].variance for part, slope in first.by.items())
-        wider = max(1.0, (misses**2 - noise) / spread) if is_news and spread else 1.0
-        self._fit(unit, stream, attribute, sample, before, wider)
-        return is_news
+        if abs(misses) > max(NEWS * abs(first.value), NEWS_ERRORS * sqrt(noise + known)):
+            wider = max(1.0, (misses**2 - noise) / spread) if spread else 1.0
+            self._fit(unit, stream, attribute, sample, before, wider)
+            return True
+        if not is_fresh or spread + noise <= 0:
+            return False
+        self._fit(unit, stream, attribute, sample, before, 1.0)
+        moved = misses * spread / (spread + noise)
+        return abs(moved) > max(NEWS * abs(first.value), NEWS_ERRORS * sqrt(spread * noise / (spread + noise)))
 
     def _fit(
         self,
@@ -244,6 +293,7 @@ class _Parts:
     ) -> None:
         """Move parts to where their prediction meets a sample, by their variances `wider` than before."""
         variance = {part: before[part].variance * wider for part in before}
+        least = {part: _LEAST_DOUBT * self._usual(part) for part in before}
         longest = {part: _STEP if self._is_factor(part) else inf for part in before}
         for _ in range(_ROUNDS):
             now = self._predicted(unit, stream, attribute, sample.mean)
@@ -260,7 +310,7 @@ class _Parts:
                 wanted = before[part].deviation + slope * variance[part] * share
                 deviation = min(max(wanted, held[part] - longest[part]), held[part] + longest[part])
                 left = variance[part] * (1 - slope**2 * variance[part] / total)
-                self.estimates[part] = Estimate(deviation, max(left, 0.0), self._at_s)
+                self.estimates[part] = Estimate(deviation, max(left, least[part]), self._at_s)
             change = sum(slope * (self.estimates[part].deviation - held[part]) for part, slope in now.by.items())
             if abs(change) <= _STILL * abs(now.value):
                 return
@@ -272,14 +322,17 @@ class _Parts:
                 known = self._estimate(part)
                 self.estimates[part] = replace(known, seen_s=self._at_s)
 
+    def _usual(self, part: Statement) -> float:
+        stated = self._environment.stated(part)
+        assert stated is not None  # predictions name statements of the library
+        return usual_variance(stated)
+
     def _is_factor(self, part: Statement) -> bool:
-        stated = stated_at(self._environment, part)
+        stated = self._environment.stated(part)
         return stated is not None and stated.rule is QualityRule.SCALE
 
     def _estimate(self, part: Statement) -> Estimate:
-        stated = stated_at(self._environment, part)
-        assert stated is not None  # predictions name statements of the library
-        usual = usual_variance(stated)
+        usual = self._usual(part)
         known = self.estimates.get(part)
         return Estimate(0.0, usual, self._at_s) if known is None else known.at(self._at_s, usual)
 

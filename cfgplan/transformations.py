@@ -278,7 +278,7 @@ class Statement(NamedTuple):
     attribute: str
 
     def __str__(self) -> str:
-        return f"{self.attribute} of {self.transformation}/{self.output}"
+        return f"{self.transformation}/{self.output} {self.attribute}"
 
 
 def as_taught(transformation: Transformation, seen: Mapping[Statement, int]) -> Transformation:

@@ -300,7 +300,7 @@ def following(tmp_path: Path) -> Path:
 )
 def test_a_quality_follows_a_fact(following: Path, light: float, error: str) -> None:
     world = api.what_if(api.load(following), settings={"facts.light": f"{light}"})
-    assert world.environment.quality_by_facts == {"camera/i error": f"{error} m, light is {light}"}
+    assert world.environment.qualities_now == {"camera/i error": f"{error} m, light is {light}"}
     plan = api.plan(api.match(world))
     assert plan.change_set is not None
     assert [unit.transformation for unit in plan.change_set.started] == ["camera" if light > 0.5 else "sonar"]

@@ -30,6 +30,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         help="show only what this environment file, such as the one before a change, had not",
     )
     shared.add_survive(parser)
+    shared.add_observed(parser)
     shared.add_matching(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)
@@ -103,9 +104,10 @@ def _left_out(world: World) -> dict[str, object]:
 
 
 def _faults(options: argparse.Namespace, screen: Screen) -> tuple[World, tuple[WiringFault, ...], tuple[str, ...]]:
-    """The world that the options name, what is wrong or odd there, and which facts are too noisy."""
+    """The world that the options name, what is wrong or odd there, and what observed streams can't tell."""
     from cfgplan import answers, api
     from cfgplan.explaining import probable_first
+    from cfgplan.observed import hidden
     from cfgplan.observers import blurred
     from cfgplan.planners.undecided import used_pairs
     from cfgplan.ros.hearing import ros_faults
@@ -118,7 +120,7 @@ def _faults(options: argparse.Namespace, screen: Screen) -> tuple[World, tuple[W
     with screen.phase("judge"):
         reasoning = {"reasoner": options.reasoner, "reasoner_limit_s": options.reasoner_timeout}
         found = answers.wiring_faults(world, problem, **reasoning)
-        noisy = tuple(blurred(world.environment, problem.similarity))
+        noisy = (*blurred(world.environment, problem.similarity), *hidden(world.environment, problem.similarity))
         return world, tuple(sorted([*ros_faults(world.environment), *found], key=probable_first)), noisy
 
 

@@ -39,6 +39,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         "--memory", type=shared.count, metavar="MB", help="largest address space of a run, in megabytes"
     )
     parser.add_argument("--traceback", action="store_true", help="show where a planner crashed")
+    shared.add_observed(parser)
     shared.add_matching(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)
@@ -58,6 +59,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     for env in options.envs:
         with screen.phase("load"):
             world = api.load(env)
+            world = api.what_if(world, observed=options.observed) if options.observed else world
         problem = shared.problem(options, screen, world)
         found: list[Run] = []
         with screen.phase("plan") as work:

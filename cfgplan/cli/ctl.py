@@ -32,6 +32,7 @@ example:
   cfgplan ctl kill camera.1            (it is replaced at once)
   cfgplan ctl restart camera.1         (with its present code; it goes on if the new one fails)
   cfgplan ctl fact visibility=1.5      (transformations may require it)
+  cfgplan ctl observed --out now.json  (for `cfgplan solve --observed now.json`)
   cfgplan ctl review
   cfgplan ctl plan --out plan.json     (what a review would do now)
   cfgplan ctl why camera.1
@@ -74,6 +75,7 @@ _COMMANDS = (
     _Command("lose-host", "do without a host", "HOST", "its name", "lose_host", "host"),
     _Command("regain-host", "use a host again", "HOST", "its name", "regain_host", "host"),
     _Command("fact", "say what is so of a fact of the world", "NAME=VALUE", "such as visibility=1.5"),
+    _Command("observed", "show how good streams are, by what they say themselves"),
     _Command("review", "plan now, as if the horizon were reached", method="review"),
     _Command("plan", "say what a review would do now, and change nothing"),
     _Command("why", "say why a unit runs, and what doing without it would cost", "UNIT", "its id, such as camera.1"),
@@ -106,7 +108,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
             each.add_argument("operand", type=kind, metavar=command.operand, help=command.means)
         if command.name == "add":
             each.add_argument("--name", type=normal, metavar="NAME", help="the name to add it under (the file's)")
-        if command.name == "plan":
+        if command.name in ("plan", "observed"):
             shared.add_out(each)
         if command.name == "logs":
             each.add_argument("--follow", action="store_true", help="go on until the run ends")
@@ -140,6 +142,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
                 case "fact":
                     params = dict(zip(("name", "value"), options.operand, strict=True))
                     return _change(control, screen, "fact", params, "Done.", options.wait)
+                case "observed":
+                    return _observed(control, screen, options)
                 case "plan":
                     return _plan(control, screen, options)
                 case "why":
@@ -235,6 +239,22 @@ def _stop(control: Control, screen: Screen) -> Exit:
         screen.show_json({"stopped": control.system.run})
     else:
         screen.show(f"Run {control.system.run} has stopped.")
+    return Exit.OK
+
+
+def _observed(control: Control, screen: Screen, options: argparse.Namespace) -> Exit:
+    """Show, or write to a file, the facts and qualities that plans of the run go by."""
+    from cfgplan.cli.run_picture import observed_text as text_of
+    from cfgplan.formats.observed_file import observed_text
+
+    state = control.call("state", timeout_s=60)
+    document = observed_text(state["facts"], state["qualities"])
+    if options.out:
+        shared.put(document, options.out, screen)
+    if screen.json:
+        screen.write(document)
+    elif not options.out:
+        screen.show(text_of(state))
     return Exit.OK
 
 

@@ -102,7 +102,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
 def _of_facts(environment: Environment) -> dict[str, object]:
     """For JSON: what facts make of the library, where they do."""
-    told = {"left_out": dict(environment.left_out), "by_facts": environment.quality_by_facts}
+    told = {"left_out": dict(environment.left_out), "qualities_now": environment.qualities_now}
     return {key: said for key, said in told.items() if said}
 
 

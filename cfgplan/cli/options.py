@@ -103,6 +103,13 @@ def add_planning(parser: argparse.ArgumentParser, what_if: str | None = None) ->
     add_several(supposing, "--without", "NAME", gone, kind=normal)
     add_several(supposing, "--with", "FILE", also, dest="also")
     add_several(supposing, "--set", "KEY=VALUE", others, kind=setting, dest="settings")
+    add_observed(supposing)
+
+
+def add_observed(parser: argparse._ActionsContainer) -> None:
+    """`--observed`: facts and qualities as a run knows them, in place of what is declared."""
+    means = "plan with the facts and qualities that a run has observed: what `cfgplan ctl observed --out FILE` wrote"
+    parser.add_argument("--observed", metavar="FILE", help=means)
 
 
 def add_several(
@@ -144,7 +151,10 @@ def load(options: argparse.Namespace, screen: Screen) -> api.World:
     with screen.phase("load"):
         world = api.load(options.env, also=getattr(options, "also", ()))
         without, settings = getattr(options, "without", ()), dict(getattr(options, "settings", ()))
-        return api.what_if(world, without=without, settings=settings) if without or settings else world
+        observed = getattr(options, "observed", None)
+        if not (without or settings or observed):
+            return world
+        return api.what_if(world, without=without, settings=settings, observed=observed)
 
 
 def matches(options: argparse.Namespace, screen: Screen, world: api.World, most: int | None = None) -> Matches:

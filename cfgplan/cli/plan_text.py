@@ -40,10 +40,8 @@ def fact_lines(environment: Environment, of: str | None = None) -> list[str]:
     `of` is a transformation or a unit; None stands for all.
     """
     label = of if of is None or of not in environment.unit else environment.unit[of].transformation
-    by_facts = environment.quality_by_facts.items()
-    of_quality = [
-        f"for now: {what} {value}" for what, value in by_facts if label is None or what.startswith(f"{label}/")
-    ]
+    now = environment.qualities_now.items()
+    of_quality = [f"for now: {what} {value}" for what, value in now if label is None or what.startswith(f"{label}/")]
     return of_quality if of is not None else [*left_out_lines(environment), *of_quality]
 
 

@@ -131,7 +131,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     if options.reload and (options.connect or options.middleware in _ROS):
         what = "files of this computer" if options.connect else "unit code, and not nodes of ROS"
         raise InputError.of(f"--reload watches {what}", mend="use `cfgplan ctl restart UNIT`")
-    if not options.dry_run and (options.without or options.also or options.settings):
+    if not options.dry_run and (options.without or options.also or options.settings or options.observed):
         mend = "add --dry-run; or edit the file, or use `cfgplan ctl` while it runs"
         raise InputError.of("--without, --with and --set are for trying out what would be planned", mend=mend)
     loaded = shared.load(options, screen)

@@ -62,6 +62,20 @@ def state_text(run: str, environment: str, pid: int, state: Mapping[str, Any]) -
     return Group(*_whole(run, environment, pid, state))
 
 
+def observed_text(state: Mapping[str, Any]) -> RenderableType:
+    """The facts of a run, and a row for each output of which streams have taught something."""
+    if not (state["facts"] or state["qualities"]):
+        return Text("No fact is declared, and no stream says how good it is (`observe:` of an output's quality).")
+    parts: list[RenderableType] = [Text(f"Facts: {', '.join(_facts(state))}.")] if state["facts"] else []
+    if state["qualities"]:
+        table = Table("output", "quality", "declared", "planned", "observed", "error", "ago", box=None)
+        for one in state["qualities"]:
+            figures = (f"{one[key]:.4g}" for key in ("declared", "planned", "estimate", "error"))
+            table.add_row(one["output"], one["attribute"], *figures, _span(one["ago_s"]))
+        parts.append(table)
+    return Group(*parts)
+
+
 def _whole(run: str, environment: str, pid: int, state: Mapping[str, Any]) -> Iterator[RenderableType]:
     yield _headline(run, environment, [f"pid {pid}"], state)
     yield from map(_fault, state["faults"])
@@ -72,7 +86,7 @@ def _whole(run: str, environment: str, pid: int, state: Mapping[str, Any]) -> It
         yield Text(f"Hosts that are gone: {', '.join(state['lost_hosts'])}.", style="yellow")
     if state["facts"]:
         yield Text(f"Facts: {', '.join(_facts(state))}.")
-    for what, value in state["by_facts"].items():
+    for what, value in state["qualities_now"].items():
         yield Text(f"For now: {what} {value}.")
     for label, why in state["left_out"].items():
         yield Text(f"Left out for now: {label}, {why}.", style="yellow")

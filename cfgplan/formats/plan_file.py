@@ -73,6 +73,13 @@ class FactUsed(_PlanPart):
     used: Any = Field(description="what the plan was made with")
 
 
+class QualityUsed(_PlanPart):
+    """The own part of an output, in units of the attribute."""
+
+    declared: Any = Field(description="what the environment file says")
+    used: Any = Field(description="what the plan was made with, as streams were observed")
+
+
 class PlanPart(_PlanPart):
     """A planner's answer and the environment it holds for."""
 
@@ -107,6 +114,9 @@ class PlanPart(_PlanPart):
     survive: Literal["units", "hosts"] | None = Field(default=None, description="single failures that it bears")
     figures: Any = Field(default=None, description="cost by parts, quality, hosts and transfers, beyond the paper")
     facts: dict[str, FactUsed] = Field(default={}, description="the facts of the world that the plan was made with")
+    qualities: dict[str, QualityUsed] = Field(
+        default={}, description="`transformation/port attribute`: qualities that the plan was made with, where observed"
+    )
     basis: dict[str, dict[str, str]] = Field(
         default={},
         description="of a run's plan: a digest of each unit, transformation, target and setting it is for, and of the "
@@ -142,6 +152,7 @@ def dump_plan(plan: Plan, problem: Problem, digest: str, basis: Mapping[str, Map
         "counts": dict(plan.counts),
         **_beyond_the_paper(plan, problem),
         **({"facts": facts} if (facts := _facts(problem.environment)) else {}),
+        **({"qualities": qualities} if (qualities := _qualities(problem.environment)) else {}),
         **({} if basis is None else {"basis": basis}),
     }
     return json.dumps(document, indent=2, ensure_ascii=False) + "\n"
@@ -190,6 +201,17 @@ def _plan_in(source: Source, part: PlanPart) -> Plan:
 
 def _facts(environment: Environment) -> dict[str, dict[str, object]]:
     return {fact.name: {"declared": _plain(fact.declared), "used": _plain(fact.value)} for fact in environment.facts}
+
+
+def _qualities(environment: Environment) -> dict[str, dict[str, object]]:
+    """The qualities that differ from what is declared, since streams have said so."""
+    found = {
+        str(statement): stated
+        for some in environment.taught.values()
+        for statement in some
+        if (stated := environment.stated(statement)) is not None
+    }
+    return {name: {"declared": _plain(one.stated), "used": _plain(one.value)} for name, one in found.items()}
 
 
 def _plain(value: FactValue) -> bool | float | str:

@@ -82,7 +82,7 @@ def _watched(operation: Operation, seconds: float, day_s: float) -> list[Look]:
     looks, begun_ns = list[Look](), time.time_ns()
     while (now_ns := time.time_ns()) < begun_ns + seconds * 1e9:
         state = operation.manager.snapshot()
-        camera = state.by_facts["bottom_cam(piff)/image error"]
+        camera = state.qualities_now["bottom_cam(piff)/image error"]
         (fact,) = state.facts
         units = {view.unit.transformation for view in state.units}
         light = scenario.light(now_ns, day_s)

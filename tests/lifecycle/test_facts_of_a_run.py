@@ -196,7 +196,7 @@ def test_a_quality_follows_a_fact_away_at_night_and_back_at_dawn() -> None:
         too_bad_s += 0.2 * (runs_camera and BY_BRIGHTNESS.at(round(light * 1_000_000)) > 400_000)
     assert [round(at_s, -2) for at_s in switches] == [100, 300]
     assert too_bad_s / 500 < 0.02
-    assert dict(run.manager.snapshot().by_facts).keys() == {"camera/n error"}
+    assert dict(run.manager.snapshot().qualities_now).keys() == {"camera/n error"}
     assert {each.requalified for each in run.perturbations(FactsChanged)} == {("camera",)}
 
 

@@ -162,8 +162,8 @@ class Manager:
             seen.facts,
             seen.left_out,
             {name: now - last.at_s for name, last in state.heard.items()},
-            seen.quality_by_facts,
-            quality_views(world.environment.with_facts(situation.facts), state.seen, now),
+            seen.qualities_now,
+            quality_views(world.environment.with_facts(situation.facts), state, now),
         )
 
     @property

@@ -177,8 +177,8 @@ class Snapshot:
     """Why transformations may not run as the facts are, by label."""
     facts_heard_s: Mapping[str, float] = field(default_factory=dict)
     """By fact that a stream observes: how long ago its last value came."""
-    by_facts: Mapping[str, str] = field(default_factory=dict)
-    """The qualities that follow facts as they are now; see `Environment.quality_by_facts`."""
+    qualities_now: Mapping[str, str] = field(default_factory=dict)
+    """The qualities that follow facts or were observed; see `Environment.qualities_now`."""
     qualities: tuple[QualityView, ...] = ()
     """What observed streams have taught of outputs."""
 

@@ -24,8 +24,8 @@ class SeenQualities:
     windows: Mapping[Said, Window] = field(default_factory=dict)
     heard: frozenset[str] = frozenset()
     """Units that have spoken since the last update; the first time, they may speak of streams before it."""
-    confirmed: frozenset[Said] = frozenset()
-    """What has taught since the last update, though nothing was new."""
+    taught_s: Mapping[Said, float] = field(default_factory=dict)
+    """When each stream last taught, since the last update, though nothing was new."""
     is_new: bool = False
     """Whether something was said of which nobody has learned."""
     estimates: Estimates = field(default_factory=dict)
@@ -54,5 +54,5 @@ class SeenQualities:
         if unit not in self.heard:
             return self
         windows = {said: window for said, window in self.windows.items() if said[0].unit != unit}
-        confirmed = frozenset(said for said in self.confirmed if said[0].unit != unit)
-        return replace(self, windows=windows, heard=self.heard - {unit}, confirmed=confirmed)
+        taught_s = {said: at_s for said, at_s in self.taught_s.items() if said[0].unit != unit}
+        return replace(self, windows=windows, heard=self.heard - {unit}, taught_s=taught_s)

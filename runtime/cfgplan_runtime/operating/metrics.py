@@ -93,6 +93,12 @@ _OF_FACTS: Final[_Measure[Fact]] = _Measure(
 _OF_HEARD: Final[_Measure[float]] = _Measure(
     "fact_heard_seconds", "Time since a stream said the value of the fact.", lambda ago_s: ago_s
 )
+_OF_QUALITIES: Final[Sequence[_Measure[reports.QualityView]]] = (
+    _Measure("quality_declared", "The own part of an output, as declared.", lambda one: one.stated / MICRO),
+    _Measure("quality_planned", "The own part that plans go by.", lambda one: one.planned / MICRO),
+    _Measure("quality_observed", "The own part that streams have taught.", lambda one: one.estimate / MICRO),
+    _Measure("quality_observed_error", "The standard error of what was taught.", lambda one: one.error / MICRO),
+)
 _OF_TARGETS: Final[_Measure[reports.TargetView]] = _Measure(
     "target_met", "Whether a stream meets the target, and is not silent for too long.", lambda one: float(one.is_met)
 )
@@ -155,6 +161,8 @@ class Present(Collector):
         held_out = [((one.transformation, one.host or ""), one) for one in now.backing_off]
         yield _OF_HELD_OUT.family(("transformation", "host"), held_out)
         yield _OF_FACTS.family(("fact",), [((fact.name,), fact) for fact in now.facts])
+        own_parts = [((one.transformation, one.output, one.attribute), one) for one in now.qualities]
+        yield from (measure.family(("transformation", "output", "attribute"), own_parts) for measure in _OF_QUALITIES)
         yield _OF_HEARD.family(("fact",), [((name,), ago_s) for name, ago_s in now.facts_heard_s.items()])
         targets = [((one.label, one.topic), one) for one in now.targets]
         yield _OF_TARGETS.family(_TARGET, targets)

@@ -17,6 +17,7 @@ import msgspec
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Stream
 from cfgplan.facts import said
 from cfgplan.formats.dump import plain_unit
+from cfgplan.qualities import MICRO
 from cfgplan_runtime.lifecycle import reports
 from cfgplan_runtime.lifecycle.perturbations import Perturbation
 from cfgplan_runtime.operating.protocol import Record
@@ -42,11 +43,30 @@ def snapshot_record(snapshot: reports.Snapshot, flows: Mapping[str, Record] | No
         "facts": {fact.name: said(fact.value) for fact in snapshot.facts},
         "facts_heard_s": {name: round(ago_s, 3) for name, ago_s in snapshot.facts_heard_s.items()},
         "left_out": dict(snapshot.left_out),
-        "by_facts": dict(snapshot.by_facts),
+        "qualities_now": dict(snapshot.qualities_now),
+        "qualities": [_quality(view) for view in snapshot.qualities],
         "clocks_ahead_us": dict(snapshot.clocks_ahead_us),
         "declared": list(snapshot.declared),
         "removed": list(snapshot.removed),
         "faults": [plain(fault) for fault in snapshot.faults],
+    }
+
+
+def _quality(view: reports.QualityView) -> Record:
+    """What streams have taught of an output, in units of the attribute."""
+    return {
+        "output": f"{view.transformation}/{view.output}",
+        "attribute": view.attribute,
+        **{
+            key: value / MICRO
+            for key, value in (
+                ("declared", view.stated),
+                ("planned", view.planned),
+                ("estimate", view.estimate),
+                ("error", view.error),
+            )
+        },
+        "ago_s": round(view.ago_s, 3),
     }
 
 

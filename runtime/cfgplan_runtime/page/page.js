@@ -85,7 +85,7 @@ function facts() {
   if (state.horizon_left_s !== null) said.push(`horizon in ${span(state.horizon_left_s)}`);
   for (const [name, value] of Object.entries(state.facts)) said.push(`${name} is ${value}`);
   for (const [label, why] of Object.entries(state.left_out)) said.push(`left out for now: ${label}, ${why}`);
-  for (const [what, value] of Object.entries(state.by_facts)) said.push(`${what} ${value}`);
+  for (const [what, value] of Object.entries(state.qualities_now)) said.push(`${what} ${value}`);
   byId("facts").textContent = said.join("  ·  ");
   const fault = state.faults[0];
   byId("fault").hidden = !fault;

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 
 from cfgplan.domain import InputPort, Stream, Transformation
-from cfgplan_runtime.children.messages import Flow, PortCounts
+from cfgplan_runtime.children.messages import Flow, PortCounts, Qualities
 from cfgplan_runtime.supervision.backend import Inlet, Usage
 from cfgplan_runtime.supervision.events import (
     Event,
@@ -34,7 +34,8 @@ class Behaviour:
     Costs are the transformation's own unless given: `labor_us` in microseconds of CPU time; `upkeep_us` in
     microseconds per second, a function of the clock that is called once per second. `dies_s` counts from readiness. A
     `quiet` unit gives no element; a `hung` one gives no sign of life and does not stop when asked; each step of a
-    `failing` one has an error; one with an `heir` leaves a process behind that holds its sockets open.
+    `failing` one has an error; one with an `heir` leaves a process behind that holds its sockets open. `says` gives, at
+    a time of the clock, how good the outputs were since the last sign of life.
     """
 
     start_s: float = 0.01
@@ -48,6 +49,7 @@ class Behaviour:
     memory_bytes: int = 10 << 20
     labor_us: int | None = None
     upkeep_us: Callable[[float], float] | None = None
+    says: Callable[[float], Qualities] | None = None
 
     def labor_of(self, transformation: Transformation) -> int:
         return transformation.labor_us if self.labor_us is None else self.labor_us
@@ -341,7 +343,9 @@ class SimulatedBackend:
                     port.name: PortCounts(outputs.get(port.name, PortCounts()).elements + more)
                     for port in of_unit.transformation.outputs
                 }
-                self._later(self.sign_period_s, UnitStatus(unit, steps, errors, {}, given))
+                says = of_unit.behaviour.says
+                said = says(self._now + self.sign_period_s) if says is not None and self._gives(unit) else {}
+                self._later(self.sign_period_s, UnitStatus(unit, steps, errors, {}, given, qualities=said))
             case SpareLost(spare):
                 return self.spares.pop(spare, None) is not None
             case UnitReady() | UnitDied() | UnitStopped() | UnitStatus():

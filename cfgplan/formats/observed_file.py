@@ -1,0 +1,112 @@
+"""What a run has observed, as JSON: what `ctl observed --out` writes and verbs that plan take by `--observed`.
+
+Qualities are in units of their attributes, factors are plain numbers. Only `facts` and what is `planned` are read back.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path as FilePath
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from cfgplan.domain import Environment, Statement
+from cfgplan.errors import Fault, InputError, InvalidValueError, did_you_mean
+from cfgplan.facts import FactValue
+from cfgplan.formats.files import read_text
+from cfgplan.formats.json_text import read_json
+from cfgplan.formats.places import Source
+from cfgplan.formats.schema_faults import schema_faults
+from cfgplan.qualities import micro_units
+
+_ANEW = "write the file anew with `cfgplan ctl observed --out FILE`, or remove this"
+
+
+class _ObservedPart(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+class QualityPart(_ObservedPart):
+    """What streams have taught of one attribute of an output."""
+
+    output: str = Field(description="transformation/port")
+    attribute: str
+    declared: Any = Field(default=None, description="what the environment file says")
+    planned: Any = Field(description="what plans go by")
+    estimate: Any = Field(default=None, description="the mean of what is known now")
+    error: Any = Field(default=None, description="the standard error of the estimate")
+    ago_s: Any = Field(default=None, description="seconds since it was observed last")
+
+
+class ObservedPart(_ObservedPart):
+    """Facts and qualities as a run knows them."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, title="cfgplan observed")
+
+    format_version: Literal[1]
+    facts: dict[str, Any] = Field(default={}, description="name to value")
+    qualities: list[QualityPart] = []
+
+
+def observed_text(facts: Mapping[str, str], qualities: list[dict[str, Any]]) -> str:
+    """The JSON text of facts, and of qualities as the control method `state` gives them."""
+    return (
+        json.dumps({"format_version": 1, "facts": facts, "qualities": qualities}, indent=2, ensure_ascii=False) + "\n"
+    )
+
+
+def read_observed(path: str | os.PathLike[str], environment: Environment) -> Environment:
+    """The environment with the facts and qualities of a file. Raises InputError, also for what it does not have."""
+    source = read_json(read_text(FilePath(path)), str(path))
+    if source.faults:
+        raise InputError(source.faults)
+    try:
+        part = ObservedPart.model_validate(source.data)
+    except ValidationError as error:
+        raise InputError(schema_faults(source, (), error.errors(include_url=False), ObservedPart)) from None
+    faults: list[Fault] = []
+    facts = _facts(source, part, environment, faults)
+    environment = environment.with_facts(facts)
+    qualities = _qualities(source, part, environment, faults)
+    if faults:
+        raise InputError(faults)
+    return environment.with_qualities(qualities)
+
+
+def _facts(source: Source, part: ObservedPart, environment: Environment, faults: list[Fault]) -> dict[str, FactValue]:
+    found: dict[str, FactValue] = {}
+    for name, value in part.facts.items():
+        place = ("facts", name)
+        if name not in environment.fact:
+            message = f"the environment has no fact `{name}`"
+            faults.append(source.fault(place, message, did_you_mean(name, environment.fact, _ANEW)))
+            continue
+        try:
+            found[name] = environment.fact[name].read(str(value).lower() if isinstance(value, bool) else str(value))
+        except InvalidValueError as error:
+            faults.append(source.fault(place, str(error), _ANEW))
+    return found
+
+
+def _qualities(
+    source: Source, part: ObservedPart, environment: Environment, faults: list[Fault]
+) -> dict[Statement, int]:
+    """By how much outputs differ from what is stated."""
+    found: dict[Statement, int] = {}
+    for index, one in enumerate(part.qualities):
+        place = ("qualities", index)
+        label, _, port = one.output.rpartition("/")
+        statement = Statement(label, port, one.attribute)
+        stated = environment.stated(statement)
+        if stated is None:
+            faults.append(source.fault((*place, "output"), f"the environment states no {statement}", _ANEW))
+            continue
+        try:
+            found[statement] = micro_units(round(one.planned, 6)) - stated.value
+        except (InvalidValueError, TypeError) as error:
+            text = str(error) if isinstance(error, InvalidValueError) else f"{one.planned!r} is not a number"
+            faults.append(source.fault((*place, "planned"), text, _ANEW))
+    return found

@@ -1,0 +1,159 @@
+"""Streams that say how good they are: plans follow what is so, and noise makes none."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from random import Random
+
+import pytest
+from cfgplan_runtime.children.messages import Qualities, Quality
+from cfgplan_runtime.lifecycle.basis import plan_text
+from cfgplan_runtime.lifecycle.changes import ApplyPlan, KillUnit, ReplaceWorld
+from cfgplan_runtime.lifecycle.perturbations import HorizonReached, QualitiesObserved
+from cfgplan_runtime.lifecycle.reports import Decision
+from cfgplan_runtime.supervision.simulated_backend import Behaviour
+from living import Life, started
+
+from cfgplan import api
+from cfgplan.domain import Environment, OutputPort, Target, Transformation
+from cfgplan.formats.plan_file import read_run_plan
+from cfgplan.observed import FORGET_S
+from cfgplan.qualities import MICRO, Better, Contribution, QualityAttribute, QualityRule, Wish
+
+ERROR = QualityAttribute("error", Better.LOWER, unit="m", worst=10 * MICRO)
+
+
+def sensor(label: str, declared: float, upkeep_us: int, *, observe: str | None = "error") -> Transformation:
+    stated = Contribution("error", QualityRule.SET, round(declared * MICRO), observe=observe)
+    output = OutputPort("p", "Position", (stated,))
+    return Transformation(label, (), (output,), 1000, upkeep_us, source=f"units.py:{label}")
+
+
+def saying(truth: Callable[[float], float], *, noise: float = 0.0, elements: int = 10, seed: int = 0) -> Behaviour:
+    """A unit whose elements say their error, which follows the clock; `noise` is a share of it."""
+    chance = Random(seed)
+
+    def says(at_s: float) -> Qualities:
+        values = [truth(at_s) * (1 + noise * chance.gauss(0, 1)) for _ in range(elements)]
+        mean = sum(values) / elements
+        return {"p": {"error": Quality(elements, mean, sum((one - mean) ** 2 for one in values))}}
+
+    return Behaviour(says=says)
+
+
+def life(*, horizon_s: int = 3600, weight_us: int = 0, bound: float | None = 0.5, **behaviours: Behaviour) -> Life:
+    """A cheap sonar and a dear camera; the target bounds the error, in metres."""
+    library = sensor("sonar", 0.2, 1000), sensor("camera", 0.3, 100_000)
+    wish = Wish("error", None if bound is None else round(bound * MICRO), weight_us)
+    target = Target("position", "Position", "/position", quality=(wish,))
+    environment = Environment(library=library, targets=(target,), qualities=(ERROR,))
+    return started(world=api.world(environment, horizon_s=horizon_s), behaviours=behaviours)
+
+
+def step_at(at_s: float, before: float, after: float) -> Callable[[float], float]:
+    return lambda now_s: before if now_s < at_s else after
+
+
+def test_a_stream_that_is_worse_than_its_bound_is_replaced() -> None:
+    run = life(sonar=saying(step_at(20, 0.2, 0.8)), camera=saying(lambda _: 0.3))
+    run.pass_time(18)
+    assert run.units == {"sonar.1"}
+    run.pass_time(12)
+    assert run.units == {"camera.1"}
+    assert run.perturbations(QualitiesObserved) != []
+    assert run.reviews[-1].decision is Decision.APPLIED
+    snapshot = run.manager.snapshot()
+    (sonar,) = (one for one in snapshot.qualities if one.transformation == "sonar")
+    assert (sonar.stated, sonar.planned > 500_000) == (200_000, True)
+    assert snapshot.qualities_now["sonar/p error"].endswith("m observed, 0.2 m declared")
+
+
+def test_noise_makes_no_review() -> None:
+    run = life(sonar=saying(lambda _: 0.2, noise=0.2), camera=saying(lambda _: 0.3))
+    before = len(run.reviews)
+    run.pass_time(3000)
+    assert (run.perturbations(QualitiesObserved), len(run.reviews), run.units) == ([], before, {"sonar.1"})
+
+
+def test_a_stream_that_is_as_declared_is_confirmed_and_shown() -> None:
+    run = life(sonar=saying(lambda _: 0.205, noise=0.05))
+    run.pass_time(30)
+    (sonar,) = run.manager.snapshot().qualities
+    assert (sonar.planned, sonar.stated) == (200_000, 200_000)
+    assert sonar.estimate == pytest.approx(205_000, abs=5_000)
+    assert sonar.ago_s < 5
+
+
+def test_what_is_learned_outlives_the_unit_and_its_replacement() -> None:
+    run = life(bound=None, weight_us=1000, sonar=saying(lambda _: 0.8))
+    run.pass_time(15)
+    assert run.units == {"sonar.1"}
+    run.reviewed(KillUnit("sonar.1"))
+    (sonar,) = run.manager.snapshot().qualities
+    assert sonar.planned == pytest.approx(800_000, rel=0.06)
+
+
+def test_what_is_not_seen_for_long_is_tried_again_at_a_horizon() -> None:
+    """The sonar is over the bound, and fades back below it while the camera runs; then it is found wanting again."""
+    run = life(horizon_s=120, sonar=saying(lambda _: 0.8), camera=saying(lambda _: 0.3))
+    run.pass_time(30)
+    assert run.units == {"camera.1"}
+    run.pass_time(2 * FORGET_S)
+    tries = [one for one in run.perturbations(QualitiesObserved)[1:] if "sonar" in one.outputs[0]]
+    assert len(tries) == 1
+    assert run.units == {"camera.1"}
+    assert run.perturbations(HorizonReached) != []
+
+
+def test_without_observe_nothing_is_taken_in() -> None:
+    run = life(sonar=Behaviour(), camera=Behaviour())
+    run.pass_time(60)
+    assert run.manager.snapshot().qualities == ()
+
+
+def test_a_plan_stays_fresh_while_qualities_are_learned() -> None:
+    """Its basis has what is declared, so that noisy streams do not make it stale."""
+    run = life(bound=None, weight_us=1000, sonar=saying(step_at(20, 0.2, 0.3)))
+    run.pass_time(10)
+    future = run.manager.preview()
+    run.settle()
+    before = future.result(0)
+    run.pass_time(30)
+    assert run.perturbations(QualitiesObserved) != []
+    future = run.manager.preview()
+    run.settle()
+    assert future.result(0).basis == before.basis
+    plan, basis = read_run_plan(plan_text(before), "plan.json")
+    assert plan.change_set is not None
+    run.ask(ApplyPlan(plan.change_set, basis))
+    assert run.units == {"sonar.1"}
+
+
+def test_a_plan_file_says_what_was_used_beside_what_is_declared() -> None:
+    run = life(sonar=saying(lambda _: 0.4))
+    run.pass_time(20)
+    future = run.manager.preview()
+    run.settle()
+    qualities = json.loads(plan_text(future.result(0)))["qualities"]
+    assert qualities["sonar/p error"]["declared"] == 0.2
+    assert qualities["sonar/p error"]["used"] == pytest.approx(0.4, rel=0.06)
+
+
+def test_a_drifting_stream_makes_few_reviews() -> None:
+    """From 0.2 to 0.45 m in 200 s: a review for each 5 %, not for each second."""
+    run = life(sonar=saying(lambda at_s: min(0.2 + at_s / 800, 0.45), noise=0.1))
+    run.pass_time(400)
+    assert 3 <= len(run.perturbations(QualitiesObserved)) <= 20
+    assert run.units == {"sonar.1"}
+
+
+def test_changed_worlds_forget_outputs_that_are_gone() -> None:
+    run = life(bound=None, weight_us=1000, sonar=saying(lambda _: 0.8))
+    run.pass_time(20)
+    world = run.manager.world
+    library = tuple(replace(one, label="lidar") if one.label == "sonar" else one for one in world.environment.library)
+    run.reviewed(ReplaceWorld(replace(world, environment=replace(world.environment, library=library)), "a test"))
+    run.pass_time(20)
+    assert run.manager.snapshot().qualities == ()
