@@ -125,16 +125,17 @@ class Estimate:
 
 
 Estimates = Mapping[Statement, Estimate]
-Samples = Mapping[tuple[Stream, str], Sample]
-"""By stream and attribute."""
+Said = tuple[Stream, str]
+"""A stream, and the quality attribute that it says of itself."""
+Samples = Mapping[Said, Sample]
 
 
 @dataclass(frozen=True, slots=True)
 class Lesson:
-    """What samples have taught: the estimates, and whether a stream was other than predicted for sure."""
+    """What samples have taught: the estimates, and what was other than predicted for sure."""
 
     estimates: Estimates
-    is_news: bool = False
+    news: frozenset[Said] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,20 +163,20 @@ def learned(
     estimates: Estimates,
     at_s: float,
     *,
-    fresh: frozenset[tuple[Stream, str]] = frozenset(),
+    fresh: frozenset[Said] = frozenset(),
 ) -> Lesson:
     """What the samples of running units teach, in an environment with stated qualities.
 
     A stream teaches if it is other than predicted for sure, or if it is `fresh`: then it also confirms.
     """
-    found, is_news = _Parts(environment, samples, dict(estimates), at_s), False
+    found, news = _Parts(environment, samples, dict(estimates), at_s), set[Said]()
     for unit in _feeders_first(environment):
         for port in environment.transformation[unit.transformation].outputs:
             for stated in port.quality:
                 said = Stream(unit.id, port.name), stated.attribute
-                if said in samples:
-                    is_news |= found.learn(unit, said[0], stated, is_fresh=said in fresh)
-    return Lesson(MappingProxyType(found.estimates), is_news)
+                if said in samples and found.learn(unit, said[0], stated, is_fresh=said in fresh):
+                    news.add(said)
+    return Lesson(MappingProxyType(found.estimates), frozenset(news))
 
 
 def told(

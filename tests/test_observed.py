@@ -281,7 +281,7 @@ def test_where_all_streams_speak_the_truth_is_found_and_predicted(
         said[f"s{number}"] = truth
     estimates = learned(environment, says(**said), {}, 0.0).estimates
     seen = told(environment, estimates, {}, 0.0)
-    assert not learned(environment, says(**said), estimates, 1.0).is_news
+    assert not learned(environment, says(**said), estimates, 1.0).news
     known = environment.with_qualities(seen)
     value = known.transformation["s0"].output["out"].quality[0].value / MICRO
     for before, after in pairwise(said):

@@ -552,7 +552,13 @@ def what_runs(transformation: Transformation) -> tuple[object, ...]:
     """What is equal if units of two transformations run alike: the fields that running uses, and the ports."""
     ports = [(port.name, *_running(InputPart, port)) for port in transformation.inputs]
     ports += [(port.name, *_running(OutputPart, port)) for port in transformation.outputs]
-    return *_running(TransformationPart, transformation), *ports, len(transformation.inputs)
+    observed = [
+        (port.name, stated.attribute, *_running(ContributionPart, stated))
+        for port in transformation.outputs
+        for stated in port.quality
+        if stated.observe is not None
+    ]
+    return *_running(TransformationPart, transformation), *ports, *observed, len(transformation.inputs)
 
 
 def _running(part: type[Part], value: object) -> Iterator[object]:

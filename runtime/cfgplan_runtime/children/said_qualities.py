@@ -8,7 +8,7 @@ from math import isfinite
 
 from cfgplan_runtime.children.messages import Qualities, Quality
 
-_NOTHING = Quality(0, 0.0, 0.0)
+_NONE_SAID = Quality(0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +62,7 @@ class SaidQualities:
             number = None
         if number is None or not isfinite(number):
             return f"does not say its {attribute}: {said!r:.60} is no finite number"
-        self._sums[port, attribute] = _after(self._sums.get((port, attribute), _NOTHING), number)
+        self._sums[port, attribute] = _after(self._sums.get((port, attribute), _NONE_SAID), number)
         return ""
 
     def taken(self) -> Qualities:

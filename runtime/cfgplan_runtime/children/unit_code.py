@@ -15,10 +15,10 @@ import inspect
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from types import GeneratorType, MappingProxyType, ModuleType
+from types import GeneratorType, ModuleType
 from typing import Any
 
 from cfgplan_runtime.errors import BadSourceError, WrongPortsError
@@ -53,7 +53,7 @@ class Given:
     port: str
     value: object
     time_ns: int | None = None
-    quality: Mapping[str, float] = MappingProxyType({})
+    quality: Mapping[str, float] = field(default_factory=dict)
 
 
 class UnitCode:

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final
 
 from cfgplan.domain import Stream
-from cfgplan.observed import Estimates, Figures, Window
+from cfgplan.observed import Estimates, Figures, Lesson, Said, Window
 from cfgplan.qualities import MICRO
 from cfgplan_runtime.supervision.events import UnitStatus
 
-Said = tuple[Stream, str]
-"""A stream, and the attribute that it says."""
 _MOST_SAID: Final = 1e12
 """In units of an attribute; larger numbers are cut, since sums of their squares have no end."""
 
@@ -44,6 +42,12 @@ class SeenQualities:
                 figures = Figures(quality.elements, mean, min(quality.squares, _MOST_SAID**2) * MICRO**2)
                 windows[key] = windows.get(key, Window(at_s, at_s)).after(figures, at_s)
         return replace(self, windows=windows, is_new=True)
+
+    def after_lesson(self, lesson: Lesson, fresh: Collection[Said], at_s: float) -> SeenQualities:
+        """Keep what was learned. What was news begins anew, so that its mean is soon of what is so now."""
+        windows = {said: window for said, window in self.windows.items() if said not in lesson.news}
+        taught_s = {**self.taught_s, **dict.fromkeys(fresh, at_s)}
+        return replace(self, windows=windows, taught_s=taught_s, is_new=False, estimates=lesson.estimates)
 
     def after_update(self) -> SeenQualities:
         """Begin anew: units have other inputs now. What was learned stays."""

@@ -27,13 +27,12 @@ def qualities_learned(turn: Turn) -> Turn:
         if window.is_full and at_s - seen.taught_s.get(said, -TEACHES_S) >= TEACHES_S
     )
     lesson = learned(running, samples, seen.estimates, at_s, fresh=fresh)
-    taught_s = {**seen.taught_s, **dict.fromkeys(fresh, at_s)}
-    turn = turn.to(replace(state, seen=replace(seen, is_new=False, taught_s=taught_s, estimates=lesson.estimates)))
+    turn = turn.to(replace(state, seen=seen.after_lesson(lesson, fresh, at_s)))
     before, now = situation.qualities, told(world, lesson.estimates, situation.qualities, at_s)
     if now == before:
         return turn
     turn = turn.situated(replace(situation, qualities=now))
-    if not lesson.is_news:
+    if not lesson.news:
         return turn
     said_now = world.with_qualities(now).qualities_now
     changed = sorted(one for one in now.keys() | before.keys() if now.get(one) != before.get(one))

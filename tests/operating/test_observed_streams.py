@@ -1,0 +1,98 @@
+"""Units that say how good their elements are: a run replaces one that is too bad now, and `solve` agrees with it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from pathlib import Path
+
+import pytest
+from operated_world import await_event, command, eventually, running
+
+UNITS = """\
+from pathlib import Path
+from cfgplan_runtime import WithQuality
+
+def sonar(folder):
+    water = Path(folder) / "water"
+    while True:
+        error = float(water.read_text() or 0.2)
+        yield {"x": 1.0, "how": {"error": error}}
+
+def camera():
+    while True:
+        yield WithQuality(2.0, {"error": 0.31})
+
+def clumsy():
+    while True:
+        yield {"x": 1.0, "how": {}}
+"""
+ENVIRONMENT = """\
+format: cfgplan/1
+horizon: 600
+qualities:
+  - {{name: error, better: lower, unit: m}}
+transformations:
+  - label: sonar
+    source: units.py:sonar
+    params: {{folder: "{folder}"}}
+    run: {{rate: 50}}
+    labor: 0.1
+    upkeep: 0.001
+    outputs: {{p: {{tag: Position, quality: {{error: {{set: 0.2, observe: how.error}}}}}}}}
+  - label: camera
+    source: units.py:camera
+    run: {{rate: 50}}
+    labor: 0.1
+    upkeep: 0.1
+    outputs: {{p: {{tag: Position, quality: {{error: {{set: 0.3}}}}}}}}
+targets:
+  - {{label: position, topic: /position, tag: Position, quality: {{error: {{at_most: 0.5}}}}}}
+{more}
+"""
+HOSTS = "hosts: [{name: r1}, {name: r2}]"
+
+
+def write(folder: Path, more: str = "", units: str = UNITS) -> Path:
+    (folder / "units.py").write_text(units)
+    (folder / "water").write_text("0.2")
+    path = folder / "env.yaml"
+    path.write_text(ENVIRONMENT.format(folder=folder, more=more))
+    return path
+
+
+def said(*arguments: object) -> str:
+    return subprocess.run(command(*arguments), capture_output=True, text=True, check=True).stdout
+
+
+@pytest.mark.parametrize("more", ["", HOSTS], ids=["one computer", "hosts"])
+def test_a_stream_that_says_it_is_worse_than_its_bound_is_replaced_and_solve_agrees(tmp_path: Path, more: str) -> None:
+    env, observed = write(tmp_path, more), tmp_path / "observed.json"
+    with running(env, *(["--local"] if more else [])) as process:
+        run = await_event(process, "Running")["run"]
+        of_run = ("--run", run)
+        eventually(lambda: json.loads(said("ctl", *of_run, "observed", "--json"))["qualities"])
+        (tmp_path / "water").write_text("0.8")
+        await_event(process, "Perturbed")
+        applied = await_event(process, "Reviewed", decision="applied")
+        assert [unit["transformation"] for unit in applied["change_set"]["started"]] == ["camera"]
+        assert applied["change_set"]["stopped"] == ["sonar.1"]
+        said("ctl", *of_run, "observed", "--out", observed)
+        planned = json.loads(said("ctl", *of_run, "plan", "--json"))
+    told = {one["output"]: one for one in json.loads(observed.read_text())["qualities"]}
+    assert told["sonar/p"]["declared"] == 0.2
+    assert told["sonar/p"]["planned"] > 0.5
+    solved = json.loads(said("solve", env, "--observed", observed, "--json"))
+    assert [unit["transformation"] for unit in solved["change_set"]["started"]] == ["camera"]
+    assert solved["qualities"] == planned["qualities"]
+    before = json.loads(said("solve", env, "--json"))
+    assert [unit["transformation"] for unit in before["change_set"]["started"]] == ["sonar"]
+
+
+def test_a_value_without_the_field_is_told_once_with_output_and_field(tmp_path: Path) -> None:
+    env = write(
+        tmp_path, units=UNITS.replace("def sonar(folder)", "def other(folder)").replace("clumsy()", "sonar(folder)")
+    )
+    with running(env) as process:
+        told = await_event(process, "UnitFailed")
+        assert "output p does not say its error: a value has no field 'how.error'" in json.dumps(told)
