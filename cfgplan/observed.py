@@ -63,10 +63,9 @@ class Window:
     """An exponential mean of what a stream says, in micro-units of the attribute; new values count most.
 
     `weight` and `weight2` are the sums of the values' weights and of their squares, `squares` is the weighted sum of
-    squared distances from the mean. `number` counts all values since `since_s`.
+    squared distances from the mean. `number` counts all values.
     """
 
-    since_s: float
     at_s: float
     number: int = 0
     mean: float = 0.0
@@ -96,11 +95,6 @@ class Window:
             return None
         share = self.weight2 / self.weight**2
         return Sample(self.mean, self.squares / self.weight * share * (1 + _DOUBT * share))
-
-    @property
-    def is_full(self) -> bool:
-        """Whether it reaches back as long as it remembers."""
-        return self.number >= LEAST_ELEMENTS and self.at_s - self.since_s >= MEMORY_S
 
 
 class Sample(NamedTuple):

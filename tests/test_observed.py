@@ -232,7 +232,7 @@ VALUES = st.lists(st.floats(0.01, 100), min_size=5, max_size=40)
 @given(st.lists(VALUES, min_size=1, max_size=4))
 def test_a_window_of_parts_is_that_of_the_whole(parts: list[list[float]]) -> None:
     """If all comes at one time, the mean and its variance are those of all values alike."""
-    window = Window(0.0, 0.0)
+    window = Window(0.0)
     for part in parts:
         mean = sum(part) / len(part)
         window = window.after(Figures(len(part), mean, sum((one - mean) ** 2 for one in part)), 0.0)
@@ -246,12 +246,12 @@ def test_a_window_of_parts_is_that_of_the_whole(parts: list[list[float]]) -> Non
 
 
 def test_a_window_halves_what_is_as_old_as_it_remembers() -> None:
-    window = Window(0.0, 0.0).after(Figures(10, 0.0), 0.0).after(Figures(10, 3.0), MEMORY_S)
+    window = Window(0.0).after(Figures(10, 0.0), 0.0).after(Figures(10, 3.0), MEMORY_S)
     assert window.mean == pytest.approx(2.0)
 
 
 def test_few_elements_say_nothing() -> None:
-    assert Window(0.0, 0.0).after(Figures(4, 1.0), 0.0).sample is None
+    assert Window(0.0).after(Figures(4, 1.0), 0.0).sample is None
 
 
 RULES = st.sampled_from([QualityRule.ADD, QualityRule.SCALE, QualityRule.SET, QualityRule.LIMIT])

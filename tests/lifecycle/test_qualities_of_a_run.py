@@ -8,10 +8,11 @@ from dataclasses import replace
 from random import Random
 
 import pytest
+from cfgplan_runtime import Policy
 from cfgplan_runtime.children.messages import Qualities, Quality
 from cfgplan_runtime.lifecycle.basis import plan_text
 from cfgplan_runtime.lifecycle.changes import ApplyPlan, KillUnit, ReplaceWorld
-from cfgplan_runtime.lifecycle.perturbations import HorizonReached, QualitiesObserved
+from cfgplan_runtime.lifecycle.perturbations import HorizonReached, LookDue, LookOver, QualitiesObserved
 from cfgplan_runtime.lifecycle.reports import Decision
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
 from living import Life, started
@@ -43,13 +44,20 @@ def saying(truth: Callable[[float], float], *, noise: float = 0.0, elements: int
     return Behaviour(says=says)
 
 
-def life(*, horizon_s: int = 3600, weight_us: int = 0, bound: float | None = 0.5, **behaviours: Behaviour) -> Life:
+def life(
+    *,
+    horizon_s: int = 3600,
+    weight_us: int = 0,
+    bound: float | None = 0.5,
+    policy: Policy | None = None,
+    **behaviours: Behaviour,
+) -> Life:
     """A cheap sonar and a dear camera; the target bounds the error, in metres."""
     library = sensor("sonar", 0.2, 1000), sensor("camera", 0.3, 100_000)
     wish = Wish("error", None if bound is None else round(bound * MICRO), weight_us)
     target = Target("position", "Position", "/position", quality=(wish,))
     environment = Environment(library=library, targets=(target,), qualities=(ERROR,))
-    return started(world=api.world(environment, horizon_s=horizon_s), behaviours=behaviours)
+    return started(world=api.world(environment, horizon_s=horizon_s), policy=policy, behaviours=behaviours)
 
 
 def step_at(at_s: float, before: float, after: float) -> Callable[[float], float]:
@@ -97,7 +105,8 @@ def test_what_is_learned_outlives_the_unit_and_its_replacement() -> None:
 
 def test_what_is_not_seen_for_long_is_tried_again_at_a_horizon() -> None:
     """The sonar is over the bound, and fades back below it while the camera runs; then it is found wanting again."""
-    run = life(horizon_s=120, sonar=saying(lambda _: 0.8), camera=saying(lambda _: 0.3))
+    never = Policy(look_every_s=None)
+    run = life(horizon_s=120, policy=never, sonar=saying(lambda _: 0.8), camera=saying(lambda _: 0.3))
     run.pass_time(30)
     assert run.units == {"camera.1"}
     run.pass_time(2 * FORGET_S)
@@ -157,3 +166,54 @@ def test_changed_worlds_forget_outputs_that_are_gone() -> None:
     run.reviewed(ReplaceWorld(replace(world, environment=replace(world.environment, library=library)), "a test"))
     run.pass_time(20)
     assert run.manager.snapshot().qualities == ()
+
+
+def looks_of(run: Life) -> list[LookDue]:
+    return [one for review in run.reviews for one in review.perturbations if isinstance(one, LookDue)]
+
+
+def test_a_way_that_was_too_bad_is_looked_at_beside_what_runs_and_taken_once_it_is_good_again() -> None:
+    """The sonar is murky from 20 to 400 s; the horizon is far away."""
+    truth = lambda at_s: 0.8 if 20 <= at_s < 400 else 0.2  # noqa: E731
+    run = life(sonar=saying(truth, noise=0.1), camera=saying(lambda _: 0.3, noise=0.1))
+    run.pass_time(40)
+    assert run.units == {"camera.1"}
+    run.pass_time(360)
+    assert looks_of(run)
+    assert run.units == {"camera.1"}
+    run.pass_time(600)
+    assert {unit.split(".")[0] for unit in run.units} == {"sonar"}
+
+
+def test_looks_that_teach_nothing_become_rare() -> None:
+    run = life(sonar=saying(lambda _: 0.8), camera=saying(lambda _: 0.3))
+    run.pass_time(3600)
+    assert 4 <= len(looks_of(run)) <= 8  # after 60, 120, 240, 480, 960, 960, 960 s
+    switches = [review for review in run.reviews if review.change_set and review.change_set.started]
+    assert len(switches) == 2 + len(looks_of(run))
+
+
+def test_a_look_uses_no_topic_and_its_unit_stops_when_it_is_over() -> None:
+    run = life(sonar=saying(lambda _: 0.8), camera=saying(lambda _: 0.3))
+    for _ in range(120):
+        if not looks_of(run):
+            run.pass_time(1)
+    assert looks_of(run) == [LookDue("sonar")]
+    (looked_at,) = (unit for unit in run.manager.snapshot().environment.units if unit.transformation == "sonar")
+    assert looked_at.publications == ()
+    run.pass_time(5)
+    assert run.perturbations(LookOver) == [LookOver((looked_at.id,))]
+    assert run.units == {"camera.1"}
+
+
+def test_what_would_not_be_chosen_however_good_is_not_looked_at() -> None:
+    """The camera is far dearer, and its weight small: as good as declared it would not run."""
+    run = life(bound=None, weight_us=1, sonar=saying(lambda _: 0.2), camera=saying(lambda _: 0.9))
+    run.pass_time(600)
+    assert (looks_of(run), run.units) == ([], {"sonar.1"})
+
+
+def test_without_looks_there_are_none() -> None:
+    run = life(policy=Policy(look_every_s=None), sonar=saying(lambda _: 0.8), camera=saying(lambda _: 0.3))
+    run.pass_time(900)
+    assert (looks_of(run), run.units) == ([], {"camera.1"})

@@ -19,13 +19,15 @@ from cfgplan_runtime.lifecycle.back_off import BackOffs, Place
 from cfgplan_runtime.lifecycle.basis import basis_of, staleness
 from cfgplan_runtime.lifecycle.changes import ApplyPlan, RestartUnits, Stop
 from cfgplan_runtime.lifecycle.configuration import Situation, external_units, restarting, with_world
-from cfgplan_runtime.lifecycle.deliberation import Thought
+from cfgplan_runtime.lifecycle.deliberation import Looked, Thought
 from cfgplan_runtime.lifecycle.fact_values import fact_seen, facts_fallen_silent
 from cfgplan_runtime.lifecycle.inbox import Asked, FactSeen, Item, Leave, PreviewAsked, Unusable
 from cfgplan_runtime.lifecycle.perturbations import (
     CodeChanged,
     FactsChanged,
     HorizonReached,
+    LookDue,
+    LookOver,
     MayStartAgain,
     PlanGiven,
     QualitiesObserved,
@@ -46,6 +48,7 @@ from cfgplan_runtime.lifecycle.turns import (
     Happened,
     Happening,
     JudgeGiven,
+    MakeLook,
     MakePlan,
     MakePreview,
     Matched,
@@ -71,6 +74,7 @@ _OPTIMISING = (
     FactsChanged,
     QualitiesObserved,
     HorizonReached,
+    LookOver,
     ReviewRequested,
     MayStartAgain,
 )
@@ -151,6 +155,8 @@ def _case(turn: Turn, what: Happening) -> Turn:
             return _planned(turn, what)
         case GivenJudged():
             return _given_judged(turn, what.thought)
+        case Looked():
+            return _looked(turn, what)
         case Updated():
             return _updated(turn, what)
         case Finished():
@@ -172,7 +178,7 @@ def _tick(turn: Turn, time_s: float) -> Turn:
     if state.horizon_at_s <= at_s:
         turn = qualities_faded(turn.to(replace(turn.state, cycle_began_s=inf)))
         turn = turn.perturbed(HorizonReached(state.living.world.horizon_s))
-    state = (turn := facts_fallen_silent(turn)).state
+    state = (turn := _look_ended(facts_fallen_silent(turn))).state
     if state.doing is None and state.due_s <= at_s:
         turn = turn.to(replace(state, doing=Gathering(at_s + state.policy.gather_s)))
     match turn.state.doing:
@@ -182,7 +188,42 @@ def _tick(turn: Turn, time_s: float) -> Turn:
             return _seen_to(turn, time_s)
         case None if state.observe_at_s <= at_s:
             return turn.also(Observe())
+        case None if state.look_at_s <= at_s and not state.entries:
+            return _look_begun(turn, time_s)
     return turn
+
+
+def _look_begun(turn: Turn, time_s: float) -> Turn:
+    """Have a look planned at what was found too bad and was not seen for long."""
+    state, at_s = turn.state, turn.at_s
+    planning = Planning(state.number + 1, at_s, time_s, 0.0, state.living.world, plans=1)
+    looks = state.looks.begun(at_s, state.policy.look_every_s or 0.0)
+    unmet = state.reviews[-1].unmet if state.reviews else {}
+    turn = _units_known(turn.to(replace(state, doing=planning, looks=looks)))
+    return turn.also(MakeLook(turn.state.scene, state.worse, unmet))
+
+
+def _looked(turn: Turn, looked: Looked) -> Turn:
+    """Start what is to be looked at, unless nothing is."""
+    state, planning = turn.state, turn.state.doing
+    assert isinstance(planning, Planning)
+    if looked.thought is None or state.is_closing or state.stops:
+        return turn.to(replace(state, doing=None))
+    planning = replace(planning, entries=(Entry(LookDue(looked.label), turn.at_s, turn.at_s),))
+    looks = state.looks.at(looked.label, state.situation.qualities)
+    turn = turn.to(replace(state, number=planning.number, doing=planning, looks=looks))
+    turn = turn.also(Tell(ReviewBegan(planning.number, (LookDue(looked.label),))))
+    return _carried_out(turn, planning, looked.thought)
+
+
+def _look_ended(turn: Turn) -> Turn:
+    """A look is over: a review decides whether its units stay."""
+    state, looks = turn.state, turn.state.looks
+    if looks.until_s > turn.at_s:
+        return turn
+    every_s = state.policy.look_every_s or 0.0
+    over = looks.over(state.living.world.environment, state.situation.qualities, every_s)
+    return turn.to(replace(state, looks=over)).perturbed(LookOver(looks.units))
 
 
 def _begun(turn: Turn, time_s: float) -> Turn:
@@ -306,7 +347,12 @@ def _updated(turn: Turn, updated: Updated) -> Turn:
         turn, failed = _failed(turn, updating, updated.error)
         return _reviewed(turn, updating.planning, thought, failed)
     turn = turn.situated(turn.state.situation.without(*updating.change_set.stopped))
-    turn = turn.to(replace(turn.state, seen=turn.state.seen.after_update()))
+    started = updating.change_set.started
+    looks = turn.state.looks
+    if _is_look(updating.planning):
+        looks = looks.running(tuple(unit.id for unit in started), turn.at_s)
+    seen = turn.state.seen.after_update(unit.id for unit in started)
+    turn = turn.to(replace(turn.state, seen=seen, looks=looks))
     turn = _reviewed(turn, updating.planning, thought, None)
     for gone, lived_s in updating.gone:
         turn = intake.died(turn, gone, lived_s)
@@ -365,7 +411,8 @@ def _reviewed(turn: Turn, planning: Planning, thought: Thought, failed: UpdateFa
     review = _record(turn.state, planning, thought, failed)
     turn = _followed_up(turn, planning, failed)
     state, at_s = turn.state, turn.at_s
-    optimised = failed is None and (planning.optimises or review.decision is Decision.APPLIED)
+    is_look = _is_look(planning)
+    optimised = failed is None and not is_look and (planning.optimises or review.decision is Decision.APPLIED)
     turn = turn.to(
         replace(
             state,
@@ -379,6 +426,10 @@ def _reviewed(turn: Turn, planning: Planning, thought: Thought, failed: UpdateFa
     )
     outcomes = [outcome for entry in planning.entries for outcome in entry.outcomes]
     return turn.also(Tell(Reviewed(review)), *(Respond(outcome, review) for outcome in outcomes))
+
+
+def _is_look(planning: Planning) -> bool:
+    return any(isinstance(entry.perturbation, LookDue) for entry in planning.entries)
 
 
 def _record(state: State, planning: Planning, thought: Thought, failed: UpdateFailed | None) -> Review:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Set
+from collections.abc import Callable, Iterable, Iterator, Mapping, Set
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from operator import is_
@@ -67,6 +67,14 @@ class Thought:
     """The planner's answer, with the problem that it solves; None if the planner gave none."""
     error: Exception | None = field(default=None, compare=False)
     """An exception of the planner or of the judge."""
+
+
+@dataclass(frozen=True)
+class Looked:
+    """What starts so that a transformation can be looked at; None if none would be chosen, however good it is."""
+
+    label: str = ""
+    thought: Thought | None = None
 
 
 @dataclass(frozen=True)
@@ -149,6 +157,35 @@ class Deliberation:
         return replace(
             judged, decision=Decision.APPLIED, met=tuple(asked[0].problem.environment.target), unmet=given_up
         )
+
+    def look(self, scene: Scene, labels: Iterable[str], unmet: Mapping[str, str], *, stop: threading.Event) -> Looked:
+        """What to start to look at the first of some transformations that would be chosen if it were as declared.
+
+        The new units feed no topic. `unmet` has the targets that are not met as it is, with the reasons.
+        """
+        self._stop = stop
+        for label in labels:
+            known = {one: seen for one, seen in scene.situation.qualities.items() if one.transformation != label}
+            environment = scene.world.environment.with_qualities(known)
+            hopeful = self._think(replace(scene, world=replace(scene.world, environment=environment)), optimises=True)
+            new = () if hopeful.change_set is None else hopeful.change_set.started
+            started = tuple(replace(unit, publications=()) for unit in new if not unit.standby)
+            if hopeful.decision is Decision.APPLIED and any(unit.transformation == label for unit in started):
+                thought = self._run_for_nobody(scene, ChangeSet(started=started))
+                if thought is not None:
+                    return Looked(label, replace(thought, unmet=unmet))
+        return Looked()
+
+    def _run_for_nobody(self, scene: Scene, change_set: ChangeSet) -> Thought | None:
+        """Starting units that no target needs, if that breaks no other rule."""
+        thought, new = self._begun(scene), {unit.id for unit in change_set.started}
+        given = _given(self.problem(thought.planned, scene.world), change_set)
+        broken = validity.plan_violations(given.problem, given.plan)
+        if any(violation.rule is not Rule.LEAN or violation.unit not in new for violation in broken):
+            return None
+        met = tuple(given.problem.environment.target)
+        decision = Decision.APPLIED
+        return replace(thought, change_set=change_set, cost_us=given.plan.cost_us, decision=decision, met=met)
 
     def prepare(self, scene: Scene, *, stop: threading.Event) -> None:
         """Plan for the running units, so that a planner with a memory is ready for repairs."""

@@ -289,6 +289,9 @@ class Manager:
                 self._preview(effect)
             case turns.JudgeGiven(scene, change_set):
                 self._decide(turns.GivenJudged(self._deliberation.judged(scene, change_set)))
+            case turns.MakeLook(scene, labels, unmet):
+                self._interrupt.clear()
+                self._decide(self._deliberation.look(scene, labels, unmet, stop=self._interrupt))
             case turns.ApplyUpdate():
                 self._apply(effect)
             case turns.Prepare(scene):

@@ -114,6 +114,18 @@ class QualitiesObserved(Perturbation, frozen=True):
     outputs: tuple[str, ...]
 
 
+class LookDue(Perturbation, frozen=True):
+    """Nobody knows how good a transformation is by now that was found too bad: it runs for a moment, for nobody."""
+
+    transformation: str
+
+
+class LookOver(Perturbation, frozen=True):
+    """Units have run to be looked at; what they were found to be decides whether they stay."""
+
+    units: tuple[str, ...]
+
+
 class CodeChanged(Perturbation, frozen=True):
     """The code of units has changed: that of those `left_out` can't be started, that of those `back` may be again."""
 

@@ -20,7 +20,8 @@ class Policy:
     `postpone_s` later. A review that failed is repeated after `retry_s`, then twice that, up to `most_retry_s`.
     With `hosts_s`, hosts are there once they have joined, and the first review waits so long until it is told of each
     whether it is there; None: they are there until they are lost. With `refuses_hosts`, a world with hosts is bad:
-    what runs units can't place them.
+    what runs units can't place them. A way that streams have said to be too bad is looked at again after
+    `look_every_s`, and later each time that it teaches nothing; None: never.
     """
 
     time_limit_s: float | None = 10.0
@@ -39,4 +40,5 @@ class Policy:
     reviews_kept: int = 100
     hosts_s: float | None = None
     refuses_hosts: bool = False
+    look_every_s: float | None = 60.0
     back_off: BackOffRules = field(default_factory=BackOffRules)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -40,7 +40,7 @@ class SeenQualities:
                 key = (Stream(status.unit, port), attribute)
                 mean = min(max(quality.mean, -_MOST_SAID), _MOST_SAID) * MICRO
                 figures = Figures(quality.elements, mean, min(quality.squares, _MOST_SAID**2) * MICRO**2)
-                windows[key] = windows.get(key, Window(at_s, at_s)).after(figures, at_s)
+                windows[key] = windows.get(key, Window(at_s)).after(figures, at_s)
         return replace(self, windows=windows, is_new=True)
 
     def after_lesson(self, lesson: Lesson, fresh: Collection[Said], at_s: float) -> SeenQualities:
@@ -49,9 +49,9 @@ class SeenQualities:
         taught_s = {**self.taught_s, **dict.fromkeys(fresh, at_s)}
         return replace(self, windows=windows, taught_s=taught_s, is_new=False, estimates=lesson.estimates)
 
-    def after_update(self) -> SeenQualities:
-        """Begin anew: units have other inputs now. What was learned stays."""
-        return SeenQualities(estimates=self.estimates)
+    def after_update(self, started: Iterable[str]) -> SeenQualities:
+        """Begin anew: units have other inputs now. What was learned stays. The first word of new units counts."""
+        return SeenQualities(heard=frozenset(started), estimates=self.estimates)
 
     def without(self, unit: str) -> SeenQualities:
         """Forget what the outputs of a unit said that has ended."""

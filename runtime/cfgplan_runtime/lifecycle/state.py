@@ -16,6 +16,7 @@ from cfgplan_runtime.lifecycle.basis import Preview
 from cfgplan_runtime.lifecycle.configuration import Scene, Situation
 from cfgplan_runtime.lifecycle.deliberation import Thought
 from cfgplan_runtime.lifecycle.inbox import Asked, Outcome
+from cfgplan_runtime.lifecycle.looks import Looks, worse_seen_s
 from cfgplan_runtime.lifecycle.perturbations import Perturbation, SubscriptionLost, UnitGone, UpdateFailed
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Phase, Review
@@ -116,6 +117,7 @@ class State:
     heard: Mapping[str, Heard] = field(default_factory=dict)
     """By fact of the world that a stream observes: what came last."""
     seen: SeenQualities = field(default_factory=SeenQualities)
+    looks: Looks = field(default_factory=Looks)
     faults: tuple[Fault, ...] = ()
     """Why the last state of the world's file can't be used."""
     stops: tuple[Outcome, ...] = ()
@@ -176,6 +178,22 @@ class State:
         }
 
     @property
+    def worse(self) -> tuple[str, ...]:
+        """The transformations that are known to be worse than declared, longest unseen first."""
+        qualities = self.situation.qualities
+        found = worse_seen_s(self.living.world.environment, qualities, self.seen.estimates) if qualities else {}
+        return tuple(sorted(found, key=lambda label: (found[label], label)))
+
+    @property
+    def look_at_s(self) -> float:
+        """When the next look is due; inf if there is nothing to look at."""
+        every_s, qualities = self.policy.look_every_s, self.situation.qualities
+        if every_s is None or self.looks.units or not qualities:
+            return inf
+        last_s = worse_seen_s(self.living.world.environment, qualities, self.seen.estimates).values()
+        return max(min(last_s) + every_s, self.looks.not_before_s) if last_s else inf
+
+    @property
     def wake_s(self) -> float:
         """When the manager is to act even if nothing comes in."""
         if isinstance(self.doing, Gathering):
@@ -183,7 +201,13 @@ class State:
         if self.has_plans_to_see_to:
             return min(self.due_s, 0.0)
         return min(
-            self.due_s, self.situation.back_offs.next_end_s, self.horizon_at_s, self.observe_at_s, self.silence_at_s
+            self.due_s,
+            self.situation.back_offs.next_end_s,
+            self.horizon_at_s,
+            self.observe_at_s,
+            self.silence_at_s,
+            self.looks.until_s,
+            self.look_at_s,
         )
 
     @property

@@ -21,11 +21,7 @@ def qualities_learned(turn: Turn) -> Turn:
     world = state.living.world.environment.with_facts(situation.facts)
     running = replace(world, units=tuple(unit for unit in state.running.units if not unit.standby), targets=())
     samples = {said: sample for said, window in seen.windows.items() if (sample := window.sample) is not None}
-    fresh = frozenset(
-        said
-        for said, window in seen.windows.items()
-        if window.is_full and at_s - seen.taught_s.get(said, -TEACHES_S) >= TEACHES_S
-    )
+    fresh = frozenset(said for said in samples if at_s - seen.taught_s.get(said, -TEACHES_S) >= TEACHES_S)
     lesson = learned(running, samples, seen.estimates, at_s, fresh=fresh)
     turn = turn.to(replace(state, seen=seen.after_lesson(lesson, fresh, at_s)))
     before, now = situation.qualities, told(world, lesson.estimates, situation.qualities, at_s)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
@@ -15,7 +15,7 @@ from cfgplan_runtime.lifecycle.back_off import Place
 from cfgplan_runtime.lifecycle.basis import Preview
 from cfgplan_runtime.lifecycle.changes import WorldChange
 from cfgplan_runtime.lifecycle.configuration import Scene, Situation
-from cfgplan_runtime.lifecycle.deliberation import Thought
+from cfgplan_runtime.lifecycle.deliberation import Looked, Thought
 from cfgplan_runtime.lifecycle.inbox import Asked, Item, Outcome
 from cfgplan_runtime.lifecycle.perturbations import Perturbation, Started
 from cfgplan_runtime.lifecycle.reports import BackedOff, Perturbed, Report, Review
@@ -79,7 +79,7 @@ class Finished:
     cause: str = ""
 
 
-Happening: TypeAlias = Item | Started | Tick | Matched | Seen | Planned | GivenJudged | Updated | Finished
+Happening: TypeAlias = Item | Started | Tick | Matched | Seen | Planned | GivenJudged | Looked | Updated | Finished
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,6 +155,14 @@ class JudgeGiven(Effect, frozen=True):
 
     scene: Scene
     change_set: ChangeSet
+
+
+class MakeLook(Effect, frozen=True):
+    """Plan as if one of these transformations were as good as declared, to run it for a moment: Looked follows."""
+
+    scene: Scene
+    labels: tuple[str, ...]
+    unmet: Mapping[str, str]
 
 
 class ApplyUpdate(Effect, frozen=True):

@@ -182,6 +182,10 @@ def _cause(perturbation: kinds.Perturbation) -> str:
             return "facts have changed"
         case kinds.QualitiesObserved():
             return "streams are better or worse than was known"
+        case kinds.LookDue(transformation):
+            return f"a look at {transformation}"
+        case kinds.LookOver(units):
+            return f"{named(units)} {'was' if len(units) == 1 else 'were'} looked at"
         case kinds.HorizonReached():
             return "horizon reached"
         case kinds.UpdateFailed():

@@ -1,0 +1,68 @@
+"""Looks: a way that was found too bad runs for a moment beside what runs, for nobody knows how good it is by now.
+
+Nobody observes a transformation that does not run. So one that streams have said to be worse than declared runs for
+LOOK_S seconds, its streams used by nobody, if it would be chosen were it as good as declared. A look that teaches
+nothing new makes the next one later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from math import inf
+from typing import Final
+
+from cfgplan.domain import Environment, Statement
+from cfgplan.observed import Estimates
+
+LOOK_S: Final = 3.0
+LONGEST_GAP_S: Final = 960.0
+NEW: Final = 0.2
+"""A look teaches something if what it finds differs by this share from what was known."""
+
+
+@dataclass(frozen=True, slots=True)
+class Looks:
+    """When the next look is due, and the one under way."""
+
+    not_before_s: float = 0.0
+    gap_s: float = 0.0
+    """From the last look to the next; 0 before the first."""
+    units: tuple[str, ...] = ()
+    """Units that run to be looked at."""
+    until_s: float = inf
+    known: Mapping[Statement, int] = field(default_factory=dict)
+    """What was known before of what is looked at, in micro-units."""
+
+    def begun(self, at_s: float, least_gap_s: float) -> Looks:
+        """A look is being planned: the next one is not before twice the gap is over."""
+        gap_s = min(max(2 * self.gap_s, least_gap_s), LONGEST_GAP_S)
+        return Looks(at_s + gap_s, gap_s)
+
+    def at(self, label: str, qualities: Mapping[Statement, int]) -> Looks:
+        """The look is at this transformation."""
+        return replace(self, known={one: seen for one, seen in qualities.items() if one.transformation == label})
+
+    def running(self, units: tuple[str, ...], at_s: float) -> Looks:
+        """The units of a look run from now on."""
+        return replace(self, units=units, until_s=at_s + LOOK_S)
+
+    def over(self, world: Environment, qualities: Mapping[Statement, int], least_gap_s: float) -> Looks:
+        """The look is over: if it has taught something, the next one is due sooner."""
+        has_taught = any(
+            abs(qualities.get(one, 0) - seen) > NEW * abs(stated.stated + seen)
+            for one, seen in self.known.items()
+            if (stated := world.stated(one)) is not None
+        )
+        gap_s = max(self.gap_s / 4, least_gap_s) if has_taught else self.gap_s
+        return Looks(self.not_before_s - self.gap_s + gap_s, gap_s)
+
+
+def worse_seen_s(world: Environment, qualities: Mapping[Statement, int], estimates: Estimates) -> dict[str, float]:
+    """By transformation that is known to be worse than declared: when it was observed last."""
+    found: dict[str, float] = {}
+    for statement, seen in qualities.items():
+        attribute, known = world.quality.get(statement.attribute), estimates.get(statement)
+        if attribute is not None and known is not None and attribute.sign * seen > 0:
+            found[statement.transformation] = max(known.seen_s, found.get(statement.transformation, -inf))
+    return found
