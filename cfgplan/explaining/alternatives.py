@@ -1,4 +1,4 @@
-"""What else: the cheapest configurations that differ in what runs, in order, exactly."""
+"""Alternatives: the cheapest configurations that run different transformations, in exact order of cost."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ def _alternatives_summary(found: Alternatives) -> Summary:
 @summarised(_alternatives_summary)
 @dataclass(frozen=True)
 class Alternatives:
-    """The best `plans` of a problem, no two of which run the same set of transformations, in the order of optimality.
+    """The best `plans` of a problem, each with a different set of running transformations, in the order of optimality.
 
-    The first is the optimal one; each of the others is the best of all that run the same transformations. `complete`:
-    the list was not cut short by the clock, by an open pair of tags, or by a configuration in which nobody could decide
-    whether something required serves a target or only a unit that runs anyway. `has_more`: there are further
-    configurations.
+    The first is the optimal one; each of the others is the best of all that run the same transformations. `complete` is
+    False if the list was cut short by the clock, by an open pair of tags, or by a configuration for which it is
+    undecided whether something required serves a target or only a unit that runs anyway. `has_more` if further
+    configurations exist.
     """
 
     plans: tuple[Plan, ...]
@@ -56,13 +56,12 @@ class Alternatives:
 
 
 def alternatives(problem: Problem, planner: Planner, count: int, *, time_limit_s: float | None = None) -> Alternatives:
-    """The `count` best valid configurations within the largest cost that differ in the transformations that run.
+    """Return the `count` best valid configurations within the largest cost that differ in the transformations that run.
 
-    Nothing is started that no target needs, pinned or not.
-
-    Lawler's procedure: what is left of a set of configurations without its best one is cut into parts, by what must
-    and must not run, and the part that can hold the cheapest is looked at next. None if there is no plan; the plan
-    alone if it is not proven optimal, ties included.
+    A unit is started only if a target needs it, pinned or not. This is Lawler's procedure: a set of configurations
+    without its best one is divided into parts by what must and must not run; the part that may hold the cheapest is
+    searched next. The result is empty if no plan exists, and holds only the plan if that is not proven optimal, ties
+    included.
     """
     refuse_order(problem, "alternatives")
     if Feature.SURVIVAL in problem.features:
@@ -172,7 +171,9 @@ class _Ranking:
         return plan if self._kept <= kept else None
 
     def _best_that_runs(self, runs: Labels) -> Plan | None:
-        """The best plan in which just these run, besides what runs anyway; None if it is not decided which that is."""
+        """Return the best plan that runs just `runs` and what runs anyway; None if undecided, or if no such plan
+        exists.
+        """
         if runs == self._runs(self._best):
             return self._best
         plan = self._best_by_use(runs)

@@ -78,11 +78,11 @@ def best_effort(
 
 
 class _Search:
-    """Depth first over sets of targets, the most important targets first.
+    """Depth-first search over sets of targets, the most important targets first.
 
-    More targets never make a problem possible or cheaper, as long as nothing is required: what is left of a plan
-    without the units that only the further targets need is a plan for fewer. A required transformation can turn
-    that around (a further target may use it more cheaply), so that subtrees are cut by the problem without them.
+    Without required transformations, adding targets never makes a problem possible or cheaper: a plan for more targets,
+    stripped of the units that only these need, is a plan for fewer. A required transformation can reverse that (a
+    further target may use it more cheaply), so subtrees are cut by the problem without required transformations.
     """
 
     def __init__(self, problem: Problem, targets: Sequence[Target], planner: Planner) -> None:

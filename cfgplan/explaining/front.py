@@ -1,4 +1,4 @@
-"""What better quality costs: the cheapest configuration for each quality that a target's stream can have."""
+"""The price of better quality: the cheapest configuration for each quality that a target's stream can have."""
 
 from __future__ import annotations
 

@@ -31,10 +31,10 @@ class CostLine:
 
 @dataclass(frozen=True)
 class Span:
-    """Values of the parameter from `begin` to `end` for which `plan` is optimal; its cost is `line`.
+    """An interval of the parameter, from `begin` to `end`, for which `plan` is optimal at the cost `line`.
 
-    Without an `end` it goes on for ever. At a break point that is a whole number the plans of both spans are
-    optimal. `runs` are the transformations that have units.
+    It is unbounded if `end` is None. At a break point that is a whole number the plans of both spans are optimal.
+    `runs` are the transformations that have units.
     """
 
     begin: Fraction
@@ -171,7 +171,7 @@ class _Envelope:
         self._best: dict[int, CostLine | None] = {}
 
     def lines(self, last: int) -> list[CostLine]:
-        """The optimal lines from 0 to `last`, in order; none if there is no plan."""
+        """Return the optimal lines from 0 to `last`, in order; empty if no plan exists."""
         found: list[CostLine] = []
         ahead = [(0, last)]
         while ahead:

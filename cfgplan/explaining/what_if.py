@@ -1,4 +1,4 @@
-"""What if: environments and problems without some of what they have, or that ask for something else."""
+"""Hypothetical problems: without some of their parts, or with other demands."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LARGEST_PRIORITY = 1_000_000_000
 
 @dataclass(frozen=True)
 class Supposed:
-    """An environment, a horizon in seconds and a largest cost in microseconds, as somebody supposes them to be."""
+    """A hypothetical environment, horizon in seconds and largest cost in microseconds."""
 
     environment: Environment
     horizon_s: int

@@ -45,13 +45,13 @@ class DemandSet:
 
 @dataclass(frozen=True)
 class Clash:
-    """A minimal reason why there is no plan although each target can be reached: demands that can't be met together.
+    """A minimal set of demands that can't be met together, although each target alone can be reached.
 
-    They alone still fail: of the other targets, required and pinned transformations nothing is asked. Without any
-    one of them there is a plan; if there are no demands, no configuration is valid at all. If the cheapest plan for
-    them is known, it costs `cost_us`, more than `max_cost_us`; otherwise no valid configuration meets them at any cost.
-    The same holds of the `limits` that are in the way: with all others lifted there still is no plan, and then without
-    any one of them there is. There are none if limits are not why.
+    They fail alone, with no other target, required or pinned transformation demanded; without any one of them a plan
+    exists. If `demands` is empty, no configuration is valid at all. If the cheapest plan for them is known, it costs
+    `cost_us`, more than `max_cost_us`; otherwise no valid configuration meets them at any cost. The `limits` that
+    prevent a plan are minimal in the same way: no plan exists with all others lifted, but one does if any one of them
+    is lifted too. `limits` is empty if they are not the reason.
     """
 
     demands: DemandSet
@@ -135,7 +135,7 @@ class WhyNot:
 
 
 def why_not(problem: Problem, planner: Planner, nearest: NearestOffers | None = None) -> WhyNot:
-    """Why there is no plan; for a plan that there is, why it leaves required transformations unused."""
+    """Return why no plan exists; if one exists, why it leaves required transformations unused."""
     plan = planner(problem)
     out_of_reach = unreachable(problem, nearest)
     lost = {reason.target for reason in out_of_reach}

@@ -1,4 +1,4 @@
-"""Why a plan uses what it uses: what that serves, and what it would cost to do without."""
+"""Why a plan uses a unit, a transformation or an output: the targets that it serves, and the cost of removing it."""
 
 from __future__ import annotations
 
@@ -51,13 +51,13 @@ def _why_summary(why: Why) -> Summary:
 @summarised(_why_summary)
 @dataclass(frozen=True)
 class Why:
-    """Why a plan uses `subject`, or why not: a unit, the units of a transformation, or an output of them.
+    """Why a plan uses `subject`, or why not: a unit, the units of a transformation, or one of their outputs.
 
-    `units` are those concerned that run after the update; if there are none, it is not used. They serve `targets`
-    and feed `consumers` (as unit/port). `otherwise` is the next best plan: without the subject, or with it if it
-    is not used. It costs `difference_us` more, whatever the largest cost is; then it runs the transformations
-    `more`, and not those in `less`. Of what is minimised, `decides` is the first in which it differs, by `difference`
-    more; it is the cost if it differs in nothing. If `is_spare`, the units are there for when something fails.
+    `units` are the units concerned that run after the update; empty if the subject is not used. They serve `targets`
+    and feed `consumers` (as unit/port). `otherwise` is the next best plan: without the subject, or with it if it is not
+    used. It costs `difference_us` more, whatever the largest cost is, and then runs the transformations `more` but not
+    those in `less`. `decides` is the first objective in which it differs, by `difference` more; the cost if it differs
+    in none. If `is_spare`, the units are spares, ready for a failure.
     """
 
     subject: str
@@ -155,7 +155,7 @@ def _why(
 
 
 def _feeding_what_stays(problem: Problem, planner: Planner, label: str) -> Plan | None:
-    """The best plan in which a transformation serves what runs anyway, such as pinned units, if there is one."""
+    """Return the best plan in which `label` serves units that run anyway, such as pinned ones; None if no plan does."""
     if Feature.SURVIVAL in problem.features:
         return None
     kept = Kept(problem)

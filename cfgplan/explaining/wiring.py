@@ -1,8 +1,8 @@
-"""Faults in the wiring of the running configuration, the probable fault first.
+"""Faults in the wiring of the running configuration, the most probable fault first.
 
-Broken rules are the judge's. To them come inputs that may stay unfed but look as if they should not, and streams that
-nobody takes. Beside an input stand the streams that come near to what it needs: a wrong name somewhere makes a pair of
-them, an input that nobody feeds and a stream of its kind that nobody takes.
+The judge reports broken rules. This module adds optional inputs that probably should be fed, and streams that no unit
+subscribes to. Each input is listed with the streams most similar to its demand: one misspelt topic name leaves both
+an input without a stream and a similar stream without a subscriber.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class NearStream:
 
 @dataclass(frozen=True, slots=True)
 class WiringFault:
-    """Something that is wrong, or odd, with the wiring; odd is what breaks no rule: then there is no violation."""
+    """A wrong or an odd wiring; an odd one breaks no rule, and its `violation` is None."""
 
     suspicion: Suspicion
     text: str

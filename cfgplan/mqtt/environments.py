@@ -1,4 +1,4 @@
-"""From what came from a broker to an environment: its file and its ontology's, and what can't be taken over."""
+"""Make an environment, with its ontology, from the traffic of a broker, and list the topics that were left out."""
 
 from __future__ import annotations
 
@@ -28,7 +28,10 @@ _PATIENCE: Final = 5
 
 @dataclass(frozen=True, slots=True)
 class MqttSource:
-    """A source of the file: a topic, or a field of its messages, what is known of it, and its tag."""
+    """A source of the file: a topic or a field of its messages, the entity that describes it, and its tag.
+
+    `is_silent` if no message came on the topic.
+    """
 
     label: str
     topic: HeardTopic
@@ -40,7 +43,7 @@ class MqttSource:
 
 @dataclass(frozen=True)
 class MqttImported:
-    """The environment of a broker, its ontology (Turtle), and what was not taken over, or is worth a look."""
+    """The environment of a broker, its ontology in Turtle, notes on topics left out, and hints worth a look."""
 
     traffic: Traffic
     sources: tuple[MqttSource, ...]
@@ -76,10 +79,10 @@ class MqttImported:
 
 
 def mqtt_imported(traffic: Traffic, params: Mapping[str, Any]) -> MqttImported:
-    """The environment of sources for all that came; each has these parameters of a connection too.
-    Raises InputError if there is no source at all.
+    """Make an environment with a source for each topic heard; `params` go to the connection of every source.
 
-    A topic whose messages discovery describes becomes a source for each value that is described, any other topic one.
+    A topic that discovery describes becomes one source for each described value, any other topic becomes one source.
+    Raises InputError if no source is found.
     """
     told = discovered(traffic.discovery)
     heard = {topic.name: topic for topic in traffic.topics}
@@ -174,5 +177,5 @@ def _silent_s(period_s: float) -> int:
 
 
 def _is_open(source: MqttSource) -> bool:
-    """Whether a source gives mappings of which nothing says more."""
+    """Return whether a source gives mappings whose fields no discovery message describes."""
     return source.entity is None and bool(source.topic.fields)

@@ -1,4 +1,4 @@
-"""What came from a broker while somebody listened: its topics, and how each one's messages look."""
+"""The traffic heard from a broker: its topics, and the form of each topic's messages."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ class HeardTopic:
 
 @dataclass(frozen=True)
 class Traffic:
-    """The topics of a broker by name, discovery messages by topic, and how many topics of Sparkplug there were.
+    """The topics of a broker by name, discovery messages by topic, and the number of Sparkplug topics.
 
-    `asked` are the filters of topics that were listened to, `notes` what was missed.
+    `asked` are the topic filters subscribed to, `span_s` is for how long; `notes` name messages that were missed.
     """
 
     broker: str
@@ -86,7 +86,7 @@ class Ear:
 
 
 class _Topic:
-    """What is known of one topic so far."""
+    """Counts and forms of one topic's messages so far."""
 
     def __init__(self) -> None:
         self._forms: set[TopicForm] = set()

@@ -96,7 +96,9 @@ class MqttVocabulary:
         self._kinds = {entity: [*self._parts(entity)] for entity in entities}
 
     def tag(self, topic: str, path: Path = (), entity: Entity | None = None) -> str:
-        """What a source gives: messages of a topic, or a field of them; of an entity its kind, unit and area too."""
+        """Return the tag of a topic, or of a field of its messages; it includes kind, unit and area of a described
+        entity.
+        """
         return " and ".join([*(self._kinds[entity] if entity is not None else ()), self._topic(topic, path)])
 
     def _parts(self, entity: Entity) -> Iterator[str]:

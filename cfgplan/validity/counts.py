@@ -11,7 +11,7 @@ from cfgplan.validity.rules import Rule, Violation
 
 
 def count_violations(environment: Environment, similarity: Similarity) -> Iterator[Violation]:
-    """Inputs with too few streams or too many, with several of one unit, or with not all that there are for them."""
+    """Yield each input that has too few or too many streams, several of one unit, or not all that it must take."""
     for unit, port in _ports(environment):
         streams = unit.feeds.get(port.name, ())
         where, number = f"input {port.name} of unit {unit.id}", len(streams)
@@ -31,7 +31,7 @@ def count_violations(environment: Environment, similarity: Similarity) -> Iterat
 
 
 def unfed_violations(environment: Environment, similarity: Similarity) -> Iterator[Violation]:
-    """Optional inputs that nothing feeds, though streams of what runs could, at no price."""
+    """Yield each optional input that is not fed although running units could feed it at no cost."""
     for unit, port in _ports(environment):
         if port.starts_nothing and port.count != ALL and port.name not in unit.feeds:
             free = _free(environment, similarity, unit, port)

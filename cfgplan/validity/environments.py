@@ -25,11 +25,12 @@ def violations(
     spares: Collection[str] = (),
     before: Environment | None = None,
 ) -> list[Violation]:
-    """Every rule that the running configuration violates; empty when it is valid (Definition 9).
+    """Return every rule that the running configuration violates; empty when it is valid (Definition 9).
 
-    If it is what an update makes of `before`, pinned units that do not run yet have to be needed as others are.
-    With `survive`, it must bear every single failure of that kind too; the energy of hosts has to last for the horizon.
-    Whoever knows that it does, and which are its `justified_spares`, passes these instead.
+    `before` is the environment that an update changed into this one; a pinned unit that it does not have must be
+    needed. With `survive`, the configuration must survive every single failure of that kind. Host energy must last for
+    `horizon_s` seconds. A caller that has checked survival already passes the `justified_spares` as `spares`, without
+    `survive`.
     """
     return [
         *_unknown_transformations(environment),

@@ -1,4 +1,4 @@
-"""What the judge reads off an environment: known units, tags of streams, what is needed."""
+"""Facts that the judge derives from an environment: known units, tags of streams, needed units."""
 
 from __future__ import annotations
 
@@ -47,9 +47,10 @@ def company_of(environment: Environment) -> dict[str, list[str]]:
 
 
 def needed_by(environment: Environment, roots: Collection[str], company: Mapping[str, list[str]] = NOBODY) -> set[str]:
-    """The ids of `roots` and of all units whose streams they use, directly or through others, and their `company`.
+    """Return the ids of `roots`, of all units whose streams they use, directly or through others, and of their
+    `company`.
 
-    What only inputs use that start nothing is not needed by them.
+    An input that starts nothing (`starts_nothing`) makes no unit needed.
     """
     needed: set[str] = set()
     ahead = [root for root in roots if root in environment.unit]

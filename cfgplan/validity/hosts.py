@@ -47,7 +47,10 @@ def placing_violations(environment: Environment, horizon_s: int = 0) -> Iterator
 
 
 def company_violations(environment: Environment) -> Iterator[Violation]:
-    """Units that may not be on their host with what is there, or without what is not; without hosts all are on one."""
+    """Yield violations of `beside`, `per_host` and `conflicts_on_host`.
+
+    Without hosts, all units count as being on one host.
+    """
     at: dict[str | None, Counter[str]] = defaultdict(Counter)
     running = {(unit.transformation, unit.host) for unit in environment.units if not unit.standby}
     for unit, transformation in known_units(environment):
@@ -97,7 +100,7 @@ def carried_us(environment: Environment, horizon_s: int) -> int:
 
 
 def link_violations(environment: Environment) -> Iterator[Violation]:
-    """Links that carry more than they bear."""
+    """Yield each link that carries more bytes per second than its bandwidth."""
     over: Counter[Link] = Counter()
     for a_second, origin, to in _journeys(environment) if environment.links else ():
         link = _link(environment, origin, to)

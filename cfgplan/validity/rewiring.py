@@ -34,7 +34,7 @@ class _Need:
 
 @dataclass
 class _PartialWiring:
-    """What runs, who feeds whom, and what is still needed."""
+    """A wiring under construction: running units, who feeds whom, and needs that are still open."""
 
     needs: list[_Need]
     running: set[str] = field(default_factory=set)
@@ -59,7 +59,7 @@ class _PartialWiring:
 
 
 class Rewiring:
-    """Units, each of which may run, that are to meet targets."""
+    """A search for a wiring of some of the given units that meets every target."""
 
     def __init__(self, units: list[Known], similarity: Similarity, targets: tuple[Target, ...]) -> None:
         self._units = {unit.id: (unit, kind) for unit, kind in sorted(units, key=lambda known: known[0].id)}
@@ -133,7 +133,7 @@ class Rewiring:
         return set(found.values())
 
     def _starts(self, wiring: _PartialWiring, unit_id: str) -> bool:
-        """Start a unit, with what it then needs; False if inputs that take all streams can't have its own."""
+        """Start a unit with its needs; False if an input that takes all streams can't take this unit's."""
         unit, kind = self._units[unit_id]
         others = [self._units[other] for other in sorted(wiring.running)]
         wiring.running.add(unit_id)

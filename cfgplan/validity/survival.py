@@ -1,4 +1,4 @@
-"""Whether a configuration bears every single failure: what is left can still be wired to meet every target."""
+"""Whether a configuration survives every single failure: the remaining units can be wired to meet every target."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def survival_violations(
 def justified_spares(
     environment: Environment, similarity: Similarity, survive: Failures | None, but: Collection[str] = ()
 ) -> set[str]:
-    """The units without which the others would not bear some failure; those of `but` are left out."""
+    """Return the ids of the units, except `but`, without which the others would not survive some failure."""
     if survive is None:
         return set()
     return {
