@@ -75,7 +75,9 @@ def unfed_pinned(
 def wiring_faults(
     world: World, problem: Problem, *, reasoner: str = "auto", reasoner_limit_s: Seconds | None = None
 ) -> tuple[WiringFault, ...]:
-    """What is wrong or odd with the configuration that runs, the probable fault first, with the nearest streams."""
+    """Return wrong or odd wirings of the running configuration, the most probable fault first, each with similar
+    streams.
+    """
     from cfgplan import explaining
 
     environment = problem.environment
@@ -90,7 +92,7 @@ def wiring_faults(
 
 
 def _with_reason(violation: Violation, environment: Environment, left_out: Mapping[str, str]) -> Violation:
-    """The violation, with the fact by which a unit may not run if that is what is wrong."""
+    """Return the violation; if the unit's transformation was left out because of a fact, its text names that fact."""
     unit = environment.unit.get(violation.unit or "")
     if violation.rule is not Rule.KNOWN or unit is None or unit.transformation not in left_out:
         return violation
@@ -111,9 +113,10 @@ def why(
     time_limit_s: Seconds | None = None,
     decider: Decider | None = None,
 ) -> Why:
-    """Why a plan with a change set uses a unit, a transformation or an output (transformation/port), or why not.
+    """Return why a plan with a change set uses, or does not use, a unit, transformation or output
+    (transformation/port).
 
-    Raises InputError for what is not there.
+    Raises InputError if the plan has no change set, or nothing has that name.
     """
     from cfgplan import explaining
 
@@ -146,7 +149,7 @@ def front(
     time_limit_s: Seconds | None = None,
     decider: Decider | None = None,
 ) -> Front:
-    """What better quality of a target's stream costs; see `cfgplan.explaining`."""
+    """Return the price of better quality of a target's stream; see `cfgplan.explaining`."""
     from cfgplan import explaining
 
     known(target, problem.environment.target, "target")
@@ -163,7 +166,7 @@ def alternatives(
     time_limit_s: Seconds | None = None,
     decider: Decider | None = None,
 ) -> Alternatives:
-    """The `count` best configurations that differ in what runs, in order; see `cfgplan.explaining`.
+    """Return the `count` best configurations that run different transformations, in order; see `cfgplan.explaining`.
 
     Raises InvalidValueError for a count below 1.
     """

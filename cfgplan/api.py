@@ -74,10 +74,10 @@ def _world_summary(world: World) -> Summary:
 @dataclass(frozen=True)
 @checked
 class World:
-    """An environment with the ontology that gives its tags their meaning, and what planning needs besides.
+    """An environment with the ontology that defines its tags, and the other inputs of planning.
 
-    `horizon_s` is in seconds, `max_cost_us` in microseconds of CPU time. `file` is what it was read from. `survive`
-    says which single failures a plan has to bear.
+    `horizon_s` is in seconds, `max_cost_us` in microseconds of CPU time. `file` is the file that it was read from, if
+    any. `survive` says which single failures a plan has to survive.
     """
 
     environment: Environment
@@ -181,9 +181,9 @@ def world(
 def match_ports(
     world: World, *, reasoner: str = "auto", time_limit_s: Seconds | None = None, use_cache: bool = True
 ) -> Matching:
-    """Which output may feed which input and target, with the warnings of the reasoner.
+    """Decide which output may feed which input and target; the result has the reasoner's warnings.
 
-    `reasoner` is one of `REASONER_NAMES`. Pairs that can't be decided in `time_limit_s` are unknown.
+    `reasoner` is one of `REASONER_NAMES`. Pairs that are not decided within `time_limit_s` stay unknown.
     """
     return matches(world, reasoner=reasoner, time_limit_s=time_limit_s, use_cache=use_cache, most=None).matching
 
@@ -197,10 +197,10 @@ def matches(
     use_cache: bool = True,
     most: Natural | None = FEW_PAIRS,
 ) -> Matches:
-    """What is known of the similarity of a world's tags. If at most `most` pairs are open, the reasoner decides them at
-    once.
+    """Return the similarity of a world's tags as far as it is known.
 
-    If there are more, pass the result as `decider` to whatever plans: it decides the pairs that matter to the plan.
+    The reasoner decides open pairs at once if there are at most `most`. Otherwise pass the result as `decider` to the
+    planning function: it decides only pairs that matter to the plan.
     """
     cache = cache_folder() if use_cache else None
     return Matches(
@@ -283,10 +283,10 @@ def problem(
     max_cost_us: Natural | None = None,
     survive: Failures | Literal[0] | None = None,
 ) -> Problem:
-    """The planning problem of a matched world; what is given here wins over the file (0: survive no failure).
+    """Return the planning problem of a matched world.
 
-    The library has no transformation that facts leave out. Raises InputError where a transformation requires a fact
-    that it helps to observe.
+    The arguments override the file (`survive=0`: survive no failure). The library omits each transformation whose
+    required facts are not met. Raises InputError if a transformation requires a fact that it helps to observe.
     """
     refuse_circles(world, similarity)
     return Problem(
@@ -453,9 +453,9 @@ def schema_text() -> str:
 
 
 def converted(path: str | os.PathLike[str], to: Literal["yaml", "xml"]) -> str:
-    """An environment file (YAML, JSON, the paper's XML or a folder of it) in another format, templates and all.
+    """Return an environment file (YAML, JSON, the paper's XML or a folder of it) in another format; templates are kept.
 
-    What it includes is written into it. Raises InputError.
+    Included files are written into it. Raises InputError.
     """
     from cfgplan.formats.document import read_document
     from cfgplan.formats.dump import as_xml, as_yaml
@@ -491,9 +491,9 @@ def _as_ontology(ontology: object) -> Ontology:
 
 
 def write_file(path: Path, content: bytes) -> None:
-    """Write a whole file, or nothing of it; raises InputError if that can't be done.
+    """Write a whole file, or nothing of it; raises InputError if that fails.
 
-    What is no plain file (a device, a pipe, a link) is written through: it must not be replaced by one.
+    A path that is no regular file (a device, a pipe, a link) is written through, not replaced.
     """
     try:
         if path.is_symlink() or (path.exists() and not path.is_file()):

@@ -186,7 +186,7 @@ class _Later(Mapping[str, Any]):
 
 
 class _Named:
-    """A class of which only the name is known; `|` makes a union of it."""
+    """A class known only by name; `|` makes a union of it."""
 
     def __init__(self, name: str) -> None:
         self.name = name

@@ -43,18 +43,18 @@ def said(value: FactValue) -> str:
 
 
 def kind_of(value: FactValue) -> str:
-    """What kind of value it is, in words."""
+    """Return the kind of a fact's value, in words."""
     return "true or false" if isinstance(value, bool) else "a number" if isinstance(value, int) else "a word"
 
 
 @dataclass(frozen=True, slots=True)
 @checked
 class Fact:
-    """Something that is so in the world, or is not: its value while nobody has said another, and its unit.
+    """A variable of the world: its declared value, which counts until another is observed or set, and its unit.
 
-    Streams observe it in a run: one that is tagged `by`, or the one on `topic`. Elements that are mappings hold the
-    value under `field`, where a dot leads further in. Values with `noise` are filtered. Once nothing has come for
-    `silent_us`, the declared value counts again.
+    In a run, streams observe it: those tagged `by`, or the one on `topic`. If elements are mappings, the value is under
+    `field`; a dot leads into nested mappings. Values with `noise` are filtered. If no element has come for `silent_us`,
+    the declared value counts again.
     """
 
     name: str
@@ -139,7 +139,7 @@ def _value(text: str) -> FactValue:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """What one fact is compared with, and how."""
+    """A comparison of a fact with a value, by a `sign` such as `>=`."""
 
     fact: str
     sign: str
@@ -181,7 +181,7 @@ Blamed: TypeAlias = tuple[str, ...] | None
 
 @dataclass(frozen=True, slots=True)
 class Requirement:
-    """What an expression over facts asks."""
+    """An expression over facts that must hold."""
 
     comparisons: tuple[Comparison, ...]
     blamed: Callable[[Mapping[str, FactValue]], Blamed]

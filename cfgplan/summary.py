@@ -1,4 +1,4 @@
-"""What a value says of itself in a line and in a table: its `repr`, and what a notebook shows."""
+"""Summaries of values: the line of their `repr`, and the table that a notebook shows."""
 
 from __future__ import annotations
 

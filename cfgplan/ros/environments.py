@@ -1,4 +1,4 @@
-"""From a graph of ROS nodes to an environment: its file, its ontology's, and what had to be guessed for them."""
+"""From a graph of ROS nodes to an environment: its file, its ontology, and the guesses made for them."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Guessed:
 
 @dataclass(frozen=True)
 class Imported:
-    """The environment of a graph, its ontology (Turtle), and what was guessed."""
+    """The environment of a graph, its ontology in Turtle, and the guesses made."""
 
     graph: RosGraph
     environment: Environment
@@ -64,7 +64,7 @@ class Imported:
     guesses: tuple[Guessed, ...]
 
     def text(self, ontology: str) -> str:
-        """The environment file (YAML), which names its ontology file so; what was guessed stands above as comments."""
+        """Return the environment file (YAML), which imports `ontology`; comments at its top list the guesses."""
         plain = plain_environment(self.environment, horizon_s=DEFAULT_HORIZON_S, ontology=[ontology])
         for transformation in plain.get("transformations", ()):
             for cost in _COSTS:
@@ -90,11 +90,11 @@ class Imported:
 
 
 def imported(graph: RosGraph, table: GuessTable, *, works: bool = False, keeps_topics: bool = False) -> Imported:
-    """The environment in which the graph's nodes run, wired as the graph's topics and services wire them.
+    """Return the environment in which the graph's nodes run, wired by the graph's topics and services.
 
-    Each node becomes a transformation and a unit of it. Whose streams nobody takes is a target to run. If the graph
-    `works` as it is, inputs that nobody feeds may stay unfed, and who publishes is meant to, whatever the table says.
-    With `keeps_topics` nodes outside of a run hear outputs on their topics of the graph.
+    Each node becomes a transformation with one unit. A node becomes a target to run if no node takes its streams. If
+    the graph `works` as it is, unfed inputs may stay unfed and every publisher is intended, whatever the table says.
+    With `keeps_topics`, nodes outside of a run hear outputs on their topics of the graph.
     """
     return _Making(graph, table, works=works, keeps_topics=keeps_topics).imported
 
@@ -226,7 +226,9 @@ class _Making:
         return found
 
     def _feeds(self, node: RosNode, port: RosPort) -> list[_End]:
-        """Who feeds an input. Of several that publish what a node publishes too, its own does not count."""
+        """Return the outputs that feed an input; the node's own output counts only if no other node publishes the
+        topic.
+        """
         givers = self._givers.get((port.name, port.role.is_service), [])
         others = [end for end in givers if end.node != self._labels[node.name]]
         return others or givers
@@ -359,7 +361,9 @@ class _Making:
         )
 
     def _targets(self, ports: Mapping[_End, InputPort], feeds: Mapping[_End, list[_End]]) -> Iterator[Target]:
-        """A target for each node that is wanted for itself: all that is needed then feeds one of them."""
+        """Yield a target for each wanted node, or if none are named, for each end of the graph: every needed node feeds
+        one.
+        """
         wanted = self._table.wanted
         if wanted is not None:
             for node in self._graph.nodes:
@@ -381,10 +385,10 @@ def _qos(port: RosPort) -> str | None:
 
 
 def _own(node: RosNode, port: RosPort) -> str:
-    """What the node itself calls a topic or service, as far as that is known: before remapping.
+    """Return the node's own name of a topic or service, before remapping, as far as it is known.
 
-    What lies below the node's name is taken for private, and below its namespace for relative: so it is understood
-    wherever the node is started.
+    A name below the node's name is taken as private, one below its namespace as relative; so the name stays valid in
+    every namespace.
     """
     if port.own is not None:
         return port.own
@@ -408,7 +412,7 @@ def _idle_remaps(node: RosNode) -> Iterator[str]:
 
 
 def _source(node: RosNode, idle: tuple[str, ...]) -> NodeSource:
-    """How the node is started; where that is not known, somebody else runs it. `idle` are remappings of no port."""
+    """Return how the node is started; if that is unknown, it is external. `idle` are remappings of no port."""
     arguments = (*node.arguments, *idle)
     if node.package and node.plugin:
         kind: NodeKind = "component" if "::" in node.plugin else "nodelet"
@@ -439,7 +443,9 @@ def _depths(graph: networkx.MultiDiGraph) -> dict[str, int]:
 
 
 def _ends(labels: Iterable[str], needs: Mapping[_End, list[_End]]) -> list[str]:
-    """One label of each group of nodes that need each other's streams, and whose streams nobody else needs."""
+    """Return one label of each group of nodes that need each other's streams, if no other node needs the group's
+    streams.
+    """
     graph = networkx.DiGraph()
     graph.add_nodes_from(labels)
     for end, streams in needs.items():
@@ -450,9 +456,9 @@ def _ends(labels: Iterable[str], needs: Mapping[_End, list[_End]]) -> list[str]:
 
 
 def port_names(node: RosNode) -> dict[RosPort, str]:
-    """A name for each port of a node: the end of its topic's name that no other port of the node has, with dots.
+    """Return a name for each port of a node: the shortest end of its topic's name unique among its ports, with dots.
 
-    Where a node publishes what it subscribes to, the output's name ends in `.out`.
+    If a node publishes a topic that it also subscribes to, the output's name ends in `.out`.
     """
     names: dict[RosPort, str] = {}
     for gives in (False, True):

@@ -81,7 +81,7 @@ def _node(
 
 
 def _type(text: str | None) -> MessageType | None:
-    """What a node says a topic's type is; `*` is any."""
+    """Return the type that a node names for a topic; None if it names none or `*`."""
     return None if not text or text == "*" else MessageType.read(text)
 
 

@@ -1,4 +1,4 @@
-"""What people paste of `ros2 node info`, `ros2 topic info -v` and `rosnode info`, in one text file, in any order."""
+"""Pasted output of `ros2 node info`, `ros2 topic info -v` and `rosnode info`, in one text file, in any order."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ class _Pasted:
             self._fields[key] = value
 
     def _end(self) -> None:
-        """The end of an endpoint of a topic: all that was said of it is a port."""
+        """Finish an endpoint of a topic: make a port of its collected fields."""
         said, begin = self._fields, self._begin
         self._begin = 0
         self._fields = {"Type": said["Type"]} if "Type" in said else {}
@@ -174,7 +174,7 @@ class _Pasted:
 
 
 def _quality(said: dict[str, str]) -> ServiceQuality | None:
-    """The quality of service of an endpoint; None if nothing is said of it."""
+    """Return the quality of service of an endpoint; None if the output does not have it."""
     if "Reliability" not in said and "Durability" not in said:
         return None
     return ServiceQuality(

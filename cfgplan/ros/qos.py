@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True, order=True)
 class ServiceQuality:
-    """What a publisher offers, or a subscription asks for; `deadline_s` and `lease_s` are None if there is none.
+    """A quality of service, offered or asked for; `deadline_s` and `lease_s` are None if not set.
 
-    The usual one of ROS 2 is reliable and volatile. With `manual` a node itself has to say that it lives.
+    The default of ROS 2 is reliable and volatile. With `manual`, a node has to assert its liveliness itself.
     """
 
     reliable: bool = True

@@ -27,9 +27,9 @@ def is_recording(path: Path) -> bool:
 
 
 def recorded_graph(path: Path) -> RosGraph:
-    """Who published what in a recording. Raises InputError for what can't be read.
+    """Return the publishers of a recording. Raises InputError if it can't be read.
 
-    Bags of ROS 1 mostly tell who published. A player publishes what has no known publisher.
+    Bags of ROS 1 usually name the publishers. A player publishes topics without a known publisher.
     """
     connections, seconds = _read(path)
     notes = [f"who subscribes to topics of {path}: a recording has only what was published"]

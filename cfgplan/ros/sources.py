@@ -1,4 +1,4 @@
-"""What `source` says of a unit that is a node of ROS."""
+"""The `source` of a unit that is a ROS node."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ REMAPS = ":="
 
 @dataclass(frozen=True, slots=True)
 class NodeSource:
-    """The ROS node that units of a transformation are.
+    """The ROS node that a transformation's units run as.
 
     A `node` is an executable of a package, or a file (`package` is "") relative to the environment file. A `nodelet`
     (ROS 1) or a `component` (ROS 2) is a class of a package, loaded into the manager or container `group`, or if that
-    is "" into the run's own. An `external` node is run by somebody else under the name that `name` says.
+    is "" into the run's own. An `external` node is started outside of cfgplan, under the name `name`.
     """
 
     kind: NodeKind

@@ -1,4 +1,4 @@
-"""What `$(arg ...)`, `$(find ...)` and their like in launch files of ROS 1 stand for."""
+"""Substitutions such as `$(arg ...)` and `$(find ...)` in launch files of ROS 1."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ class PackageMissingError(SubstitutionError):
 
 @dataclass(frozen=True)
 class Substitutions:
-    """What stands for what in a launch file, given its arguments."""
+    """The substitutions of a launch file, given its arguments."""
 
     file: Path
     arguments: Mapping[str, str]
 
     def text(self, text: str) -> str:
-        """A text with all that is meant by it. Raises SubstitutionError."""
+        """Return a text with its substitutions replaced. Raises SubstitutionError."""
         whole = _EVAL.fullmatch(text.strip())
         if whole:
             return str(self._evaluated(whole[1]))

@@ -526,7 +526,9 @@ class _Sources:
         return False
 
     def _parameter(self, file: CppFile, at: int) -> tuple[str, int, int] | None:
-        """The function (its name, which parameter, its body) of which a word is a parameter; None if it is none."""
+        """Return the function whose parameter a word is, as name, parameter number and start of the body;
+        None if none.
+        """
         if file.sign(at + 1) not in (",", ")", "="):
             return None
         end = at

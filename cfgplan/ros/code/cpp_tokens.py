@@ -39,7 +39,7 @@ class Token(NamedTuple):
 
 @dataclass(frozen=True)
 class CppFile:
-    """A source file: its tokens, what it includes, and the texts that it defines as macros."""
+    """A source file: its tokens, its includes, and the texts of its macros."""
 
     file: str
     tokens: Sequence[Token]
