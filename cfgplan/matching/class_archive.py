@@ -40,7 +40,7 @@ SubClassOf(<t:A> ObjectSomeValuesFrom(<t:r> <t:B>)) SubClassOf(<t:B> ObjectUnion
 
 @dataclass(frozen=True)
 class ClassArchive:
-    """The archive for one Java with its options and a jar; its folder is there while it is made and then."""
+    """The class archive of one Java with its options and a jar; `folder` exists as soon as it is being made."""
 
     folder: Path
     java: str
@@ -50,7 +50,7 @@ class ClassArchive:
 
     @property
     def flags(self) -> Sequence[str]:
-        """The options that let Java use the archive; none while it is not there."""
+        """The options that let Java use the archive; empty while it does not exist."""
         base, own = self.folder / _JAVA_ARCHIVE, self.folder / _OWN
         if not own.exists():
             return ()

@@ -50,7 +50,7 @@ def classify(document: str, *, time_limit_s: float | None = None) -> Sequence[tu
 
 
 def _pairs(keyword: str, names: Sequence[str]) -> Iterable[tuple[str, str]]:
-    """What one line says: each class with those above it; anything that is not between named classes says nothing."""
+    """Return the pairs of one output line: each class with one above it; empty unless it relates named classes."""
     if keyword == "EquivalentClasses":
         return zip(names, (*names[1:], *names[:1]), strict=True)
     return [(names[0], names[1])] if len(names) == 2 else ()
@@ -76,7 +76,7 @@ def satisfiable(
 def _run(
     folder: str, document: str, arguments: Sequence[str], time_limit_s: float | None, patience_s: float | None
 ) -> bool:
-    """Run HermiT on a document. Returns whether it ended in time. What it prints is in said.txt."""
+    """Run HermiT on a document, with its output in said.txt. Returns whether it ended in time."""
     import subprocess
 
     question, said, errors = (Path(folder, name) for name in ("ontology.ofn", "said.txt", "errors.txt"))

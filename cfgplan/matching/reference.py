@@ -1,7 +1,6 @@
-"""The reasoners that can be chosen, and questions to the reference among them: which tags are below which, what can
-exist, and which ontology it is told.
+"""The reasoners to choose from, and questions to the reference reasoner: subsumption of tags, and satisfiability.
 
-Names are written in ASCII, tags as classes `t:N`, so that the answer can't be garbled by a locale.
+It also writes the ontology's document for the reasoner. Names are written in ASCII, tags as classes `t:N`, so that the answer can't be garbled by a locale.
 """
 
 from __future__ import annotations

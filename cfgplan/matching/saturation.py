@@ -22,10 +22,10 @@ Reason: TypeAlias = "tuple[tuple[object, ...], tuple[DerivedFact, ...]]"
 
 
 class Context:
-    """The atoms and links of a kind of thing: of all things with the atoms `seeds` and the links that it was made with.
+    """The atoms and links of a kind of thing: of all things with the atoms `seeds` and the links it was made with.
 
-    `exists`: every model has such a thing. `conditional`: if there is such a thing, an individual gets atoms that it
-    does not have otherwise. So the context may miss something; what it has is right all the same.
+    `exists`: every model has such a thing. `conditional`: such a thing would give an individual atoms that it does not
+    have otherwise, so the context may be incomplete; its atoms and links hold all the same.
     """
 
     __slots__ = ("atoms", "conditional", "exists", "finished", "individual", "links", "preds", "seeds")
@@ -108,7 +108,7 @@ class Saturation:
         return found
 
     def learn(self) -> None:
-        """Apply the rules that were added since the last time to what is known."""
+        """Apply the rules added since the last call to all contexts."""
         if self.rules.new_premises:
             for context in self._contexts.values():
                 self._atoms.extend((context, atom) for atom in self.rules.new_premises & context.atoms)

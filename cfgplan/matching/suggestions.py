@@ -371,7 +371,7 @@ def tested(
     matched_now: Mapping[str, Set[str]],
     matched_then: Mapping[str, Mapping[str, Set[str]]],
 ) -> dict[str, tuple[Suggestion, ...]]:
-    """The suggestions with what they would change: `matched_then` is by port and tag."""
+    """Return the suggestions with the matches that they would add and remove; `matched_then` is by port and tag."""
     return {
         port: tuple(
             Suggestion(

@@ -105,7 +105,7 @@ class _TagReader(ExpressionReader[Concept]):
             raise self._error(f"{token!r} is not expected here", mend)
 
     def _meant_here(self, name: str, at: int) -> str | None:
-        """What somebody means who writes a name at a place where it means nothing; None if that can't be told."""
+        """Return a mend for a name at a place where it has no meaning; None if the intention can't be guessed."""
         follows, then = (*self._words[at + 1 :], "", "")[:2]
         if name.casefold() in KEYWORDS:
             return f"write `{name.casefold()}` in small letters"
