@@ -1,6 +1,7 @@
 """The reasoners to choose from, and questions to the reference reasoner: subsumption of tags, and satisfiability.
 
-It also writes the ontology's document for the reasoner. Names are written in ASCII, tags as classes `t:N`, so that the answer can't be garbled by a locale.
+It also writes the ontology's document for the reasoner. Names are written in ASCII, tags as classes `t:N`, so that the
+answer can't be garbled by a locale.
 """
 
 from __future__ import annotations
