@@ -275,7 +275,7 @@ def _answer(problem: Problem, best: Plan, uses: tuple[Pair, ...], certain: Plan,
 
 
 def _is_monotone(problem: Problem) -> bool:
-    """Whether no further match can make plans dearer."""
+    """Return whether further matches never make a plan more expensive."""
     return not problem.environment.required and not _doubtful(problem)
 
 

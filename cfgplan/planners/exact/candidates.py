@@ -41,7 +41,7 @@ class OnHost:
 class Candidate:
     """A unit of the environment, or a new one of a transformation. It `may_run`, or `may_wait` as a cold spare.
 
-    `places` are the hosts it may be on: its own if it is there already, only None where there are no hosts.
+    `places` are the hosts it may be on: only its own if it exists already; only None without hosts.
     """
 
     id: str

@@ -24,7 +24,9 @@ def a_staying_unit_keeps_its_feeders(model: Model) -> None:
 
 
 def a_wired_unit_is_fed(model: Model) -> None:
-    """Inputs rest on hubs, or on their feeders where these are told apart. A feedback input takes any running unit."""
+    """An input depends on its hub or, if it has variables of its own, on its feeders; a feedback input takes any
+    running unit.
+    """
     for i in model.candidates.clock.each(model.runs):
         inputs = model.candidates.all[i].transformation.inputs
         told_apart = [port for port in inputs if model.is_told_apart(i, port)]

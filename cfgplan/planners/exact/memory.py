@@ -1,4 +1,6 @@
-"""The memory of a session: closure and network of the library, landmarks, the last plan, and the plan at rest."""
+"""The memory of a session: closure and network of the library, landmarks, the last plan, and the proven
+running plan.
+"""
 
 from __future__ import annotations
 

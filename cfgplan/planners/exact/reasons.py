@@ -148,7 +148,7 @@ def _least_units(problem: Problem, givers: Givers) -> Mapping[str, int]:
 
 
 def _missing_host(problem: Problem) -> str | None:
-    """Name the first unit of a transformation that finds no host, even if nothing else is there; or None."""
+    """Name the first transformation whose `min_instances` do not fit on empty hosts; None if all fit."""
     for t in problem.environment.library:
         _, lack = _placed(problem, t, t.min_instances)
         if lack:

@@ -65,7 +65,7 @@ class Survival:
         self._known: set[Missed] = set()
 
     def missed(self, units: Collection[ComputationUnit]) -> list[Missed]:
-        """The landmarks of which a configuration has too few units, one for each failure and target."""
+        """Return the landmarks that have too few units in a configuration, one for each failure and target."""
         if self.candidates.problem.survive is None:
             return []
         found = [
@@ -91,9 +91,9 @@ class Survival:
         return bool(new)
 
     def needless_spares(self, model: Model, true: Collection[int], units: list[ComputationUnit]) -> list[int]:
-        """The candidates that a solution says to run for failures, though its `units` bear all failures without them.
+        """Return the candidates that a solution runs as spares although its `units` survive all failures without them.
 
-        Empty if that does no harm: no input that starts nothing is fed by them, and they take no stream from one.
+        Empty if that does no harm: they feed no input that starts nothing, and take no stream from one.
         """
         there = {unit.id: unit for unit in units}
         said = {i: there[self.candidates.all[i].id] for i, spare in model.spares.items() if spare.index in true}

@@ -84,10 +84,10 @@ def new_units_come_in_order(model: Model) -> None:
 
 
 def one_of_new_units_alike_is_enough(model: Model) -> None:
-    """At most one of several new units that meet the same demands runs, and its consumers share it.
+    """At most one of several interchangeable new units that meet the same demands runs, and its consumers share it.
 
-    It shortens the proof where nothing is asked beyond the paper; `closing.program.alike` says why it holds. Where
-    transformations are required two of them may be wanted.
+    This shortens the proof of problems without features; `closing.program` says why it holds. It is left out if
+    transformations are required, since two of them may be wanted.
     """
     if model.problem.features or model.tracked:
         return

@@ -136,7 +136,7 @@ def _assigned(network: Network, by_price: dict[str, list[int]]) -> list[str]:
 
 
 def without_redundant(network: Network, cost: Ints, chosen: set[int]) -> set[int]:
-    """The plan without redundant labels; the dearest are dropped first."""
+    """Return the plan without redundant labels; the most expensive are dropped first."""
     gives_of, needs, takes = network.core.gives.lists, network.core.needs.lists, network.core.crowd_takes
     givers_left: dict[int, int] = {}
     for label in chosen:
