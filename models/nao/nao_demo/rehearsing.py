@@ -19,7 +19,7 @@ _QUALITY = 82
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """What a robot's units make of one moment; None where they find nothing. `sizes` are the subsampled channels."""
+    """The outputs of a robot's units for one moment; None if they find nothing. `sizes` are the subsampled channels."""
 
     sizes: Mapping[str, Any]
     hull: Any

@@ -15,7 +15,7 @@ WORLD = Path(__file__).parents[1]
 
 @dataclass(frozen=True, slots=True)
 class Begin:
-    """Nothing but the target is there."""
+    """The start: only the target is given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +92,7 @@ SECTION_V = (
 
 
 def declared_by(robot: str) -> Declare:
-    """What a robot declares when it registers: itself, and the pipeline that it can run."""
+    """Return a robot's declaration when it registers: itself, and the pipeline that it can run."""
     text = (WORLD / "pipeline.yaml").read_text(encoding="utf-8").replace("${NAO}", robot)
     return Declare(robot, _transformations(text), (Individual(robot, ("NAO",)),))
 
