@@ -1,4 +1,4 @@
-"""`cfgplan check`: what is wrong with the running configuration, the probable fault first."""
+"""`cfgplan check`: faults of the running configuration, the most probable one first."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def _left_out(world: World) -> dict[str, object]:
 
 
 def _faults(options: argparse.Namespace, screen: Screen) -> tuple[World, tuple[WiringFault, ...], tuple[str, ...]]:
-    """The world that the options name, what is wrong or odd there, and which facts are too noisy."""
+    """Return the world that the options name, its faults and oddities, and the facts that are too noisy."""
     from cfgplan import answers, api
     from cfgplan.explaining import probable_first
     from cfgplan.observers import blurred

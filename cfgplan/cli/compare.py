@@ -85,7 +85,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
 
 def _table(env: str, runs: Sequence[Run]) -> Table:
-    """A line for each planner: its answer, what the plan costs, what it proved, and how long that took."""
+    """Return a table with a row for each planner: its answer, cost, proven bound, and times."""
     from rich import box
     from rich.table import Table
 

@@ -46,7 +46,7 @@ def script(shell: str) -> str:
 
 
 def _actions(parser: argparse.ArgumentParser) -> Iterator[Any]:
-    """Those of a parser and of all parsers below it."""
+    """Yield the actions of a parser and of all parsers below it."""
     for action in parser._actions:
         yield action
         if isinstance(action, argparse._SubParsersAction):

@@ -116,7 +116,7 @@ def _add_mqtt(parser: argparse.ArgumentParser) -> None:
 
 
 def _of_mqtt(options: argparse.Namespace) -> list[tuple[str, object]]:
-    """What is said of the options of `import mqtt`."""
+    """Return the options given to `import mqtt`, as names and values."""
     connection = [(name, getattr(options, name)) for name, _, _ in _CONNECTION]
     return [(name, value) for name, value in [("for", options.span), ("topic", options.topic), *connection] if value]
 

@@ -1,4 +1,4 @@
-"""`cfgplan explain`: why there is no plan, or why the plan uses what it uses."""
+"""`cfgplan explain`: why no plan exists, or why the plan uses a unit, a transformation or an output."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ MOST_LINES = 30
 
 
 def why_not_text(problem: Problem, why: WhyNot) -> Text:
-    """Why there is no plan, target by target; ends without a newline."""
+    """Return why no plan exists, target by target; ends without a newline."""
     environment = problem.environment
     lines: list[Text] = []
     for reason in why.unreachable:
@@ -230,14 +230,14 @@ def pinned_lines(environment: Environment, unit: str, why: Unreachable) -> Itera
 
 
 def why_text(why: Why) -> Text:
-    """Why a plan uses something, or why not: what it serves, and what it would cost to do without."""
+    """Return why a plan uses something, or why not: the targets that it serves, and the cost of doing without it."""
     styles = {choice_line(why): "bold", "  + ": "green", "  - ": "red"}
     lines = (Text(line, style=styles.get(line) or styles.get(line[:4], "")) for line in why_lines(why))
     return Text("\n").join(lines)
 
 
 def table_lines(whys: Sequence[Why]) -> Iterator[str]:
-    """A line for each unit of a plan: what it serves, and what doing without its transformation would cost."""
+    """Yield a line for each unit of a plan: the targets that it serves, and the cost without its transformation."""
     width = max((len(unit) for why in whys for unit in why.units), default=0)
     told = max((len(some(why.targets)) for why in whys), default=0)
     for why in whys:

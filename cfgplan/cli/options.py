@@ -125,7 +125,7 @@ def add_time(parser: argparse.ArgumentParser, name: str, default_s: float, means
 
 
 def add_span(parser: argparse._ActionsContainer, means: str = "stop after 30s, 5m, 1h") -> None:
-    """`--for`: for how long a verb goes on; None for as long as it likes."""
+    """Add `--for`: how long a verb runs; None for no limit."""
     parser.add_argument("--for", dest="span", type=duration, metavar="TIME", help=means)
 
 
@@ -148,7 +148,9 @@ def load(options: argparse.Namespace, screen: Screen) -> api.World:
 
 
 def matches(options: argparse.Namespace, screen: Screen, world: api.World, most: int | None = None) -> Matches:
-    """What is known of the similarity of a world's tags; with more than `most` open pairs none is asked about yet."""
+    """Return the similarity of a world's tags as far as known; with more than `most` open pairs none is asked about
+    yet.
+    """
     from cfgplan import api
 
     with screen.phase("match"):
@@ -180,7 +182,7 @@ def problem(options: argparse.Namespace, screen: Screen, world: api.World, known
 
 @dataclass(frozen=True)
 class Task:
-    """What a verb that plans has to do: in which world, which problem, by what planner and what reasoner."""
+    """The task of a verb that plans: its world, problem, planner and reasoner."""
 
     world: api.World
     problem: Problem
@@ -192,7 +194,7 @@ class Task:
 
     @contextmanager
     def planned(self, screen: Screen) -> Iterator[ShownWork]:
-        """The phase of planning; what is shown of it tells how many pairs of tags were decided, and by whom."""
+        """The phase of planning; its progress shows how many pairs of tags each reasoner decided."""
         with screen.phase("plan") as work:
             work.knows = lambda: decided_by(self.matches.counts)
             yield work
@@ -220,7 +222,7 @@ def _failures(asked: str | None, world: api.World) -> Failures | Literal[0] | No
 
 
 def planner(name: str) -> str:
-    """The name of a planner that is there; one of the user's own may be in the folder where the command is called."""
+    """Return the name of an existing planner; a user's own may be in the current folder."""
     from cfgplan.planners import planner_of
 
     if ":" in name and (here := str(Path.cwd())) not in sys.path:

@@ -1,4 +1,4 @@
-"""A plan as text: what it starts, rewires, stops and keeps, and the cost, quality and hosts afterwards."""
+"""A plan as text: units to start, rewire, stop and keep, and the cost, quality and hosts afterwards."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def left_out_lines(environment: Environment) -> list[str]:
 
 
 def fact_lines(environment: Environment, of: str | None = None) -> list[str]:
-    """What facts make of the library: which transformations may not run, and the qualities that follow facts.
+    """Return the effects of facts on the library: transformations that may not run, and qualities that follow facts.
 
     `of` is a transformation or a unit; None stands for all.
     """
@@ -48,7 +48,7 @@ def fact_lines(environment: Environment, of: str | None = None) -> list[str]:
 
 
 def changes_text(before: Environment, changes: ChangeSet) -> Text:
-    """What a change set starts, rewires, stops and keeps of an environment; ends with an empty line."""
+    """Return a change set as text: units to start, rewire, stop and keep; ends with an empty line."""
     return Text("\n").join(_changes(before, changes))
 
 
@@ -188,7 +188,7 @@ def _summary(problem: Problem, plan: Plan, given_up: Collection[str]) -> Iterato
 
 
 def nothing_wanted(environment: Environment) -> str:
-    """A question to who has forgotten to say what is wanted; empty if something is."""
+    """Return a hint that `targets:` may be missing; empty if the environment wants something to run."""
     if environment.targets or any(one.min_instances for one in environment.library):
         return ""
     return "The environment has no targets, so that nothing is wanted and nothing runs for it. Is `targets:` missing?"
@@ -260,7 +260,7 @@ MOST_TRANSFERS = 10
 
 
 def fleet_lines(problem: Problem, after: Environment) -> Iterator[Text]:
-    """What a configuration costs, reaches and takes of hosts and links; nothing for a problem as in the paper."""
+    """Yield a configuration's costs, qualities, and loads of hosts and links; nothing for a problem as in the paper."""
     if problem.is_plain:
         return
     parts = cost_parts(problem, after.units)
@@ -294,7 +294,7 @@ def _reached(environment: Environment, target: Target, name: str, value: int) ->
 
 
 def _amount(host: Host, resource: str, taken: int, horizon_s: int) -> str:
-    """What units take of a resource, and of how much: `0.1 s of 0.2 s CPU/s`, `300 of 500 MB`, `1 of 2 gpu`."""
+    """Return the used and the total amount of a resource: `0.1 s of 0.2 s CPU/s`, `300 of 500 MB`, `1 of 2 gpu`."""
     shown, unit = (cpu, "CPU/s") if resource == CPU else (str, {MEMORY: "MB", POWER: "W"}.get(resource, resource))
     room = host.room(resource, horizon_s)
     return f"{shown(taken)}{'' if room is None else f' of {shown(room)}'} {unit}"

@@ -228,7 +228,7 @@ def _check_nodes(options: argparse.Namespace, world: World) -> None:
 
 
 def _check_ros2(options: argparse.Namespace, world: World) -> None:
-    """Have all that is wrong with ROS 2 topics told before anything is started; other hosts check their own units."""
+    """Report all faults of ROS 2 topics before any unit starts; other hosts check their own units."""
     library = () if options.dry_run or _fleet(options) is not None else world.environment.library
     units = [one for one in library if (one.source or "").startswith("cfgplan_runtime.ros2:")]
     if not units and not options.ros2:
@@ -323,7 +323,7 @@ def difference_text(said: Environment, running: Environment) -> str:
 
 
 def named_alike(said: Environment, running: Environment) -> tuple[ComputationUnit, ...]:
-    """The running units, each by the id of one that is said of its transformation and host, if one is left."""
+    """Return the running units, each with the id of a declared unit of its transformation and host, if one is left."""
     left = dict(said.unit)
     names: dict[str, str] = {}
     for same_id in (True, False):
@@ -366,7 +366,7 @@ def _output_for(screen: Screen, operation: Operation, *, plain: bool) -> RunOutp
 
 
 def _hold(operation: Operation, output: RunOutput, interrupts: Interrupts, span_s: float | None) -> None:
-    """Show events until the time is over or somebody stops the run."""
+    """Show events until the time is over or the run is stopped."""
     end = None if span_s is None else time.monotonic() + span_s
     while not operation.wait(0) and not interrupts.count and (end is None or time.monotonic() < end):
         output.update(_LIVE_LOOK_S if end is None else max(0.0, min(_LIVE_LOOK_S, end - time.monotonic())))
@@ -465,7 +465,7 @@ def _fleet(options: argparse.Namespace) -> Fleet | None:
 def _runtime(
     options: argparse.Namespace, screen: Screen
 ) -> Callable[[Environment, Path], AbstractContextManager[Runtime]] | None:
-    """What makes the runtime; None if that is processes of this computer."""
+    """Return a factory of the runtime; None if units are processes of this computer."""
     fleet = _fleet(options)
     if options.middleware == ROS1:
         from cfgplan_runtime.ros1.ros1_backend import Ros1Backend

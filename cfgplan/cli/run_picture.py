@@ -1,6 +1,6 @@
-"""The state of a run, drawn from its record (`manual/control.md`): all of it, or what a terminal has room for.
+"""The state of a run, drawn from its record (`manual/control.md`): all of it, or as much as fits the terminal.
 
-The live view fetches what there is, and has it drawn a few times a second.
+The live view fetches the state and redraws it a few times a second.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def _whole(run: str, environment: str, pid: int, state: Mapping[str, Any]) -> It
 
 @dataclass(frozen=True)
 class RunPicture:
-    """The state with the log, fitted to the size that the terminal has at that moment: what is wrong comes first."""
+    """The state with the log, fitted to the present size of the terminal; faults come first."""
 
     run: str
     environment: str
@@ -267,9 +267,9 @@ def _review(review: Mapping[str, Any]) -> Text:
 def _drawn(
     columns: Sequence[tuple[str, int]], rows: Sequence[Sequence[Text]], room: int | None, noun: str
 ) -> RenderableType:
-    """A table of what there is room for, one line per row; of all, where `room` is None.
+    """Return a table of as many rows as fit into `room` lines, one line per row; all rows if that is None.
 
-    A column has its share of what is left of the width; a `>` is for numbers.
+    A column has its share of the remaining width; a `>` before its name aligns numbers.
     """
     fits = room is not None
     table = Table(box=None, expand=fits, padding=(0, 2, 0, 0), header_style="dim", pad_edge=False)

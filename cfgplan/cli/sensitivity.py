@@ -190,7 +190,7 @@ def _right_edge(found: Sensitivity) -> Fraction:
 
 
 def _label(found: Sensitivity, span: Span) -> str:
-    """What tells a plan from the others: what it runs, and not all of them do."""
+    """Return the label of a plan: the transformations that it runs but not every plan of the series."""
     everywhere = set(found.spans[0].runs).intersection(*(other.runs for other in found.spans))
     own = [label for label in span.runs if label not in everywhere]
     text = some(own, 3) or "what all plans run, no more"

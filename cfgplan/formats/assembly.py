@@ -73,7 +73,7 @@ _PORT_TYPES: dict[Any, Any] = {"inputs": InputPort, "outputs": OutputPort}
 
 
 class Expander:
-    """Makes transformations from their written form; what is wrong is noted where it stands."""
+    """Makes transformations from their written form; each fault is noted at its place in the file."""
 
     def __init__(
         self,
@@ -356,7 +356,7 @@ def _parts(document: Document, kind: str, faults: list[Fault]) -> Iterator[tuple
 
 
 def _wants_one_thing(entry: Passage, part: fields.TargetPart) -> bool:
-    """Whether a target says `topic` and `tag`, or else `run` and nothing that is said of a stream."""
+    """Return whether a target has `topic` and `tag`, or else `run` and no key about a stream; note each fault."""
     said = [key for key in fields.OF_A_STREAM if getattr(part, key) is not None]
     if part.run is not None:
         for key in said:

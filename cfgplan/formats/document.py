@@ -177,7 +177,7 @@ def _read_source(source: Source, part: type[P]) -> tuple[P, File, list[Fault]]:
 
 
 def _other_kind(data: Mapping[str, object]) -> tuple[str, str] | None:
-    """What a mapping is that does not say that it is an environment; None if it may be one."""
+    """Return the kind of a mapping that does not declare an environment, with a mend; None if it may be one."""
     if "format_version" in data and "change_set" in data:
         return "a plan", "name the environment that it was made of; `cfgplan ctl apply` takes a plan"
     if "services" in data and "transformations" not in data:

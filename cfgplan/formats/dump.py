@@ -32,12 +32,12 @@ def dump_yaml(data: object) -> str:
 
 
 def as_yaml(document: Document) -> str:
-    """A document as one YAML file that says the same; what it includes is written into it. Raises InputError."""
+    """Return a document as one equivalent YAML file, with its includes written into it. Raises InputError."""
     return dump_yaml(plain_document(document))
 
 
 def as_xml(document: Document) -> str:
-    """A document as one XML file that says the same; what it includes is written into it. Raises InputError."""
+    """Return a document as one equivalent XML file, with its includes written into it. Raises InputError."""
     return dump_xml(plain_document(document))
 
 
@@ -213,7 +213,7 @@ def _target(target: domain.Target, environment: domain.Environment) -> dict[str,
 
 
 class _Dumper(_DUMPER):  # type: ignore[misc]
-    """PyYAML's dumper, with the reader's own idea of which plain scalars are text."""
+    """PyYAML's dumper, which quotes plain scalars by the rules of our reader."""
 
     def ignore_aliases(self, data: object) -> bool:  # noqa: ARG002
         return True

@@ -46,11 +46,11 @@ class EnvironmentFile:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 (hex) of all that a plan depends on, the ontology files, `imports`, `rules` and `prefer` too.
+        """SHA-256 (hex) of all input of a plan, including the ontology files, `imports`, `rules` and `prefer`.
 
-        Of facts it counts which transformations they leave out, not their values.
-        Comments, the order of lists and fields that planning does not use don't count. Nor do imported files that
-        `imports` does not name: to find them would take reading ontologies.
+        For facts, only the transformations that they leave out count, not their values. Comments, the order of lists
+        and fields that planning does not use don't count, nor do imported files that `imports` does not name: to find
+        them would take reading ontologies.
         """
         content: list[object] = [
             self.horizon_s,
@@ -181,7 +181,7 @@ def _later_parts(environment: Environment) -> Iterator[list[object]]:
 
 
 def _beyond_the_paper(environment: Environment, survive: Failures | None) -> list[object]:
-    """What goes beyond the paper; every entry is empty in an environment without it."""
+    """Return the values beyond the paper; every entry is empty for an environment of the paper."""
     placed, library = bool(environment.hosts), environment.library
     measured = bool(environment.qualities)
     numbered = (t for t in library if t.conflicts or t.min_instances or t.max_instances is not None)

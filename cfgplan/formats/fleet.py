@@ -28,7 +28,7 @@ from cfgplan.selectors import selector
 
 
 class FleetReader:
-    """The hosts and attributes of one document; what is wrong goes into `faults`."""
+    """The hosts and attributes of one document; faults are added to `faults`."""
 
     def __init__(self, document: Document, left_out: LeftOut, faults: list[Fault]) -> None:
         self._left_out = left_out
@@ -209,7 +209,7 @@ class FleetReader:
         return replace(stated, value=curve.at(fact.value), by=curve)
 
     def wishes(self, entry: Passage, part: TargetPart) -> tuple[Wish, ...]:
-        """What a target asks of its stream; `entry` is that of the mapping."""
+        """Return a target's demands on the quality of its stream; `entry` is the target's mapping."""
         found = []
         for name, wish in (part.quality or {}).items():
             attribute = self._attribute(entry.at(name), name)

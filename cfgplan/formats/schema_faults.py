@@ -79,7 +79,7 @@ def _meant_keys(error: Any, root: Path, part: type[BaseModel]) -> tuple[str, ...
 
 
 def _keys_like(name: str, known: Collection[str]) -> tuple[str, ...]:
-    """The known keys that an unknown one stands for: by what it means, or else by its spelling."""
+    """Return the known keys that an unknown one may stand for: its synonyms, or else those of similar spelling."""
     said = tuple(key for key in _SYNONYMS.get(name.casefold(), ()) if key in known)
     return said or tuple(close_names(name, known))
 

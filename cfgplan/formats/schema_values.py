@@ -58,7 +58,7 @@ def _member(kind: type[Enum]) -> AfterValidator:
 
 
 def _taken(convert: Callable[[Any], T], value: object) -> T:
-    """What the domain makes of a value; its refusal, in words, is pydantic's."""
+    """Return the converted value; the domain's error becomes pydantic's, with the same words."""
     try:
         return convert(value)
     except InvalidValueError as error:
