@@ -1,6 +1,6 @@
-"""The Python API: load, match, plan and judge; what `import cfgplan` hands out.
+"""The Python API, imported by `import cfgplan`: load, match, plan and judge.
 
-The rooms for formats, matching and planners know nothing of each other; here they are joined.
+The rooms for formats, matching and planners know nothing of each other; this module joins them.
 """
 
 from __future__ import annotations
@@ -420,7 +420,7 @@ def accepted(problem: Problem, answer: Plan) -> Plan:
 
 
 def plan_text(world: World, problem: Problem, plan: Plan) -> str:
-    """The plan file (JSON) of a plan: what `solve --out` writes."""
+    """Return the plan file (JSON) of a plan, as `solve --out` writes it."""
     from cfgplan.formats.plan_file import dump_plan
 
     return dump_plan(plan, problem, world.digest)
@@ -428,12 +428,12 @@ def plan_text(world: World, problem: Problem, plan: Plan) -> str:
 
 @checked
 def load_plan(world: World, problem: Problem, path: str | os.PathLike[str]) -> Plan:
-    """A plan that may be carried out: the one in a plan file, if it was made for this world and the judge accepts it.
+    """Return the plan in a plan file, if it was made for this world and the judge accepts it: it may be carried out.
 
-    Change set, cost, status and bound are checked against `problem`; that no plan is cheaper is the planner's proof,
-    which a file can't repeat. An ontology file that neither `ontology:` nor `imports:` names, but an import led to,
-    does not make a plan stale when it changes; the judge holds the plan against what matches now all the same.
-    Raises InputError for a file that is broken, stale or has been changed.
+    Change set, cost, status and bound are checked against `problem`; the proof that no plan is cheaper is not repeated.
+    If an ontology changes that neither `ontology:` nor `imports:` names, but an import led to, the plan does not become
+    stale; the judge checks it against the present matches all the same. Raises InputError for a file that is broken,
+    stale or has been changed.
     """
     from cfgplan.formats.plan_file import load_plan as read_plan
 

@@ -262,12 +262,11 @@ def _similarity_summary(similarity: Similarity) -> Summary:
 @dataclass(frozen=True)
 @checked
 class Similarity:
-    """The relation ~ between tags (Definition 5): which offered tag may feed which demanded tag.
+    """The relation ~ between tags (Definition 5): it says which offered tag may feed which demanded tag.
 
-    `offers` maps each demanded tag to the offered tags that it accepts; collected over the ports
-    of a library this is the paper's validity matrix. `open` maps a demanded tag to offered tags that no reasoner has
-    decided: such a pair does not match, and nothing may be claimed that hangs on it. Where a row of `offers` and one
-    of `open` share a tag, it matches.
+    `offers` maps each demanded tag to the offered tags that it accepts; collected over the ports of a library this is
+    the paper's validity matrix. `open` maps a demanded tag to offered tags that no reasoner has decided; an open pair
+    does not match, and no claim may depend on it. If a row of `offers` and one of `open` share a tag, it matches.
     """
 
     offers: Mapping[str, frozenset[str]] = field(hash=False)
@@ -552,9 +551,9 @@ class Environment:
         return MappingProxyType({label: reason for label, reason in why.items() if reason is not None})
 
     def with_facts(self, values: Mapping[str, FactValue]) -> Environment:
-        """The environment in which facts have other values; those of another kind are ignored.
+        """Return the environment in which facts have other values; values of another kind are ignored.
 
-        Qualities that follow a fact have the values that follow from it.
+        Qualities that follow a fact get the values that follow from it.
         """
         facts = {fact.name: fact.being(values.get(fact.name)) for fact in self.facts}
         changed = {label: _following(self.transformation[label], facts) for label in self.following}
@@ -615,7 +614,7 @@ class Environment:
         return replace(self, library=tuple(t for t in self.library if t.label not in self.left_out))
 
     def hosts_for(self, transformation: Transformation) -> tuple[str | None, ...]:
-        """Where units of a transformation may run, in order; only None if there are no hosts."""
+        """Return the hosts where units of a transformation may run, by name, in order; (None,) without hosts."""
         if not self.hosts:
             return (None,)
         wanted = transformation.hosts if transformation.host is None else (transformation.host,)
@@ -626,7 +625,7 @@ class Environment:
         )
 
     def places_for(self, transformation: Transformation) -> tuple[Host | None, ...]:
-        """The hosts where units of a transformation may run; only None if there are no hosts."""
+        """Return the hosts where units of a transformation may run; (None,) without hosts."""
         return tuple(None if name is None else self.host[name] for name in self.hosts_for(transformation))
 
     @cached_property

@@ -203,7 +203,9 @@ def check_requirement(text: str) -> None:
 
 
 def why_left_out(text: str, facts: Mapping[str, Fact]) -> str | None:
-    """Why a requirement is not met, such as `visibility is 1 m`; None if it is. All facts that it names are there."""
+    """Return why a requirement is not met, such as `visibility is 1 m`; None if it is. `facts` must have all
+    its facts.
+    """
     blamed = requirement(text).blamed({name: fact.value for name, fact in facts.items()})
     if blamed is None:
         return None

@@ -1,4 +1,4 @@
-"""Relations as pairs: what leads on from what, and what goes with what."""
+"""Relations as pairs: reachability and grouping."""
 
 from __future__ import annotations
 

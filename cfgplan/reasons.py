@@ -62,7 +62,9 @@ def pinned_reasons(problem: Problem) -> dict[str, str]:
 
 
 def with_pinned_reasons(given_up: Mapping[str, str], problem: Problem) -> dict[str, str]:
-    """The reasons of a plan: those of targets, by label, and of pinned units, by id; `unit ID` if that is a label."""
+    """Return the reasons of a plan: those of targets by label, and those of pinned units by id (`unit ID` if that is a
+    label).
+    """
     reasons = dict(given_up)
     for name, why in sorted(pinned_reasons(problem).items()):
         while name in reasons:

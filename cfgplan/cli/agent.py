@@ -40,7 +40,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 
 
 def add_links(parser: argparse.ArgumentParser, **more: Any) -> None:
-    """Options of whoever takes part in a fleet, or reaches it."""
+    """Add the options of commands that take part in a fleet, or reach it."""
     parser.add_argument(
         "--connect",
         action="append",

@@ -1,4 +1,4 @@
-"""`cfgplan completion`: what a shell needs to complete command lines."""
+"""`cfgplan completion`: scripts by which a shell completes command lines."""
 
 from __future__ import annotations
 

@@ -101,7 +101,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
 
 def _of_facts(environment: Environment) -> dict[str, object]:
-    """For JSON: what facts make of the library, where they do."""
+    """Return the effects of facts on the library, for JSON; empty without any."""
     told = {"left_out": dict(environment.left_out), "by_facts": environment.quality_by_facts}
     return {key: said for key, said in told.items() if said}
 

@@ -256,7 +256,7 @@ def _waiting_text(waiting: Waiting) -> str:
 
 
 def _clock(time_ns: Any) -> str:
-    """A time on the clock; of a stream with a clock of its own, in seconds."""
+    """Return a time on the clock, or in seconds for a stream with a clock of its own."""
     if time_ns < 1_000_000_000 * 86_400 * 365:
         return f"{time_ns / 1e9:.3f}s"
     at = time.strftime("%H:%M:%S", time.localtime(time_ns / 1e9))

@@ -312,7 +312,7 @@ def _span(seconds: float) -> str:
 
 
 class LiveView(RunOutput):
-    """Fills the terminal while a run is held; what matters is printed again when it is over."""
+    """Fills the terminal during a run; important lines are printed again when it is over."""
 
     def __init__(self, screen: Screen, operation: Operation) -> None:
         super().__init__(screen, operation)

@@ -171,7 +171,7 @@ class _Ranking:
         return plan if self._kept <= kept else None
 
     def _best_that_runs(self, runs: Labels) -> Plan | None:
-        """Return the best plan that runs just `runs` and what runs anyway; None if undecided, or if no such plan
+        """Return the best plan that runs just `runs` and the units of `Kept`; None if undecided, or if no such plan
         exists.
         """
         if runs == self._runs(self._best):

@@ -55,13 +55,13 @@ def best_effort(
 ) -> BestEffort:
     """Meet as many targets of the highest priority as possible, then of the next ..., then at least cost.
 
-    A set of targets can be met if `planner` finds a plan for the problem with these targets alone; of equally
-    good sets the one with the best plan in the usual order wins (required, cost, rewired, started), then the one
-    that comes first. Where nothing but missing matches is in the way, this takes one call of the planner, on a
-    problem that changes only with the targets that can be met: a `PlannerSession` stays warm. A largest cost
-    that is too small takes a search over sets of targets, in the worst case all of them.
+    A set of targets can be met if `planner` finds a plan for the problem with these targets alone. Among equally good
+    sets the one with the best plan in the usual order wins (required, cost, rewired, started), then the first one. If
+    only missing matches prevent targets, this takes one call of the planner, on a problem that changes only with the
+    targets that can be met: a `PlannerSession` stays warm. A largest cost that is too small takes a search over sets of
+    targets, in the worst case all of them.
 
-    `impossible` are the `reasons.unmet_reasons` of the problem for who knows them already; they depend on library,
+    `impossible` are the `reasons.unmet_reasons` of the problem, if they are known already; they depend on library,
     matching and targets alone.
     """
     impossible = dict(unmet_reasons(problem) if impossible is None else impossible)

@@ -33,8 +33,8 @@ def _front_summary(front: Front) -> Summary:
 class Front:
     """The cost-quality front of one target and attribute, from the cheapest plan to the best.
 
-    Costs don't hold the price of this attribute. `complete` says that there are no more points; if not, the
-    clock or the limit of points stopped it, and points of better quality are missing.
+    Costs don't include the price of this attribute. `complete` says that no more points exist; if not, the clock or the
+    limit of points stopped the search, and points of better quality are missing.
     """
 
     target: str

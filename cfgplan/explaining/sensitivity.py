@@ -90,10 +90,10 @@ class Sensitivity:
 
 
 def horizon_sensitivity(problem: Problem, planner: Planner) -> Sensitivity:
-    """The optimal plan of each span of horizons from 0 on, without the largest cost.
+    """Return the optimal plan of each span of horizons from 0 on, without the largest cost.
 
-    Without a plan there are no spans. The planner is asked about three times for each span. Raises InputError where
-    streams between hosts cost a fraction of a microsecond each second: such costs are rounded, and no straight lines.
+    Without a plan, the result has no spans. The planner is called about three times for each span. Raises InputError if
+    streams between hosts cost a fraction of a microsecond each second, since their rounded costs are no straight lines.
     """
     _refuse_rounding(problem)
     _refuse_energy(problem)
@@ -117,10 +117,10 @@ def horizon_sensitivity(problem: Problem, planner: Planner) -> Sensitivity:
 
 
 def upkeep_sensitivity(problem: Problem, planner: Planner, label: str) -> Sensitivity:
-    """The optimal plan of each span of a transformation's upkeep from 0 on, without the largest cost.
+    """Return the optimal plan of each span of a transformation's upkeep from 0 on, without the largest cost.
 
-    Where the horizon is 0, upkeep does not matter and there is one span. Raises InputError where hosts limit CPU time:
-    what fits on them changes with the upkeep.
+    If the horizon is 0, upkeep does not matter and the result has one span. Raises InputError if hosts limit CPU time,
+    since their room then changes with the upkeep.
     """
     environment = problem.environment
     kind = environment.transformation[label]

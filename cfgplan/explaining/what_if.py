@@ -51,7 +51,7 @@ def without(environment: Environment, names: Collection[str]) -> Environment:
 
 
 def with_settings(supposed: Supposed, settings: Mapping[str, str]) -> Supposed:
-    """The same with other values: of `horizon`, `max_cost`, facts, and a transformation's or target's properties.
+    """Return the same with other values of `horizon`, `max_cost`, facts, and properties of transformations or targets.
 
     Keys are `facts.NAME`, `T.labor`, `T.upkeep` (CPU seconds), `T.pinned`, `T.required` (true or false) and, for a
     target, `T.priority`. Raises InputError with every setting that can't be made.

@@ -22,7 +22,7 @@ class DemandSet:
 
     @classmethod
     def of(cls, environment: Environment) -> DemandSet:
-        """All that an environment demands; of pinned transformations those that run."""
+        """Return all demands of an environment; a pinned transformation is one if it has running units."""
         running = {unit.transformation for unit in environment.units}
         return cls(
             frozenset(target.label for target in environment.targets),

@@ -1,4 +1,4 @@
-"""Files to plain data: whatever keeps a file from being read is one clear fault."""
+"""Files to plain data: every cause that keeps a file from being read is one clear fault."""
 
 from __future__ import annotations
 

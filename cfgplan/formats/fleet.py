@@ -77,7 +77,7 @@ class FleetReader:
         self.survive = self._survived(main.at("survive"), header.survive, has_hosts=bool(header.hosts))
 
     def _note_fact(self, entry: Passage, name: str, part: FactPart) -> None:
-        """Take a fact in; what does not go together is noted, and leaves the fact unobserved."""
+        """Add a fact; a contradiction among its keys is noted, and leaves the fact unobserved."""
         said = part.values()
         if misfit := misfit_of_fact(said):
             key, message, mend = misfit

@@ -1,7 +1,7 @@
-"""Plans as JSON: what `solve --out` writes and whatever applies a plan reads.
+"""Plans as JSON, written by `solve --out` and read by every command that applies a plan.
 
-Costs are integers in microseconds; the keys that end in `_s` say the same in CPU seconds for people, and
-are not read back. `environment` is the digest of the environment that the plan was made for.
+Costs are integers in microseconds; the keys that end in `_s` say the same in CPU seconds for people, and are not read
+back. `environment` is the digest of the environment that the plan was made for.
 """
 
 from __future__ import annotations

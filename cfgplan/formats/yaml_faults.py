@@ -91,7 +91,7 @@ def _colon(written: str) -> str:
 
 
 def _second_colon(before: str, number: int, lines: list[str]) -> str:
-    """The mend of a line with a `: ` where the parser is inside a value: of this line, or of the line above."""
+    """Return the mend of a line with a `: ` inside a value that begins on this line, or on the line above."""
     if pair := _PAIR.search(before + ": "):
         value = lines[number][pair.end() :]
         if pair.end() < len(before):

@@ -446,7 +446,7 @@ def tree_of(concept: Concept) -> Tree:
 
 
 def _conjuncts(tree: Tree) -> tuple[Tree, ...]:
-    """The parts of a conjunction; of any other expression itself."""
+    """Return the parts of a conjunction; any other expression is its only part."""
     return tree[1:] if isinstance(tree, tuple) and tree[0] == "ObjectIntersectionOf" else (tree,)
 
 

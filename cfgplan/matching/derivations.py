@@ -83,7 +83,9 @@ _UNNAMED: Final = (
 
 
 def _beside(axioms: Collection[str], ontology: Ontology) -> Iterator[str]:
-    """The axioms that may be needed beside those of the steps: of properties, and about the literals of individuals."""
+    """Yield the axioms that may be needed beside those of the steps, about properties and the literals of
+    individuals.
+    """
     has_domain = any(axiom.startswith("DataPropertyDomain(") for axiom in axioms)
     named = {name for axiom in axioms for name in leaves(ontology.trees[axiom])} if has_domain else set()
     for axiom, tree in ontology.trees.items():

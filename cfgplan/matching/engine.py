@@ -1,7 +1,7 @@
-"""The fast engine: which offered concepts meet which demanded ones, with a certificate where nothing can be missing.
+"""The fast engine: decides which offered concepts meet which demanded ones, and certifies results that miss no match.
 
-There is one calculus for all of it (`saturation`). An offered concept is a context: the things that have it. A demanded
-concept is an atom that rules give to whatever has the concept. An offer meets a demand if its context has the atom.
+One calculus does all of it (`saturation`). An offered concept is a context: the things that have it. A demanded concept
+is an atom that rules give to each thing that has the concept. An offer meets a demand if its context has the atom.
 """
 
 from __future__ import annotations

@@ -112,7 +112,7 @@ class TripleGraph:
         self._index()
 
     def lossless(self) -> str:
-        """The document in N-Triples; what would be dropped from any triples is in `axioms`, in functional syntax."""
+        """The document in N-Triples; statements that any triples would lose are in `axioms`, in functional syntax."""
         self._drop_what_means_nothing()
         self._name_inverse_properties()
         self._give_names_a_type()
@@ -155,8 +155,8 @@ class TripleGraph:
         return term.startswith("_:") and term not in self._individuals
 
     def _drop_what_means_nothing(self) -> None:
-        """Drop triples without meaning: those about the ontology itself, deprecations, restrictions typed as
-        classes.
+        """Drop triples about the ontology itself, deprecations, and restrictions typed as classes: they have no meaning
+        here.
         """
         restriction = (_TYPE, f"<{OWL}Restriction>")
         header = {s for s, p, o in self._triples if p == _TYPE and o == f"<{OWL}Ontology>"}

@@ -221,9 +221,9 @@ class Matcher:
     def decide(self, pairs: Sequence[Pair], *, time_limit_s: float | None = None) -> int:
         """Ask the reference about (offered, demanded) texts of registered tags in this order, until the time limit.
 
-        Returns how many pairs were asked: those of distinct tags that were open and not asked about before. Pairs not
-        reached in time stay open. Raises KeyError for a text that is not registered, and InputError for an ontology
-        that can't be reasoned with.
+        Returns the number of distinct pairs asked about; pairs that are decided or were asked about before do not
+        count. Pairs not reached in time stay open. Raises KeyError for a text that is not registered, and InputError
+        for an ontology that can't be reasoned with.
         """
         rows = self._current_rows()
         left_s = countdown(time_limit_s)
@@ -407,7 +407,7 @@ class Matcher:
         return {name: count for name, count in counts.items() if count}
 
     def _contradiction(self) -> InconsistentOntologyError:
-        """The error that names the axioms that clash: those of the fast engine, else those that the reference finds."""
+        """Return the error that names the clashing axioms, found by the fast engine or else by the reference."""
         steps = contradiction(self._ontology)
         if not steps and self._reference is not None:
             steps = clash(self._ontology, self._reference)

@@ -148,7 +148,9 @@ class PortWords:
         return weights
 
     def mention(self, name: str, *, partly: bool = False) -> float:
-        """How much the texts speak of a name: what its words count; `partly`, half of that if only its end is."""
+        """Return how much the texts mention a name: the least weight of its words; with `partly`, half if only its end
+        is.
+        """
         weights = [self.said.get(word, 0.0) for word in words_of(name)]
         if not weights or not weights[-1]:
             return 0.0
@@ -207,7 +209,9 @@ class Proposer:
                 yield conjunction(parts), ", ".join(told)
 
     def _heads(self, port: PortWords) -> list[tuple[str, tuple[str, ...]]]:
-        """The classes whose names fit best, with the words that fit; of equals those without subclasses come first."""
+        """Return the classes whose names fit best, with the fitting words; among equals, classes without subclasses
+        come first.
+        """
         ranked = []
         for iri in self._classes.values():
             words = words_of(short_name(iri))

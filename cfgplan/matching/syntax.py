@@ -213,7 +213,7 @@ class _TagReader(ExpressionReader[Concept]):
     def _found(
         self, name: str, at: int, *vocabularies: NameTable, mend: str | None = None
     ) -> tuple[NameTable | None, str]:
-        """The vocabulary that has a name, and its IRI; of an open ontology none, and a free one."""
+        """Return the vocabulary that has a name, and its IRI; for an open ontology None, and a free IRI."""
         try:
             return self._ontology.find(name, vocabularies) or (None, self._ontology.free_iri(name))
         except UnknownNameError as error:

@@ -168,7 +168,9 @@ def _hints(sources: Iterable[MqttSource]) -> Iterator[str]:
 
 
 def _on_one_line(text: str) -> str:
-    """A text with escapes in place of what would end a comment, or can't stand in one."""
+    """Return a text in which unprintable characters, such as ends of lines, are escaped, so that it fits into a
+    comment.
+    """
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 

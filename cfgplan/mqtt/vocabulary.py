@@ -82,7 +82,7 @@ _UNITS: Final = {
 
 
 class MqttVocabulary:
-    """The concepts of entities and topics; those of topics are made when they are first asked for.
+    """The concepts of entities and topics; a topic's concept is made when it is first asked for.
 
     Each level of a topic is below the one before: `house-kitchen-temperature` is a `house-kitchen`. Letters that no
     name takes are written `_`.

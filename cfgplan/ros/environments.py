@@ -47,7 +47,7 @@ _APART: tuple[Callable[[RosPort], str], ...] = (
 
 @dataclass(frozen=True, slots=True, order=True)
 class Guessed:
-    """Something that an import had to guess: of what, what, and why."""
+    """A guess of an import: its subject, its value, and the reason."""
 
     about: str
     guess: str
@@ -278,7 +278,7 @@ class _Making:
         )
 
     def _taken(self, end: _End, streams: list[_End], port: InputPort) -> list[_End]:
-        """The streams that an input is wired to; of several servers of one name the first."""
+        """Return the streams that an input is wired to; a client with several servers gets only the first."""
         if port.service and len(streams) > 1:
             self._guess(f"input {end.port} of {end.node}", f"asks {streams[0].node}", "several serve it")
             return streams[:1]
@@ -290,7 +290,9 @@ class _Making:
         feeds: Mapping[_End, list[_End]],
         inputs: Mapping[_End, tuple[RosNode, RosPort]],
     ) -> dict[_End, InputPort]:
-        """The inputs through which cycles are closed: those that the table names, then those that lead back."""
+        """Return the inputs through which cycles are closed: first those that the table names, then those that lead
+        back.
+        """
         closing: dict[_End, InputPort] = {}
 
         def named(end: _End) -> tuple[str, RosPort]:

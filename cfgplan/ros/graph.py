@@ -1,4 +1,4 @@
-"""A graph of ROS nodes: what each publishes, subscribes to, serves and calls; the value between sources and files."""
+"""A graph of ROS nodes with their topics and services; the value between sources and files."""
 
 from __future__ import annotations
 
@@ -172,7 +172,7 @@ def _joined(one: RosNode, other: RosNode) -> RosNode:
 
 
 def _is_same(one: RosPort, other: RosPort) -> bool:
-    """Whether two sources tell of one port: what one of them does not know is no difference."""
+    """Return whether two sources describe the same port; an unknown type or definition equals any."""
     known = ((one.type, other.type), (one.definition, other.definition))
     return (one.role, one.name) == (other.role, other.name) and all(a == b for a, b in known if a and b)
 

@@ -32,7 +32,7 @@ class _Code:
 
 @dataclass(frozen=True)
 class _Call:
-    """A call with keyword arguments; those that are None or empty are left out."""
+    """A call with keyword arguments; arguments that are None or empty are left out."""
 
     name: str
     arguments: Mapping[str, object]

@@ -307,7 +307,7 @@ class _Walk:
         return None if text is None else self._meant(element, text, scope, missing=missing)
 
     def _meant(self, element: XmlElement, text: str, scope: _Scope, *, missing: bool = False) -> str:
-        """A text with its substitutions; those of packages that are not here stay, unless `missing` asks to raise."""
+        """Return a text with its substitutions; those of missing packages stay, unless `missing` asks to raise."""
         try:
             return Substitutions(scope.file, scope.arguments).text(text)
         except PackageMissingError as error:

@@ -1,4 +1,4 @@
-"""The graph of a running ROS 1 system: what its master knows, and what its nodes say of their own topics."""
+"""The graph of a running ROS 1 system, from its master and its nodes' answers about their own topics."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where graphs come from: what people name on the command line, and who reads each."""
+"""The sources of graphs named on the command line, and the reader of each."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Quality of service in ROS 2: what keeps a subscription from hearing a publisher.
+"""Quality of service in ROS 2: reasons why a subscription does not hear a publisher.
 
 Reference: OMG DDS 1.4, section 2.2.3.
 """

@@ -358,7 +358,9 @@ def _package(name: str, near: Path, *, prefix: bool) -> Path:
 
 
 def _typed(text: str, kind: str | None) -> object:
-    """A parameter's value: of the type that is said, or of that which YAML reads. Raises ValueError and YAMLError."""
+    """Return a parameter's value in its declared type, or else in the type that YAML reads. Raises ValueError and
+    YAMLError.
+    """
     if kind is None or kind == "auto":
         return yaml.safe_load(text)
     if kind.startswith("list_of_"):

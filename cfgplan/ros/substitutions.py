@@ -142,7 +142,7 @@ def _roots(variable: str) -> list[Path]:
 
 @cache
 def _packages(root: Path) -> Mapping[str, Path]:
-    """The packages below a folder, by name; of those of one name the first."""
+    """Return the packages below a folder, by name; the first one of each name."""
     found: dict[str, Path] = {}
     for folder in _package_folders(root, _DEEPEST):
         found.setdefault(_name_in(folder / "package.xml") or folder.name, folder)

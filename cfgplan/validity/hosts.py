@@ -13,7 +13,7 @@ from cfgplan.validity.rules import Rule, Violation
 
 
 def placing_violations(environment: Environment, horizon_s: int = 0) -> Iterator[Violation]:
-    """Units on no host or a wrong one, and hosts with too many units; nothing where there are no hosts.
+    """Yield units on no host or a wrong one, and hosts with too many units; nothing without hosts.
 
     Energy has to last for the horizon.
     """

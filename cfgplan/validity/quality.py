@@ -48,7 +48,7 @@ def _asked(environment: Environment) -> Iterator[tuple[Target, Wish, int]]:
 
 
 def _feeders_first(environment: Environment) -> list[tuple[ComputationUnit, Transformation]]:
-    """The units, each after those that feed its inputs (feedback aside); those in a ring or behind one are left out."""
+    """Return the units, each after its feeders (except by feedback); units in a cycle or behind one are left out."""
     sorter: TopologicalSorter[str] = TopologicalSorter()
     known = {unit.id: (unit, transformation) for unit, transformation in known_units(environment)}
     for unit, transformation in known.values():

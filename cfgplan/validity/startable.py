@@ -9,11 +9,11 @@ from cfgplan.domain import Environment, InputPort, Similarity, Transformation
 
 
 def startable(environment: Environment, similarity: Similarity, units: Mapping[str, int] | None = None) -> set[str]:
-    """The labels of all transformations with a unit in some valid wiring.
+    """Return the labels of all transformations with a unit in some valid wiring.
 
-    More providers never hurt, so it is enough to look at all of them running at once: the largest
-    set whose ordinary inputs are fed by members that come before and feedback inputs by any member.
-    With `units` there are only so many of each; that outputs serve only so many is not looked at.
+    More providers never hurt, so it is enough to consider all of them running at once: the largest set whose ordinary
+    inputs are fed by earlier members and feedback inputs by any member. `units` limits the number of units of each; the
+    `serves` limits of outputs are ignored.
     """
     givers = givers_by_tag(environment, similarity)
     candidates = set(environment.transformation)

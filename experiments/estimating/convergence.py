@@ -118,7 +118,7 @@ def error(scenario: Scenario, moments: list[int], values: list[int], since_s: in
 
 
 def row(scenario: Scenario, name: str, moments: list[int], values: list[int]) -> str:
-    """One line of the table; what failures are to cost is no matter of right and wrong, so that it is told as it is."""
+    """Return one line of the table; estimates after failures are given as they are, since no true value exists."""
     churn = sum(before != after for before, after in pairwise(values))
     if scenario.dies_s is not None:
         most, last = max(values) / 1e3, values[-1] / 1e3

@@ -1,4 +1,4 @@
-"""Storms: sequences of random perturbations, after each of which the running configuration must be optimal.
+"""Storms: sequences of random perturbations, with a check after each that the running configuration is optimal.
 
     python experiments/lifecycle/storm.py [--perturbations 200] [--seeds 10] [--seed 0] [--real | --hosts]
 

@@ -25,11 +25,11 @@ class Limit:
 
 
 class Selection:
-    """The candidates of a problem by index, in canonical order: those that can be fed and that a target may need.
+    """The candidates of a problem by index, in canonical order: units that can be fed and that a target may need.
 
-    A transformation with a running unit has no new one, which could do nothing better. `kept` are the running
-    units of pinned transformations, `wanted` the tags of the targets. Raises InputError if a transformation
-    is required, since a set of units does not tell which of them a target uses, and for all beyond the paper.
+    A transformation with a running unit has no new one, which could do nothing better. `kept` are the running units of
+    pinned transformations, `wanted` the tags of the targets. Raises InputError if a transformation is required, since a
+    set of units does not tell which of them a target uses, and for all beyond the paper.
     """
 
     limits: tuple[Limit, ...] = ()
@@ -117,7 +117,7 @@ class Selection:
         return not self.open_demands(frozenset(chosen)) and len(self.grounded(chosen)) == len(chosen)
 
     def plan_within(self, chosen: Collection[int]) -> list[int] | None:
-        """The grounded ones of the chosen, if these are a plan: what else is chosen feeds nothing that is needed."""
+        """Return the grounded ones of the chosen units if they are a plan: the other ones feed no needed unit."""
         grounded = self.grounded(chosen)
         is_plan = self.kept <= set(grounded) and not self.open_demands(frozenset(grounded))
         return grounded if is_plan else None

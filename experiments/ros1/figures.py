@@ -202,7 +202,7 @@ def messages(reader: MessageReader) -> Iterator[object]:
 
 
 def connected(topic: str) -> socket.socket:
-    """A connection to whoever publishes a topic."""
+    """Return a connection to the publisher of a topic."""
     ends = []
 
     def connects() -> bool:

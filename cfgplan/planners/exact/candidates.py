@@ -179,7 +179,7 @@ class Candidates:
         return self._units.get(label, ())
 
     def first_of_each(self, labels: Iterable[str]) -> set[int]:
-        """The first unit of each label, a running one if there is one; of pinned labels all running units."""
+        """Return the first unit of each label, a running one if possible, and all running units of pinned labels."""
         return {self._units[label][0] for label in labels} | set(filter(self.is_pinned, range(len(self.all))))
 
     def streams(self, tag: str) -> tuple[Stream, ...]:

@@ -42,7 +42,7 @@ class CountedWiring:
         self._stays = {i: unit for i in staying if (unit := self._all[i].running) is not None}
 
     def units(self) -> list[ComputationUnit]:
-        """The units, wired; those that stay as they are the same."""
+        """Return the units, wired; units that stay are unchanged."""
         demands = list(self._demands())
         limited = [demand for demand in demands if any(map(self._serves, demand.streams))]
         taken = {demand.who: _first(demand) for demand in demands if demand not in limited}

@@ -251,7 +251,7 @@ class _Deployment:
         return is_limited
 
     def apart(self, kinds: Sequence[HostKind]) -> list[HostKind]:
-        """Hosts as kinds of their own: of each kind as many as a plan may use that is no worse than the incumbent."""
+        """Split kinds into single hosts, as many of each kind as a plan no worse than the incumbent may use."""
         found: list[HostKind] = []
         for k, kind in enumerate(kinds):
             most = len(kind.names)

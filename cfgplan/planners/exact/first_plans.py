@@ -1,6 +1,6 @@
 """Plans for a fleet before any model is built: cheapest supports by h_add, placed, wired and given spares.
 
-Not all rules are kept on the way: what breaks one is refused when it is offered.
+Some rules are not kept on the way: a plan that breaks one is refused when it is offered.
 """
 
 from __future__ import annotations
@@ -92,8 +92,8 @@ class FirstPlans:
         return np.array([max([0, *values]) for values in added], np.float64)
 
     def _offer_supports(self, price: Floats) -> bool:
-        """Offer the cheapest support at these prices; of two conflicting transformations, the more expensive is left
-        out.
+        """Offer the cheapest support at these prices, without the more expensive one of two conflicting
+        transformations.
         """
         for _ in self.candidates.environment.library:
             support = plan_at(self.network, self._cost, price)

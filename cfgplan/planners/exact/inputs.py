@@ -1,4 +1,4 @@
-"""The rules of inputs: each is fed by streams that are there, and what feeds a unit comes before it."""
+"""The rules of inputs: each is fed by present streams, and a unit's feeders come before it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cfgplan.planning import Feature
 
 
 def a_staying_unit_keeps_its_feeders(model: Model) -> None:
-    """It stays if its streams are there, grounded before it except at feedback inputs; for topics see targets."""
+    """It stays if its streams are present, grounded before it except at feedback inputs; for topics see targets."""
     for i, stays in model.stays.items():
         candidate = model.candidates.all[i]
         assert candidate.running is not None

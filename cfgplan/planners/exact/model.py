@@ -292,7 +292,7 @@ class Model:
         return [self.is_wired[i] for i in self.runs if self.candidates.all[i].running is not None]
 
     def started(self) -> list[IntVar]:
-        """The booleans that new units are there."""
+        """Return the `is_there` booleans of new units."""
         return [there for i, there in self.is_there.items() if self.candidates.all[i].running is None]
 
 

@@ -192,7 +192,7 @@ class _Configuration:
 
     @cached_property
     def _readers(self) -> dict[str, list[str]]:
-        """By unit: those that it feeds, but by feedback inputs."""
+        """The units that each unit feeds, except by feedback inputs."""
         readers: dict[str, list[str]] = defaultdict(list)
         for unit in self.hot.values():
             inputs = self.library[unit.transformation].input

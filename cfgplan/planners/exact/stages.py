@@ -116,10 +116,10 @@ def _known_plan(work: Work, network: Network) -> set[int] | None:
 
 
 def _bounded(work: Work, weighing: Weighing, plan: Ints | None) -> tuple[Ints | None, Remainder]:
-    """Raise the bound by landmarks. Returns the plan, or a cheaper one, and what the bound leaves.
+    """Raise the bound by landmarks. Returns the plan, or a cheaper one, and the labels that the bound leaves.
 
-    Less work is spent where closing may follow and there are no crowds. With crowds (distinct inputs) the labels that
-    a good bound charges in full often make a cheaper plan.
+    If closing may follow and no label has distinct inputs, less work is spent. With distinct inputs the labels that a
+    good bound charges in full often make a cheaper plan.
     """
     network, clock = work.structure.network, work.clock
     limit = int(weighing.weight.sum()) if plan is None else weighing.of_plan(plan)

@@ -116,7 +116,7 @@ class Survival:
             model.cp.add_bool_or([model.spares[spare].negated(), *others])
 
     def _there(self, model: Model, site: Site) -> Iterator[tuple[HostName, IntVar]]:
-        """The booleans that units of a site are there, with their hosts."""
+        """Yield the `is_there` booleans of a site's units, with their hosts."""
         for i in self.candidates.units_of(site[0]):
             for host, literal in model.there_on(i):
                 if site_of(self.candidates.environment, site[0], host) == site:

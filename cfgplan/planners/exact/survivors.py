@@ -70,7 +70,7 @@ def unmet(candidates: Candidates, failure: Failure) -> list[tuple[Target, ...]]:
     """Return the targets that the remaining units can't meet after a failure.
 
     First each target by itself; if each can be met, all targets together if they can't be met at once. Units of one
-    site are interchangeable, so their remaining number suffices as input.
+    site are interchangeable, so only their remaining number matters.
     """
     reach = Reach(candidates.network, candidates.numbers(label for label, _ in failure.left))
     together = [failure.targets] if len(failure.targets) > 1 and are_counted(candidates) else []

@@ -1,4 +1,4 @@
-"""The rules of units: what each of them does, and how many are there together."""
+"""The rules of units: the states of each, and their numbers."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def there_are_as_many_units_as_asked_for_and_allowed(model: Model) -> None:
 
 
 def _there(model: Model, label: str) -> list[IntVar]:
-    """The booleans that units of a transformation are there, running or as cold spares."""
+    """Return the `is_there` booleans of a transformation's units, running or as cold spares."""
     return [model.is_there[i] for i in model.candidates.units_of(label)]
 
 

@@ -91,7 +91,7 @@ def _total(network: Network, price: Floats) -> list[float] | None:
 
 
 def _added(values: list[float]) -> float:
-    """The sum, but at most DEAREST if all are finite. A need that repeats in many layers would overflow."""
+    """Return the sum, capped at DEAREST if all are finite. A need that repeats in many layers would overflow."""
     return min(sum(values), DEAREST) if max(values) < np.inf else np.inf
 
 

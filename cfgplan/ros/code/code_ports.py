@@ -59,9 +59,10 @@ class CodeReading:
 
 
 def action_ports(is_server: bool, port: CodePort) -> Iterator[CodePort]:
-    """The ports of a server or client of an action: one service in ROS 2, five topics in ROS 1.
+    """Yield the ports of a server or client of an action: one service in ROS 2, five topics in ROS 1.
 
-    `port` has the action's name and its type: of kind `action` in ROS 2; the message `NameAction`, or None, in ROS 1.
+    `port` has the action's name and its type. In ROS 2 the type has the kind `action`; in ROS 1 it is the message
+    `NameAction`, or None.
     """
     if port.type is not None and port.type.kind == "action":
         yield replace(port, role=Role.SERVES if is_server else Role.CALLS)

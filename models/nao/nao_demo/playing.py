@@ -54,7 +54,7 @@ class Audience(Protocol):
         """A step begins."""
 
     def answers(self, answered: Played) -> None:
-        """The manager has answered it; there are no positions yet."""
+        """The manager has answered it; positions come later."""
 
     def watches(self, sample: Sample | None) -> None:
         """The newest position, if there is any; told a few times a second while a step is watched."""

@@ -88,7 +88,7 @@ def view(robot: Robot, time_ns: int) -> View:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Root mean squares of the errors at the same moments, in metres: of each robot alone, and of both fused."""
+    """Root mean squares of the errors at the same moments, in metres, for each robot alone and for both fused."""
 
     moments: int
     alone_m: Mapping[str, float]

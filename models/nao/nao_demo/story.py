@@ -1,4 +1,4 @@
-"""Section V of the paper in steps: what happens in each, what else could be done, and what robots declare in them."""
+"""Section V of the paper in steps: the event of each, its alternatives, and the robots' declarations."""
 
 from __future__ import annotations
 
