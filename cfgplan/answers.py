@@ -1,4 +1,4 @@
-"""The Python API's further questions: why, why not, what else, how sensitive; every plan in an answer is judged."""
+"""The Python API's questions about plans: why, why not, alternatives, sensitivity; the judge checks every plan."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def _nearest(world: World, reasoner: str, limit_s: float | None) -> Callable[[st
 def unfed_pinned(
     world: World, problem: Problem, *, reasoner: str = "auto", reasoner_limit_s: Seconds | None = None
 ) -> dict[str, Unreachable]:
-    """For each pinned unit that can't be fed, by id: why not, with the nearest outputs."""
+    """Return why each pinned unit that can't be fed can't, by id, with the nearest outputs."""
     pinned = pinned_reasons(problem)
     if not pinned:
         return {}
@@ -186,7 +186,7 @@ def sensitivity(
     time_limit_s: Seconds | None = None,
     decider: Decider | None = None,
 ) -> Sensitivity:
-    """For which horizons, or upkeeps of a transformation, which plan is optimal; see `cfgplan.explaining`.
+    """Return the optimal plan of each span of horizons, or of a transformation's upkeep; see `cfgplan.explaining`.
 
     The time limit is for each call of the planner.
     """
@@ -207,7 +207,7 @@ def best_effort(
     time_limit_s: Seconds | None = None,
     decider: Decider | None = None,
 ) -> BestEffort:
-    """The best update that some of the targets allow, the most important ones; see `cfgplan.explaining`."""
+    """Return the best update that meets as many targets as possible, important ones first; see `cfgplan.explaining`."""
     from cfgplan import explaining
 
     judged = _Judged(planner, None, decider)
@@ -216,7 +216,7 @@ def best_effort(
 
 
 class _Judged:
-    """A planner whose every answer is accepted by the judge; it asks a decider, if there is one, about open pairs."""
+    """A planner whose every answer is accepted by the judge; a decider, if given, decides open pairs."""
 
     def __init__(self, planner: str | Planner, limit_s: float | None, decider: Decider | None) -> None:
         # A single plan that is stopped by Ctrl-C is the best so far; what asks for many of them has to end.

@@ -91,7 +91,7 @@ class World:
 
     @cached_property
     def digest(self) -> str:
-        """A hash of all that a plan depends on; a plan file carries it, so that a stale plan is noticed."""
+        """A hash of all input of a plan; a plan file carries it, so that a stale plan is noticed."""
         from cfgplan.formats.environment_file import EnvironmentFile
 
         file = self.file or EnvironmentFile(
@@ -223,14 +223,14 @@ def explain_match(
 
 
 def nearest_offers(world: World, demanded: str, **reasoning: Any) -> tuple[Nearest, ...]:
-    """The three offered tags of the library that come nearest to a demanded tag; `reasoning` is as of `near_offers`."""
+    """Return the three offered tags of the library most similar to a demanded tag; see `near_offers` for `reasoning`."""
     return near_offers(world, [demanded], **reasoning)[demanded][:3]
 
 
 def near_offers(
     world: World, demanded: Collection[str], *, reasoner: str = "auto", time_limit_s: Seconds | None = None
 ) -> dict[str, tuple[Nearest, ...]]:
-    """For each of some demanded tags all offered ones that hold a part of it, the nearest first."""
+    """Return, for each demanded tag, all offered tags that have one of its conjuncts, the most similar first."""
     from cfgplan.matching import near_offers as near
 
     offered, _ = _tags(world.environment.possible)
@@ -395,7 +395,7 @@ def solved(
 
 
 def interruptible(planner: str | Planner, stop: Event) -> Planner:
-    """A planner as `planner_of` gives it; `cpsat` tells by `stop` that Ctrl-C ended it."""
+    """Return the planner of a name; `cpsat` sets `stop` if Ctrl-C ended it."""
     if planner != "cpsat":
         return planner_of(planner)
     from cfgplan.planners import cpsat
@@ -506,7 +506,7 @@ def write_file(path: Path, content: bytes) -> None:
 
 
 def _replace(path: Path, content: bytes) -> None:
-    """Put a new file in the place of an old one, which must be writable and leaves its permissions behind."""
+    """Replace a file, which must be writable, by a new one with the same permissions."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.new")
     exists = path.exists()
     if exists and not os.access(path, os.W_OK):

@@ -19,7 +19,7 @@ def normal(text: str) -> str:
 
 
 def store_sorted(holder: object, name: str, values: Iterable[T], key: Callable[[T], object]) -> None:
-    """Put a tuple of a frozen dataclass in order, while that is being made."""
+    """Sort a tuple of a frozen dataclass during its construction."""
     object.__setattr__(holder, name, tuple(sorted(values, key=key)))  # type: ignore[arg-type]
 
 

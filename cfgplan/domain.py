@@ -46,7 +46,7 @@ from cfgplan.transformations import amount_of as amount_of
 T = TypeVar("T")
 
 MANAGER = "manager"
-"""Who gives orders to a fleet's hosts; no host is called so."""
+"""The name of the sender of orders to a fleet's hosts; no host may have it."""
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -279,7 +279,7 @@ class Similarity:
         return offered in self.offers.get(demanded, ())
 
     def is_open(self, offered: str, demanded: str) -> bool:
-        """Whether it is not decided if `offered` may feed `demanded`."""
+        """Return whether it is still undecided if `offered` may feed `demanded`."""
         return offered in self.open.get(demanded, ()) and not self.holds(offered, demanded)
 
     def open_pairs(self) -> Iterator[tuple[str, str]]:
@@ -387,7 +387,7 @@ _NAMED = (
     ("qualities", "name", "quality attribute"),
     ("facts", "name", "fact"),
 )
-"""The parts of an environment, what each is named by, and what one of them is called."""
+"""The parts of an environment, the attribute that names each, and the noun for one of them."""
 
 
 @summarised(lambda each: summary(each.counted, ENVIRONMENT_HEADS, environment_rows(each)))
@@ -438,7 +438,7 @@ class Environment:
 
     @property
     def counted(self) -> str:
-        """How much there is: `14 transformations, 5 units, 1 target`."""
+        """The size in words: `14 transformations, 5 units, 1 target`."""
         parts = [(self.library, "transformation"), (self.units, "unit"), (self.targets, "target")]
         parts += [(self.hosts, "host")] if self.hosts else []
         return ", ".join(counted(len(things), noun) for things, noun in parts)
@@ -573,7 +573,9 @@ class Environment:
 
     @cached_property
     def following(self) -> Mapping[str, tuple[tuple[str, Contribution], ...]]:
-        """The qualities that follow facts, each with its output, by transformation; others are not there."""
+        """The qualities that follow facts, each with its output, by transformation; other transformations are
+        missing.
+        """
         found = {
             t.label: tuple((port.name, each) for port in t.outputs for each in port.quality if each.by is not None)
             for t in self.library
@@ -582,7 +584,7 @@ class Environment:
 
     @cached_property
     def curves(self) -> Mapping[str, tuple[Curve, ...]]:
-        """How qualities follow each fact, by its name; facts that none follows are not there."""
+        """The curves by which qualities follow each fact, by its name; only facts that some quality follows."""
         found = {each.by for stated in self.following.values() for _, each in stated if each.by is not None}
         return MappingProxyType(
             {
@@ -630,7 +632,7 @@ class Environment:
 
     @cached_property
     def link(self) -> Mapping[tuple[str, str], Link]:
-        """The link between two hosts, where there is one, by their names in any order."""
+        """The link between two hosts, by their names in any order; pairs without a link are missing."""
         pairs = [(one, other) for one in self.hosts for other in self.hosts if one != other] if self.links else []
         first = {(a.name, b.name): next((link for link in self.links if link.joins(a, b)), None) for a, b in pairs}
         return MappingProxyType({pair: link for pair, link in first.items() if link is not None})

@@ -43,7 +43,7 @@ class Mark(Enum):
 
 
 GONE = (Mark.STOPPED, Mark.CUT)
-"""What an arrow is that is there no more."""
+"""The mark of an arrow that the update removes."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ class CfgplanError(Exception):
 
 
 def _made_again(kind: type[CfgplanError], args: tuple[object, ...], attributes: dict[str, object]) -> CfgplanError:
-    """An error with the text and the attributes of another, whatever its class is made of."""
+    """Return a copy of an error with its text and attributes, without calling the constructor of its class."""
     error = kind.__new__(kind, *args)
     vars(error).update(attributes)
     return error

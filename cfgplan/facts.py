@@ -66,7 +66,7 @@ class Fact:
     noise: Noise | None = None
     silent_us: Natural | None = None
     now: FactValue | None = None
-    """The value that is so now, if it is known to be another than the declared one."""
+    """The present value, if it is known to differ from the declared one."""
 
     def __post_init__(self) -> None:
         if misfit := misfit_of_fact({name: getattr(self, name) for name in self.__slots__}):
@@ -150,7 +150,7 @@ class Comparison:
 
     @property
     def bound(self) -> int | None:
-        """The least value on the upper side of what a number is compared with; None for another comparison."""
+        """The least value on the upper side of the compared number; None for `==`."""
         if self.sign == "==" or not isinstance(self.value, int):
             return None
         return self.value + (self.sign in (">", "<="))
@@ -185,7 +185,7 @@ class Requirement:
 
     comparisons: tuple[Comparison, ...]
     blamed: Callable[[Mapping[str, FactValue]], Blamed]
-    """By which facts it is not met, given their values; None if it is."""
+    """A function from facts' values to the facts by which the requirement is not met; None if it is met."""
 
 
 @lru_cache(maxsize=4096)

@@ -191,7 +191,7 @@ def _come(
     value: int,
     host: str | None,
 ) -> int:
-    """The value of a stream where it has come to a host."""
+    """Return the value of a stream after its transfer to a host."""
     origin = units[stream.unit].host if stream.unit in units else None
     return delayed(attribute, value, environment.latency(attribute.name, origin, host))
 

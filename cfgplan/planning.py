@@ -1,4 +1,4 @@
-"""The planning problem, its answer, and what a planner is (Definition 10)."""
+"""The planning problem, its answer, and the protocol of a planner (Definition 10)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from cfgplan.qualities import price_us
 from cfgplan.summary import Summary, counted, cpu, summarised, summary
 
 MOST_INSTANCES = 64
-"""A plan starts at most so many units of one transformation, or as many as one input takes streams."""
+"""A plan starts at most this many units of one transformation, or as many as one input takes streams."""
 
 
 class Failures(StrEnum):
@@ -35,7 +35,7 @@ class Failures(StrEnum):
 
     UNITS = "units"
     HOSTS = "hosts"
-    """Of a host, with all its units, or of a unit."""
+    """The failure of a host, with all its units, or of a unit."""
 
 
 class Feature(StrEnum):
@@ -65,10 +65,10 @@ def _problem_summary(problem: Problem) -> Summary:
 @dataclass(frozen=True)
 @checked
 class Problem:
-    """Find the optimal update of `environment` over `horizon_s` seconds, at most `max_cost_us` dear.
+    """Find the optimal update of `environment` over `horizon_s` seconds that costs at most `max_cost_us`.
 
-    Where the environment does not minimise the cost first, the largest cost is still one of the cost: the best update
-    is the best of those that cost no more.
+    If the environment minimises something before the cost, `max_cost_us` still limits the cost: the answer is the best
+    of the updates within that limit.
     With `survive`, no single failure of that kind may leave a target without a stream.
     Raises InvalidValueError if costs could add up to more than can be computed exactly.
     """
@@ -123,7 +123,7 @@ class Problem:
         return replace(self, environment=replace(self.environment, **parts))
 
     def after(self, plan: Plan) -> Environment:
-        """The environment after the update of a plan that has one."""
+        """Return the environment after a plan's update; the plan must have a change set."""
         assert plan.change_set is not None
         return self.environment.update(plan.change_set)
 
@@ -194,7 +194,7 @@ class Status(StrEnum):
     OPTIMAL = "optimal"
     """The plan is proven cheapest; `Plan.ties_proven` says more."""
     FEASIBLE = "feasible"
-    """There is a plan, not proven cheapest."""
+    """A plan was found, but is not proven cheapest."""
     INFEASIBLE = "infeasible"
     """Proven: no update meets every target."""
     TOO_EXPENSIVE = "too expensive"
@@ -202,7 +202,7 @@ class Status(StrEnum):
     not known whether any meets them.
     """
     UNKNOWN = "unknown"
-    """Stopped without a plan and without a proof that there is none."""
+    """Stopped without a plan and without a proof that none exists."""
 
     @classmethod
     def of_plan(
@@ -216,7 +216,7 @@ class Status(StrEnum):
 
 
 REFUSED: Final = (Status.INFEASIBLE, Status.TOO_EXPENSIVE)
-"""The statuses by which a planner says: it is proven that there is no plan."""
+"""The statuses of a proof that no plan exists."""
 
 Rank = tuple[int, ...]
 """Unused required transformations, objectives in order, cost in microseconds, rewired and started units: the least is
@@ -353,7 +353,7 @@ class Progress:
 
 
 OnProgress = Callable[[Progress], None]
-"""Is told of each better plan and each higher bound."""
+"""A callback for each better plan and each higher bound."""
 
 
 class Planner(Protocol):
@@ -411,7 +411,7 @@ def refuse_order(problem: Problem, who: str) -> None:
 
 
 def refuse_features(problem: Problem, who: str) -> None:
-    """Raise InputError if a problem asks for what only `cpsat` and `exhaustive` know."""
+    """Raise InputError if a problem has features that only `cpsat` and `exhaustive` know."""
     if problem.features:
         known = " and ".join(sorted(problem.features))
         raise InputError.of(f"{who} does not know {known}", mend="use the planner cpsat")

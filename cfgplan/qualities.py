@@ -1,4 +1,4 @@
-"""How good a stream is: attributes, how they propagate along the wiring, and what targets ask of them.
+"""The quality of streams: attributes, their propagation along the wiring, and the demands of targets.
 
 All values are integers in micro-units of the attribute. Every rule is monotone: a better input never gives a
 worse output. So the best value that a stream can have is well defined, attribute by attribute, and a bound
@@ -118,7 +118,7 @@ class QualityAttribute:
         return self.sign * (value - self.best)
 
     def at(self, badness: int) -> int:
-        """The value that misses the best by so much."""
+        """The value that misses the best by `badness`."""
         return self.best + self.sign * badness
 
 
@@ -211,7 +211,7 @@ def propagated(attribute: QualityAttribute, contribution: Contribution | None, i
 
 
 def delayed(attribute: QualityAttribute, value: int, by: int) -> int:
-    """The value of a stream after a journey that adds something to it."""
+    """Return the value of a stream after a transfer that adds `by` to it."""
     return _within(attribute, value + by) if by else value
 
 

@@ -126,7 +126,7 @@ def startable(
 
 
 def _offered_all(environment: Environment, givers: Givers, labels: frozenset[str]) -> frozenset[str]:
-    """The labels less those with an input that none of the others offers, again and again until nothing changes."""
+    """Remove labels with an input that none of the others offers, until nothing changes."""
     left = set(labels)
     inputs = ((label, environment.transformation[label].needed_inputs) for label in sorted(labels))
     users = grouped((port.tag, label) for label, ports in inputs for port in ports)
@@ -200,7 +200,7 @@ def forward_closure(
     reached: set[str] = set()
 
     def go_on(transformation: Transformation) -> None:
-        """Wait for the first input that is not fed; without one, be ready."""
+        """Wait for the first unfed input; mark the transformation as ready if all are fed."""
         for port in transformation.inputs:
             tag = port.tag
             if port.optional:
@@ -263,7 +263,7 @@ def _is_fed_by(
     before: Collection[str],
     alive: Collection[str],
 ) -> bool:
-    """Whether there are so many units of other transformations as inputs take streams."""
+    """Return whether other transformations have as many units as the inputs take streams."""
     return all(
         port.count <= sum(units[g] for g in givers.of(port.tag) if g in (alive if port.feedback else before))
         for port in transformation.needed_inputs

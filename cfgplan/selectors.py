@@ -20,7 +20,7 @@ from unicodedata import category
 from cfgplan.errors import InvalidValueError, TagError
 
 DEEPEST_EXPRESSION: Final = 100
-"""How deeply an expression may be nested."""
+"""The greatest depth of nesting in an expression."""
 
 _TOKEN: Final = r"<[^<>\s]+>|'[^']*'|:?[^\W](?:[{0}-]*[{0}])?(?::[{0}](?:[{0}-]*[{0}])?)?|\S"
 _JOINERS: Final = "\u200c\u200d"
@@ -35,7 +35,7 @@ KEYWORDS: Final = RESTRICTIONS.union(
 _NO_OPERAND: Final = frozenset("⊓⊔.,)}")
 
 Meaning = TypeVar("Meaning")
-"""What an expression means to those who read it."""
+"""The type of an expression's meaning."""
 
 
 class ExpressionReader(ABC, Generic[Meaning]):
@@ -139,7 +139,7 @@ class ExpressionReader(ABC, Generic[Meaning]):
         return word in self.restrictions or (word in self.signs and word.isalpha())
 
     def _is_own_name(self) -> bool:
-        """Whether the next token is a keyword in a place where it can only be a name, and there is that name."""
+        """Whether the next token is a keyword at a place where it can only be a name, and that name exists."""
         if not self._is_keyword():
             return False
         token, follows, then = (*self._tokens[self._at :], "", "")[:3]

@@ -10,7 +10,7 @@ from typing import TypeVar
 
 Kind = TypeVar("Kind", bound=type)
 MOST_ROWS = 60
-"""A table has at most so many rows; the last one then says how many are left out."""
+"""The greatest number of rows of a table; the last one then says how many are left out."""
 
 
 @dataclass(frozen=True)

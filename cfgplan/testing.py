@@ -47,9 +47,9 @@ from cfgplan.validity import plan_violations
 __all__ = ["PlannerFault", "PlannerReport", "Promise", "check_planner", "examine_planner"]
 
 Word: TypeAlias = Literal["distinct", "feedback", "max_cost", "pinned", "required", "running"]
-"""What the paper's problems may have, and a planner may be checked without."""
+"""A word of the paper's problems that a planner may be checked without."""
 PATIENCE_S = 60.0
-"""A planner may take so much longer than its time limit: computers are busy, and a first call imports libraries."""
+"""Seconds that a planner may exceed its time limit: computers are busy, and a first call imports libraries."""
 _TAGS = ("A", "B", "C", "D")
 _TOPIC_OF_NOBODY = "/stale"
 _MOST_SMALLER = 200
@@ -135,7 +135,7 @@ def check_planner(
     patience_s: Seconds = PATIENCE_S,
     most: Annotated[int, AtLeast(1)] = 1,
 ) -> PlannerReport:
-    """Hold a planner against the oracle and the judge, as `examine_planner` does. Raises AssertionError with its
+    """Check a planner against the oracle and the judge, as `examine_planner` does. Raises AssertionError with its
     faults.
     """
     report = examine_planner(
@@ -374,7 +374,7 @@ def drawn_problem(random: Random, features: Collection[Feature] = (), without: C
 
 
 def drawn_library(random: Random, *, size: int = 60) -> Problem:
-    """A problem that is too large to try every configuration: layers of transformations, each fed by the last one."""
+    """Return a problem too large for the oracle: layers of transformations, each fed by the layer before."""
     layers = 6
     library = []
     for number in range(size):

@@ -1,4 +1,4 @@
-"""Transformations, the units of the library, with their tagged ports (paper, section IV-A, Definition 2)."""
+"""Transformations, which make up the library, with their tagged ports (paper, section IV-A, Definition 2)."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from cfgplan.qualities import Contribution, units
 from cfgplan.selectors import check_selector
 
 ALL = 0
-"""The `count` of an input that takes every stream there is for it."""
+"""The `count` of an input that takes every matching stream."""
 
 
 DEFAULT_LABOR_US = 1_000_000
-"""What a start costs where nobody has said it: it is not for nothing."""
+"""The labor of a transformation that declares none, in microseconds: a start is never free."""
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -171,8 +171,8 @@ class Transformation:
     `takes`: CPU time, memory and `needs`, integer amounts of other resources. On a host in `seen_us` a unit costs the
     labor and upkeep given there, instead of `labor_us` and `upkeep_us` adjusted by the host's speed.
 
-    No unit runs together with one of a transformation in `conflicts`, or on one host with one of a transformation in
-    `conflicts_on_host`. On its host there runs a unit of each in `beside`. At least `min_instances` units run. There
+    No unit, running or cold spare, may exist beside one of a transformation in `conflicts`, or on one host with one of
+    a transformation in `conflicts_on_host`. On its host there runs a unit of each in `beside`. At least `min_instances` units run. There
     are at most `max_instances` units, and at most `per_host` on one host, cold spares included; without hosts all are
     on one. A cold spare takes `standby_us` each second; None: it has none. Units run only while facts meet the
     expression `requires`, such as `visibility >= 2.25 and not night`.
@@ -237,7 +237,7 @@ class Transformation:
 
     @property
     def state_name(self) -> str | None:
-        """The name of the state that its units go on with; None if they keep none."""
+        """The name of the state that a new unit continues with; None if units keep none."""
         state = self.run.state
         return state if isinstance(state, str) else self.label if state else None
 
