@@ -223,7 +223,9 @@ def explain_match(
 
 
 def nearest_offers(world: World, demanded: str, **reasoning: Any) -> tuple[Nearest, ...]:
-    """Return the three offered tags of the library most similar to a demanded tag; see `near_offers` for `reasoning`."""
+    """Return the three offered tags of the library most similar to a demanded one; see `near_offers` for
+    `reasoning`.
+    """
     return near_offers(world, [demanded], **reasoning)[demanded][:3]
 
 

@@ -172,10 +172,10 @@ class Transformation:
     labor and upkeep given there, instead of `labor_us` and `upkeep_us` adjusted by the host's speed.
 
     No unit, running or cold spare, may exist beside one of a transformation in `conflicts`, or on one host with one of
-    a transformation in `conflicts_on_host`. On its host there runs a unit of each in `beside`. At least `min_instances` units run. There
-    are at most `max_instances` units, and at most `per_host` on one host, cold spares included; without hosts all are
-    on one. A cold spare takes `standby_us` each second; None: it has none. Units run only while facts meet the
-    expression `requires`, such as `visibility >= 2.25 and not night`.
+    a transformation in `conflicts_on_host`. On its host there runs a unit of each in `beside`. At least `min_instances`
+    units run. There are at most `max_instances` units, and at most `per_host` on one host, cold spares included;
+    without hosts all are on one. A cold spare takes `standby_us` each second; None: it has none. Units run only while
+    facts meet the expression `requires`, such as `visibility >= 2.25 and not night`.
     """
 
     label: str

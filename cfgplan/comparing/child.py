@@ -29,7 +29,7 @@ from cfgplan.planning import Plan, Planner, Problem, Progress
 from cfgplan.validity import plan_violations
 
 SHORT_S, RUNS = 0.5, 3
-"""A run that took less is one of so many."""
+"""A run shorter than SHORT_S seconds is repeated, RUNS times in all."""
 
 
 def main() -> None:

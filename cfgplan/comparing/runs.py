@@ -1,4 +1,4 @@
-"""Each planner on each problem in a process of its own, and what must hold between their answers."""
+"""Each planner on each problem in a process of its own, and contradictions between their answers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from cfgplan.planning import REFUSED, Problem, Status
 
 
 class RunFailure(StrEnum):
-    """How a run ended that gave no answer; the other outcomes are those of `planning.Status`."""
+    """The outcome of a run without an answer; the other outcomes are those of `planning.Status`."""
 
     REFUSED = "refused"
     """The planner said that it can't take this problem."""
@@ -161,7 +161,7 @@ def best_used(runs: Iterable[AnyRun]) -> list[AnyRun]:
 
 
 def pickled(problem: Problem) -> str:
-    """A problem on its way into another process, in base 64, without open pairs of tags."""
+    """Return a problem pickled for another process, in base 64, without open pairs of tags."""
     decided = Similarity(dict(problem.similarity.offers))
     return b64encode(pickle.dumps(replace(problem, similarity=decided))).decode()
 
@@ -175,7 +175,7 @@ def thinned(trace: Sequence[Point]) -> tuple[Point, ...]:
 
 
 def _answer(entrant: Entrant, limits: Limits, problem: str) -> tuple[list[Point], dict[str, Any]]:
-    """The progress and the answer of a child process; how it failed where it gave none."""
+    """Return the progress and the answer of a child process, or how it failed."""
     task = {
         "problem": problem,
         "entrant": asdict(entrant),
@@ -256,7 +256,9 @@ def _times(trace: Sequence[Point], answer: dict[str, Any]) -> tuple[float | None
 
 
 def _proof_s(trace: Sequence[Point], answer: dict[str, Any]) -> float | None:
-    """When the answer was proven: for a plan, when the bound had reached its cost, whatever became of ties later."""
+    """Return when the answer was proven: for a plan, when the bound reached its cost, even if ties were
+    broken later.
+    """
     if answer["outcome"] == Status.OPTIMAL:
         at_cost = (when for when, cost, bound in trace if cost == bound == answer["cost_us"])
         return next(at_cost, float(answer["total_s"]))

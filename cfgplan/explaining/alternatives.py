@@ -110,7 +110,7 @@ class _Ranking:
         }
 
     def plans(self, end_s: float | None) -> Iterator[Plan | None]:
-        """The plans in order; None when time is over, or when it is not decided which one is next."""
+        """Yield the plans in order; None when time is over, or when it is undecided which one is next."""
         whole = _Part(frozenset(), frozenset())
         heap: list[tuple[Rank, int, bool, list[str], list[str], _Part | Plan | None]] = [
             ((0,) * 4, 0, False, [], [], whole)
@@ -144,8 +144,8 @@ class _Ranking:
                     heapq.heappush(heap, (bound, 0, False, sorted(part.within), sorted(part.without), part))
 
     def _rest(self, part: _Part, runs: Labels) -> Iterator[_Part]:
-        """The rest of a part when the configurations that run exactly these are taken out: parts that lack one of
-        them or have another one.
+        """Yield the rest of a part without the configurations that run exactly `runs`: each part lacks one of these or
+        has another one.
         """
         within, without = part.within, part.without
         for label in sorted(runs - within):
@@ -157,9 +157,9 @@ class _Ranking:
             without |= {label}
 
     def _cheapest(self, part: _Part) -> Plan | None:
-        """The cheapest plan of a part, whatever is required and allowed; None if the part is empty.
+        """Return the cheapest plan of a part, ignoring requirements and the largest cost; None if the part is empty.
 
-        If time ran out, its status is another than optimal.
+        If time ran out, its status is not optimal.
         """
         plan = self._plan(part.without, part.within, part.limit_s)
         if plan.status in (Status.FEASIBLE, Status.UNKNOWN):
@@ -250,5 +250,5 @@ class _Ranking:
 
 
 def _restricted(problem: Problem, without: Iterable[str], required: Labels) -> Problem:
-    """The problem without some transformations, with others required, whatever that costs."""
+    """Return the problem without some transformations, with others required, and without a largest cost."""
     return requiring(without_transformations(problem, set(without)), required)

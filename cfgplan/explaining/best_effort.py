@@ -1,4 +1,4 @@
-"""Best effort: where not all targets can be met, the most important ones, exactly."""
+"""Best effort: if not all targets can be met, an optimal set of the most important ones."""
 
 from __future__ import annotations
 
@@ -126,7 +126,9 @@ class _Search:
             self.best = chosen
 
     def _also_met(self, chosen: frozenset[Target], ahead: Sequence[Target]) -> frozenset[Target]:
-        """`chosen`, which can be met, and each of `ahead` that can be met too; asked in halves, as most of them can."""
+        """Return `chosen`, which can be met, with each of `ahead` that can be met too; halves are tried, as
+        most can.
+        """
         everything = chosen.union(ahead)
         if not ahead or self._is_met(everything):
             return everything
@@ -179,7 +181,7 @@ class _Search:
         return targets != self.best and self._plan(targets).rank < self._plan(self.best).rank
 
     def _counts(self, targets: frozenset[Target]) -> tuple[int, ...]:
-        """How many targets there are of each priority, the highest first."""
+        """Return the number of targets of each priority, the highest first."""
         count = Counter(target.priority for target in targets)
         return tuple(count[level] for level in self._levels)
 

@@ -1,4 +1,4 @@
-"""Units that run whether a target needs them or not, and a problem in which each of them has a target of its own."""
+"""Units that run even if no target needs them, and a problem in which each of them has a target of its own."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ _LIFTED: Final[Mapping[str, Mapping[str, tuple[str, object]]]] = MappingProxyTyp
         "the environment": {"survive": ("survive", None)},
     }
 )
-"""By kind of part and key: the attribute, and its value where the limit is lifted."""
+"""The attribute of each limit, and its value when the limit is lifted, by kind of part and key."""
 
 
 def limits_of(problem: Problem) -> list[Limit]:

@@ -1,4 +1,4 @@
-"""For which horizons, or upkeeps of one transformation, which plan is optimal: exactly, with the break points."""
+"""The optimal plan for each horizon, or for each upkeep of one transformation, with the exact break points."""
 
 from __future__ import annotations
 

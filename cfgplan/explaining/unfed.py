@@ -1,4 +1,4 @@
-"""Why a target can't be met whatever it costs: the inputs that nothing can feed, as a tree."""
+"""Why a target can't be met at any cost: the inputs that no stream can feed, as a tree."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ class DeadEnds:
         self._find_rings()
 
     def reason(self, target: str, tag: str) -> Unreachable:
-        """Why nothing can give what `tag` demands."""
+        """Return the reason why no unit can meet `tag`."""
         kept = self._blocked(tag, self._cause)
         if any(len(ports) > 1 for ports in kept.values()):
             kept = self._blocked(tag, self._minimal(tag, kept))

@@ -130,7 +130,7 @@ _SETTINGS: Mapping[str, tuple[str, Callable[[str], Any]]] = MappingProxyType(
         "priority": ("priority", _whole),
     }
 )
-"""What can be set of a transformation or, for the last one, of a target: its attribute, and how its value is read."""
+"""The settable attributes of a transformation (the last one: of a target), and how a value is read."""
 
 
 def without_transformations(problem: Problem, labels: Collection[str]) -> Problem:
@@ -154,7 +154,7 @@ def requiring(problem: Problem, labels: Collection[str]) -> Problem:
 
 
 def running(problem: Problem, label: str) -> Problem:
-    """The problem of a target that wants nothing but a unit of one transformation."""
+    """Return the problem whose only target wants a running unit of one transformation."""
     environment = problem.environment
     used = OutputPort(_USED, _USED)
     library = tuple(replace(t, outputs=(*t.outputs, used)) if t.label == label else t for t in environment.library)

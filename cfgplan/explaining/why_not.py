@@ -14,7 +14,7 @@ from cfgplan.summary import Summary, counted, summarised, summary
 
 @dataclass(frozen=True)
 class DemandSet:
-    """Some of what a problem demands: targets, required and pinned transformations, by their labels."""
+    """A subset of a problem's demands: targets, required and pinned transformations, by their labels."""
 
     targets: frozenset[str] = frozenset()
     required: frozenset[str] = frozenset()
@@ -31,7 +31,7 @@ class DemandSet:
         )
 
     def each(self, environment: Environment) -> tuple[DemandSet, ...]:
-        """The single demands, those first that are easiest to let go: required, pinned, targets by priority."""
+        """Return single demands, the least important first: required, pinned, targets by priority."""
         targets = [target for target in environment.targets if target.label in self.targets]
         return (
             *(DemandSet(required=frozenset({label})) for label in sorted(self.required)),
@@ -100,7 +100,7 @@ class Unused:
     """A required transformation that a plan leaves unused.
 
     It is `blocked` if it can't run at all. Otherwise it can't be used together with the required transformations
-    `excluded_by`; if there are none, no wiring leads from it to a target. If that is not `proven`, no plan was found
+    `excluded_by`; if that is empty, no wiring leads from it to a target. If that is not `proven`, no plan was found
     that uses it.
     """
 

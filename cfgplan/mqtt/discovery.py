@@ -34,7 +34,7 @@ _LONG: Final = {
 }
 """The abbreviations of the keys that are read."""
 DISCOVERY: Final = "homeassistant/"
-"""Begins the topics of discovery messages."""
+"""The prefix of discovery messages' topics."""
 _COMMANDS: Final = re.compile(r"(\w+_)?(command_topic|cmd_t)|set_\w+_(topic|t)")
 _TOPIC: Final = re.compile(rf"{DISCOVERY}(\w+)/(?:[\w-]+/)?[\w-]+/config")
 _FILTER: Final = r"\s*\|\s*(?:float|int|round|default|is_defined)\s*(?:\([^()|]*\))?"

@@ -21,9 +21,9 @@ from cfgplan.summary import counted, some
 _SUBSCRIBER: Final = "cfgplan_runtime.mqtt:Subscriber"
 _COSTS: Final = ("labor", "upkeep")
 _ALIKE: Final = 3
-"""So many topics that differ in one level are told."""
+"""The least number of topics differing in one level for a hint."""
 _PATIENCE: Final = 5
-"""A target is silent after so many periods of its source, rounded up to seconds."""
+"""The number of a source's periods after which a target is silent, rounded up to seconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,7 @@ class MqttImported:
         return f"{counted(len(self.sources), 'source')}, {told} of them described by discovery messages"
 
     def text(self, ontology: str) -> str:
-        """The environment file (YAML), which names its ontology file so; comments above tell the rest."""
+        """Return the environment file (YAML), which imports `ontology`; comments at its top list notes and hints."""
         plain = plain_environment(self.environment, horizon_s=DEFAULT_HORIZON_S, ontology=[ontology])
         for transformation in plain.get("transformations", ()):
             for cost in _COSTS:
@@ -118,7 +118,7 @@ def mqtt_imported(traffic: Traffic, params: Mapping[str, Any]) -> MqttImported:
 
 
 def _silent(entity: Entity) -> HeardTopic:
-    """A topic that is described, and on which nothing came: its form is guessed from the description."""
+    """Return a described topic without messages; its form is guessed from the description."""
     if entity.path:
         return HeardTopic(entity.topic, "json", False)
     return HeardTopic(entity.topic, "number" if entity.is_measured and entity.unit else "text", False)
@@ -148,7 +148,7 @@ def _notes(
 
 
 def _hints(sources: Iterable[MqttSource]) -> Iterator[str]:
-    """Topics that differ in one level only and give the same kind of value, and mappings that nothing describes."""
+    """Yield hints: topics of the same kind that differ in only one level, and mappings without a description."""
     groups: defaultdict[tuple[object, ...], set[str]] = defaultdict(set)
     for source in sources:
         levels, entity = source.topic.name.split("/"), source.entity

@@ -109,7 +109,7 @@ def _bad_publications(environment: Environment, similarity: Similarity) -> Itera
 
 
 def missing_units(environment: Environment) -> Iterator[Violation]:
-    """Targets that want a unit of a transformation to run, though none does."""
+    """Yield each target that wants a running unit of a transformation that has none."""
     running = {unit.transformation for unit in environment.units if not unit.standby}
     for target in environment.targets:
         if target.run is not None and target.run not in running:
@@ -171,7 +171,7 @@ def _needless_units(
 
 
 def instance_violations(environment: Environment) -> Iterator[Violation]:
-    """Conflicting transformations that both have units, and too few or too many units of one."""
+    """Yield conflicting transformations that both have units, and transformations with too few or too many units."""
     there = Counter(unit.transformation for unit in environment.units)
     running = _running(environment)
     for transformation in environment.library:
@@ -191,7 +191,7 @@ def instance_violations(environment: Environment) -> Iterator[Violation]:
 
 
 def asked_by_number(environment: Environment) -> set[str]:
-    """The running units of transformations that have no more of them than they ask for."""
+    """Return the running units of transformations that have at most `min_instances` of them."""
     running = _running(environment)
     return {
         unit_id

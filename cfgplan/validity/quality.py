@@ -1,4 +1,4 @@
-"""How good the streams of a wiring are, and whether targets ask for more."""
+"""The quality of a wiring's streams, and whether it is enough for the targets."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def _values(
     attribute: QualityAttribute,
     order: Iterable[tuple[ComputationUnit, Transformation]],
 ) -> dict[Stream, int]:
-    """The value of each stream; an input counts as the worst if it is not fed, or from outside the order."""
+    """Return the value of each stream; an input has the worst value if it is unfed, or fed from outside `order`."""
     values: dict[Stream, int] = {}
 
     def come(feed: Stream | None, host: str | None) -> int:

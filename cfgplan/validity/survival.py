@@ -17,7 +17,7 @@ from cfgplan.validity.startable import givers_by_tag, startable
 def survival_violations(
     environment: Environment, similarity: Similarity, survive: Failures | None
 ) -> Iterator[Violation]:
-    """Each single failure that leaves a target without a stream, whatever is rewired and whatever spare starts."""
+    """Yield each single failure that leaves a target without a stream, for any rewiring and any start of spares."""
     if survive is None:
         return
     units, givers = list(known_units(environment)), givers_by_tag(environment, similarity)
@@ -51,7 +51,7 @@ def _without(environment: Environment, unit: ComputationUnit) -> Environment:
 
 
 def _failures(environment: Environment, survive: Failures) -> Iterator[tuple[str, set[str], tuple[Target, ...]]]:
-    """Each failure in words, the units lost by it and the targets that are still there."""
+    """Yield each failure in words, the lost units and the remaining targets."""
     for unit in environment.units:
         if not unit.standby:
             yield f"unit {unit.id}", {unit.id}, environment.targets
@@ -61,7 +61,7 @@ def _failures(environment: Environment, survive: Failures) -> Iterator[tuple[str
 
 
 def _able(left: list[Known], similarity: Similarity) -> list[Known]:
-    """The units that can run if all of them may: more units never hurt, but where they compete for streams."""
+    """Return the units that can run if all of them may: more units never hurt unless they compete for streams."""
     while True:
         library = tuple({kind.label: kind for _, kind in left}.values())
         labels = startable(Environment((), library), similarity, Counter(kind.label for _, kind in left))
