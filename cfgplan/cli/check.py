@@ -97,7 +97,7 @@ def _nothing_runs(options: argparse.Namespace, world: World, screen: Screen) -> 
 
 
 def _left_out(world: World) -> dict[str, object]:
-    """For JSON: why transformations are left out for now, where any is."""
+    """Return for JSON why transformations are left out for now; empty without any."""
     left_out = world.environment.left_out
     return {"left_out": dict(left_out)} if left_out else {}
 
@@ -148,7 +148,7 @@ def _verdict(options: argparse.Namespace, world: World, broken: Sequence[WiringF
 
 
 def _bold(world: World, verdict: str, colour: str) -> Text:
-    """A verdict, after the number of parts that were looked at."""
+    """Return a verdict after the number of parts checked."""
     from rich.text import Text
 
     environment = world.environment

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 _LONGEST_WAIT_S = 1_000_000.0
-"""The system waits for no process much longer than that."""
+"""The greatest time limit in seconds: operating systems wait little longer for a process."""
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:

@@ -12,7 +12,7 @@ from cfgplan.extras import needed
 
 _FILE_METAVARS = ("ENV", "FILE", "PATH")
 _FOLDER_METAVARS = ("DIR", "FOLDER")
-"""Those whose values are files or folders."""
+"""The metavars of options whose values are files or folders."""
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:

@@ -1,4 +1,4 @@
-"""`cfgplan import` and `cfgplan export`: environment files from what others wrote, and the way back."""
+"""`cfgplan import` and `cfgplan export`: environment files from the formats of other programs, and to them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _CONNECTION = (
     ("certificate", "FILE", "who this client is (TLS)"),
     ("key", "FILE", "the key of the certificate"),
 )
-"""Options of `import mqtt` that go on to each source."""
+"""Options of `import mqtt` that are passed to each source."""
 
 
 def add_import(parser: argparse.ArgumentParser) -> None:

@@ -149,7 +149,7 @@ def _stream(name: str, after: Environment) -> tuple[Subject, str]:
 
 
 MOST_LINES = 30
-"""More lines of one reason are left to `--json`."""
+"""The most lines shown of one reason; `--json` has all."""
 
 
 def why_not_text(problem: Problem, why: WhyNot) -> Text:
@@ -212,7 +212,7 @@ def unused_lines(problem: Problem, unused: Unused) -> Iterator[str]:
 
 
 def _why_useless(problem: Problem, label: str) -> str:
-    """Why nothing can use a transformation that can run."""
+    """Return why no unit can use a transformation that can run."""
     environment = problem.environment
     given = sorted({port.tag for port in environment.transformation[label].outputs})
     if not given:

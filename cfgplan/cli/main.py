@@ -47,7 +47,7 @@ VERBS: Mapping[str, str] = MappingProxyType(
         "help": "show a page of the manual",
     }
 )
-"""What each verb does. Its module, or the function of `_OTHER_HOMES`, is imported only when the verb is called."""
+"""The verbs and their help. A verb's module, or its function of `_OTHER_HOMES`, is imported only when it is called."""
 _OTHER_HOMES = {
     "certificates": "agent:add_certificates",
     "import": "exchange:add_import",
@@ -162,7 +162,7 @@ def _say_every_character(screen: Screen) -> None:
 
 
 def _say_no_more() -> None:
-    """Send everything that is still written, the final flush included, to /dev/null."""
+    """Send all further output, the final flush included, to /dev/null."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 MOST_OPEN = 10
-"""More open outputs of one input are counted, not listed."""
+"""The most open outputs listed for one input; if more, only their number is shown."""
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 _LARGEST_NUMBER = 9_007_199_254
-"""As seconds the largest cost, and less than what clocks count to."""
+"""The largest number: as seconds it is the largest cost, and within the range of clocks."""
 
 
 def add_environment(parser: argparse.ArgumentParser) -> None:
@@ -188,7 +188,7 @@ class Task:
     problem: Problem
     matches: Matches
     planning: Mapping[str, Any]
-    """The planner, its time limit and who decides open pairs, as the API takes them."""
+    """The planner, its time limit and the decider of open pairs, as the API takes them."""
     reasoning: Mapping[str, Any]
     """The reasoner and its time limit, likewise."""
 
@@ -201,7 +201,7 @@ class Task:
 
 
 def task(options: argparse.Namespace, screen: Screen, world: api.World | None = None) -> Task:
-    """Load the world that the options name, if none is given, and match it as far as it takes to begin."""
+    """Load the world that the options name, if none is given, and match it as far as planning needs to start."""
     from cfgplan.api import FEW_PAIRS
 
     world = world or load(options, screen)
@@ -343,7 +343,7 @@ def put(text: str, out: str | None, screen: Screen) -> None:
 
 
 _PLOTS = {".svg": {"Date": None}, ".png": {"Software": None}, ".pdf": {"CreationDate": None}}
-"""The endings of plots, and what is left out of each, so that the same plot gives the same bytes."""
+"""The endings of plots, and the metadata removed from each, so that the same plot gives the same bytes."""
 
 
 def plot_file(text: str) -> str:

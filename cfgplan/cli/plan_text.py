@@ -18,9 +18,9 @@ from cfgplan.ros.sources import NodeSource
 from cfgplan.summary import cpu as cpu
 
 _SIGNS = {"+": ("start", "green"), "~": ("rewire", "yellow"), "-": ("stop", "red"), "=": ("keep", "dim")}
-"""What is done with a unit, and how that is shown."""
+"""The actions on a unit, and the sign and style of each."""
 MOST_OPEN_PAIRS, MOST_NAMES = 10, 3
-"""More open pairs, and more ports of one tag, are left to `--json`."""
+"""The most open pairs shown, and the most ports of one tag; `--json` has all."""
 
 
 def update_text(problem: Problem, plan: Plan, given_up: Collection[str] = ()) -> Text:
@@ -75,7 +75,7 @@ def _changes(before: Environment, changes: ChangeSet) -> Iterator[Text]:
 
 
 def with_the_stream(environment: Environment) -> list[ComputationUnit]:
-    """The units from sources to targets, each after those that feed it, but for feedback."""
+    """Return the units from sources to targets, each after its feeders, except by feedback."""
     done: dict[str, ComputationUnit] = {}
     missing = {unit.id: {s.stream.unit for s in unit.subscriptions} for unit in environment.units}
     readers: dict[str, list[str]] = defaultdict(list)
@@ -195,7 +195,7 @@ def nothing_wanted(environment: Environment) -> str:
 
 
 def undecided_lines(problem: Problem, plan: Plan) -> Iterator[Text]:
-    """The pairs of tags that an answer hangs on, with the ports that have them, and how many were asked about."""
+    """Yield the pairs of tags that an answer depends on, with their ports, and how many pairs were asked about."""
     outputs, demands = problem.environment.outputs, problem.environment.demands
     for offered, demanded in plan.undecided[:MOST_OPEN_PAIRS]:
         ways = (
@@ -256,7 +256,7 @@ def verdict(problem: Problem, plan: Plan) -> Text:
 
 
 MOST_TRANSFERS = 10
-"""More transfers are counted, not listed."""
+"""The most transfers listed; if more, only their number is shown."""
 
 
 def fleet_lines(problem: Problem, after: Environment) -> Iterator[Text]:

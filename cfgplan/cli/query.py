@@ -88,7 +88,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
 @contextmanager
 def _own(options: argparse.Namespace, screen: Screen, asked: Query, world: World) -> Iterator[Subscriptions]:
-    """Subscriptions in a life-cycle of our own, which begins with what the query needs and nothing else."""
+    """Yield subscriptions in a life-cycle of our own, which starts only the units that the query needs."""
     from cfgplan_runtime import Runtime
     from cfgplan_runtime.lifecycle.manager import Manager
     from cfgplan_runtime.reasoning.managed import ManagedSubscriptions
@@ -111,7 +111,7 @@ def _own(options: argparse.Namespace, screen: Screen, asked: Query, world: World
 
 
 def _read(options: argparse.Namespace, screen: Screen, known: DeclaredFeatures) -> Query:
-    """The query that the options say, over the features that are known and those that they declare."""
+    """Return the query of the options, over the known features and those that the options declare."""
     from cfgplan_runtime.reasoning import features
     from cfgplan_runtime.reasoning.parser import FILE
     from cfgplan_runtime.reasoning.queries import query

@@ -32,12 +32,12 @@ _FEWEST_LOG_LINES = 4
 _MOST_REVIEWS = 4
 _MOST_REVIEWS_TOLD = 5
 _NARROW = 80
-"""Columns of a terminal with less room than all figures and names need."""
+"""Columns below which a terminal is too narrow for all figures and names."""
 _OLD_S = 2.0
-"""A stream that is silent for longer is shown as that."""
+"""Seconds of silence after which a stream is shown as silent."""
 _REFRESH_S = 0.25
 _LARGEST_SHARE = 0.1
-"""Of the time that is spent on drawing; a system of thousands of units is drawn less often."""
+"""The largest share of time for drawing; a system of thousands of units is drawn less often."""
 _MOST_LINES = 200
 _LINES_AFTERWARDS = 8
 
@@ -146,7 +146,7 @@ class RunPicture:
 
 
 def _facts(state: Mapping[str, Any]) -> Iterator[str]:
-    """The facts as they are now, with when those that streams observe were heard of last."""
+    """Yield the present facts; for an observed one, with the time of its last element."""
     heard = state["facts_heard_s"]
     for name, value in state["facts"].items():
         ago = f" (observed {heard[name]:.1f} s ago)" if name in heard else ""

@@ -31,7 +31,7 @@ _WIDTH_OF_A_FILE = 1000
 _SHOWN_AFTER_S = 0.3
 _DECIDED = "pairs decided by "
 WORK_TOLD_S = 5.0
-"""Where there is no terminal, work that goes on is told of so often."""
+"""Seconds between two lines about work in progress, without a terminal."""
 
 
 _ESCAPE = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)|.)")
@@ -151,7 +151,7 @@ class Screen:
         sys.stdout.buffer.write(data)
 
     def note(self, text: str, style: str = "dim") -> None:
-        """Say something about the work."""
+        """Print a message about the work on stderr."""
         from rich.text import Text
 
         self._err.print(Text(text, style=style), soft_wrap=True)
@@ -220,7 +220,7 @@ class Screen:
 
 
 def blamed(error: Exception) -> str:
-    """Whose fault an internal error is, and what to do about it."""
+    """Return who is responsible for an internal error, and what the user can do."""
     from cfgplan.planning import PlannerFaultError
 
     planner = error.plan.planner if isinstance(error, PlannerFaultError) else ""

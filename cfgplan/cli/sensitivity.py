@@ -1,4 +1,4 @@
-"""`cfgplan sensitivity`: for which horizons, or upkeeps of a transformation, which plan is optimal."""
+"""`cfgplan sensitivity`: the optimal plan of each horizon, or of each upkeep of a transformation."""
 
 from __future__ import annotations
 
@@ -183,7 +183,7 @@ def _mark_here(found: Sensitivity, axes: Axes, right: Fraction, value: Fraction)
 
 
 def _right_edge(found: Sensitivity) -> Fraction:
-    """The last break point has room; the present value is shown if that leaves the break points to be seen."""
+    """Return the right edge: beyond the last break point, and beyond the present value if breaks stay visible."""
     if not found.breaks:
         return max(Fraction(found.value), Fraction(1)) * 2
     return max(found.breaks[-1] * 2, min(Fraction(found.value) * Fraction(5, 4), found.breaks[-1] * 4))

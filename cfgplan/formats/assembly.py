@@ -95,7 +95,7 @@ class Expander:
         self._instances: dict[str, tuple[str, ...] | MatchingError] = {}
 
     def expand(self, entry: Passage, part: fields.TransformationPart) -> Iterator[Transformation]:
-        """The transformations that one written transformation stands for; none if it has faults."""
+        """Return the transformations that one written transformation expands to; empty if it has faults."""
         if "$" not in str(vars(part)):
             yield from self._filled(entry, part, part, {})
             return
@@ -349,7 +349,7 @@ def _build(document: Document, vocabulary: TagVocabulary) -> EnvironmentFile:
 
 
 def _parts(document: Document, kind: str, faults: list[Fault]) -> Iterator[tuple[Passage, Any]]:
-    """The transformations, targets or units of all files, each with where it stands."""
+    """Return the transformations, targets or units of all files, each with its place."""
     for file in document.files:
         for index, part in getattr(file, kind):
             yield Passage(file.source, (kind, index), faults), part
@@ -370,7 +370,7 @@ def _wants_one_thing(entry: Passage, part: fields.TargetPart) -> bool:
 
 
 class _Names:
-    """The names that are taken, by kind and name, with who took them."""
+    """The names in use, by kind and name, each with the place that took it."""
 
     def __init__(self) -> None:
         self.origins: dict[tuple[str, str], Passage] = {}

@@ -1,4 +1,4 @@
-"""Environments and documents as plain data in the environment file's form, and as YAML or XML that says the same."""
+"""Environments and documents as plain data in the environment file's form, and as equivalent YAML or XML."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _DUMPER: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
 def dump_yaml(data: object) -> str:
-    """Plain data as YAML text; Decimal is written exactly, and a text never looks like something else."""
+    """Return plain data as YAML text; Decimal is written exactly, and a text that looks like another type is quoted."""
     text: str = yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=2**20)
     return text
 
@@ -173,7 +173,7 @@ def _wish(wish: Wish, environment: domain.Environment) -> dict[str, Any]:
 
 
 def plain_unit(unit: domain.ComputationUnit) -> dict[str, Any]:
-    """A unit as an environment file says it."""
+    """Return a unit in the form of an environment file."""
     topics: dict[str, list[str]] = {}
     for publication in unit.publications:
         topics.setdefault(publication.port, []).append(publication.topic)

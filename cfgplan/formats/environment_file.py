@@ -18,7 +18,7 @@ from cfgplan.formats.places import Passage, Place
 from cfgplan.planning import Failures
 
 ANY_IMPORT = ""
-"""Stands for every IRI that is imported and can't be found."""
+"""The key that stands for every imported IRI that is not found."""
 
 FoundImports: TypeAlias = tuple[tuple[str, FilePath | None], ...]
 """The file of each IRI that an ontology imports, sorted by IRI; None: the import is ignored."""
@@ -26,9 +26,9 @@ FoundImports: TypeAlias = tuple[tuple[str, FilePath | None], ...]
 
 @dataclass(frozen=True)
 class EnvironmentFile:
-    """An environment, what else planning needs, and where its parts are written.
+    """An environment, the other inputs of planning, and the places of its parts.
 
-    `origins` maps ("transformation", label), ("unit", id) and ("target", label) to where that is written.
+    `origins` maps ("transformation", label), ("unit", id) and ("target", label) to their places.
     """
 
     path: FilePath
@@ -143,7 +143,7 @@ _HELD: Mapping[type[fields.Part], str] = {
     fields.UnitPart: "id transformation inputs topics host standby",
     fields.TargetPart: "label topic tag priority quality host",
 }
-"""The keys that digests hold apart. Any other that planning uses counts unless it is default."""
+"""The keys with a part of their own in digests. Any other key that planning uses counts if it is not default."""
 
 
 def later_fields(part: type[fields.Part], value: object) -> dict[str, object]:

@@ -17,7 +17,7 @@ _UNREADABLE: dict[type[Exception], tuple[str, str]] = {
     IsADirectoryError: ("this is a folder, not a file", "name the file in it"),
     PermissionError: ("the file may not be read", "make it readable for you, such as by `chmod u+r`"),
 }
-"""What is told of an error, and how to mend it."""
+"""The message and the mend for each kind of error."""
 
 
 def read_source(path: Path) -> Source:

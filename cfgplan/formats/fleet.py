@@ -1,4 +1,4 @@
-"""Hosts and quality attributes as written, and what transformations, units and targets say of them."""
+"""Hosts and quality attributes as written, and the references of transformations, units and targets to them."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ class FleetReader:
         return Failures(written) if isinstance(written, str) else None
 
     def choice(self, names: Iterable[str]) -> tuple[str, ...]:
-        """The hosts that some names stand for, the name of several copies for all of them."""
+        """Return the hosts that some names stand for; the name of several copies stands for all of them."""
         return tuple(dict.fromkeys(host for name in names for host in self.copies.get(name, (name,))))
 
     def check_host(self, entry: Passage, name: str, *, is_choice: bool = False) -> None:
@@ -151,7 +151,7 @@ class FleetReader:
         return not misfits
 
     def host_of(self, entry: Passage, part: UnitPart, only: str | None) -> str | None:
-        """Where a unit runs: where it says, or the only host that its transformation allows."""
+        """Return the host of a unit: the one it names, or the only one that its transformation allows."""
         if part.host is not None:
             self.check_host(entry.at("host"), part.host, is_choice=True)
             return part.host

@@ -36,7 +36,7 @@ _SYNONYMS: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(("machines", "computers", "robots"), ("hosts",)),
     **dict.fromkeys(("value", "default"), ("declared",)),
 }
-"""What people write for keys, and the keys that they may mean."""
+"""Words that people write instead of keys, and the keys that they may mean."""
 _EACH_MEANS = {
     "upkeep": "CPU seconds of each second that it runs",
     "labor": "CPU seconds of one start",

@@ -38,7 +38,7 @@ class XmlElement:
     text: str = ""
 
     def __iter__(self) -> Iterator[XmlElement]:
-        """This element and all that are in it, in the order of the text."""
+        """Yield this element and all elements inside it, in the order of the text."""
         yield self
         for child in self.children:
             yield from child
