@@ -128,4 +128,4 @@ _SAID: Final[Mapping[str, Callable[[Sequence[Tree]], Sequence[Statement]]]] = {
     "DataPropertyAssertion": lambda p: (Subclass(*_valued(p)),),
     "NegativeDataPropertyAssertion": lambda p: (_denied(*_valued(p)),),
 }
-"""What the arguments of each kind of axiom say."""
+"""The function from the arguments of each kind of axiom to its statements."""

@@ -181,7 +181,7 @@ class _Model:
             changed = _some(self._apply(rule) for rule in self._rules)
 
     def _apply(self, rule: _Rule) -> bool:
-        """Give things what a rule says they have. Returns whether something changed."""
+        """Apply a rule to all things. Returns whether something changed."""
         structure, sub, sup = self.structure, rule.statement.sub, rule.statement.sup
         if not structure.has_changed(symbols_of(sub) | symbols_of(sup), rule.seen):
             return False
@@ -456,7 +456,7 @@ def _names_one(tree: Tree) -> bool:
 
 
 def _says_not(concept: Concept) -> bool:
-    """Whether a concept says what a thing is not. A minimal model does not refute such a concept."""
+    """Return whether a concept contains ¬, ∀ or ≤. A minimal model does not refute such a concept."""
     return any(isinstance(part, Complement | Only | AtMost) for part in walk(concept))
 
 

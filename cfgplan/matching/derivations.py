@@ -28,7 +28,7 @@ class Derivation:
 
 
 def derivation(offered: Concept, demanded: Concept, ontology: Ontology) -> Derivation | None:
-    """How offered ⊑ demanded follows; None if the fast engine doesn't find it.
+    """Return the derivation of offered ⊑ demanded; None if the fast engine doesn't find one.
 
     No axiom can be left out: by the others the engine does not find it.
     """
@@ -58,7 +58,7 @@ def is_minimal(derived: Derivation, offered: Concept, demanded: Concept, ontolog
 
 
 def fewest(axioms: Sequence[str], follows: Callable[[Sequence[str]], bool]) -> list[str]:
-    """A part of the axioms by which something follows as it does by all of them, and by no smaller part of it."""
+    """Return a minimal part of the axioms for which `follows` is true, as it is for all of them."""
     left = [*axioms]
     size = max(1, len(left) // 2)
     while left:

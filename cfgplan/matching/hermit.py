@@ -59,7 +59,7 @@ def _pairs(keyword: str, names: Sequence[str]) -> Iterable[tuple[str, str]]:
 def satisfiable(
     document: str, classes: Sequence[str], *, time_limit_s: float | None = None, patience_s: float | None = None
 ) -> dict[str, bool]:
-    """Whether there can be a member of each class, asked in this order, until time is over or no answer comes.
+    """Return whether each class can have a member, asked in this order, until time is over or no answer comes.
 
     It gives up on the rest once no answer has come for `patience_s`, at the latest after twice as long. The ontology is
     in functional syntax (ASCII). Raises InconsistentOntologyError, or ReasonerError when HermiT refuses the ontology.
@@ -105,7 +105,7 @@ def _run(
 
 
 def _ends(process: Popen[bytes], said: Path, time_limit_s: float | None, patience_s: float | None) -> bool:
-    """Wait for a process to end. Returns False once time is over, or nothing new was said for `patience_s`."""
+    """Wait for a process to end. Returns False once time is over, or no output came for `patience_s`."""
     from subprocess import TimeoutExpired
 
     deadline = math.inf if time_limit_s is None else time.monotonic() + time_limit_s

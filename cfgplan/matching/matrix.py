@@ -1,6 +1,6 @@
 """The relation ~ between tags (Definition 5, section IV-B): an offered tag feeds a demanded one that subsumes it.
 
-And what reading an environment asks of its ontology: whether a tag can be read, and who belongs to a class.
+It also answers the formats' questions to an ontology: whether a tag can be read, and which individuals a class has.
 """
 
 from __future__ import annotations

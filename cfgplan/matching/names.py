@@ -1,4 +1,4 @@
-"""Short names of an ontology's classes, individuals and properties, and what to say about a misspelt one."""
+"""Short names of an ontology's classes, individuals and properties, and the message about a misspelt one."""
 
 from __future__ import annotations
 

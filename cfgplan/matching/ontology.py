@@ -132,7 +132,7 @@ class Ontology:
 
     @property
     def told(self) -> frozenset[str]:
-        """The axioms as reasoners can be told them: with literals of datatypes that they know."""
+        """The axioms as reasoners accept them: only with literals of datatypes that they know."""
         return self._told[0]
 
     @cached_property
@@ -142,7 +142,7 @@ class Ontology:
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
-        """A sentence on each kind of thing that no reasoner is told, on each ignored import, and on ignored rules."""
+        """A sentence on each kind of dropped statement, on each ignored import, and on ignored rules."""
         by_reason: dict[str, list[str]] = {}
         for text, why in self.dropped.items():
             by_reason.setdefault(self.shortened(why), []).append(self.shortened(text))

@@ -1,4 +1,4 @@
-"""A matcher that is kept while tags come and go and the ontology changes, so that nothing is computed twice."""
+"""A matcher that is kept while tags and the ontology change, so that nothing is computed twice."""
 
 from __future__ import annotations
 
@@ -88,9 +88,9 @@ class TagRegistry:
 
 
 _FEW_PAIRS: Final = 8
-"""The number of undecided pairs that are looked at for what stands in the way of a decision."""
+"""The most undecided pairs examined for the reason why they are undecided."""
 _FEW_LOSSES: Final = 3
-"""The most of what was dropped that one warning names."""
+"""The most dropped statements named in one warning."""
 REFUTING: Final = 0.25
 """The share of a time limit that models may take, in CPU time, before the reference is asked."""
 

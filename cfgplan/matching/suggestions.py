@@ -32,9 +32,9 @@ _FILLERS: Final = 2
 _MOST_TRIED: Final = 12
 _Filler: TypeAlias = Named | Nominal
 _SHORTEST_STEM: Final = 4
-"""Two words are of one stem if one begins with the other, which has at least so many letters."""
+"""Two words have one stem if one begins with the other, and that has at least this many letters."""
 _STEM: Final = 6
-"""Two words are of one stem too if they begin with so many equal letters."""
+"""Two words also have one stem if this many first letters are equal."""
 _UNIT: Final = 2
 """A unit of measure may have so few letters, which say nothing in a name."""
 _CHUNK: Final = re.compile(r"[^\W\d_]+|\d+")
@@ -73,7 +73,7 @@ _MEANINGS: Final = MappingProxyType(
         **dict.fromkeys(("kg", "g"), "mass"),
     }
 )
-"""What types of messages and units of measure are about, in the words of ontologies."""
+"""The subjects of message types and units of measure, in the words of ontologies."""
 
 
 @cache

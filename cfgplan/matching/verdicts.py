@@ -21,7 +21,7 @@ CLASSIFYING: Final = 0.75
 PATIENCE: Final = 0.1
 """The share of a time limit that the answer for one pair may take before others are asked for."""
 VERDICT_PATIENCE_S: Final = 30.0
-"""How long the answer for one pair may take at first where there is no time limit, seconds."""
+"""The first time limit in seconds for one pair's answer, without a time limit of the caller."""
 FIRST_PAIRS: Final = 64
 """The number of pairs asked for in the first call; each later call asks for four times as many as the last."""
 MOST_PAIRS: Final = 8192
@@ -160,6 +160,6 @@ def _questions(pair: AskedPair) -> tuple[Concept, Concept]:
 
 
 def countdown(time_limit_s: float | None) -> Callable[[], float | None]:
-    """A function that tells how many seconds are left of a time limit that begins now; None without a limit."""
+    """Return a function that gives the remaining seconds of a time limit starting now; None without a limit."""
     deadline = None if time_limit_s is None else time.monotonic() + time_limit_s
     return lambda: None if deadline is None else deadline - time.monotonic()

@@ -54,7 +54,7 @@ class MqttImported:
 
     @property
     def size(self) -> str:
-        """How much was imported, in words."""
+        """The size of the import, in words."""
         told = sum(source.entity is not None for source in self.sources)
         return f"{counted(len(self.sources), 'source')}, {told} of them described by discovery messages"
 

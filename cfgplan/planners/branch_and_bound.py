@@ -1,6 +1,6 @@
 """The paper's planner: Algorithms 1 and 2, then the merging of section IV-D.
 
-A breadth-first tree of who could feed whom, pruned by cost along each chain; then duplicate subtrees
+A breadth-first tree of possible feeders, pruned by cost along each chain; then duplicate subtrees
 are merged from the root down. It is faithful, so that it can be compared, and keeps its weaknesses:
 
 * Costs are summed over the tree, so sharing counts only after the choice: with two targets, A giving

@@ -42,7 +42,7 @@ _APART: tuple[Callable[[RosPort], str], ...] = (
     lambda port: ".service" if port.role.is_service else "",
     lambda port: f".{port.type.name if port.type else 'any'}",
 )
-"""What is put behind names that several ports of a node have, one after the other as long as it takes."""
+"""Endings for names that several ports of a node share, tried in order until the names differ."""
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -84,7 +84,7 @@ class Imported:
 
     @property
     def size(self) -> str:
-        """How much was imported, in words."""
+        """The size of the import, in words."""
         found = {"node": self.environment.library, "topic": self.graph.topics, "service": self.graph.services}
         return ", ".join(counted(len(each), noun) for noun, each in found.items())
 
@@ -154,7 +154,7 @@ class _Making:
         self._guesses.append(Guessed(about, guess, why))
 
     def _ported(self, graph: RosGraph) -> RosGraph:
-        """The graph with the ports that the table, or else the nodes' own code, tells of nodes without any."""
+        """Return the graph in which nodes without ports have those of the table, or else of their own code."""
         nodes, silent, notes = [], [], list(graph.notes)
         for node in graph.nodes:
             if not node.ports:
@@ -176,7 +176,7 @@ class _Making:
         return replace(graph, nodes=tuple(nodes), notes=tuple(notes))
 
     def _told_of_sources(self, node: RosNode, told: SourcePorts) -> Iterator[str]:
-        """Tell each port of a node's sources as a guess; returns notes of those that are computed."""
+        """Note each port from a node's sources as a guess; returns notes on computed names."""
         says = "a source of its package says so" if told.is_whole_package else "its source says so"
         for port, place in sorted(told.places.items(), key=lambda item: (item[1].file, item[1].line, item[0].name)):
             self._guess(node.name, f"{port.role.value} {port.name}", f"{says}: {place}")
@@ -216,7 +216,7 @@ class _Making:
 
     @cached_property
     def _givers(self) -> Mapping[tuple[str, bool], list[_End]]:
-        """Who publishes each topic and serves each service."""
+        """The publishers of each topic and the servers of each service."""
         found: dict[tuple[str, bool], list[_End]] = defaultdict(list)
         for node in self._graph.nodes:
             for port in node.ports:
@@ -434,7 +434,7 @@ def _unit_of(label: str) -> str:
 
 
 def _depths(graph: networkx.MultiDiGraph) -> dict[str, int]:
-    """How far each node is from those that nothing feeds; from the first node where something feeds each."""
+    """Return each node's distance from unfed nodes; if all nodes are fed, from the first node."""
     sources = [name for name in sorted(graph) if not graph.in_degree(name)]
     depths: dict[str, int] = {}
     while len(depths) < len(graph):

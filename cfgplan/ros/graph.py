@@ -178,7 +178,7 @@ def _is_same(one: RosPort, other: RosPort) -> bool:
 
 
 def _filled(one: RosPort, other: RosPort) -> RosPort:
-    """A port with what another source knows of it."""
+    """Return a port completed by another source's values."""
     names = ("type", "own", "rate_hz", "definition", "qos")
     return replace(one, **{name: getattr(one, name) or getattr(other, name) for name in names})
 

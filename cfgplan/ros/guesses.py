@@ -72,7 +72,7 @@ def _fits(pattern: str, kind: MessageType) -> bool:
 
 
 class NoiseGuess(_Rows):
-    """Patterns of the names that every graph has, and of those who only look on."""
+    """Patterns of names that every graph has, and of nodes that only observe."""
 
     topics: list[str] = []
     services: list[str] = []
@@ -125,7 +125,7 @@ class GuessTable(_Rows):
         return tuple(ports)
 
     def is_noise(self, node: str) -> bool:
-        """Whether a node only looks on."""
+        """Return whether a node only observes."""
         return _any(self.noise.nodes, node)
 
     def is_noisy(self, port: RosPort) -> bool:
@@ -138,7 +138,7 @@ def _any(patterns: Sequence[str], name: str) -> bool:
 
 
 def guess_table(files: Iterable[Path] = ()) -> GuessTable:
-    """The table of this room, behind what files say. Raises InputError."""
+    """Return the rows of the files, followed by those of this room's own table. Raises InputError."""
     read = [*map(_read, files), _own()]
     return GuessTable(
         inputs=[row for file in read for row in file.inputs],

@@ -14,7 +14,7 @@ from cfgplan.transformations import InputPort, OutputPort
 
 _MEND = "let both say the same, or let `cfgplan run --middleware ros2` put its relay between them"
 _LIKE = 0.5
-"""How similar a name is, at least, to be proposed instead of another (difflib's ratio)."""
+"""The least similarity of a name to be proposed instead of another (difflib's ratio)."""
 
 
 def ros_faults(environment: Environment) -> Iterator[WiringFault]:

@@ -134,7 +134,7 @@ class _Walk:
         return scope
 
     def _element(self, element: XmlElement, scope: _Scope) -> _Scope:
-        """Read an element; returns what holds after it."""
+        """Read an element; returns the settings after it."""
         match element.name:
             case "arg":
                 return self._argument(element, scope)
@@ -234,7 +234,7 @@ class _Walk:
         return None if self._machines.get(name) in _LOCAL else name
 
     def _tell_of_ways_to_start(self, element: XmlElement, scope: _Scope, name: str) -> None:
-        """Note each attribute of a node that an environment has no word for."""
+        """Note each attribute of a node that an environment can't express."""
         for attribute, reason in _DROPPED.items():
             value = self._value(element, attribute, scope)
             if value and value.strip().lower() not in FALSE:

@@ -123,7 +123,7 @@ def _is_here(host: str) -> bool:
 
 
 def _started_by(node: RosNode, command: tuple[str, ...]) -> RosNode:
-    """A node with what its command line says of it: `.../lib/PACKAGE/EXECUTABLE`, arguments and remappings."""
+    """Return a node with the values of its command line: `.../lib/PACKAGE/EXECUTABLE`, arguments and remappings."""
     at = next((index for index, word in enumerate(command[:2]) if _package(Path(word)) is not None), None)
     if at is None:
         return node

@@ -36,7 +36,7 @@ _TOPIC_INFO = re.compile(r"(?:.*\s)?ros2\s+topic\s+info\b.*?\s(/\S+).*")
 _FIELD_LINE = re.compile(r"([A-Z][\w /()]*?):\s*(.*)")
 _SECONDS = re.compile(r"(\d+)\s+nanoseconds?")
 _NEVER_NS = 9_000_000_000_000_000_000
-"""Times from here on stand for none: DDS writes what is infinite as the largest number it has."""
+"""Times from here on are infinite: DDS writes infinity as its largest number."""
 
 
 def is_pasted(source: str) -> bool:
@@ -187,6 +187,6 @@ def _quality(said: dict[str, str]) -> ServiceQuality | None:
 
 
 def _seconds(text: str) -> float | None:
-    """A time in seconds; None if it is infinite, or not told."""
+    """Return a time in seconds; None if it is infinite or missing."""
     found = _SECONDS.fullmatch(text)
     return None if found is None or not 0 < int(found[1]) < _NEVER_NS else int(found[1]) / 1e9

@@ -50,7 +50,7 @@ def recorded_graph(path: Path) -> RosGraph:
 
 
 def _player(path: Path, ports: Sequence[RosPort]) -> RosNode:
-    """Who plays what a recording has: in ROS 1 a node that is started so."""
+    """Return the player of a recording; in ROS 1 it is a node with its command."""
     name = f"/play_{re.sub(r'[^A-Za-z0-9]+', '_', path.stem)}"
     if path.suffix != _BAG1:
         return RosNode(name, tuple(ports), player=True)

@@ -12,7 +12,7 @@ NodeKind = Literal["node", "nodelet", "component", "external"]
 _FORMS = "node:PACKAGE/EXECUTABLE, node:./FILE, nodelet:PACKAGE/CLASS, component:PACKAGE/PLUGIN or external:/NAME"
 
 REMAPS = ":="
-"""What stands between the two names of a remapping among a node's arguments."""
+"""The sign between the two names of a remapping in a node's arguments."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,7 +31,7 @@ class PortEnd(NamedTuple):
 
 
 ACTION_PARTS = tuple(f"/_action/{part}" for part in ("send_goal", "cancel_goal", "get_result", "feedback", "status"))
-"""What stands behind an action's name in those of its services and topics."""
+"""The endings of the names of an action's services and topics."""
 
 
 def remapped(own: str, name: str, kind: str | None) -> Mapping[str, str]:
@@ -150,7 +150,7 @@ class TopicNames:
         return {end: min(group) for end, group in groups if all(map(may_share, group))}
 
     def _wire_inputs(self) -> Iterator[LaunchRelay]:
-        """Name the inputs, and tell the relays."""
+        """Name the inputs, and yield the relays."""
         of_feeds: dict[frozenset[PortEnd], str] = {}
         for end, feeds in self._feeds.items():
             sources = {self.name[giver] for giver in feeds}

@@ -1,4 +1,4 @@
-"""Who takes whose streams, once it is known how many units of each group run, and where."""
+"""The wiring of a counted solution, given the number of running units of each group and their hosts."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class CountedWiring:
         return [units[i] for i in sorted(units)]
 
     def _serves(self, stream: Stream) -> int:
-        """How many may take a stream; 0: any number."""
+        """Return how many consumers may take a stream; 0: any number."""
         return self._all[self._candidates.index_of[stream.unit]].transformation.output[stream.port].serves or 0
 
     def _running(self, tag: str) -> list[Stream]:

@@ -151,7 +151,7 @@ def left_by_bounds(candidates: Candidates, standing: Standing) -> Shortlist:
 
 
 def look_among_few(candidates: Candidates, standing: Standing, first: FirstPlans) -> None:
-    """Search among the incumbent's transformations and more and more others; offer plans and raise the bound."""
+    """Search among the incumbent's transformations and a growing number of others; offer plans and raise the bound."""
     from cfgplan.planners.exact.search import Search
 
     tuning, order = standing.clock.tuning, left_by_bounds(candidates, standing).order

@@ -68,7 +68,7 @@ _PRIVATE = re.compile(r"priv|pnh|^pn_?$|local_n|^n_?p(riv)?_?$|_p$", re.IGNORECA
 _POINTER = re.compile(r"(?:::)?(?:Const)?(?:Ptr|SharedPtr|UniquePtr|ConstSharedPtr|ConstPtr)$")
 _READ = ("param", "getParam", "get_parameter", "get_parameter_or", "declare_parameter", "get", "getParamCached")
 _LONGEST = 200
-"""How many tokens an argument may have that is followed."""
+"""The most tokens of an argument that is evaluated."""
 _Spot: TypeAlias = tuple[CppFile, range]
 
 

@@ -51,7 +51,7 @@ _Block = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef | ast.Module
 
 
 def python_ports(text: str, file: str) -> CodeReading:
-    """The ports that calls in a Python source make. Text that does not parse has none, and is told."""
+    """Return the ports that calls in a Python source make. Text that does not parse has none, and adds a note."""
     tree = _tree(text)
     if tree is None:
         return CodeReading(unclear=(f"{file}, which does not parse",))
@@ -90,7 +90,7 @@ def _tree(text: str) -> ast.Module | None:
 
 
 class _Source:
-    """One Python source: who imports what, what names stand for, and the calls that make ports."""
+    """One Python source: its imports, the values of its names, and the calls that make ports."""
 
     def __init__(self, tree: ast.Module, file: str) -> None:
         self._tree = tree
