@@ -1,4 +1,4 @@
-"""The Python API's further questions: why, why not, what else, how sensitive; every plan in an answer is judged."""
+"""The Python API's questions about plans: why, why not, alternatives, sensitivity; the judge checks every plan."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def _nearest(world: World, reasoner: str, limit_s: float | None) -> Callable[[st
 def unfed_pinned(
     world: World, problem: Problem, *, reasoner: str = "auto", reasoner_limit_s: Seconds | None = None
 ) -> dict[str, Unreachable]:
-    """For each pinned unit that can't be fed, by id: why not, with the nearest outputs."""
+    """Return why each pinned unit that can't be fed can't, by id, with the nearest outputs."""
     pinned = pinned_reasons(problem)
     if not pinned:
         return {}
@@ -75,7 +75,9 @@ def unfed_pinned(
 def wiring_faults(
     world: World, problem: Problem, *, reasoner: str = "auto", reasoner_limit_s: Seconds | None = None
 ) -> tuple[WiringFault, ...]:
-    """What is wrong or odd with the configuration that runs, the probable fault first, with the nearest streams."""
+    """Return wrong or odd wirings of the running configuration, the most probable fault first, each with similar
+    streams.
+    """
     from cfgplan import explaining
 
     environment = problem.environment
@@ -90,7 +92,7 @@ def wiring_faults(
 
 
 def _with_reason(violation: Violation, environment: Environment, left_out: Mapping[str, str]) -> Violation:
-    """The violation, with the fact by which a unit may not run if that is what is wrong."""
+    """Return the violation; if the unit's transformation was left out because of a fact, its text names that fact."""
     unit = environment.unit.get(violation.unit or "")
     if violation.rule is not Rule.KNOWN or unit is None or unit.transformation not in left_out:
         return violation
@@ -111,9 +113,10 @@ def why(
     time_limit_s: Seconds | None = None,
     decider: Decider | None = None,
 ) -> Why:
-    """Why a plan with a change set uses a unit, a transformation or an output (transformation/port), or why not.
+    """Return why a plan with a change set uses, or does not use, a unit, transformation or output
+    (transformation/port).
 
-    Raises InputError for what is not there.
+    Raises InputError if the plan has no change set, or nothing has that name.
     """
     from cfgplan import explaining
 
@@ -146,7 +149,7 @@ def front(
     time_limit_s: Seconds | None = None,
     decider: Decider | None = None,
 ) -> Front:
-    """What better quality of a target's stream costs; see `cfgplan.explaining`."""
+    """Return the price of better quality of a target's stream; see `cfgplan.explaining`."""
     from cfgplan import explaining
 
     known(target, problem.environment.target, "target")
@@ -163,7 +166,7 @@ def alternatives(
     time_limit_s: Seconds | None = None,
     decider: Decider | None = None,
 ) -> Alternatives:
-    """The `count` best configurations that differ in what runs, in order; see `cfgplan.explaining`.
+    """Return the `count` best configurations that run different transformations, in order; see `cfgplan.explaining`.
 
     Raises InvalidValueError for a count below 1.
     """
@@ -183,7 +186,7 @@ def sensitivity(
     time_limit_s: Seconds | None = None,
     decider: Decider | None = None,
 ) -> Sensitivity:
-    """For which horizons, or upkeeps of a transformation, which plan is optimal; see `cfgplan.explaining`.
+    """Return the optimal plan of each span of horizons, or of a transformation's upkeep; see `cfgplan.explaining`.
 
     The time limit is for each call of the planner.
     """
@@ -204,7 +207,7 @@ def best_effort(
     time_limit_s: Seconds | None = None,
     decider: Decider | None = None,
 ) -> BestEffort:
-    """The best update that some of the targets allow, the most important ones; see `cfgplan.explaining`."""
+    """Return the best update that meets as many targets as possible, important ones first; see `cfgplan.explaining`."""
     from cfgplan import explaining
 
     judged = _Judged(planner, None, decider)
@@ -213,7 +216,7 @@ def best_effort(
 
 
 class _Judged:
-    """A planner whose every answer is accepted by the judge; it asks a decider, if there is one, about open pairs."""
+    """A planner whose every answer is accepted by the judge; a decider, if given, decides open pairs."""
 
     def __init__(self, planner: str | Planner, limit_s: float | None, decider: Decider | None) -> None:
         # A single plan that is stopped by Ctrl-C is the best so far; what asks for many of them has to end.

@@ -1,6 +1,6 @@
-"""The Python API: load, match, plan and judge; what `import cfgplan` hands out.
+"""The Python API, imported by `import cfgplan`: load, match, plan and judge.
 
-The rooms for formats, matching and planners know nothing of each other; here they are joined.
+The rooms for formats, matching and planners know nothing of each other; this module joins them.
 """
 
 from __future__ import annotations
@@ -74,10 +74,10 @@ def _world_summary(world: World) -> Summary:
 @dataclass(frozen=True)
 @checked
 class World:
-    """An environment with the ontology that gives its tags their meaning, and what planning needs besides.
+    """An environment with the ontology that defines its tags, and the other inputs of planning.
 
-    `horizon_s` is in seconds, `max_cost_us` in microseconds of CPU time. `file` is what it was read from. `survive`
-    says which single failures a plan has to bear.
+    `horizon_s` is in seconds, `max_cost_us` in microseconds of CPU time. `file` is the file that it was read from, if
+    any. `survive` says which single failures a plan has to survive.
     """
 
     environment: Environment
@@ -91,7 +91,7 @@ class World:
 
     @cached_property
     def digest(self) -> str:
-        """A hash of all that a plan depends on; a plan file carries it, so that a stale plan is noticed."""
+        """A hash of all input of a plan; a plan file carries it, so that a stale plan is noticed."""
         from cfgplan.formats.environment_file import EnvironmentFile
 
         file = self.file or EnvironmentFile(
@@ -193,9 +193,9 @@ def world(
 def match_ports(
     world: World, *, reasoner: str = "auto", time_limit_s: Seconds | None = None, use_cache: bool = True
 ) -> Matching:
-    """Which output may feed which input and target, with the warnings of the reasoner.
+    """Decide which output may feed which input and target; the result has the reasoner's warnings.
 
-    `reasoner` is one of `REASONER_NAMES`. Pairs that can't be decided in `time_limit_s` are unknown.
+    `reasoner` is one of `REASONER_NAMES`. Pairs that are not decided within `time_limit_s` stay unknown.
     """
     return matches(world, reasoner=reasoner, time_limit_s=time_limit_s, use_cache=use_cache, most=None).matching
 
@@ -209,10 +209,10 @@ def matches(
     use_cache: bool = True,
     most: Natural | None = FEW_PAIRS,
 ) -> Matches:
-    """What is known of the similarity of a world's tags. If at most `most` pairs are open, the reasoner decides them at
-    once.
+    """Return the similarity of a world's tags as far as it is known.
 
-    If there are more, pass the result as `decider` to whatever plans: it decides the pairs that matter to the plan.
+    The reasoner decides open pairs at once if there are at most `most`. Otherwise pass the result as `decider` to the
+    planning function: it decides only pairs that matter to the plan.
     """
     cache = cache_folder() if use_cache else None
     return Matches(
@@ -235,14 +235,16 @@ def explain_match(
 
 
 def nearest_offers(world: World, demanded: str, **reasoning: Any) -> tuple[Nearest, ...]:
-    """The three offered tags of the library that come nearest to a demanded tag; `reasoning` is as of `near_offers`."""
+    """Return the three offered tags of the library most similar to a demanded one; see `near_offers` for
+    `reasoning`.
+    """
     return near_offers(world, [demanded], **reasoning)[demanded][:3]
 
 
 def near_offers(
     world: World, demanded: Collection[str], *, reasoner: str = "auto", time_limit_s: Seconds | None = None
 ) -> dict[str, tuple[Nearest, ...]]:
-    """For each of some demanded tags all offered ones that hold a part of it, the nearest first."""
+    """Return, for each demanded tag, all offered tags that have one of its conjuncts, the most similar first."""
     from cfgplan.matching import near_offers as near
 
     offered, _ = _tags(world.environment.possible)
@@ -295,10 +297,10 @@ def problem(
     max_cost_us: Natural | None = None,
     survive: Failures | Literal[0] | None = None,
 ) -> Problem:
-    """The planning problem of a matched world; what is given here wins over the file (0: survive no failure).
+    """Return the planning problem of a matched world.
 
-    The library has no transformation that facts leave out. Raises InputError where a transformation requires a fact
-    that it helps to observe.
+    The arguments override the file (`survive=0`: survive no failure). The library omits each transformation whose
+    required facts are not met. Raises InputError if a transformation requires a fact that it helps to observe.
     """
     refuse_circles(world, similarity)
     return Problem(
@@ -407,7 +409,7 @@ def solved(
 
 
 def interruptible(planner: str | Planner, stop: Event) -> Planner:
-    """A planner as `planner_of` gives it; `cpsat` tells by `stop` that Ctrl-C ended it."""
+    """Return the planner of a name; `cpsat` sets `stop` if Ctrl-C ended it."""
     if planner != "cpsat":
         return planner_of(planner)
     from cfgplan.planners import cpsat
@@ -432,7 +434,7 @@ def accepted(problem: Problem, answer: Plan) -> Plan:
 
 
 def plan_text(world: World, problem: Problem, plan: Plan) -> str:
-    """The plan file (JSON) of a plan: what `solve --out` writes."""
+    """Return the plan file (JSON) of a plan, as `solve --out` writes it."""
     from cfgplan.formats.plan_file import dump_plan
 
     return dump_plan(plan, problem, world.digest)
@@ -440,12 +442,12 @@ def plan_text(world: World, problem: Problem, plan: Plan) -> str:
 
 @checked
 def load_plan(world: World, problem: Problem, path: str | os.PathLike[str]) -> Plan:
-    """A plan that may be carried out: the one in a plan file, if it was made for this world and the judge accepts it.
+    """Return the plan in a plan file, if it was made for this world and the judge accepts it: it may be carried out.
 
-    Change set, cost, status and bound are checked against `problem`; that no plan is cheaper is the planner's proof,
-    which a file can't repeat. An ontology file that neither `ontology:` nor `imports:` names, but an import led to,
-    does not make a plan stale when it changes; the judge holds the plan against what matches now all the same.
-    Raises InputError for a file that is broken, stale or has been changed.
+    Change set, cost, status and bound are checked against `problem`; the proof that no plan is cheaper is not repeated.
+    If an ontology changes that neither `ontology:` nor `imports:` names, but an import led to, the plan does not become
+    stale; the judge checks it against the present matches all the same. Raises InputError for a file that is broken,
+    stale or has been changed.
     """
     from cfgplan.formats.plan_file import load_plan as read_plan
 
@@ -465,9 +467,9 @@ def schema_text() -> str:
 
 
 def converted(path: str | os.PathLike[str], to: Literal["yaml", "xml"]) -> str:
-    """An environment file (YAML, JSON, the paper's XML or a folder of it) in another format, templates and all.
+    """Return an environment file (YAML, JSON, the paper's XML or a folder of it) in another format; templates are kept.
 
-    What it includes is written into it. Raises InputError.
+    Included files are written into it. Raises InputError.
     """
     from cfgplan.formats.document import read_document
     from cfgplan.formats.dump import as_xml, as_yaml
@@ -503,9 +505,9 @@ def _as_ontology(ontology: object) -> Ontology:
 
 
 def write_file(path: Path, content: bytes) -> None:
-    """Write a whole file, or nothing of it; raises InputError if that can't be done.
+    """Write a whole file, or nothing of it; raises InputError if that fails.
 
-    What is no plain file (a device, a pipe, a link) is written through: it must not be replaced by one.
+    A path that is no regular file (a device, a pipe, a link) is written through, not replaced.
     """
     try:
         if path.is_symlink() or (path.exists() and not path.is_file()):
@@ -518,7 +520,7 @@ def write_file(path: Path, content: bytes) -> None:
 
 
 def _replace(path: Path, content: bytes) -> None:
-    """Put a new file in the place of an old one, which must be writable and leaves its permissions behind."""
+    """Replace a file, which must be writable, by a new one with the same permissions."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.new")
     exists = path.exists()
     if exists and not os.access(path, os.W_OK):

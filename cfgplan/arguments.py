@@ -54,7 +54,7 @@ class _Kind:
     exact: frozenset[type]
     read: Callable[[Any], object]
     least: int | None = None
-    """Ints from here on fit too."""
+    """The least int that fits too."""
 
     def unusual(self, exact: str) -> str:
         """A test for the values of `each` that have to be read, as Python writes it; `exact` is the types' name."""
@@ -168,7 +168,7 @@ def _article(noun: str) -> str:
 
 
 class _Later(Mapping[str, Any]):
-    """Names that a module imports for type checkers only: a class that is known by its name."""
+    """A module's imports for type checkers only; each lookup gives a class known by its name."""
 
     def __init__(self, module: Mapping[str, Any]) -> None:
         self._module = module
@@ -186,7 +186,7 @@ class _Later(Mapping[str, Any]):
 
 
 class _Named:
-    """A class of which only the name is known; `|` makes a union of it."""
+    """A class known only by name; `|` makes a union of it."""
 
     def __init__(self, name: str) -> None:
         self.name = name

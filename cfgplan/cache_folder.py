@@ -1,4 +1,4 @@
-"""The folder of what is kept between runs: answers about tags, and archives of a reasoner's classes."""
+"""The cache folder, kept between runs: answers about tags, and archives of a reasoner's classes."""
 
 from __future__ import annotations
 

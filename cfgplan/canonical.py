@@ -19,7 +19,7 @@ def normal(text: str) -> str:
 
 
 def store_sorted(holder: object, name: str, values: Iterable[T], key: Callable[[T], object]) -> None:
-    """Put a tuple of a frozen dataclass in order, while that is being made."""
+    """Sort a tuple of a frozen dataclass during its construction."""
     object.__setattr__(holder, name, tuple(sorted(values, key=key)))  # type: ignore[arg-type]
 
 
@@ -35,12 +35,12 @@ def store_resources(holder: object, name: str, fields: Mapping[str, str]) -> Non
 
 
 def fields_of(value: Any) -> dict[str, Any]:
-    """What is pickled and copied of a frozen dataclass: its fields, not what is derived from them."""
+    """Return the fields of a frozen dataclass, without derived attributes, for pickling and copying."""
     return {field.name: getattr(value, field.name) for field in fields(value)}
 
 
 def refuse_duplicates(what: str, names: list[str]) -> None:
-    """Raises InvalidValueError if a name is there twice."""
+    """Raise InvalidValueError if a name occurs twice; `what` is the noun in its message."""
     if len(set(names)) != len(names):
         twice = sorted(name for name, times in Counter(names).items() if times > 1)
         raise InvalidValueError(f"each {what} must be named once, but {', '.join(map(repr, twice))} is named again")

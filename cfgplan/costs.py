@@ -75,17 +75,20 @@ def seconds(cost_us: int) -> Decimal:
 
 
 def labor_us(transformation: Transformation, host: Host | None = None) -> int:
-    """What a start costs on a host."""
+    """Return the CPU time of a start on a host."""
     return _on(host, transformation, 0, transformation.labor_us)
 
 
 def upkeep_us(transformation: Transformation, host: Host | None = None) -> int:
-    """What a running unit costs on a host each second."""
+    """Return the CPU time that a running unit takes on a host each second."""
     return _on(host, transformation, 1, transformation.upkeep_us)
 
 
 def _on(host: Host | None, transformation: Transformation, which: int, usual_us: int) -> int:
-    """What a unit costs on a host: as seen there, else what the host's speed makes of it, rounded up."""
+    """Return a unit's cost on a host: the one observed there, else `usual_us` divided by the host's speed, rounded up.
+
+    `which` is 0 for labor, 1 for upkeep.
+    """
     if host is None:
         return usual_us
     seen_us = transformation.seen_us.get(host.name)
@@ -93,30 +96,35 @@ def _on(host: Host | None, transformation: Transformation, which: int, usual_us:
 
 
 def keep_cost_us(transformation: Transformation, horizon_s: int, host: Host | None = None) -> int:
-    """What a unit that runs on costs over the horizon: its upkeep."""
+    """Return the cost of a kept unit over the horizon: its upkeep."""
     return upkeep_us(transformation, host) * horizon_s
 
 
 def start_cost_us(transformation: Transformation, horizon_s: int, host: Host | None = None) -> int:
-    """What a new unit costs over the horizon: its labor, then its upkeep."""
+    """Return the cost of a new unit over the horizon: its labor and its upkeep."""
     if host is None:  # as the general case says, in a third of the time: planning asks this of whole libraries
         return transformation.labor_us + transformation.upkeep_us * horizon_s
     return labor_us(transformation, host) + keep_cost_us(transformation, horizon_s, host)
 
 
 def standby_cost_us(transformation: Transformation, horizon_s: int, host: Host | None = None) -> int:
-    """What a cold spare costs over the horizon: being ready. Its labor is paid when it has to start."""
+    """Return the cost of a cold spare over the horizon: its standby cost. Its labor is paid only when it has
+    to start.
+    """
     speed = MICRO if host is None else host.speed
     return -(-(transformation.standby_us or 0) * MICRO // speed) * horizon_s
 
 
 def taken(transformation: Transformation, host: Host | None) -> Mapping[str, int]:
-    """What a unit takes of a host, see `Transformation.takes`."""
+    """Return the resources that a unit takes on a host; see `Transformation.takes`."""
     if host is None or (host.speed == MICRO and host.name not in transformation.seen_us):
         return transformation.takes
     return MappingProxyType({**transformation.takes, CPU: upkeep_us(transformation, host)})
 
 
 def transfer_cost_us(output: OutputPort, horizon_s: int, price_us: int) -> int:
-    """What a stream costs over the horizon for each host it is carried to, at a price for a megabyte, rounded up."""
+    """Return the cost over the horizon of carrying a stream to one more host, rounded up.
+
+    `price_us` is for a megabyte (10**6 bytes).
+    """
     return -(-output.bytes_per_s * horizon_s * price_us // 1_000_000)

@@ -48,7 +48,7 @@ from cfgplan.transformations import as_taught
 T = TypeVar("T")
 
 MANAGER = "manager"
-"""Who gives orders to a fleet's hosts; no host is called so."""
+"""The name of the sender of orders to a fleet's hosts; no host may have it."""
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -131,10 +131,10 @@ A_UNIT_OF = "a unit of "
 class Target:
     """A semantic subscription from outside (Definition 4); a larger `priority` matters more.
 
-    `quality` is what it asks of its stream. With a `host`, the stream has to come there. In a run it counts as unmet
-    once nothing has come for `silent_us`; planning does not look at that. `type` is the message type of its topic in
-    ROS. A target that wants no stream, but that a unit of the transformation `run` runs, has no topic, and A_UNIT_OF
-    that transformation as its tag.
+    `quality` are its demands on the stream. With a `host`, the stream has to be carried there. In a run it counts as
+    unmet if no element has come for `silent_us`; planning ignores that. `type` is the message type of its topic in ROS.
+    A target that wants a running unit of the transformation `run` instead of a stream has no topic, and A_UNIT_OF that
+    transformation as its tag.
     """
 
     label: str
@@ -187,10 +187,10 @@ def observing(fact: Fact) -> Target | None:
 class Host:
     """A computer: the CPU time (microseconds each second) and megabytes that units may take; None: no limit.
 
-    `offers` says how much it has of other resources, in whole numbers: of what is not there it has nothing. A unit
-    takes the CPU time of its transformation divided by `speed`, which is in millionths. Selectors choose it by its name
-    and its `labels`. While a unit is there, running or as a cold spare, it costs `rent_us` each second at any speed.
-    It has `energy` (watt seconds; None: no limit) for the power that units there need over the horizon.
+    `offers` gives the amounts of other resources as integers; a resource that is not listed has amount 0. A unit takes
+    the CPU time of its transformation divided by `speed`, which is in millionths. Selectors choose a host by its name
+    and its `labels`. It costs `rent_us` each second, at any speed, as long as it has a running unit or a cold spare. It
+    has `energy` (watt seconds; None: no limit) for the power that its units take over the horizon.
     """
 
     name: str
@@ -225,11 +225,11 @@ class Host:
 @dataclass(frozen=True, slots=True)
 @checked
 class Link:
-    """What carries streams from hosts that one selector fits to hosts that the other fits, and back.
+    """A network link between the hosts that one selector fits and the hosts that the other fits, in both directions.
 
-    All journeys over it together carry at most `bandwidth` bytes a second (None: no limit): a stream makes one to each
-    host that it is wanted on. A megabyte costs `price_us` instead of the environment's `transfer_us` if that is given.
-    The journey adds `latency` (micro-units) to a stream's value of the quality attribute `adds`.
+    All transfers over it together carry at most `bandwidth` bytes per second (None: no limit); a stream is transferred
+    once to each host that needs it. A megabyte costs `price_us`; if that is None, the environment's `transfer_us`. A
+    transfer adds `latency` (micro-units) to a stream's value of the quality attribute `adds`.
     """
 
     between: tuple[str, str]
@@ -264,12 +264,11 @@ def _similarity_summary(similarity: Similarity) -> Summary:
 @dataclass(frozen=True)
 @checked
 class Similarity:
-    """The relation ~ between tags (Definition 5): which offered tag may feed which demanded tag.
+    """The relation ~ between tags (Definition 5): it says which offered tag may feed which demanded tag.
 
-    `offers` maps each demanded tag to the offered tags that it accepts; collected over the ports
-    of a library this is the paper's validity matrix. `open` maps a demanded tag to offered tags that no reasoner has
-    decided: such a pair does not match, and nothing may be claimed that hangs on it. Where a row of `offers` and one
-    of `open` share a tag, it matches.
+    `offers` maps each demanded tag to the offered tags that it accepts; collected over the ports of a library this is
+    the paper's validity matrix. `open` maps a demanded tag to offered tags that no reasoner has decided; an open pair
+    does not match, and no claim may depend on it. If a row of `offers` and one of `open` share a tag, it matches.
     """
 
     offers: Mapping[str, frozenset[str]] = field(hash=False)
@@ -282,7 +281,7 @@ class Similarity:
         return offered in self.offers.get(demanded, ())
 
     def is_open(self, offered: str, demanded: str) -> bool:
-        """Whether it is not decided if `offered` may feed `demanded`."""
+        """Return whether it is still undecided if `offered` may feed `demanded`."""
         return offered in self.open.get(demanded, ()) and not self.holds(offered, demanded)
 
     def open_pairs(self) -> Iterator[tuple[str, str]]:
@@ -318,8 +317,8 @@ class Similarity:
 class ChangeSet:
     """Additions and removals (Definition 6).
 
-    Over units it has three disjoint parts: `started` and `rewired` hold units as they are
-    afterwards, `stopped` holds ids. What is added replaces what is there of the same name.
+    Units have three disjoint parts: `started` and `rewired` hold units as they are afterwards, `stopped` holds ids. An
+    added item replaces an existing one of the same name.
     """
 
     started: tuple[ComputationUnit, ...] = ()
@@ -348,7 +347,7 @@ class ChangeSet:
 
 
 class Objective(StrEnum):
-    """What of an update may be minimised."""
+    """The quantities of an update that can be minimised."""
 
     RENT = "rent"
     """The rent of used hosts over the horizon, in microseconds; it is part of the cost too."""
@@ -390,7 +389,7 @@ _NAMED = (
     ("qualities", "name", "quality attribute"),
     ("facts", "name", "fact"),
 )
-"""The parts of an environment, what each is named by, and what one of them is called."""
+"""The parts of an environment, the attribute that names each, and the noun for one of them."""
 
 
 @summarised(lambda each: summary(each.counted, ENVIRONMENT_HEADS, environment_rows(each)))
@@ -399,11 +398,11 @@ _NAMED = (
 class Environment:
     """Computation units, library and targets (Definition 5); ~ is a `Similarity` beside it.
 
-    Without `hosts` nothing is placed; with them every unit has one. `transfer_us` is what it costs to carry a megabyte
-    (10**6 bytes) from host to host, in microseconds of CPU time, where no link says otherwise: of `links`, which are in
-    order, the first that joins two hosts counts. `minimise` says what an update minimises, the most important
-    objective first; the cost ends it where it is not named, and rewired and started units break ties. What is planned
-    is `possible`: the library without the transformations that require other `facts`.
+    Without `hosts` nothing is placed; with them every unit has one. `transfer_us` is the price of carrying a megabyte
+    (10**6 bytes) from host to host, in microseconds of CPU time, unless the first of the `links` that joins the two
+    hosts has a price of its own. `minimise` lists the objectives of an update, the most important first; the cost comes
+    last unless it is listed, and ties are broken by fewer rewired, then fewer started units. Planners get `possible`:
+    the environment whose library omits transformations that require other `facts`.
     """
 
     units: tuple[ComputationUnit, ...] = ()
@@ -441,7 +440,7 @@ class Environment:
 
     @property
     def counted(self) -> str:
-        """How much there is: `14 transformations, 5 units, 1 target`."""
+        """The size in words: `14 transformations, 5 units, 1 target`."""
         parts = [(self.library, "transformation"), (self.units, "unit"), (self.targets, "target")]
         parts += [(self.hosts, "host")] if self.hosts else []
         return ", ".join(counted(len(things), noun) for things, noun in parts)
@@ -489,13 +488,15 @@ class Environment:
 
     @cached_property
     def wanted_to_run(self) -> Mapping[str, str]:
-        """The transformations of which targets want a unit to run, by the targets' labels."""
+        """The transformations that targets want to run, by the targets' labels."""
         return MappingProxyType({target.label: target.run for target in self.targets if target.run is not None})
 
     def meeting(self, units: Collection[ComputationUnit]) -> dict[str, ComputationUnit]:
-        """Of some units the one that meets each target that is met, by the target's label.
+        """Return the unit that meets each target, by the target's label; targets that none of `units` meets are
+        missing.
 
-        It publishes the target's stream or, by its id, is the first that runs of the transformation that is to run.
+        The unit publishes the target's stream. For a target that wants a transformation to run, it is the first running
+        unit of it, by id.
         """
         publishing = {publication.topic: unit for unit in units for publication in unit.publications}
         found = {target.label: publishing.get(target.topic) for target in self.stream_targets}
@@ -521,7 +522,9 @@ class Environment:
 
     @cached_property
     def comparisons(self) -> Mapping[str, tuple[Comparison, ...]]:
-        """What transformations compare each fact with, by its name; facts that none requires are not there."""
+        """The comparisons that transformations make with each fact, by its name; only facts that some transformation
+        requires.
+        """
         asked = sorted({t.requires for t in self.library if t.requires is not None})
         found = dict.fromkeys(each for requires in asked for each in requirement(requires).comparisons)
         return MappingProxyType({name: tuple(c for c in found if c.fact == name) for name in {c.fact for c in found}})
@@ -550,9 +553,9 @@ class Environment:
         return MappingProxyType({label: reason for label, reason in why.items() if reason is not None})
 
     def with_facts(self, values: Mapping[str, FactValue]) -> Environment:
-        """The environment in which facts have other values; those of another kind are ignored.
+        """Return the environment in which facts have other values; values of another kind are ignored.
 
-        Qualities that follow a fact have the values that follow from it.
+        Qualities that follow a fact get the values that follow from it.
         """
         facts = {fact.name: fact.being(values.get(fact.name)) for fact in self.facts}
         changed = {label: _following(self.transformation[label], facts) for label in self.following}
@@ -590,7 +593,7 @@ class Environment:
 
     @property
     def as_declared(self) -> Environment:
-        """The environment in which facts and qualities are what is declared."""
+        """The environment in which every fact and quality has its declared value."""
         plain = self.with_qualities({})
         return plain.with_facts({fact.name: fact.declared for fact in self.facts}) if self.facts else plain
 
@@ -602,7 +605,9 @@ class Environment:
 
     @cached_property
     def following(self) -> Mapping[str, tuple[tuple[str, Contribution], ...]]:
-        """The qualities that follow facts, each with its output, by transformation; others are not there."""
+        """The qualities that follow facts, each with its output, by transformation; other transformations are
+        missing.
+        """
         found = {
             t.label: tuple((port.name, each) for port in t.outputs for each in port.quality if each.by is not None)
             for t in self.library
@@ -611,7 +616,7 @@ class Environment:
 
     @cached_property
     def curves(self) -> Mapping[str, tuple[Curve, ...]]:
-        """How qualities follow each fact, by its name; facts that none follows are not there."""
+        """The curves by which qualities follow each fact, by its name; only facts that some quality follows."""
         found = {each.by for stated in self.following.values() for _, each in stated if each.by is not None}
         return MappingProxyType(
             {
@@ -649,7 +654,7 @@ class Environment:
         return replace(self, library=tuple(t for t in self.library if t.label not in self.left_out))
 
     def hosts_for(self, transformation: Transformation) -> tuple[str | None, ...]:
-        """Where units of a transformation may run, in order; only None if there are no hosts."""
+        """Return the hosts where units of a transformation may run, by name, in order; (None,) without hosts."""
         if not self.hosts:
             return (None,)
         wanted = transformation.hosts if transformation.host is None else (transformation.host,)
@@ -660,28 +665,28 @@ class Environment:
         )
 
     def places_for(self, transformation: Transformation) -> tuple[Host | None, ...]:
-        """The hosts where units of a transformation may run; only None if there are no hosts."""
+        """Return the hosts where units of a transformation may run; (None,) without hosts."""
         return tuple(None if name is None else self.host[name] for name in self.hosts_for(transformation))
 
     @cached_property
     def link(self) -> Mapping[tuple[str, str], Link]:
-        """The link between two hosts, where there is one, by their names in any order."""
+        """The link between two hosts, by their names in any order; pairs without a link are missing."""
         pairs = [(one, other) for one in self.hosts for other in self.hosts if one != other] if self.links else []
         first = {(a.name, b.name): next((link for link in self.links if link.joins(a, b)), None) for a, b in pairs}
         return MappingProxyType({pair: link for pair, link in first.items() if link is not None})
 
     @cached_property
     def prices_us(self) -> tuple[int, ...]:
-        """What carrying a megabyte from host to host may cost, the largest price last."""
+        """The possible prices of carrying a megabyte from host to host, in ascending order."""
         return tuple(sorted({self.transfer_us, *(link.price_us for link in self.links if link.price_us is not None)}))
 
     def price_us(self, one: str | None, other: str | None) -> int:
-        """What it costs to carry a megabyte between two hosts."""
+        """Return the price of carrying a megabyte between two hosts."""
         link = self.link.get((one or "", other or ""))
         return self.transfer_us if link is None or link.price_us is None else link.price_us
 
     def latency(self, attribute: str, one: str | None, other: str | None) -> int:
-        """What the journey between two hosts adds to a stream's value of an attribute."""
+        """Return the amount that a transfer between two hosts adds to a stream's value of an attribute."""
         link = self.link.get((one or "", other or ""))
         return 0 if link is None or link.adds != attribute else link.latency
 
@@ -713,7 +718,7 @@ class Environment:
         )
 
     def without_unit(self, unit_id: str) -> Environment:
-        """The environment after a unit has died: what it fed has a gap."""
+        """Return the environment after a unit has died; the inputs that it fed lose their subscriptions."""
         left = tuple(
             replace(unit, subscriptions=tuple(s for s in unit.subscriptions if s.stream.unit != unit_id))
             for unit in self.units

@@ -43,7 +43,7 @@ class Mark(Enum):
 
 
 GONE = (Mark.STOPPED, Mark.CUT)
-"""What an arrow is that is there no more."""
+"""The mark of an arrow that the update removes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +76,7 @@ class Arrow:
 
 @dataclass(frozen=True)
 class Picture:
-    """What is drawn, without any layout; `hosts` have lines that say more of some hosts, by their names."""
+    """A picture without layout; `hosts` maps a host's name to further lines of text about it."""
 
     nodes: tuple[Node, ...]
     arrows: tuple[Arrow, ...]
@@ -225,7 +225,9 @@ def _unit_lines(after: Environment, unit: ComputationUnit) -> tuple[str, ...]:
 
 
 def _host_lines(host: Host) -> tuple[str, ...]:
-    """A host and what is special about it: `h (robot, spot)`, `rent 0.5 s/s, speed 0.5, 1 gpu, energy 36000 W s`."""
+    """Return a host's name, labels and properties: `h (robot, spot)`, `rent 0.5 s/s, speed 0.5, 1 gpu, energy 36000 W
+    s`.
+    """
     labels = f" ({', '.join(host.labels)})" if host.labels else ""
     words = [f"rent {seconds(host.rent_us):f} s/s"] if host.rent_us else []
     words += [f"speed {units_of(host.speed):f}"] if host.speed != MICRO else []

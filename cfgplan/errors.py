@@ -1,4 +1,4 @@
-"""What can be wrong with input: faults that say where, what and how to mend it."""
+"""Errors in input: faults that say where they are, why, and how to mend them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class CfgplanError(Exception):
 
 
 def _made_again(kind: type[CfgplanError], args: tuple[object, ...], attributes: dict[str, object]) -> CfgplanError:
-    """An error with the text and the attributes of another, whatever its class is made of."""
+    """Return a copy of an error with its text and attributes, without calling the constructor of its class."""
     error = kind.__new__(kind, *args)
     vars(error).update(attributes)
     return error
@@ -29,7 +29,7 @@ class InvalidValueError(CfgplanError, ValueError):
 
 
 class MatchingError(CfgplanError):
-    """Something that can't be matched or looked up: what is wrong, and what to do about it."""
+    """A tag or name that can't be matched or looked up: the reason, and how to mend it."""
 
     def __init__(self, message: str, mend: str | None = None) -> None:
         self.message = message

@@ -1,4 +1,4 @@
-"""What a package hands out: names that are imported from its modules at their first use, so that it costs nothing."""
+"""Lazy exports of a package: its names are imported from their modules at first use."""
 
 from __future__ import annotations
 

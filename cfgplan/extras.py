@@ -27,7 +27,7 @@ _EXTRA_OF = {
 
 
 def is_there(package: str) -> bool:
-    """Whether a package is installed."""
+    """Return whether a package is installed."""
     return find_spec(package) is not None
 
 

@@ -43,18 +43,18 @@ def said(value: FactValue) -> str:
 
 
 def kind_of(value: FactValue) -> str:
-    """What kind of value it is, in words."""
+    """Return the kind of a fact's value, in words."""
     return "true or false" if isinstance(value, bool) else "a number" if isinstance(value, int) else "a word"
 
 
 @dataclass(frozen=True, slots=True)
 @checked
 class Fact:
-    """Something that is so in the world, or is not: its value while nobody has said another, and its unit.
+    """A variable of the world: its declared value, which counts until another is observed or set, and its unit.
 
-    Streams observe it in a run: one that is tagged `by`, or the one on `topic`. Elements that are mappings hold the
-    value under `field`, where a dot leads further in. Values with `noise` are filtered. Once nothing has come for
-    `silent_us`, the declared value counts again.
+    In a run, streams observe it: those tagged `by`, or the one on `topic`. If elements are mappings, the value is under
+    `field`; a dot leads into nested mappings. Values with `noise` are filtered. If no element has come for `silent_us`,
+    the declared value counts again.
     """
 
     name: str
@@ -66,7 +66,7 @@ class Fact:
     noise: Noise | None = None
     silent_us: Natural | None = None
     now: FactValue | None = None
-    """The value that is so now, if it is known to be another than the declared one."""
+    """The present value, if it is known to differ from the declared one."""
 
     def __post_init__(self) -> None:
         if misfit := misfit_of_fact({name: getattr(self, name) for name in self.__slots__}):
@@ -139,7 +139,7 @@ def _value(text: str) -> FactValue:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """What one fact is compared with, and how."""
+    """A comparison of a fact with a value, by a `sign` such as `>=`."""
 
     fact: str
     sign: str
@@ -150,7 +150,7 @@ class Comparison:
 
     @property
     def bound(self) -> int | None:
-        """The least value on the upper side of what a number is compared with; None for another comparison."""
+        """The least value on the upper side of the compared number; None for `==`."""
         if self.sign == "==" or not isinstance(self.value, int):
             return None
         return self.value + (self.sign in (">", "<="))
@@ -181,11 +181,11 @@ Blamed: TypeAlias = tuple[str, ...] | None
 
 @dataclass(frozen=True, slots=True)
 class Requirement:
-    """What an expression over facts asks."""
+    """An expression over facts that must hold."""
 
     comparisons: tuple[Comparison, ...]
     blamed: Callable[[Mapping[str, FactValue]], Blamed]
-    """By which facts it is not met, given their values; None if it is."""
+    """A function from facts' values to the facts by which the requirement is not met; None if it is met."""
 
 
 @lru_cache(maxsize=4096)
@@ -203,7 +203,9 @@ def check_requirement(text: str) -> None:
 
 
 def why_left_out(text: str, facts: Mapping[str, Fact]) -> str | None:
-    """Why a requirement is not met, such as `visibility is 1 m`; None if it is. All facts that it names are there."""
+    """Return why a requirement is not met, such as `visibility is 1 m`; None if it is. `facts` must have all
+    its facts.
+    """
     blamed = requirement(text).blamed({name: fact.value for name, fact in facts.items()})
     if blamed is None:
         return None

@@ -1,6 +1,6 @@
-"""What a configuration comes to: the parts of its cost, the quality of targets, the load of hosts, transfers.
+"""Figures of a configuration: the parts of its cost, the quality of targets, the load of hosts, transfers.
 
-For planners and for those who show plans; the judge reckons for itself.
+Planners and output use them; the judge computes its own.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _COUNTED = {
 
 @dataclass(frozen=True, slots=True)
 class CostParts:
-    """The cost of an update in microseconds of CPU time over the horizon, by what it is for."""
+    """The cost of an update over the horizon by category, in microseconds of CPU time."""
 
     labor_us: int
     upkeep_us: int
@@ -92,7 +92,7 @@ def used_hosts(environment: Environment, units: Iterable[ComputationUnit]) -> li
 
 
 def links_bear(problem: Problem, units: Collection[ComputationUnit]) -> bool:
-    """Whether no link has to carry more bytes each second than it bears."""
+    """Return whether no link carries more bytes per second than its bandwidth."""
     return all(link.bandwidth is None or load <= link.bandwidth for link, load in link_loads(problem, units).items())
 
 
@@ -139,7 +139,7 @@ def transfers(problem: Problem, units: Collection[ComputationUnit]) -> list[Tran
 
 
 def loads(environment: Environment, units: Collection[ComputationUnit]) -> Mapping[str, Counter[str]]:
-    """What the units on each host take of each resource (see `Transformation.takes`); cold spares too."""
+    """Return each host's load by resource (see `Transformation.takes`); cold spares count too."""
     found: dict[str, Counter[str]] = {host.name: Counter({CPU: 0, MEMORY: 0}) for host in environment.hosts}
     for unit in units:
         if unit.host in found and unit.transformation in environment.transformation:
@@ -191,7 +191,7 @@ def _come(
     value: int,
     host: str | None,
 ) -> int:
-    """The value of a stream where it has come to a host."""
+    """Return the value of a stream after its transfer to a host."""
     origin = units[stream.unit].host if stream.unit in units else None
     return delayed(attribute, value, environment.latency(attribute.name, origin, host))
 

@@ -47,7 +47,7 @@ class NoisyMean:
     values: int = 1
 
     def after(self, value: int, at_s: float) -> NoisyMean:
-        """The mean with a value more. The first values have equal weights."""
+        """Return the mean after one more value. The first values have equal weights."""
         values = self.values + 1
         share = max(_share(at_s - self.at_s), 1 / values)
         variance = (1 - share) ** 2 * self.variance + share**2
@@ -75,5 +75,5 @@ def settled_variance(rate_hz: float) -> float:
 
 
 def _share(seconds: float) -> float:
-    """How much of a mean a value makes up that comes so long after the one before."""
+    """Return the weight of a new value that comes `seconds` after the one before."""
     return float(1 - 0.5 ** (seconds / HALF_LIFE_S))

@@ -19,7 +19,7 @@ from cfgplan.qualities import MICRO
 
 UNKNOWN_RATE_HZ: Final = 1.0
 MOST_OF_THE_WAY: Final = Fraction(1, 3)
-"""How much of the way from one bound to the next the mean of their bands may be, so that both are passed in time."""
+"""The mean of two bounds' bands may be at most this share of their distance, so that both are passed in time."""
 
 
 @dataclass(frozen=True, slots=True)

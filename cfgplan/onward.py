@@ -1,4 +1,4 @@
-"""Relations as pairs: what leads on from what, and what goes with what."""
+"""Relations as pairs: reachability and grouping."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Of = TypeVar("Of")
 
 
 def grouped(pairs: Iterable[tuple[Of, Item]]) -> defaultdict[Of, list[Item]]:
-    """The second parts of pairs by the first, in their order."""
+    """Return the second elements of pairs by the first, in order."""
     found: defaultdict[Of, list[Item]] = defaultdict(list)
     for of, item in pairs:
         found[of].append(item)
@@ -19,7 +19,7 @@ def grouped(pairs: Iterable[tuple[Of, Item]]) -> defaultdict[Of, list[Item]]:
 
 
 def reached(starts: Iterable[Item], onward: Callable[[Item], Iterable[Item]]) -> list[Item]:
-    """Some things and all that they lead to, directly or through others, each once and the nearest first."""
+    """Return the starts and everything reachable from them, each once, in breadth-first order."""
     found = dict.fromkeys(starts)
     ahead = list(found)
     for here in ahead:

@@ -1,4 +1,4 @@
-"""The planning problem, its answer, and what a planner is (Definition 10)."""
+"""The planning problem, its answer, and the protocol of a planner (Definition 10)."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ from cfgplan.qualities import price_us
 from cfgplan.summary import Summary, counted, cpu, summarised, summary
 
 MOST_INSTANCES = 64
-"""A plan starts at most so many units of one transformation, or as many as one input takes streams."""
+"""A plan starts at most this many units of one transformation, or as many as one input takes streams."""
 
 
 class Failures(StrEnum):
-    """Which single failures a configuration survives."""
+    """The kinds of single failure that a configuration can survive."""
 
     UNITS = "units"
     HOSTS = "hosts"
-    """Of a host, with all its units, or of a unit."""
+    """The failure of a host, with all its units, or of a unit."""
 
 
 class Feature(StrEnum):
-    """What a problem may ask beyond the paper, in the words of an error message."""
+    """An extension of the paper's problem; the value is its name in error messages."""
 
     QUALITY = "quality of streams"
     HOSTS = "hosts"
@@ -65,10 +65,10 @@ def _problem_summary(problem: Problem) -> Summary:
 @dataclass(frozen=True)
 @checked
 class Problem:
-    """Find the optimal update of `environment` over `horizon_s` seconds, at most `max_cost_us` dear.
+    """Find the optimal update of `environment` over `horizon_s` seconds that costs at most `max_cost_us`.
 
-    Where the environment does not minimise the cost first, the largest cost is still one of the cost: the best update
-    is the best of those that cost no more.
+    If the environment minimises something before the cost, `max_cost_us` still limits the cost: the answer is the best
+    of the updates within that limit.
     With `survive`, no single failure of that kind may leave a target without a stream.
     Raises InvalidValueError if costs could add up to more than can be computed exactly.
     """
@@ -91,7 +91,7 @@ class Problem:
 
     @cached_property
     def features(self) -> frozenset[Feature]:
-        """What the problem asks beyond the paper; quality counts only if a target asks for it."""
+        """The features of the problem beyond the paper; quality counts only if a target asks for it."""
         environment, library = self.environment, self.environment.library
         inputs = [port for t in library for port in t.inputs]
         outputs = [port for t in library for port in t.outputs]
@@ -123,15 +123,15 @@ class Problem:
         return replace(self, environment=replace(self.environment, **parts))
 
     def after(self, plan: Plan) -> Environment:
-        """The environment after the update of a plan that has one."""
+        """Return the environment after a plan's update; the plan must have a change set."""
         assert plan.change_set is not None
         return self.environment.update(plan.change_set)
 
     def most_new(self, transformation: Transformation) -> int:
-        """How many units of a transformation a plan may start: one, unless more are asked for or allowed.
+        """Return how many units of a transformation a plan may start: one, unless more are asked for or allowed.
 
-        Of one that others run with it is one for each host; where inputs that its outputs may feed count streams, the
-        largest count. Where failures are to be survived it is one more.
+        If units of others run with it: one for each host. If its outputs may feed inputs that count streams: the
+        largest count. If failures have to be survived, one more.
         """
         tags = [output.tag for output in transformation.outputs]
         most = max((n for tag, n in self._counts.items() if any(self._may_feed(o, tag) for o in tags)), default=0)
@@ -155,7 +155,7 @@ class Problem:
         return self.similarity.holds(offered, demanded) or self.similarity.is_open(offered, demanded)
 
     def largest_cost_us(self, horizon_s: int) -> int:
-        """What no plan exceeds over a horizon in seconds."""
+        """Return an upper bound for the cost of every plan over a horizon in seconds."""
         library = self.environment.transformation
         labels = [*library, *(u.transformation for u in self.environment.units if u.transformation in library)]
         if self.is_plain:
@@ -194,7 +194,7 @@ class Status(StrEnum):
     OPTIMAL = "optimal"
     """The plan is proven cheapest; `Plan.ties_proven` says more."""
     FEASIBLE = "feasible"
-    """There is a plan, not proven cheapest."""
+    """A plan was found, but is not proven cheapest."""
     INFEASIBLE = "infeasible"
     """Proven: no update meets every target."""
     TOO_EXPENSIVE = "too expensive"
@@ -202,21 +202,21 @@ class Status(StrEnum):
     not known whether any meets them.
     """
     UNKNOWN = "unknown"
-    """Stopped without a plan and without a proof that there is none."""
+    """Stopped without a plan and without a proof that none exists."""
 
     @classmethod
     def of_plan(
         cls, cost_us: int, bound_us: int, objectives: tuple[Measured, ...] = (), *, is_required_proven: bool
     ) -> Status:
-        """Return optimal if the bound reaches the cost, all objectives are proven, and no plan uses more of what is
-        required; else feasible.
+        """Return optimal if the bound equals the cost, all objectives are proven, and no plan uses more required
+        transformations; else feasible.
         """
         is_proven = is_required_proven and bound_us == cost_us and all(one.is_proven for one in objectives)
         return cls.OPTIMAL if is_proven else cls.FEASIBLE
 
 
 REFUSED: Final = (Status.INFEASIBLE, Status.TOO_EXPENSIVE)
-"""The statuses by which a planner says: it is proven that there is no plan."""
+"""The statuses of a proof that no plan exists."""
 
 Rank = tuple[int, ...]
 """Unused required transformations, objectives in order, cost in microseconds, rewired and started units: the least is
@@ -227,7 +227,7 @@ optimal.
 @dataclass(frozen=True, slots=True)
 @checked
 class Measured:
-    """An objective's value in a plan. It is proven that no plan as good in what comes before has less than `bound`."""
+    """An objective's value in a plan. No plan that is as good in all earlier objectives has a value below `bound`."""
 
     objective: Objective
     value: int
@@ -268,22 +268,20 @@ def _wire(wire: Subscription) -> str:
 class Plan:
     """A planner's answer.
 
-    `change_set` is there exactly when the status is optimal or feasible. `cost_us` is the cost of
-    the update (Definition 8) or, when too expensive, that of the cheapest update if it is known;
-    `bound_us` is proven: no update is cheaper. `reasons` says why: for each target that can't be met, by its
-    label, and for each pinned unit that can't be fed and is stopped, by its id. `unused_required`
-    names the required transformations that the plan does not use. `seconds` is the wall time of each
-    phase; `counts` are the planner's own figures (nodes, conflicts, rounds).
+    `change_set` is set exactly if the status is optimal or feasible. `cost_us` is the cost of the update (Definition
+    8); if every update is too expensive, that of the cheapest one if known. `bound_us` is proven: no update is cheaper.
+    `reasons` says why a target can't be met, by its label, and why a pinned unit that can't be fed is stopped, by its
+    id. `unused_required` names the required transformations that the plan does not use. `seconds` is the wall time of
+    each phase; `counts` are the planner's own figures (nodes, conflicts, rounds).
 
-    Three fields say what is proven besides the cost: `ties_proven`, that no plan of this cost rewires fewer running
-    units, or as many and starts fewer; `required_proven`, that no valid configuration uses more of the required
-    transformations, without which a plan that leaves some unused is not optimal; `undecided` names the (offered,
-    demanded) pairs of tags that the bound hangs on: a cheaper plan may exist if they match. A plan that is optimal has
-    none.
+    Three fields say how much is proven besides the cost. `ties_proven`: no plan of this cost rewires fewer running
+    units, or as many and starts fewer. `required_proven`: no valid configuration uses more of the required
+    transformations; without it, a plan that leaves some unused is not optimal. `undecided`: the (offered, demanded)
+    pairs of tags on which the bound depends; a cheaper plan may exist if they match. It is empty for an optimal plan.
 
-    Where the environment minimises more than the cost, `objectives` are what it minimises, in order. Then `bound_us`
-    holds of the updates that are as good in what comes before the cost, a plan is optimal if all of `objectives` are
-    proven, and `gap` is that of the first that is not.
+    If the environment minimises more than the cost, `objectives` lists the objectives in order. Then `bound_us` holds
+    for updates that are as good in all objectives before the cost, a plan is optimal if all of `objectives` are proven,
+    and `gap` is that of the first objective not yet proven.
     """
 
     planner: str
@@ -302,13 +300,15 @@ class Plan:
 
     @property
     def measured(self) -> tuple[Measured, ...]:
-        """What is minimised, in order: the cost alone where nothing else is; empty where the cost is not known."""
+        """The values of the objectives, in order: only the cost if no other is minimised; empty if the cost
+        is unknown.
+        """
         alone = () if self.cost_us is None else (Measured(Objective.COST, self.cost_us, self.bound_us),)
         return self.objectives or alone
 
     @property
     def unproven(self) -> Plan:
-        """The same of which nothing is proven; its status is the same too."""
+        """The same plan, with the same status, but nothing proven."""
         objectives = tuple(replace(one, bound=0) for one in self.objectives)
         return replace(self, bound_us=0, ties_proven=False, required_proven=False, objectives=objectives)
 
@@ -321,7 +321,7 @@ class Plan:
 
     @property
     def rank(self) -> Rank:
-        """Where a plan with a change set stands in the order of optimality."""
+        """The plan's sort key in the order of optimality; the plan must have a change set."""
         assert self.change_set is not None and self.cost_us is not None
         changes = self.change_set
         first = [one.value for one in self.objectives]
@@ -329,7 +329,7 @@ class Plan:
 
 
 class PlannerFaultError(CfgplanError):
-    """A bug, never of the input, after a plan was found: `plan` is that plan, of which nothing counts as proven."""
+    """A bug of a planner, not of the input, after a plan was found: `plan` is that plan, with nothing proven."""
 
     def __init__(self, message: str, plan: Plan) -> None:
         self.plan = plan
@@ -339,7 +339,7 @@ class PlannerFaultError(CfgplanError):
 
 
 class OwnPlannerError(CfgplanError):
-    """A planner of the user's own raised what it may not, or answered with no plan; what it raised is the cause."""
+    """A user's planner raised an exception that it must not, which is the cause, or returned no `Plan`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -353,7 +353,7 @@ class Progress:
 
 
 OnProgress = Callable[[Progress], None]
-"""Is told of each better plan and each higher bound."""
+"""A callback for each better plan and each higher bound."""
 
 
 class Planner(Protocol):
@@ -365,11 +365,11 @@ class Planner(Protocol):
 
 
 class Decider(Protocol):
-    """Whoever can find out whether open pairs of tags match."""
+    """Decides whether open pairs of tags match."""
 
     @property
     def similarity(self) -> Similarity:
-        """What is known by now."""
+        """The similarity as far as it is known."""
         ...
 
     @property
@@ -393,7 +393,7 @@ def fresh_unit_ids(environment: Environment, labels: list[str]) -> dict[str, str
 
 
 def fresh_units(environment: Environment, numbers: Mapping[str, int]) -> dict[str, tuple[str, ...]]:
-    """Ids for several new units of each label, the first of which is that of `fresh_unit_ids`."""
+    """Return ids for several new units of each label; the first of each is that of `fresh_unit_ids`."""
     taken = {unit.id for unit in environment.units}
     taken.update(s.stream.unit for unit in environment.units for s in unit.subscriptions)
     first = {label: _free_id(label, taken) for label, number in numbers.items() if number}
@@ -411,7 +411,7 @@ def refuse_order(problem: Problem, who: str) -> None:
 
 
 def refuse_features(problem: Problem, who: str) -> None:
-    """Raise InputError if a problem asks for what only `cpsat` and `exhaustive` know."""
+    """Raise InputError if a problem has features that only `cpsat` and `exhaustive` know."""
     if problem.features:
         known = " and ".join(sorted(problem.features))
         raise InputError.of(f"{who} does not know {known}", mend="use the planner cpsat")

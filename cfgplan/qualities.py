@@ -1,4 +1,4 @@
-"""How good a stream is: attributes, how they propagate along the wiring, and what targets ask of them.
+"""The quality of streams: attributes, their propagation along the wiring, and the demands of targets.
 
 All values are integers in micro-units of the attribute. Every rule is monotone: a better input never gives a
 worse output. So the best value that a stream can have is well defined, attribute by attribute, and a bound
@@ -41,14 +41,14 @@ def units(micro: int) -> Decimal:
 
 
 class Better(StrEnum):
-    """Which of two values is the better one."""
+    """The better direction of an attribute's values."""
 
     LOWER = "lower"
     HIGHER = "higher"
 
 
 class QualityRule(StrEnum):
-    """What an output makes of the combined value of its inputs."""
+    """How an output's value follows from the combined value of its inputs."""
 
     ADD = "add"
     """Its own value is added, as latencies add up."""
@@ -74,9 +74,8 @@ class Over(StrEnum):
 class QualityAttribute:
     """A measure of streams: rate, latency, accuracy or the user's own.
 
-    Values are kept between `worst` and `best` (micro-units): what is worse counts as `worst`, which is also
-    the value of a source's stream that states none, and what is better as `best`. `rule` is for outputs that state a
-    value alone.
+    Values are clamped to the range from `worst` to `best` (micro-units). `worst` is also the value of a source's stream
+    that states none. `rule` applies to outputs that state only a value.
     """
 
     name: str
@@ -119,7 +118,7 @@ class QualityAttribute:
         return self.sign * (value - self.best)
 
     def at(self, badness: int) -> int:
-        """The value that misses the best by so much."""
+        """The value that misses the best by `badness`."""
         return self.best + self.sign * badness
 
 
@@ -152,12 +151,12 @@ class Curve:
 @dataclass(frozen=True, slots=True, order=True)
 @checked
 class Contribution:
-    """What an output states of one attribute: a rule, its own value (micro-units) and how inputs are combined.
+    """An output's statement about one attribute: a rule, its own value (micro-units) and how inputs are combined.
 
-    An output without inputs that count (all but feedback) has its own value, whatever the rule. A value that follows
-    a fact is the one for the fact as it is now, and `by` says how it follows. `observe` names the field of an element
-    that says how good the element is, in units of the attribute. `seen` is the part of the value that observed streams
-    have taught, beyond what is `stated`.
+    An output without inputs that count (all but feedback) has its own value, whatever the rule. If the value follows a
+    fact, it is the value for the fact's present state, and `by` is the curve. `observe` names the field of an element
+    that gives the element's own quality, in units of the attribute. `seen` is the part of `value` that was learned from
+    observed streams; the rest is `stated`.
     """
 
     attribute: str
@@ -195,13 +194,12 @@ class Contribution:
 @dataclass(frozen=True, slots=True, order=True)
 @checked
 class Wish:
-    """What a target asks of one attribute: a `bound` (micro-units) that its stream may not be worse than, or a price.
+    """A target's demand on one attribute: a `bound` (micro-units) that its stream must not be worse than, or a price.
 
-    The bound need not be on the attribute's scale. All streams keep one that is no better than the worst of the
-    scale, none keeps one that is better than the best.
+    The bound may lie outside the attribute's scale: a bound at or below `worst` is always met, one beyond `best` never.
 
-    The price is `weight_us` microseconds of CPU time for each whole unit by which the value is worse than
-    the best of the scale, rounded up to a microsecond.
+    The price is `weight_us` microseconds of CPU time for each whole unit by which the value is worse than the best of
+    the scale, rounded up to a microsecond.
     """
 
     attribute: str
@@ -210,7 +208,7 @@ class Wish:
 
 
 def propagated(attribute: QualityAttribute, contribution: Contribution | None, inputs: Sequence[int]) -> int:
-    """The value of an output, from what it states and the values of the inputs that count."""
+    """Return the value of an output, from its contribution and the values of the inputs that count."""
     if not inputs:
         return _within(attribute, attribute.worst if contribution is None else contribution.value)
     if contribution is None:
@@ -229,12 +227,12 @@ def propagated(attribute: QualityAttribute, contribution: Contribution | None, i
 
 
 def delayed(attribute: QualityAttribute, value: int, by: int) -> int:
-    """The value of a stream after a journey that adds something to it."""
+    """Return the value of a stream after a transfer that adds `by` to it."""
     return _within(attribute, value + by) if by else value
 
 
 def price_us(attribute: QualityAttribute, wish: Wish, value: int) -> int:
-    """What a target charges for a stream of this value."""
+    """Return the price that a target puts on a stream of this value, in microseconds."""
     return -(-wish.weight_us * abs(value - attribute.best) // MICRO)
 
 

@@ -1,4 +1,4 @@
-"""Why a target can't be met, in words, from the forward closure of what can be started at all."""
+"""Reasons in words why a target can't be met, from the forward closure of the startable transformations."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ class Each(Protocol):
 def unmet_reasons(
     problem: Problem, givers: Givers | None = None, possible: frozenset[str] | None = None
 ) -> dict[str, str]:
-    """One short reason for each target, by its label, that no update can meet; empty if all may be met.
+    """Return one short reason for each target, by its label, that no update can meet; empty if all may be met.
 
-    Pass `givers` and what is `startable` if they are known already.
+    Pass `givers` and the `startable` labels as `possible` if they are known already.
     """
     environment = problem.environment
     givers = Givers(environment.library, problem.similarity.optimistic) if givers is None else givers
@@ -62,7 +62,9 @@ def pinned_reasons(problem: Problem) -> dict[str, str]:
 
 
 def with_pinned_reasons(given_up: Mapping[str, str], problem: Problem) -> dict[str, str]:
-    """The reasons of a plan: those of targets, by label, and of pinned units, by id; `unit ID` if that is a label."""
+    """Return the reasons of a plan: those of targets by label, and those of pinned units by id (`unit ID` if that is a
+    label).
+    """
     reasons = dict(given_up)
     for name, why in sorted(pinned_reasons(problem).items()):
         while name in reasons:
@@ -72,8 +74,8 @@ def with_pinned_reasons(given_up: Mapping[str, str], problem: Problem) -> dict[s
 
 
 class Givers:
-    """Which transformations meet a demanded tag: they have an output that may feed it (the validity matrix by rows), or
-    a unit of them is what is wanted.
+    """The transformations that meet each demanded tag: one of their outputs may feed it (the validity matrix by rows),
+    or the demand is for a unit of them.
     """
 
     def __init__(self, library: Sequence[Transformation], similarity: Similarity) -> None:
@@ -107,11 +109,11 @@ class Givers:
 def startable(
     environment: Environment, givers: Givers, each: Each = iter, units: Mapping[str, int] | None = None
 ) -> frozenset[str]:
-    """The labels of all transformations of which a unit can be fed in some valid, grounded wiring.
+    """Return the labels of all transformations that have a fed unit in some valid, grounded wiring.
 
-    More providers never hurt, so one wiring feeds them all at once. A feedback input may be fed by any
-    member of the answer, the other inputs only by members that come before. With `units` there are only so many of
-    each transformation; that outputs serve only so many is not looked at.
+    More providers never hurt, so one wiring feeds them all at once. A feedback input may be fed by any returned
+    transformation, the other inputs only by earlier ones. `units` limits the number of units of each transformation;
+    the `serves` limits of outputs are ignored.
     """
     alive = frozenset(environment.transformation)
     while True:
@@ -124,7 +126,7 @@ def startable(
 
 
 def _offered_all(environment: Environment, givers: Givers, labels: frozenset[str]) -> frozenset[str]:
-    """The labels less those with an input that none of the others offers, again and again until nothing changes."""
+    """Remove labels with an input that none of the others offers, until nothing changes."""
     left = set(labels)
     inputs = ((label, environment.transformation[label].needed_inputs) for label in sorted(labels))
     users = grouped((port.tag, label) for label, ports in inputs for port in ports)
@@ -147,9 +149,9 @@ def _offered_all(environment: Environment, givers: Givers, labels: frozenset[str
 
 
 def distinct_groups(transformation: Transformation) -> list[list[InputPort]]:
-    """The input ports that must be fed by different transformations, group by group.
+    """Return the groups of input ports that must be fed by different transformations.
 
-    One that takes several streams is there as often, by other names.
+    A port that takes several streams is repeated under different names.
     """
     groups: dict[str, list[InputPort]] = defaultdict(list)
     for port in transformation.inputs:
@@ -198,7 +200,7 @@ def forward_closure(
     reached: set[str] = set()
 
     def go_on(transformation: Transformation) -> None:
-        """Wait for the first input that is not fed; without one, be ready."""
+        """Wait for the first unfed input; mark the transformation as ready if all are fed."""
         for port in transformation.inputs:
             tag = port.tag
             if port.optional:
@@ -261,7 +263,7 @@ def _is_fed_by(
     before: Collection[str],
     alive: Collection[str],
 ) -> bool:
-    """Whether there are so many units of other transformations as inputs take streams."""
+    """Return whether other transformations have as many units as the inputs take streams."""
     return all(
         port.count <= sum(units[g] for g in givers.of(port.tag) if g in (alive if port.feedback else before))
         for port in transformation.needed_inputs

@@ -20,7 +20,7 @@ from unicodedata import category
 from cfgplan.errors import InvalidValueError, TagError
 
 DEEPEST_EXPRESSION: Final = 100
-"""How deeply an expression may be nested."""
+"""The greatest depth of nesting in an expression."""
 
 _TOKEN: Final = r"<[^<>\s]+>|'[^']*'|:?[^\W](?:[{0}-]*[{0}])?(?::[{0}](?:[{0}-]*[{0}])?)?|\S"
 _JOINERS: Final = "\u200c\u200d"
@@ -35,11 +35,11 @@ KEYWORDS: Final = RESTRICTIONS.union(
 _NO_OPERAND: Final = frozenset("⊓⊔.,)}")
 
 Meaning = TypeVar("Meaning")
-"""What an expression means to those who read it."""
+"""The type of an expression's meaning."""
 
 
 class ExpressionReader(ABC, Generic[Meaning]):
-    """Reads one text. What its operands mean, and how these are joined, is said by those who read more."""
+    """Reads one text; subclasses define the meaning of operands and of joining them."""
 
     what: ClassVar[str] = "expression"
     wanted: ClassVar[str] = "a name"
@@ -63,26 +63,26 @@ class ExpressionReader(ABC, Generic[Meaning]):
 
     @abstractmethod
     def all_of(self, parts: Sequence[Meaning]) -> Meaning:
-        """What joining parts by `and` means."""
+        """Return the meaning of parts joined by `and`."""
 
     @abstractmethod
     def any_of(self, parts: Sequence[Meaning]) -> Meaning:
-        """What joining parts by `or` means."""
+        """Return the meaning of parts joined by `or`."""
 
     @abstractmethod
     def none_of(self, part: Meaning) -> Meaning:
-        """What `not` means."""
+        """Return the meaning of `not` before a part."""
 
     @abstractmethod
     def other(self, token: str) -> Meaning:
-        """What an operand means that begins with a token that has just been read."""
+        """Return the meaning of an operand that begins with the token just read."""
 
     def is_name(self, _word: str, _follows: str) -> bool:
         """Whether a keyword that stands where an operand is wanted is a name, given the token that follows it."""
         return False
 
     def whole(self) -> Meaning:
-        """What the text means. Raises TagError."""
+        """Return the meaning of the text. Raises TagError."""
         if len(self._tokens) == 1:
             raise TagError(f"the {self.what} is empty", 1, f"name {self.examples}, or write ⊤ for anything at all")
         found = self._or_list()
@@ -93,7 +93,7 @@ class ExpressionReader(ABC, Generic[Meaning]):
         return found
 
     def _mend_here(self, usual: str) -> str:
-        """What to do about the next token, which can't follow the last one."""
+        """Return the mend for a next token that can't follow the last one."""
         return usual
 
     def _or_list(self) -> Meaning:
@@ -125,7 +125,7 @@ class ExpressionReader(ABC, Generic[Meaning]):
         return found
 
     def _mend_of_order(self, token: str) -> str | None:
-        """What to do about a sign that stands twice, or a word that stands before its role; None for others."""
+        """Return the mend for a repeated sign or a word that should follow its role; None for any other token."""
         before, role, filler = self._tokens[self._at - 1], *(*self._words[self._at + 1 :], "", "")[:2]
         if token == before and token in ("⊓", "⊔"):
             return f"write `{'and' if token == '⊓' else 'or'}` once"
@@ -139,7 +139,7 @@ class ExpressionReader(ABC, Generic[Meaning]):
         return word in self.restrictions or (word in self.signs and word.isalpha())
 
     def _is_own_name(self) -> bool:
-        """Whether the next token is a keyword in a place where it can only be a name, and there is that name."""
+        """Whether the next token is a keyword at a place where it can only be a name, and that name exists."""
         if not self._is_keyword():
             return False
         token, follows, then = (*self._tokens[self._at :], "", "")[:3]
@@ -184,7 +184,7 @@ class ExpressionReader(ABC, Generic[Meaning]):
         self._at += 1
 
     def _written(self) -> str:
-        """The token that is to be read next, as it stands in the text."""
+        """The next token, as written in the text."""
         return self._words[self._at]
 
     def _error(self, message: str, mend: str | None = None, at: int | None = None) -> TagError:
@@ -202,7 +202,9 @@ def quoted(name: str) -> str | None:
 
 
 def _token_of(text: str, more: str = "") -> re.Pattern[str]:
-    """What is one word of a text: vowel signs and accents, which are no letters, belong to the letter before them."""
+    """Return the pattern of one word of a text: combining marks (vowel signs, accents) belong to the letter before
+    them.
+    """
     marks: set[str] = set()
     if not text.isascii():
         marks = {character for character in text if category(character).startswith("M") or character in _JOINERS}

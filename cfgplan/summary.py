@@ -1,4 +1,4 @@
-"""What a value says of itself in a line and in a table: its `repr`, and what a notebook shows."""
+"""Summaries of values: the line of their `repr`, and the table that a notebook shows."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TypeVar
 
 Kind = TypeVar("Kind", bound=type)
 MOST_ROWS = 60
-"""A table has at most so many rows; the last one then says how many are left out."""
+"""The greatest number of rows of a table; the last one then says how many are left out."""
 
 
 @dataclass(frozen=True)

@@ -47,9 +47,9 @@ from cfgplan.validity import plan_violations
 __all__ = ["PlannerFault", "PlannerReport", "Promise", "check_planner", "examine_planner"]
 
 Word: TypeAlias = Literal["distinct", "feedback", "max_cost", "pinned", "required", "running"]
-"""What the paper's problems may have, and a planner may be checked without."""
+"""A word of the paper's problems that a planner may be checked without."""
 PATIENCE_S = 60.0
-"""A planner may take so much longer than its time limit: computers are busy, and a first call imports libraries."""
+"""Seconds that a planner may exceed its time limit: computers are busy, and a first call imports libraries."""
 _TAGS = ("A", "B", "C", "D")
 _TOPIC_OF_NOBODY = "/stale"
 _MOST_SMALLER = 200
@@ -57,7 +57,7 @@ _LARGE_LIMIT_S = 0.2
 
 
 class Promise(StrEnum):
-    """What a planner promises."""
+    """The promises of a planner."""
 
     ANSWERS = "a planner returns a Plan, and raises nothing but InputError"
     TAKES = "a planner takes the paper's problems, and those with features that it is said to know"
@@ -113,7 +113,7 @@ def _is_default(value: object, one: Field[Any]) -> bool:
 
 @dataclass(frozen=True)
 class PlannerReport:
-    """What a check of a planner has found: its faults, and how many answers were of each status or refused."""
+    """The result of a planner check: its faults, and the number of answers by status, refusals included."""
 
     faults: tuple[PlannerFault, ...]
     answers: Mapping[str, int] = field(default_factory=dict, hash=False)
@@ -135,7 +135,7 @@ def check_planner(
     patience_s: Seconds = PATIENCE_S,
     most: Annotated[int, AtLeast(1)] = 1,
 ) -> PlannerReport:
-    """Hold a planner against the oracle and the judge, as `examine_planner` does. Raises AssertionError with its
+    """Check a planner against the oracle and the judge, as `examine_planner` does. Raises AssertionError with its
     faults.
     """
     report = examine_planner(
@@ -165,12 +165,12 @@ def examine_planner(
     patience_s: Seconds = PATIENCE_S,
     most: Annotated[int, AtLeast(1)] = 1,
 ) -> PlannerReport:
-    """Let a planner answer `number` small problems and a large one, and say which promises it breaks.
+    """Let a planner answer `number` small problems and a large one, and report the promises that it breaks.
 
-    The same `seed` draws the same problems. The planner knows `features`: it may refuse what has others by InputError,
-    or answer it rightly. No problem has words of `without`. If it `is_exact`, it must prove each answer. It ends after
-    `most` different broken promises. A call that
-    takes `patience_s` (seconds) longer than its time limit is given up; its thread is left alone.
+    The same `seed` draws the same problems. `features` are those that the planner knows: it must answer problems with
+    no others, and may refuse the rest by InputError or answer them correctly. No problem has words of `without`. If it
+    `is_exact`, it must prove each answer. The check ends after `most` different broken promises. A call that takes
+    `patience_s` (seconds) longer than its time limit is abandoned; its thread keeps running.
     """
     bench = _Bench(plan, frozenset(features), is_exact, patience_s)
     random = Random(seed)
@@ -196,7 +196,7 @@ def _cases(random: Random, number: int, without: frozenset[str]) -> Iterator[tup
 
 
 class _Bench:
-    """A planner with what is known of it; it counts the answers."""
+    """A planner with its claims; counts its answers."""
 
     def __init__(self, plan: Planner, features: frozenset[Feature], is_exact: bool, patience_s: float) -> None:
         self._plan, self._features, self._is_exact, self._patience_s = plan, features, is_exact, patience_s
@@ -252,7 +252,9 @@ class _Bench:
         return answer
 
     def smallest(self, fault: PlannerFault) -> PlannerFault:
-        """The fault with a problem of which no part can be left out; as it is where calls are slow or are too many."""
+        """Shrink the fault's problem until no part can be left out; unchanged if calls are slow or too many
+        are needed.
+        """
         counted = self.answers.copy()
         tried, is_smaller = 0, fault.promise is not Promise.TIME and fault.time_limit_s != _LARGE_LIMIT_S
         while is_smaller and tried < _MOST_SMALLER:
@@ -305,7 +307,7 @@ def _unused(answer: Plan, truth: Plan) -> str:
 
 
 def _untrue_reports(problem: Problem, told: list[Progress], truth: Plan) -> Iterator[tuple[Promise, str]]:
-    """What was reported and is not so; where other things than the cost come first, costs may be below the optimum."""
+    """Yield each false progress report; if another objective precedes the cost, costs may be below the optimum."""
     if truth.cost_us is None or truth.objectives or problem.environment.required:
         return
     for progress in told:
@@ -372,7 +374,7 @@ def drawn_problem(random: Random, features: Collection[Feature] = (), without: C
 
 
 def drawn_library(random: Random, *, size: int = 60) -> Problem:
-    """A problem that is too large to try every configuration: layers of transformations, each fed by the last one."""
+    """Return a problem too large for the oracle: layers of transformations, each fed by the layer before."""
     layers = 6
     library = []
     for number in range(size):
@@ -434,7 +436,7 @@ def _transformation(
     asked: Collection[Feature],
     without: Collection[str],
 ) -> Transformation:
-    """A transformation with up to three inputs, most of which something `given` may feed, and two outputs."""
+    """Return a transformation with two outputs and up to three inputs; most of these accept a tag in `given`."""
     more: dict[str, Any] = {}
     if hosts:
         names = [host.name for host in hosts]
@@ -503,7 +505,7 @@ def _targets(
     qualities: tuple[QualityAttribute, ...],
     asked: Collection[Feature],
 ) -> list[Target]:
-    """Targets, most of which something in the library may meet."""
+    """Return one to three targets; the library may meet most of them."""
     given = sorted({port.tag for transformation in library for port in transformation.outputs})
     targets = []
     for number in range(random.choice([1, 1, 1, 2, 3])):

@@ -1,4 +1,4 @@
-"""What can be started: transformations with their tagged ports (paper, section IV-A, Definition 2)."""
+"""Transformations, which make up the library, with their tagged ports (paper, section IV-A, Definition 2)."""
 
 from __future__ import annotations
 
@@ -18,29 +18,28 @@ from cfgplan.qualities import Contribution, units
 from cfgplan.selectors import check_selector
 
 ALL = 0
-"""The `count` of an input that takes every stream there is for it."""
+"""The `count` of an input that takes every matching stream."""
 
 
 DEFAULT_LABOR_US = 1_000_000
-"""What a start costs where nobody has said it: it is not for nothing."""
+"""The labor of a transformation that declares none, in microseconds: a start is never free."""
 
 
 @dataclass(frozen=True, slots=True, order=True)
 @checked
 class InputPort:
-    """A named input of a transformation and the tag that says what it needs.
+    """A named input of a transformation and the tag that it demands.
 
-    Ports of one transformation in the same `distinct` group must be fed by different
-    transformations. A `feedback` port may close a cycle of the wiring.
+    Ports of one transformation in the same `distinct` group must be fed by different transformations. A `feedback` port
+    may close a cycle of the wiring. A `service` input asks for replies: it may close a cycle too, and its elements
+    start no step.
 
-    A `service` input asks for replies: it may close a cycle too, and what comes there starts no step.
+    An input takes `count` streams of different units; with ALL every matching stream of the other running units, and at
+    least one. An `optional` one may stay unfed, which costs `worth_us` each second; if that is 0, only units that run
+    anyway feed it, and nothing is started for it.
 
-    An input takes `count` streams of different units; with ALL every matching stream of the other running units,
-    and at least one. An `optional` one may stay unfed, which costs `worth_us` each second; if that is 0 it is fed
-    wherever streams of what runs anyway may feed it, and is no reason for a unit to run.
-
-    `type` is the message type of what comes there, `remap` what the unit's code calls the port if not by its name, and
-    `qos` the quality of service that it asks for, such as `reliable transient_local`; for units that are nodes of ROS.
+    For units that are ROS nodes, `type` is the message type, `remap` the name that the unit's code has for the port if
+    it differs, and `qos` the quality of service that it asks for, such as `reliable transient_local`.
     """
 
     name: str
@@ -76,12 +75,12 @@ class InputPort:
 @dataclass(frozen=True, slots=True, order=True)
 @checked
 class OutputPort:
-    """A named output of a transformation and the tag that says what it gives.
+    """A named output of a transformation and the tag that it offers.
 
-    `quality` says what it makes of each quality attribute. The stream has `rate_uhz` elements in a million
-    seconds, of `size_bytes` each: that is what it costs to cross from host to host. At most `serves` inputs and topics
-    take it; None: any number. `type` and `remap` are as of an input, and `qos` is the quality of service on offer.
-    `topic` is the topic by which nodes outside of the run know it, in ROS 2.
+    `quality` says how it contributes to each quality attribute. The stream has `rate_uhz` elements in a million
+    seconds, of `size_bytes` each; their product determines the cost of carrying it between hosts. At most `serves`
+    inputs and topics take it; None: any number. `type` and `remap` are as of an input, and `qos` is the quality of
+    service on offer. `topic` is its topic for ROS 2 nodes outside of the run.
     """
 
     name: str
@@ -102,7 +101,7 @@ class OutputPort:
 
     @property
     def bytes_per_s(self) -> int:
-        """What the stream carries, rounded up to a whole byte a second."""
+        """The bytes per second of the stream, rounded up."""
         return -(-self.rate_uhz * self.size_bytes // 1_000_000)
 
 
@@ -126,15 +125,14 @@ STATE_NAME = r"(?!([Tt]rue|TRUE|[Ff]alse|FALSE|[Nn]ull|NULL)$)[A-Za-z_][A-Za-z0-
 @dataclass(frozen=True, slots=True)
 @checked
 class RunOptions:
-    """How the units of a transformation run; planning looks at `memory_mb` only, and where there are hosts only.
+    """How the units of a transformation run; planning uses only `memory_mb`, and only with hosts.
 
-    `start` says what starts a step: `all` inputs fresh, `any` input, inputs `aligned` in time within
-    `tolerance_us`, or a port's name. `rate_hz` is a source's. `queue` elements wait at each input; when full,
-    the oldest is dropped, or the producer waits if it `blocks`. A unit that is silent for `hang_us` (0: it
-    may be silent) or takes more than `memory_mb` megabytes is killed; so is one that was told to end and has not within
-    `stop_us` (None: as long as the runtime usually allows, 2 s). With `state`, a new unit goes on with the state of the
-    last; transformations whose `state` is the same name share it. A `lifecycle` node of ROS 2 is configured as a cold
-    spare, and activated as a unit.
+    `start` is the condition of a step: `all` inputs fresh, `any` input, inputs `aligned` in time within `tolerance_us`,
+    or a port's name. `rate_hz` is a source's. `queue` elements wait at each input; if it is full, the oldest is
+    dropped, or the producer waits if it `blocks`. A unit that is silent for `hang_us` (0: it may be silent) or takes
+    more than `memory_mb` megabytes is killed; so is one that does not end within `stop_us` of being told to (None: the
+    runtime's default, 2 s). With `state`, a new unit continues with the last unit's state; transformations with the
+    same name as `state` share it. A `lifecycle` node of ROS 2 is configured as a cold spare, and activated as a unit.
     Raises InvalidValueError for a `hang_us` of less than 2 s.
     """
 
@@ -164,21 +162,20 @@ class RunOptions:
 class Transformation:
     """A streaming function that can be instantiated (Definition 2, section IV-A).
 
-    `labor_us` is the CPU time of one start in microseconds, one second if nothing is said, and `upkeep_us` the CPU time
-    in microseconds that a running unit takes each second. The running units of a `pinned`
-    transformation are kept even where no target needs them; a `required` one is used by some target
-    wherever that is possible at all (section V-C).
+    `labor_us` is the CPU time of one start in microseconds (default: one second), `upkeep_us` the CPU time in
+    microseconds that a running unit takes each second. Running units of a `pinned` transformation are kept even if no
+    target needs them; a `required` one serves some target whenever that is possible (section V-C).
 
-    Where an environment has hosts, units run on `host`, or on one of `hosts` if that is None, or anywhere if
-    both are empty, but only where the host's labels and name fit the selector `on` (such as `robot and not spot`),
-    and take there what `takes` says: CPU time, memory and `needs`, whole numbers of other resources.
-    On a host in `seen_us` they cost the labor and upkeep given there, instead of what its speed makes of `labor_us`
-    and `upkeep_us`. No unit is there together with one of a transformation in `conflicts`, or on one host with one of a
-    transformation in `conflicts_on_host`;
-    on its host there runs a unit of each in `beside`. At least `min_instances` units run; at
-    most `max_instances` are there, and at most `per_host` on one host, cold spares counted; without hosts all are on
-    one. A cold spare takes `standby_us` each second; None: it has none. Units run only while facts of the world meet
-    what it `requires`, an expression such as `visibility >= 2.25 and not night`.
+    If the environment has hosts, units run on `host`; if that is None, on one of `hosts`, or anywhere if that is empty.
+    The host's labels and name must fit the selector `on` (such as `robot and not spot`). A unit takes the resources of
+    `takes`: CPU time, memory and `needs`, integer amounts of other resources. On a host in `seen_us` a unit costs the
+    labor and upkeep given there, instead of `labor_us` and `upkeep_us` adjusted by the host's speed.
+
+    No unit, running or cold spare, may exist beside one of a transformation in `conflicts`, or on one host with one of
+    a transformation in `conflicts_on_host`. On its host there runs a unit of each in `beside`. At least `min_instances`
+    units run. There are at most `max_instances` units, and at most `per_host` on one host, cold spares included;
+    without hosts all are on one. A cold spare takes `standby_us` each second; None: it has none. Units run only while
+    facts meet the expression `requires`, such as `visibility >= 2.25 and not night`.
     """
 
     label: str
@@ -240,13 +237,13 @@ class Transformation:
 
     @property
     def state_name(self) -> str | None:
-        """The name of the state that its units go on with; None if they keep none."""
+        """The name of the state that a new unit continues with; None if units keep none."""
         state = self.run.state
         return state if isinstance(state, str) else self.label if state else None
 
     @cached_property
     def takes(self) -> Mapping[str, int]:
-        """What a unit takes of a host of speed 1: CPU in microseconds each second, megabytes, and what it `needs`."""
+        """The resources of a unit on a host of speed 1: CPU in microseconds each second, megabytes, and its `needs`."""
         return MappingProxyType({CPU: self.upkeep_us, MEMORY: self.needs_mb, **self.needs})
 
     @cached_property

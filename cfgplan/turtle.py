@@ -6,7 +6,7 @@ import json
 
 
 def heading(names: str) -> tuple[str, ...]:
-    """The prefixes, of which the empty one stands for `names` (an IRI that ends in #), and the ontology itself."""
+    """Return the lines of the prefixes and of the ontology; the empty prefix is `names`, an IRI that ends in #."""
     return (
         f"@prefix : <{names}> .",
         "@prefix owl: <http://www.w3.org/2002/07/owl#> .",

@@ -1,6 +1,6 @@
 """The planner comparison with the peers: `python -m experiments.compare --short`, `--full`, `--scale` or `--instance`.
 
-Run from the checkout with `pip install -e '.[peers,plots]'`. An interrupted comparison goes on where it was.
+Run from the checkout with `pip install -e '.[peers,plots]'`. An interrupted comparison continues where it stopped.
 `cfgplan compare` does the same for your own files, without the peers.
 """
 

@@ -1,6 +1,6 @@
 """A generated instance as an environment file with its ontology: `python -m experiments.export NAME --out FOLDER`.
 
-NAME is as in the tables, such as 'nao(robots=2)#0'. Whoever loads the file gets a problem of the same optimum.
+NAME is as in the tables, such as 'nao(robots=2)#0'. The loaded file is a problem with the same optimum.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ ENVIRONMENT = "environment.yaml"
 def export(problem: Problem, folder: Path) -> Path:
     """Write a problem's environment and an ontology that entails its similarity; returns the environment file.
 
-    Offered and demanded tags become classes of their own, so that nothing matches by transitivity that did not before.
-    Raises InputError for open pairs of tags: an ontology can't say that nobody knows.
+    Offered and demanded tags become classes of their own, so that transitivity adds no match. Raises InputError for
+    open pairs of tags, which an ontology can't express.
     """
     if problem.similarity.open:
         raise InputError.of("some pairs of tags are open", mend="match the environment with a reasoner first")

@@ -1,4 +1,4 @@
-"""`cfgplan agent` and `cfgplan certificates`: this computer's part of a fleet, and who belongs to it."""
+"""`cfgplan agent` and `cfgplan certificates`: this computer's part of a fleet, and the members of the fleet."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 
 
 def add_links(parser: argparse.ArgumentParser, **more: Any) -> None:
-    """Options of whoever takes part in a fleet, or reaches it."""
+    """Add the options of commands that take part in a fleet, or reach it."""
     parser.add_argument(
         "--connect",
         action="append",
@@ -55,7 +55,7 @@ def add_links(parser: argparse.ArgumentParser, **more: Any) -> None:
 
 @contextmanager
 def reached(options: argparse.Namespace) -> Iterator[ReachedFleet | None]:
-    """The fleet that the options of `add_links` reach; None without any: a run on this computer is meant."""
+    """Return the fleet that the options of `add_links` reach; None without any, for a run on this computer."""
     if not options.connect:
         if options.certificates is not None:
             raise InputError.of("--certificates: of which fleet?", mend="name one of its agents by --connect")
@@ -93,7 +93,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
 
 def _cpu_group(cpu_us: int, screen: Screen) -> CpuGroup | None:
-    """The group of all units here; None, which is told, where the system holds no limit."""
+    """Return the group of all units here; None, with a note, if the system can't enforce a limit."""
     from cfgplan_runtime.errors import RuntimeFaultError
     from cfgplan_runtime.processes.cpu_group import cpu_groups
 

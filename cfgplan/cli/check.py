@@ -1,4 +1,4 @@
-"""`cfgplan check`: what is wrong with the running configuration, the probable fault first."""
+"""`cfgplan check`: faults of the running configuration, the most probable one first."""
 
 from __future__ import annotations
 
@@ -98,13 +98,13 @@ def _nothing_runs(options: argparse.Namespace, world: World, screen: Screen) -> 
 
 
 def _left_out(world: World) -> dict[str, object]:
-    """For JSON: why transformations are left out for now, where any is."""
+    """Return for JSON why transformations are left out for now; empty without any."""
     left_out = world.environment.left_out
     return {"left_out": dict(left_out)} if left_out else {}
 
 
 def _faults(options: argparse.Namespace, screen: Screen) -> tuple[World, tuple[WiringFault, ...], tuple[str, ...]]:
-    """The world that the options name, what is wrong or odd there, and what observed streams can't tell."""
+    """Return the world that the options name, its faults and oddities, and the limits of what is observed there."""
     from cfgplan import answers, api
     from cfgplan.explaining import probable_first
     from cfgplan.observed import hidden
@@ -150,7 +150,7 @@ def _verdict(options: argparse.Namespace, world: World, broken: Sequence[WiringF
 
 
 def _bold(world: World, verdict: str, colour: str) -> Text:
-    """A verdict, after the number of parts that were looked at."""
+    """Return a verdict after the number of parts checked."""
     from rich.text import Text
 
     environment = world.environment

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 _LONGEST_WAIT_S = 1_000_000.0
-"""The system waits for no process much longer than that."""
+"""The greatest time limit in seconds: operating systems wait little longer for a process."""
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
@@ -87,7 +87,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
 
 def _table(env: str, runs: Sequence[Run]) -> Table:
-    """A line for each planner: its answer, what the plan costs, what it proved, and how long that took."""
+    """Return a table with a row for each planner: its answer, cost, proven bound, and times."""
     from rich import box
     from rich.table import Table
 

@@ -1,4 +1,4 @@
-"""`cfgplan completion`: what a shell needs to complete command lines."""
+"""`cfgplan completion`: scripts by which a shell completes command lines."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cfgplan.extras import needed
 
 _FILE_METAVARS = ("ENV", "FILE", "PATH")
 _FOLDER_METAVARS = ("DIR", "FOLDER")
-"""Those whose values are files or folders."""
+"""The metavars of options whose values are files or folders."""
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
@@ -46,7 +46,7 @@ def script(shell: str) -> str:
 
 
 def _actions(parser: argparse.ArgumentParser) -> Iterator[Any]:
-    """Those of a parser and of all parsers below it."""
+    """Yield the actions of a parser and of all parsers below it."""
     for action in parser._actions:
         yield action
         if isinstance(action, argparse._SubParsersAction):

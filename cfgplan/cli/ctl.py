@@ -58,7 +58,7 @@ class _Command:
 
 
 _FOLLOWS_S = 0.3
-"""Seconds between two looks at what a unit has printed."""
+"""Seconds between two reads of a unit's output."""
 
 _COMMANDS = (
     _Command("state", "show targets, units, reviews and what was added"),
@@ -188,7 +188,7 @@ def _events(control: Control, screen: Screen) -> Exit:
 
 
 def _logs(control: Control, screen: Screen, options: argparse.Namespace) -> Exit:
-    """Print lines of a unit, or of all units of a label, which then stand before each line."""
+    """Print lines of a unit; for a label, of all its units, with the unit's id before each line."""
     from cfgplan_runtime.errors import ControlError
 
     name, after = options.operand, 0

@@ -41,7 +41,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
 
 def _folder(world: str) -> Path:
-    """Where the world's files and its play are. Raises InputError if they, or what they need, are not installed."""
+    """Return the folder of the world's files and its play. Raises InputError if these or their packages are missing."""
     needed("demos", "cv2", "jinja2", "matplotlib")
     for place in _FOLDERS:
         if (place / world / "units.py").is_file():

@@ -13,7 +13,7 @@ from cfgplan.errors import Fault
 
 _WIDTH = 120
 _MARGIN = 40
-"""How much of a long line stands before the place, at most."""
+"""The most characters of a long line that are shown before the place."""
 _WORD = re.compile(r'"(?:[^"\\]|\\.)*"|\'[^\']*\'|\$\{[^}]*\}|[^\s,:{}\[\]()"\']+|\S')
 _OPTION = re.compile(r"(?:^|argument |\s)(--?[\w-]+)")
 _VALUE = re.compile(r"^argument [^:]*: (\S+)")

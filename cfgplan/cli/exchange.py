@@ -1,4 +1,4 @@
-"""`cfgplan import` and `cfgplan export`: environment files from what others wrote, and the way back."""
+"""`cfgplan import` and `cfgplan export`: environment files from the formats of other programs, and to them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _CONNECTION = (
     ("certificate", "FILE", "who this client is (TLS)"),
     ("key", "FILE", "the key of the certificate"),
 )
-"""Options of `import mqtt` that go on to each source."""
+"""Options of `import mqtt` that are passed to each source."""
 
 
 def add_import(parser: argparse.ArgumentParser) -> None:
@@ -116,7 +116,7 @@ def _add_mqtt(parser: argparse.ArgumentParser) -> None:
 
 
 def _of_mqtt(options: argparse.Namespace) -> list[tuple[str, object]]:
-    """What is said of the options of `import mqtt`."""
+    """Return the options given to `import mqtt`, as names and values."""
     connection = [(name, getattr(options, name)) for name, _, _ in _CONNECTION]
     return [(name, value) for name, value in [("for", options.span), ("topic", options.topic), *connection] if value]
 

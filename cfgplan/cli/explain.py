@@ -1,4 +1,4 @@
-"""`cfgplan explain`: why there is no plan, or why the plan uses what it uses."""
+"""`cfgplan explain`: why no plan exists, or why the plan uses a unit, a transformation or an output."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
 
 def _of_facts(environment: Environment) -> dict[str, object]:
-    """For JSON: what facts make of the library, where they do."""
+    """Return the effects of facts and observations on the library, for JSON; empty without any."""
     told = {"left_out": dict(environment.left_out), "qualities_now": environment.qualities_now}
     return {key: said for key, said in told.items() if said}
 
@@ -149,11 +149,11 @@ def _stream(name: str, after: Environment) -> tuple[Subject, str]:
 
 
 MOST_LINES = 30
-"""More lines of one reason are left to `--json`."""
+"""The most lines shown of one reason; `--json` has all."""
 
 
 def why_not_text(problem: Problem, why: WhyNot) -> Text:
-    """Why there is no plan, target by target; ends without a newline."""
+    """Return why no plan exists, target by target; ends without a newline."""
     environment = problem.environment
     lines: list[Text] = []
     for reason in why.unreachable:
@@ -212,7 +212,7 @@ def unused_lines(problem: Problem, unused: Unused) -> Iterator[str]:
 
 
 def _why_useless(problem: Problem, label: str) -> str:
-    """Why nothing can use a transformation that can run."""
+    """Return why no unit can use a transformation that can run."""
     environment = problem.environment
     given = sorted({port.tag for port in environment.transformation[label].outputs})
     if not given:
@@ -230,14 +230,14 @@ def pinned_lines(environment: Environment, unit: str, why: Unreachable) -> Itera
 
 
 def why_text(why: Why) -> Text:
-    """Why a plan uses something, or why not: what it serves, and what it would cost to do without."""
+    """Return why a plan uses something, or why not: the targets that it serves, and the cost of doing without it."""
     styles = {choice_line(why): "bold", "  + ": "green", "  - ": "red"}
     lines = (Text(line, style=styles.get(line) or styles.get(line[:4], "")) for line in why_lines(why))
     return Text("\n").join(lines)
 
 
 def table_lines(whys: Sequence[Why]) -> Iterator[str]:
-    """A line for each unit of a plan: what it serves, and what doing without its transformation would cost."""
+    """Yield a line for each unit of a plan: the targets that it serves, and the cost without its transformation."""
     width = max((len(unit) for why in whys for unit in why.units), default=0)
     told = max((len(some(why.targets)) for why in whys), default=0)
     for why in whys:

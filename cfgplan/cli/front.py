@@ -1,4 +1,4 @@
-"""`cfgplan solve --front`: what better quality costs, as a table, JSON or a plot."""
+"""`cfgplan solve --front`: the price of better quality, as a table, JSON or a plot."""
 
 from __future__ import annotations
 

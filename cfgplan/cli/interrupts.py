@@ -64,7 +64,7 @@ def ended_cleanly(*, for_good: bool = False) -> Iterator[Ending]:
 
 
 def end_below_threads(code: int) -> None:
-    """End the process by this code, if a thread is left that a library may have begun; return otherwise.
+    """End the process by this code if a thread is left that a library may have started; return otherwise.
 
     Up to Python 3.13 the end of the interpreter unwinds a thread that comes back from Rust or C++ code, which aborts
     the process: "FATAL: exception not rethrown" (python/cpython#87135).

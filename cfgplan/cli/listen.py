@@ -1,4 +1,4 @@
-"""`cfgplan listen`: what comes on a topic."""
+"""`cfgplan listen`: the elements on a topic."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ _MOST_NUMBERS = 1000
 
 
 def readable(value: Any) -> str:
-    """A value on one line; of large arrays only what they are, of long texts only the beginning."""
+    """Return a value on one line; a large array becomes its type and shape, a long text its beginning."""
     text = repr(_summed_up(value))
     return text if len(text) <= _WIDEST_ELEMENT else f"{text[: _WIDEST_ELEMENT - 3]}..."
 

@@ -47,7 +47,7 @@ VERBS: Mapping[str, str] = MappingProxyType(
         "help": "show a page of the manual",
     }
 )
-"""What each verb does. Its module, or the function of `_OTHER_HOMES`, is imported only when the verb is called."""
+"""The verbs and their help. A verb's module, or its function of `_OTHER_HOMES`, is imported only when it is called."""
 _OTHER_HOMES = {
     "certificates": "agent:add_certificates",
     "import": "exchange:add_import",
@@ -137,7 +137,7 @@ def _tell(error: CfgplanError | ModuleNotFoundError, screen: Screen, env: str | 
 
 
 def _interrupted(ending: Ending) -> Exit:
-    """Report the interruption by plain `sys.stderr`: rich's import may be what was interrupted."""
+    """Report the interruption by plain `sys.stderr`, since it may have interrupted rich's import."""
     ending.over()
     with contextlib.suppress(OSError):
         sys.stderr.write("interrupted\n")
@@ -162,7 +162,7 @@ def _say_every_character(screen: Screen) -> None:
 
 
 def _say_no_more() -> None:
-    """Send everything that is still written, the final flush included, to /dev/null."""
+    """Send all further output, the final flush included, to /dev/null."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
@@ -186,7 +186,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def _mend_of_arguments(message: str) -> str | None:
-    """What to do about a refusal of argparse; None where its message says it, or nothing is known."""
+    """Return the mend for an error of argparse; None if its message has it, or none is known."""
     _, is_missing, names = message.partition("the following arguments are required: ")
     if is_missing:
         return f"write {names} here;"
@@ -225,7 +225,7 @@ def parser_of(arguments: Sequence[str]) -> Parser:
 
 
 def parser_with(filled: Collection[str | None]) -> Parser:
-    """A parser of all verbs; those in `filled` know their options, which takes importing what they use."""
+    """Return a parser of all verbs; only those in `filled` have their options, which takes importing their modules."""
     parser = Parser(
         prog="cfgplan",
         description="Wire stream-processing components by meaning: the cheapest update of a running system, "
@@ -248,7 +248,7 @@ def parser_with(filled: Collection[str | None]) -> Parser:
 
 
 class Chatter:
-    """A stream that goes on as /dev/null once writing to it fails: its reader has gone, or its disk is full."""
+    """A stream that becomes /dev/null once a write fails: its reader has gone, or its disk is full."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream

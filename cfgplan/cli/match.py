@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 MOST_OPEN = 10
-"""More open outputs of one input are counted, not listed."""
+"""The most open outputs listed for one input; if more, only their number is shown."""
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
@@ -77,7 +77,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
 
 def _show_matrix(environment: Environment, similarity: Similarity, screen: Screen, one: str | None) -> None:
-    """Show what may feed all inputs and targets, or one of them; or what one output may feed."""
+    """Show which outputs may feed all inputs and targets, or one of them; or the inputs that one output may feed."""
     rows, columns = environment.demands, environment.outputs
     if one is not None and one in columns:
         offer = columns[one]

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 _LARGEST_NUMBER = 9_007_199_254
-"""As seconds the largest cost, and less than what clocks count to."""
+"""The largest number: as seconds it is the largest cost, and within the range of clocks."""
 
 
 def add_environment(parser: argparse.ArgumentParser) -> None:
@@ -132,7 +132,7 @@ def add_time(parser: argparse.ArgumentParser, name: str, default_s: float, means
 
 
 def add_span(parser: argparse._ActionsContainer, means: str = "stop after 30s, 5m, 1h") -> None:
-    """`--for`: for how long a verb goes on; None for as long as it likes."""
+    """Add `--for`: how long a verb runs; None for no limit."""
     parser.add_argument("--for", dest="span", type=duration, metavar="TIME", help=means)
 
 
@@ -158,7 +158,9 @@ def load(options: argparse.Namespace, screen: Screen) -> api.World:
 
 
 def matches(options: argparse.Namespace, screen: Screen, world: api.World, most: int | None = None) -> Matches:
-    """What is known of the similarity of a world's tags; with more than `most` open pairs none is asked about yet."""
+    """Return the similarity of a world's tags as far as known; with more than `most` open pairs none is asked about
+    yet.
+    """
     from cfgplan import api
 
     with screen.phase("match"):
@@ -190,26 +192,26 @@ def problem(options: argparse.Namespace, screen: Screen, world: api.World, known
 
 @dataclass(frozen=True)
 class Task:
-    """What a verb that plans has to do: in which world, which problem, by what planner and what reasoner."""
+    """The task of a verb that plans: its world, problem, planner and reasoner."""
 
     world: api.World
     problem: Problem
     matches: Matches
     planning: Mapping[str, Any]
-    """The planner, its time limit and who decides open pairs, as the API takes them."""
+    """The planner, its time limit and the decider of open pairs, as the API takes them."""
     reasoning: Mapping[str, Any]
     """The reasoner and its time limit, likewise."""
 
     @contextmanager
     def planned(self, screen: Screen) -> Iterator[ShownWork]:
-        """The phase of planning; what is shown of it tells how many pairs of tags were decided, and by whom."""
+        """The phase of planning; its progress shows how many pairs of tags each reasoner decided."""
         with screen.phase("plan") as work:
             work.knows = lambda: decided_by(self.matches.counts)
             yield work
 
 
 def task(options: argparse.Namespace, screen: Screen, world: api.World | None = None) -> Task:
-    """Load the world that the options name, if none is given, and match it as far as it takes to begin."""
+    """Load the world that the options name, if none is given, and match it as far as planning needs to start."""
     from cfgplan.api import FEW_PAIRS
 
     world = world or load(options, screen)
@@ -230,7 +232,7 @@ def _failures(asked: str | None, world: api.World) -> Failures | Literal[0] | No
 
 
 def planner(name: str) -> str:
-    """The name of a planner that is there; one of the user's own may be in the folder where the command is called."""
+    """Return the name of an existing planner; a user's own may be in the current folder."""
     from cfgplan.planners import planner_of
 
     if ":" in name and (here := str(Path.cwd())) not in sys.path:
@@ -351,7 +353,7 @@ def put(text: str, out: str | None, screen: Screen) -> None:
 
 
 _PLOTS = {".svg": {"Date": None}, ".png": {"Software": None}, ".pdf": {"CreationDate": None}}
-"""The endings of plots, and what is left out of each, so that the same plot gives the same bytes."""
+"""The endings of plots, and the metadata removed from each, so that the same plot gives the same bytes."""
 
 
 def plot_file(text: str) -> str:

@@ -1,4 +1,4 @@
-"""A plan as text: what it starts, rewires, stops and keeps, and the cost, quality and hosts afterwards."""
+"""A plan as text: units to start, rewire, stop and keep, and the cost, quality and hosts afterwards."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from cfgplan.ros.sources import NodeSource
 from cfgplan.summary import cpu as cpu
 
 _SIGNS = {"+": ("start", "green"), "~": ("rewire", "yellow"), "-": ("stop", "red"), "=": ("keep", "dim")}
-"""What is done with a unit, and how that is shown."""
+"""The actions on a unit, and the sign and style of each."""
 MOST_OPEN_PAIRS, MOST_NAMES = 10, 3
-"""More open pairs, and more ports of one tag, are left to `--json`."""
+"""The most open pairs shown, and the most ports of one tag; `--json` has all."""
 
 
 def update_text(problem: Problem, plan: Plan, given_up: Collection[str] = ()) -> Text:
@@ -35,7 +35,7 @@ def left_out_lines(environment: Environment) -> list[str]:
 
 
 def fact_lines(environment: Environment, of: str | None = None) -> list[str]:
-    """What facts make of the library: which transformations may not run, and the qualities that follow facts.
+    """Return the effects of facts on the library: transformations that may not run, and qualities that follow facts.
 
     `of` is a transformation or a unit; None stands for all.
     """
@@ -46,7 +46,7 @@ def fact_lines(environment: Environment, of: str | None = None) -> list[str]:
 
 
 def changes_text(before: Environment, changes: ChangeSet) -> Text:
-    """What a change set starts, rewires, stops and keeps of an environment; ends with an empty line."""
+    """Return a change set as text: units to start, rewire, stop and keep; ends with an empty line."""
     return Text("\n").join(_changes(before, changes))
 
 
@@ -73,7 +73,7 @@ def _changes(before: Environment, changes: ChangeSet) -> Iterator[Text]:
 
 
 def with_the_stream(environment: Environment) -> list[ComputationUnit]:
-    """The units from sources to targets, each after those that feed it, but for feedback."""
+    """Return the units from sources to targets, each after its feeders, except by feedback."""
     done: dict[str, ComputationUnit] = {}
     missing = {unit.id: {s.stream.unit for s in unit.subscriptions} for unit in environment.units}
     readers: dict[str, list[str]] = defaultdict(list)
@@ -186,14 +186,14 @@ def _summary(problem: Problem, plan: Plan, given_up: Collection[str]) -> Iterato
 
 
 def nothing_wanted(environment: Environment) -> str:
-    """A question to who has forgotten to say what is wanted; empty if something is."""
+    """Return a hint that `targets:` may be missing; empty if the environment wants something to run."""
     if environment.targets or any(one.min_instances for one in environment.library):
         return ""
     return "The environment has no targets, so that nothing is wanted and nothing runs for it. Is `targets:` missing?"
 
 
 def undecided_lines(problem: Problem, plan: Plan) -> Iterator[Text]:
-    """The pairs of tags that an answer hangs on, with the ports that have them, and how many were asked about."""
+    """Yield the pairs of tags that an answer depends on, with their ports, and how many pairs were asked about."""
     outputs, demands = problem.environment.outputs, problem.environment.demands
     for offered, demanded in plan.undecided[:MOST_OPEN_PAIRS]:
         ways = (
@@ -254,11 +254,11 @@ def verdict(problem: Problem, plan: Plan) -> Text:
 
 
 MOST_TRANSFERS = 10
-"""More transfers are counted, not listed."""
+"""The most transfers listed; if more, only their number is shown."""
 
 
 def fleet_lines(problem: Problem, after: Environment) -> Iterator[Text]:
-    """What a configuration costs, reaches and takes of hosts and links; nothing for a problem as in the paper."""
+    """Yield a configuration's costs, qualities, and loads of hosts and links; nothing for a problem as in the paper."""
     if problem.is_plain:
         return
     parts = cost_parts(problem, after.units)
@@ -292,7 +292,7 @@ def _reached(environment: Environment, target: Target, name: str, value: int) ->
 
 
 def _amount(host: Host, resource: str, taken: int, horizon_s: int) -> str:
-    """What units take of a resource, and of how much: `0.1 s of 0.2 s CPU/s`, `300 of 500 MB`, `1 of 2 gpu`."""
+    """Return the used and the total amount of a resource: `0.1 s of 0.2 s CPU/s`, `300 of 500 MB`, `1 of 2 gpu`."""
     shown, unit = (cpu, "CPU/s") if resource == CPU else (str, {MEMORY: "MB", POWER: "W"}.get(resource, resource))
     room = host.room(resource, horizon_s)
     return f"{shown(taken)}{'' if room is None else f' of {shown(room)}'} {unit}"

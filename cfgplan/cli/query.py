@@ -88,7 +88,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
 @contextmanager
 def _own(options: argparse.Namespace, screen: Screen, asked: Query, world: World) -> Iterator[Subscriptions]:
-    """Subscriptions in a life-cycle of our own, which begins with what the query needs and nothing else."""
+    """Yield subscriptions in a life-cycle of our own, which starts only the units that the query needs."""
     from cfgplan_runtime import Runtime
     from cfgplan_runtime.lifecycle.manager import Manager
     from cfgplan_runtime.reasoning.managed import ManagedSubscriptions
@@ -111,7 +111,7 @@ def _own(options: argparse.Namespace, screen: Screen, asked: Query, world: World
 
 
 def _read(options: argparse.Namespace, screen: Screen, known: DeclaredFeatures) -> Query:
-    """The query that the options say, over the features that are known and those that they declare."""
+    """Return the query of the options, over the known features and those that the options declare."""
     from cfgplan_runtime.reasoning import features
     from cfgplan_runtime.reasoning.parser import FILE
     from cfgplan_runtime.reasoning.queries import query
@@ -256,7 +256,7 @@ def _waiting_text(waiting: Waiting) -> str:
 
 
 def _clock(time_ns: Any) -> str:
-    """A time on the clock; of a stream with a clock of its own, in seconds."""
+    """Return a time on the clock, or in seconds for a stream with a clock of its own."""
     if time_ns < 1_000_000_000 * 86_400 * 365:
         return f"{time_ns / 1e9:.3f}s"
     at = time.strftime("%H:%M:%S", time.localtime(time_ns / 1e9))

@@ -1,4 +1,4 @@
-"""`cfgplan run`: the life-cycle in operation: start what meets the targets, and keep it the cheapest that does."""
+"""`cfgplan run`: start the cheapest configuration that meets the targets, and keep it the cheapest."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _LIVE_LOOK_S = 0.1
 ROS1, ROS2 = "ros1", "ros2"
 _ROS = {ROS1: "ROS 1", ROS2: "ROS 2"}
 _HOSTS_S = 5.0
-"""So many seconds after the start a fleet's backend must have told of each host."""
+"""Seconds after the start until a fleet's backend must have reported each host."""
 _MOST_NAMED = 4
 _ESTIMATORS = ("declared", "latest", "average", "trend", "holt")
 _GUESSES = ("declared", "optimistic", "pessimistic")
@@ -228,7 +228,7 @@ def _check_nodes(options: argparse.Namespace, world: World) -> None:
 
 
 def _check_ros2(options: argparse.Namespace, world: World) -> None:
-    """Have all that is wrong with ROS 2 topics told before anything is started; other hosts check their own units."""
+    """Report all faults of ROS 2 topics before any unit starts; other hosts check their own units."""
     library = () if options.dry_run or _fleet(options) is not None else world.environment.library
     units = [one for one in library if (one.source or "").startswith("cfgplan_runtime.ros2:")]
     if not units and not options.ros2:
@@ -291,7 +291,7 @@ def _operate(options: argparse.Namespace, world: World, screen: Screen, said: En
 
 
 def _published(options: argparse.Namespace, operation: Operation) -> AbstractContextManager[object]:
-    """Publish targets as ROS 2 topics, if that is asked for. Raises InputError."""
+    """Publish targets as ROS 2 topics if an option says so. Raises InputError."""
     if not options.ros2:
         return nullcontext()
     from cfgplan_runtime.ros2.targets import PublishedTargets
@@ -301,7 +301,7 @@ def _published(options: argparse.Namespace, operation: Operation) -> AbstractCon
 
 @contextmanager
 def _page(options: argparse.Namespace, operation: Operation) -> Iterator[str | None]:
-    """Serve the page; gives its address, if there is one. Raises InputError."""
+    """Serve the page if an option says so, and give its address. Raises InputError."""
     if options.page is None:
         yield None
         return
@@ -313,7 +313,7 @@ def _page(options: argparse.Namespace, operation: Operation) -> Iterator[str | N
 
 
 def difference_text(said: Environment, running: Environment) -> str:
-    """How the units that run differ from those that a file says, whatever their ids."""
+    """Return the differences of the running units from the file's, ignoring ids."""
     from cfgplan.cli.plan_text import changes_text
 
     changes = said.change_to(named_alike(said, running))
@@ -323,7 +323,7 @@ def difference_text(said: Environment, running: Environment) -> str:
 
 
 def named_alike(said: Environment, running: Environment) -> tuple[ComputationUnit, ...]:
-    """The running units, each by the id of one that is said of its transformation and host, if one is left."""
+    """Return the running units, each with the id of a declared unit of its transformation and host, if one is left."""
     left = dict(said.unit)
     names: dict[str, str] = {}
     for same_id in (True, False):
@@ -366,7 +366,7 @@ def _output_for(screen: Screen, operation: Operation, *, plain: bool) -> RunOutp
 
 
 def _hold(operation: Operation, output: RunOutput, interrupts: Interrupts, span_s: float | None) -> None:
-    """Show events until the time is over or somebody stops the run."""
+    """Show events until the time is over or the run is stopped."""
     end = None if span_s is None else time.monotonic() + span_s
     while not operation.wait(0) and not interrupts.count and (end is None or time.monotonic() < end):
         output.update(_LIVE_LOOK_S if end is None else max(0.0, min(_LIVE_LOOK_S, end - time.monotonic())))
@@ -382,7 +382,7 @@ def _hold(operation: Operation, output: RunOutput, interrupts: Interrupts, span_
 
 
 def _adjusted(options: argparse.Namespace, world: World) -> World:
-    """The world, each time that the file is read, as the options would have it."""
+    """Return the world with the horizon and the largest cost of the options; applied at each reading of the file."""
     asked = {"horizon_s": options.horizon, "max_cost_us": options.max_cost}
     return replace(world, **{name: value for name, value in asked.items() if value is not None})
 
@@ -433,7 +433,7 @@ def _settings(options: argparse.Namespace, screen: Screen) -> Settings:
 
 
 def _source_check(options: argparse.Namespace) -> SourceCheck | None:
-    """The check of code before it is started; None where the code is on other computers."""
+    """Return the check of code before its start; None if the code is on other computers."""
     from cfgplan_runtime.children.source_faults import fault_of, source_fault
 
     if options.middleware in _ROS:
@@ -450,7 +450,7 @@ def _ros_unit(options: argparse.Namespace) -> ModuleType:
 
 
 def _fleet(options: argparse.Namespace) -> Fleet | None:
-    """How hosts are reached; None without an option for it."""
+    """Return the access to the fleet's hosts; None without an option for it."""
     if not (options.local or options.connect):
         if options.take_over or options.certificates is not None:
             mend = "name one of its agents by --connect"
@@ -465,7 +465,7 @@ def _fleet(options: argparse.Namespace) -> Fleet | None:
 def _runtime(
     options: argparse.Namespace, screen: Screen
 ) -> Callable[[Environment, Path], AbstractContextManager[Runtime]] | None:
-    """What makes the runtime; None if that is processes of this computer."""
+    """Return a factory of the runtime; None if units are processes of this computer."""
     fleet = _fleet(options)
     if options.middleware == ROS1:
         from cfgplan_runtime.ros1.ros1_backend import Ros1Backend

@@ -1,4 +1,4 @@
-"""What `cfgplan run` shows while it runs, where that is no live view: lines of text, or JSON lines."""
+"""The output of `cfgplan run` without a live view: lines of text, or JSON lines."""
 
 from __future__ import annotations
 

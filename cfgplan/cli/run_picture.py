@@ -1,6 +1,6 @@
-"""The state of a run, drawn from its record (`manual/control.md`): all of it, or what a terminal has room for.
+"""The state of a run, drawn from its record (`manual/control.md`): all of it, or as much as fits the terminal.
 
-The live view fetches what there is, and has it drawn a few times a second.
+The live view fetches the state and redraws it a few times a second.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ _FEWEST_LOG_LINES = 4
 _MOST_REVIEWS = 4
 _MOST_REVIEWS_TOLD = 5
 _NARROW = 80
-"""Columns of a terminal with less room than all figures and names need."""
+"""Columns below which a terminal is too narrow for all figures and names."""
 _OLD_S = 2.0
-"""A stream that is silent for longer is shown as that."""
+"""Seconds of silence after which a stream is shown as silent."""
 _REFRESH_S = 0.25
 _LARGEST_SHARE = 0.1
-"""Of the time that is spent on drawing; a system of thousands of units is drawn less often."""
+"""The largest share of time for drawing; a system of thousands of units is drawn less often."""
 _MOST_LINES = 200
 _LINES_AFTERWARDS = 8
 
@@ -107,7 +107,7 @@ def _whole(run: str, environment: str, pid: int, state: Mapping[str, Any]) -> It
 
 @dataclass(frozen=True)
 class RunPicture:
-    """The state with the log, fitted to the size that the terminal has at that moment: what is wrong comes first."""
+    """The state with the log, fitted to the present size of the terminal; faults come first."""
 
     run: str
     environment: str
@@ -160,7 +160,7 @@ class RunPicture:
 
 
 def _facts(state: Mapping[str, Any]) -> Iterator[str]:
-    """The facts as they are now, with when those that streams observe were heard of last."""
+    """Yield the present facts; for an observed one, with the time of its last element."""
     heard = state["facts_heard_s"]
     for name, value in state["facts"].items():
         ago = f" (observed {heard[name]:.1f} s ago)" if name in heard else ""
@@ -281,9 +281,9 @@ def _review(review: Mapping[str, Any]) -> Text:
 def _drawn(
     columns: Sequence[tuple[str, int]], rows: Sequence[Sequence[Text]], room: int | None, noun: str
 ) -> RenderableType:
-    """A table of what there is room for, one line per row; of all, where `room` is None.
+    """Return a table of as many rows as fit into `room` lines, one line per row; all rows if that is None.
 
-    A column has its share of what is left of the width; a `>` is for numbers.
+    A column has its share of the remaining width; a `>` before its name aligns numbers.
     """
     fits = room is not None
     table = Table(box=None, expand=fits, padding=(0, 2, 0, 0), header_style="dim", pad_edge=False)
@@ -326,7 +326,7 @@ def _span(seconds: float) -> str:
 
 
 class LiveView(RunOutput):
-    """Fills the terminal while a run is held; what matters is printed again when it is over."""
+    """Fills the terminal during a run; important lines are printed again when it is over."""
 
     def __init__(self, screen: Screen, operation: Operation) -> None:
         super().__init__(screen, operation)

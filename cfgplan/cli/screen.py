@@ -1,4 +1,4 @@
-"""What the command line shows: results on stdout, everything about the work on stderr."""
+"""The output of the command line: results on stdout, progress and messages on stderr."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _WIDTH_OF_A_FILE = 1000
 _SHOWN_AFTER_S = 0.3
 _DECIDED = "pairs decided by "
 WORK_TOLD_S = 5.0
-"""Where there is no terminal, work that goes on is told of so often."""
+"""Seconds between two lines about work in progress, without a terminal."""
 
 
 _ESCAPE = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)|.)")
@@ -44,7 +44,7 @@ def printable(text: str) -> str:
 
 
 class ShownWork:
-    """A part of the work that goes on: what it is, for how long, and what is known by now."""
+    """A piece of work in progress: its name, its duration, and its results so far."""
 
     def __init__(self, name: str) -> None:
         self.is_told = False
@@ -79,7 +79,7 @@ class ShownWork:
 
 
 def decided_by(counts: Mapping[str, int]) -> str:
-    """Which reasoner decided how many pairs of tags, by a plan's counts; empty if none was asked."""
+    """Return how many pairs of tags each reasoner decided, by a plan's counts; empty if none was asked."""
     if not counts.get("pairs asked"):
         return ""
     return ", ".join(f"{count} by {who}" for figure, count in counts.items() if (who := figure.partition(_DECIDED)[2]))
@@ -109,7 +109,7 @@ class Screen:
             self.seconds[name] = self.seconds.get(name, 0.0) + work.seconds
 
     def _show_work(self, work: ShownWork, over: Event) -> None:
-        """A line that changes on a terminal, one every few seconds elsewhere; nothing of what is over soon."""
+        """Show a changing line on a terminal, a line every few seconds elsewhere; short work is not shown."""
         if not sys.stderr.isatty():
             while not over.wait(WORK_TOLD_S):
                 if not work.is_told:
@@ -151,7 +151,7 @@ class Screen:
         sys.stdout.buffer.write(data)
 
     def note(self, text: str, style: str = "dim") -> None:
-        """Say something about the work."""
+        """Print a message about the work on stderr."""
         from rich.text import Text
 
         self._err.print(Text(text, style=style), soft_wrap=True)
@@ -165,7 +165,7 @@ class Screen:
         self.note(f"warning: {text}", style="yellow")
 
     def faults(self, faults: Iterable[Fault]) -> None:
-        """Show what is wrong with the input: place, what, the line with a caret, mend."""
+        """Show the faults of the input: place, message, the line with a caret, mend."""
         faults = list(faults)
         if self.json:
             self.show_json({"errors": faults})
@@ -174,7 +174,7 @@ class Screen:
             self._err.print(self._told(fault, "error: ", "bold red"), soft_wrap=True)
 
     def warn_of(self, fault: Fault) -> None:
-        """Show what is wrong with the input where the work goes on without it."""
+        """Show a fault of the input that does not stop the work."""
         self._err.print(self._told(fault, "warning: ", "yellow"), soft_wrap=True)
 
     def _told(self, fault: Fault, kind: str, style: str) -> Text:
@@ -220,7 +220,7 @@ class Screen:
 
 
 def blamed(error: Exception) -> str:
-    """Whose fault an internal error is, and what to do about it."""
+    """Return who is responsible for an internal error, and what the user can do."""
     from cfgplan.planning import PlannerFaultError
 
     planner = error.plan.planner if isinstance(error, PlannerFaultError) else ""

@@ -1,4 +1,4 @@
-"""`cfgplan sensitivity`: for which horizons, or upkeeps of a transformation, which plan is optimal."""
+"""`cfgplan sensitivity`: the optimal plan of each horizon, or of each upkeep of a transformation."""
 
 from __future__ import annotations
 
@@ -183,14 +183,14 @@ def _mark_here(found: Sensitivity, axes: Axes, right: Fraction, value: Fraction)
 
 
 def _right_edge(found: Sensitivity) -> Fraction:
-    """The last break point has room; the present value is shown if that leaves the break points to be seen."""
+    """Return the right edge: beyond the last break point, and beyond the present value if breaks stay visible."""
     if not found.breaks:
         return max(Fraction(found.value), Fraction(1)) * 2
     return max(found.breaks[-1] * 2, min(Fraction(found.value) * Fraction(5, 4), found.breaks[-1] * 4))
 
 
 def _label(found: Sensitivity, span: Span) -> str:
-    """What tells a plan from the others: what it runs, and not all of them do."""
+    """Return the label of a plan: the transformations that it runs but not every plan of the series."""
     everywhere = set(found.spans[0].runs).intersection(*(other.runs for other in found.spans))
     own = [label for label in span.runs if label not in everywhere]
     text = some(own, 3) or "what all plans run, no more"

@@ -133,7 +133,7 @@ def _solve(options: argparse.Namespace, screen: Screen, task: shared.Task) -> Ex
 
 
 def _show_unjudged(screen: Screen, task: shared.Task, error: PlannerFaultError) -> Exit:
-    """Print a plan that nobody vouches for and why not; as plain data where even its text fails."""
+    """Print a plan that the judge could not confirm, and why; as plain data if its text fails too."""
     from cfgplan import api
     from cfgplan.cli.plan_text import update_text
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from cfgplan.matching import Suggestion
 
 _MOST_PORTS = 4
-"""More ports than these are counted, not listed."""
+"""The most ports listed; if more, only their number is shown."""
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:

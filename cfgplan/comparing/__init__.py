@@ -1,4 +1,4 @@
-"""Planners side by side on one problem: each in a process of its own, judged, and held against the others."""
+"""Planners side by side on one problem: each runs in a process of its own, is judged, and compared with the others."""
 
 from cfgplan.comparing.entrants import REGISTERED, Entrant, entrant
 from cfgplan.comparing.runs import Limits, Run, RunFailure, contradictions, run_one

@@ -1,11 +1,9 @@
-"""The process of one run: a task comes in on stdin, progress and the answer go out as JSON lines.
+"""The process of one run: reads a task from stdin, and writes progress and the answer to stdout as JSON lines.
 
-Before each run the problem is made anew, and the garbage collector leaves alone what is there by then. A run of less
-than `SHORT_S` is repeated, since other work of the machine and a first call's empty caches may double its time, and the
-median of its runs is told.
-
-What the planner prints itself goes to stderr. Nothing is written where the process is killed, and the
-parent makes a row of that too.
+Before each run the problem is unpickled again and existing objects are excluded from garbage collection. A run shorter
+than `SHORT_S` is repeated and the median run is reported, since other load and cold caches may double its time.
+Output that the planner prints itself goes to stderr. If the process is killed, it writes no answer; the parent records
+the run as killed.
 """
 
 from __future__ import annotations
@@ -31,7 +29,7 @@ from cfgplan.planning import Plan, Planner, Problem, Progress
 from cfgplan.validity import plan_violations
 
 SHORT_S, RUNS = 0.5, 3
-"""A run that took less is one of so many."""
+"""A run shorter than SHORT_S seconds is repeated, RUNS times in all."""
 
 
 def main() -> None:
@@ -56,7 +54,7 @@ def main() -> None:
 
 
 def crash_text(error: Exception) -> str:
-    """What was raised, and where."""
+    """Return an exception's type, message and place in at most 300 characters."""
     place = extract_tb(error.__traceback__)[-1]
     return f"{type(error).__name__}: {error} ({Path(place.filename).name}, line {place.lineno})"[:300]
 
@@ -100,7 +98,7 @@ class _Run:
 
 
 def _timed(planner: Planner, pickled: bytes, time_limit_s: float, tell: Callable[[Point], None]) -> _Run:
-    """A run on the problem made anew; each step of its progress is told."""
+    """Run a planner on a freshly unpickled problem, and call `tell` with each step of its progress."""
     problem: Problem = pickle.loads(pickled)
     trace: list[Point] = []
     began = perf_counter()

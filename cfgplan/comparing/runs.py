@@ -1,4 +1,4 @@
-"""Each planner on each problem in a process of its own, and what must hold between their answers."""
+"""Each planner on each problem in a process of its own, and contradictions between their answers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from cfgplan.planning import REFUSED, Problem, Status
 
 
 class RunFailure(StrEnum):
-    """How a run ended that gave no answer; the other outcomes are those of `planning.Status`."""
+    """The outcome of a run without an answer; the other outcomes are those of `planning.Status`."""
 
     REFUSED = "refused"
     """The planner said that it can't take this problem."""
@@ -40,19 +40,19 @@ Point = tuple[float, int | None, int]
 """Seconds since the start, best cost so far, proven bound."""
 MOST_POINTS = 40
 MOST_SAID = 4000
-"""So many characters of what a process said before it crashed are kept."""
+"""Number of characters kept of the output of a crashed process."""
 
 
 @dataclass(frozen=True)
 class Run:
     """One run of one planner on one problem; times are in seconds since the planner was called.
 
-    `outcome` is a `Status` or a `RunFailure`. `violations` is what the judge found, None where there
-    was no answer to judge. `peak_mb` is the largest resident memory of the process, the solver's own if it is
-    a process apart. `trace` tells the best cost and the bound over time. `proof_s` is when the planner had proven
-    its answer, that there is no plan or that none costs less; None if it has not. To break ties between equal costs
-    may take until `total_s`. `seconds` are the planner's phases. An answer that the judge refuses has the cost that
-    it names, and no bound, times or trace. `traceback` is that of a crash.
+    `outcome` is a `Status` or a `RunFailure`. `violations` are the judge's; None if there was no answer to judge.
+    `peak_mb` is the largest resident memory of the process, or of the solver if that is a process of its own. `trace`
+    lists the best cost and the bound over time. `proof_s` is when the planner had proven its answer (that no plan
+    exists, or none is cheaper); None if it has not. Breaking ties between equal costs may last until `total_s`.
+    `seconds` are the planner's phases. An answer that the judge refuses keeps its claimed cost, but has no bound, times
+    or trace. `traceback` is that of a crash.
     """
 
     planner: str
@@ -78,16 +78,17 @@ class Run:
 
     @property
     def has_plan(self) -> bool:
-        """Whether there is a plan that the judge did not refuse."""
+        """Return whether the run has a plan and the judge did not refuse it."""
         return self.outcome in (Status.OPTIMAL, Status.FEASIBLE) and not self.violations
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a run may take.
+    """The limits of a run.
 
-    The planner is told `time_limit_s`; `grace_s` after that (for the start of the process, the last step
-    and the judge) it is killed. `memory_mb` limits the process's address space.
+    The planner gets `time_limit_s` seconds; `grace_s` seconds later (time for the start of the process, the last step
+    and the judge) its process is killed. `memory_mb` limits the address space. Raises InvalidValueError if not
+    positive.
     """
 
     time_limit_s: float = 10.0
@@ -129,7 +130,7 @@ def run_one(problem: Problem, entrant: Entrant, limits: Limits) -> Run:
 
 
 def contradictions(runs: Sequence[Run]) -> Iterator[str]:
-    """What can't hold of runs on one problem, whoever is right: plans the judge refuses, and answers that disagree."""
+    """Yield each contradiction between runs on one problem: plans that the judge refuses, and answers that disagree."""
     for run in runs:
         yield from (f"{run.planner}: {text}" for text in run.violations or ())
     plans = best_used(runs)
@@ -160,7 +161,7 @@ def best_used(runs: Iterable[AnyRun]) -> list[AnyRun]:
 
 
 def pickled(problem: Problem) -> str:
-    """A problem on its way into another process, in base 64, without open pairs of tags."""
+    """Return a problem pickled for another process, in base 64, without open pairs of tags."""
     decided = Similarity(dict(problem.similarity.offers))
     return b64encode(pickle.dumps(replace(problem, similarity=decided))).decode()
 
@@ -174,7 +175,7 @@ def thinned(trace: Sequence[Point]) -> tuple[Point, ...]:
 
 
 def _answer(entrant: Entrant, limits: Limits, problem: str) -> tuple[list[Point], dict[str, Any]]:
-    """The progress and the answer of a child process; how it failed where it gave none."""
+    """Return the progress and the answer of a child process, or how it failed."""
     task = {
         "problem": problem,
         "entrant": asdict(entrant),
@@ -255,7 +256,9 @@ def _times(trace: Sequence[Point], answer: dict[str, Any]) -> tuple[float | None
 
 
 def _proof_s(trace: Sequence[Point], answer: dict[str, Any]) -> float | None:
-    """When the answer was proven: for a plan, when the bound had reached its cost, whatever became of ties later."""
+    """Return when the answer was proven: for a plan, when the bound reached its cost, even if ties were
+    broken later.
+    """
     if answer["outcome"] == Status.OPTIMAL:
         at_cost = (when for when, cost, bound in trace if cost == bound == answer["cost_us"])
         return next(at_cost, float(answer["total_s"]))

@@ -1,6 +1,6 @@
-"""Answers that people can act on: why there is no plan, why this one, and what else there is.
+"""Answers that people can act on: why no plan exists, why this plan was chosen, and the alternatives to it.
 
-Everything is asked of a planner (`planning.Planner`), of which nothing is known but that it is right.
+Every question is put to a planner (`planning.Planner`); the answers are correct with any correct planner.
 """
 
 from cfgplan.explaining.alternatives import Alternatives as Alternatives

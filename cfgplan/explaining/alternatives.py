@@ -1,4 +1,4 @@
-"""What else: the cheapest configurations that differ in what runs, in order, exactly."""
+"""Alternatives: the cheapest configurations that run different transformations, in exact order of cost."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ def _alternatives_summary(found: Alternatives) -> Summary:
 @summarised(_alternatives_summary)
 @dataclass(frozen=True)
 class Alternatives:
-    """The best `plans` of a problem, no two of which run the same set of transformations, in the order of optimality.
+    """The best `plans` of a problem, each with a different set of running transformations, in the order of optimality.
 
-    The first is the optimal one; each of the others is the best of all that run the same transformations. `complete`:
-    the list was not cut short by the clock, by an open pair of tags, or by a configuration in which nobody could decide
-    whether something required serves a target or only a unit that runs anyway. `has_more`: there are further
-    configurations.
+    The first is the optimal one; each of the others is the best of all that run the same transformations. `complete` is
+    False if the list was cut short by the clock, by an open pair of tags, or by a configuration for which it is
+    undecided whether something required serves a target or only a unit that runs anyway. `has_more` if further
+    configurations exist.
     """
 
     plans: tuple[Plan, ...]
@@ -56,13 +56,12 @@ class Alternatives:
 
 
 def alternatives(problem: Problem, planner: Planner, count: int, *, time_limit_s: float | None = None) -> Alternatives:
-    """The `count` best valid configurations within the largest cost that differ in the transformations that run.
+    """Return the `count` best valid configurations within the largest cost that differ in the transformations that run.
 
-    Nothing is started that no target needs, pinned or not.
-
-    Lawler's procedure: what is left of a set of configurations without its best one is cut into parts, by what must
-    and must not run, and the part that can hold the cheapest is looked at next. None if there is no plan; the plan
-    alone if it is not proven optimal, ties included.
+    A unit is started only if a target needs it, pinned or not. This is Lawler's procedure: a set of configurations
+    without its best one is divided into parts by what must and must not run; the part that may hold the cheapest is
+    searched next. The result is empty if no plan exists, and holds only the plan if that is not proven optimal, ties
+    included.
     """
     refuse_order(problem, "alternatives")
     if Feature.SURVIVAL in problem.features:
@@ -111,7 +110,7 @@ class _Ranking:
         }
 
     def plans(self, end_s: float | None) -> Iterator[Plan | None]:
-        """The plans in order; None when time is over, or when it is not decided which one is next."""
+        """Yield the plans in order; None when time is over, or when it is undecided which one is next."""
         whole = _Part(frozenset(), frozenset())
         heap: list[tuple[Rank, int, bool, list[str], list[str], _Part | Plan | None]] = [
             ((0,) * 4, 0, False, [], [], whole)
@@ -145,8 +144,8 @@ class _Ranking:
                     heapq.heappush(heap, (bound, 0, False, sorted(part.within), sorted(part.without), part))
 
     def _rest(self, part: _Part, runs: Labels) -> Iterator[_Part]:
-        """The rest of a part when the configurations that run exactly these are taken out: parts that lack one of
-        them or have another one.
+        """Yield the rest of a part without the configurations that run exactly `runs`: each part lacks one of these or
+        has another one.
         """
         within, without = part.within, part.without
         for label in sorted(runs - within):
@@ -158,9 +157,9 @@ class _Ranking:
             without |= {label}
 
     def _cheapest(self, part: _Part) -> Plan | None:
-        """The cheapest plan of a part, whatever is required and allowed; None if the part is empty.
+        """Return the cheapest plan of a part, ignoring requirements and the largest cost; None if the part is empty.
 
-        If time ran out, its status is another than optimal.
+        If time ran out, its status is not optimal.
         """
         plan = self._plan(part.without, part.within, part.limit_s)
         if plan.status in (Status.FEASIBLE, Status.UNKNOWN):
@@ -172,7 +171,9 @@ class _Ranking:
         return plan if self._kept <= kept else None
 
     def _best_that_runs(self, runs: Labels) -> Plan | None:
-        """The best plan in which just these run, besides what runs anyway; None if it is not decided which that is."""
+        """Return the best plan that runs just `runs` and the units of `Kept`; None if undecided, or if no such plan
+        exists.
+        """
         if runs == self._runs(self._best):
             return self._best
         plan = self._best_by_use(runs)
@@ -249,5 +250,5 @@ class _Ranking:
 
 
 def _restricted(problem: Problem, without: Iterable[str], required: Labels) -> Problem:
-    """The problem without some transformations, with others required, whatever that costs."""
+    """Return the problem without some transformations, with others required, and without a largest cost."""
     return requiring(without_transformations(problem, set(without)), required)

@@ -1,4 +1,4 @@
-"""Best effort: where not all targets can be met, the most important ones, exactly."""
+"""Best effort: if not all targets can be met, an optimal set of the most important ones."""
 
 from __future__ import annotations
 
@@ -55,13 +55,13 @@ def best_effort(
 ) -> BestEffort:
     """Meet as many targets of the highest priority as possible, then of the next ..., then at least cost.
 
-    A set of targets can be met if `planner` finds a plan for the problem with these targets alone; of equally
-    good sets the one with the best plan in the usual order wins (required, cost, rewired, started), then the one
-    that comes first. Where nothing but missing matches is in the way, this takes one call of the planner, on a
-    problem that changes only with the targets that can be met: a `PlannerSession` stays warm. A largest cost
-    that is too small takes a search over sets of targets, in the worst case all of them.
+    A set of targets can be met if `planner` finds a plan for the problem with these targets alone. Among equally good
+    sets the one with the best plan in the usual order wins (required, cost, rewired, started), then the first one. If
+    only missing matches prevent targets, this takes one call of the planner, on a problem that changes only with the
+    targets that can be met: a `PlannerSession` stays warm. A largest cost that is too small takes a search over sets of
+    targets, in the worst case all of them.
 
-    `impossible` are the `reasons.unmet_reasons` of the problem for who knows them already; they depend on library,
+    `impossible` are the `reasons.unmet_reasons` of the problem, if they are known already; they depend on library,
     matching and targets alone.
     """
     impossible = dict(unmet_reasons(problem) if impossible is None else impossible)
@@ -78,11 +78,11 @@ def best_effort(
 
 
 class _Search:
-    """Depth first over sets of targets, the most important targets first.
+    """Depth-first search over sets of targets, the most important targets first.
 
-    More targets never make a problem possible or cheaper, as long as nothing is required: what is left of a plan
-    without the units that only the further targets need is a plan for fewer. A required transformation can turn
-    that around (a further target may use it more cheaply), so that subtrees are cut by the problem without them.
+    Without required transformations, adding targets never makes a problem possible or cheaper: a plan for more targets,
+    stripped of the units that only these need, is a plan for fewer. A required transformation can reverse that (a
+    further target may use it more cheaply), so subtrees are cut by the problem without required transformations.
     """
 
     def __init__(self, problem: Problem, targets: Sequence[Target], planner: Planner) -> None:
@@ -126,7 +126,9 @@ class _Search:
             self.best = chosen
 
     def _also_met(self, chosen: frozenset[Target], ahead: Sequence[Target]) -> frozenset[Target]:
-        """`chosen`, which can be met, and each of `ahead` that can be met too; asked in halves, as most of them can."""
+        """Return `chosen`, which can be met, with each of `ahead` that can be met too; halves are tried, as
+        most can.
+        """
         everything = chosen.union(ahead)
         if not ahead or self._is_met(everything):
             return everything
@@ -179,7 +181,7 @@ class _Search:
         return targets != self.best and self._plan(targets).rank < self._plan(self.best).rank
 
     def _counts(self, targets: frozenset[Target]) -> tuple[int, ...]:
-        """How many targets there are of each priority, the highest first."""
+        """Return the number of targets of each priority, the highest first."""
         count = Counter(target.priority for target in targets)
         return tuple(count[level] for level in self._levels)
 

@@ -1,4 +1,4 @@
-"""What better quality costs: the cheapest configuration for each quality that a target's stream can have."""
+"""The price of better quality: the cheapest configuration for each quality that a target's stream can have."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def _front_summary(front: Front) -> Summary:
 class Front:
     """The cost-quality front of one target and attribute, from the cheapest plan to the best.
 
-    Costs don't hold the price of this attribute. `complete` says that there are no more points; if not, the
-    clock or the limit of points stopped it, and points of better quality are missing.
+    Costs don't include the price of this attribute. `complete` says that no more points exist; if not, the clock or the
+    limit of points stopped the search, and points of better quality are missing.
     """
 
     target: str
@@ -52,9 +52,9 @@ def front(
     most: int = 50,
     time_limit_s: float | None = None,
 ) -> Front:
-    """The points that are not dominated, by asking for ever better quality; each takes a call of the planner.
+    """Return the points that are not dominated, each by a call of the planner with a stricter bound on quality.
 
-    The target's own bound and price of the attribute are set aside, its other wishes are kept.
+    The target's own bound and price of the attribute are ignored, its other wishes are kept.
     """
     refuse_order(problem, "fronts")
     end_s = None if time_limit_s is None else time.monotonic() + time_limit_s
@@ -85,7 +85,7 @@ def front(
 
 
 def _asking(problem: Problem, label: str, attribute: str, bound: int | None) -> Problem:
-    """The problem in which a target asks for this bound and no price of an attribute."""
+    """Return the problem in which a target has this bound on an attribute, and no price for it."""
 
     def asks(target: Target) -> Target:
         if target.label != label:

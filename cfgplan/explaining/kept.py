@@ -1,4 +1,4 @@
-"""Units that run whether a target needs them or not, and a problem in which each of them has a target of its own."""
+"""Units that run even if no target needs them, and a problem in which each of them has a target of its own."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ Labels = frozenset[str]
 
 @dataclass(frozen=True)
 class Kept:
-    """What runs in every configuration of a problem: pinned units that run, and what `min_instances` asks for."""
+    """The units that run in every configuration of a problem: running pinned units, and those that `min_instances` asks
+    for.
+    """
 
     problem: Problem
 
@@ -24,9 +26,9 @@ class Kept:
         return frozenset(label for label, _ in self._stays)
 
     def with_own_targets(self, without: Labels = frozenset()) -> Problem:
-        """The problem in which each such unit that has inputs is published for an artificial target, at no cost.
+        """Return the problem in which each such unit that has inputs feeds an artificial target, at no cost.
 
-        Whatever feeds such a unit then serves a target, so that `required` treats it like any other. Units of the
+        Units that feed it then serve a target, so that `required` treats them like any others. Units of the
         transformations in `without` get no artificial target: if required, they have to serve a real one.
         """
         environment, similarity = self.problem.environment, self.problem.similarity

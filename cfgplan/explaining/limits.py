@@ -1,4 +1,4 @@
-"""Which of the limits that an environment sets are in the way of every plan: a minimal set of them."""
+"""The limits of an environment that prevent every plan: a minimal set of them."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ _LIFTED: Final[Mapping[str, Mapping[str, tuple[str, object]]]] = MappingProxyTyp
         "the environment": {"survive": ("survive", None)},
     }
 )
-"""By kind of part and key: the attribute, and its value where the limit is lifted."""
+"""The attribute of each limit, and its value when the limit is lifted, by kind of part and key."""
 
 
 def limits_of(problem: Problem) -> list[Limit]:
@@ -76,9 +76,9 @@ def without_limits(problem: Problem, limits: Collection[Limit]) -> Problem:
 
 
 def in_the_way(problem: Problem, is_refused: Callable[[Problem], bool]) -> tuple[Limit, ...]:
-    """A minimal set of limits with which alone there is no plan; none if there is no plan without any limit.
+    """Return a minimal set of limits that already rule out every plan; empty if no plan exists even without limits.
 
-    `is_refused` is asked about few problems where the set is small (QuickXplain; Junker, AAAI 2004).
+    `is_refused` is called for few problems if the set is small (QuickXplain; Junker, AAAI 2004).
     """
     everything = limits_of(problem)
 

@@ -1,4 +1,4 @@
-"""For which horizons, or upkeeps of one transformation, which plan is optimal: exactly, with the break points."""
+"""The optimal plan for each horizon, or for each upkeep of one transformation, with the exact break points."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ class CostLine:
 
 @dataclass(frozen=True)
 class Span:
-    """Values of the parameter from `begin` to `end` for which `plan` is optimal; its cost is `line`.
+    """An interval of the parameter, from `begin` to `end`, for which `plan` is optimal at the cost `line`.
 
-    Without an `end` it goes on for ever. At a break point that is a whole number the plans of both spans are
-    optimal. `runs` are the transformations that have units.
+    It is unbounded if `end` is None. At a break point that is a whole number the plans of both spans are optimal.
+    `runs` are the transformations that have units.
     """
 
     begin: Fraction
@@ -90,10 +90,10 @@ class Sensitivity:
 
 
 def horizon_sensitivity(problem: Problem, planner: Planner) -> Sensitivity:
-    """The optimal plan of each span of horizons from 0 on, without the largest cost.
+    """Return the optimal plan of each span of horizons from 0 on, without the largest cost.
 
-    Without a plan there are no spans. The planner is asked about three times for each span. Raises InputError where
-    streams between hosts cost a fraction of a microsecond each second: such costs are rounded, and no straight lines.
+    Without a plan, the result has no spans. The planner is called about three times for each span. Raises InputError if
+    streams between hosts cost a fraction of a microsecond each second, since their rounded costs are no straight lines.
     """
     _refuse_rounding(problem)
     _refuse_energy(problem)
@@ -117,10 +117,10 @@ def horizon_sensitivity(problem: Problem, planner: Planner) -> Sensitivity:
 
 
 def upkeep_sensitivity(problem: Problem, planner: Planner, label: str) -> Sensitivity:
-    """The optimal plan of each span of a transformation's upkeep from 0 on, without the largest cost.
+    """Return the optimal plan of each span of a transformation's upkeep from 0 on, without the largest cost.
 
-    Where the horizon is 0, upkeep does not matter and there is one span. Raises InputError where hosts limit CPU time:
-    what fits on them changes with the upkeep.
+    If the horizon is 0, upkeep does not matter and the result has one span. Raises InputError if hosts limit CPU time,
+    since their room then changes with the upkeep.
     """
     environment = problem.environment
     kind = environment.transformation[label]
@@ -171,7 +171,7 @@ class _Envelope:
         self._best: dict[int, CostLine | None] = {}
 
     def lines(self, last: int) -> list[CostLine]:
-        """The optimal lines from 0 to `last`, in order; none if there is no plan."""
+        """Return the optimal lines from 0 to `last`, in order; empty if no plan exists."""
         found: list[CostLine] = []
         ahead = [(0, last)]
         while ahead:

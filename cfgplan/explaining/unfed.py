@@ -1,4 +1,4 @@
-"""Why a target can't be met whatever it costs: the inputs that nothing can feed, as a tree."""
+"""Why a target can't be met at any cost: the inputs that no stream can feed, as a tree."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ NearestOffers = Callable[[str], tuple[Nearest, ...]]
 
 @dataclass(frozen=True)
 class Unfed:
-    """A demand for `tag` that can't be fed: an input `port` of a transformation, or without one a target's.
+    """A demand for `tag` that can't be fed: the input `port` of a transformation, or a target if `port` is None.
 
-    The `givers` are the transformations that would match, all of them blocked but for those that are too few for
-    a distinct group; of the `undecided` ones of them nobody has decided yet whether they match. If there are no givers,
-    `nearest` are the offered tags that come nearest.
+    The `givers` are the transformations that would match. All are blocked, except where there are too few of them for a
+    distinct group. `undecided` are the givers whose match is not decided yet. If `givers` is empty, `nearest` are the
+    offered tags most similar to `tag`.
     """
 
     tag: str
@@ -45,11 +45,11 @@ class Blocked:
 
 @dataclass(frozen=True)
 class Unreachable:
-    """A minimal reason why nothing can give what `target` wants: a tree, or where support is circular a graph.
+    """A minimal reason why no unit can meet `target`: a tree, or a graph if transformations only support each other.
 
-    Its root is `wanted`; `blocked` holds each transformation once, depth first from the root, and the givers of an
-    input lead on. The reason names inputs. They alone still fail: with all other inputs of all transformations
-    taken away there is no plan for the target. Without any one of them there is one.
+    Its root is `wanted`; `blocked` holds each transformation once, depth first from the root; the givers of an input
+    lead on. The named inputs alone rule out every plan for the target, even if all other inputs of all transformations
+    are removed. If any one of the named inputs is removed as well, a plan exists.
     """
 
     target: str
@@ -77,10 +77,10 @@ def unreachable(problem: Problem, nearest: NearestOffers | None = None) -> tuple
 
 
 class DeadEnds:
-    """The transformations that can't run, and for each the inputs that are given as the reason.
+    """The transformations that can't run, each with the inputs that are the reason.
 
-    Of several reasons the one with the shortest chain to a missing output is given. A circle is given only where no
-    chain ends at a missing output.
+    If several inputs are reasons, the one with the shortest chain to a missing output is chosen. A cycle is given only
+    if no chain ends at a missing output.
     """
 
     def __init__(
@@ -96,7 +96,7 @@ class DeadEnds:
         self._find_rings()
 
     def reason(self, target: str, tag: str) -> Unreachable:
-        """Why nothing can give what `tag` demands."""
+        """Return the reason why no unit can meet `tag`."""
         kept = self._blocked(tag, self._cause)
         if any(len(ports) > 1 for ports in kept.values()):
             kept = self._blocked(tag, self._minimal(tag, kept))
@@ -126,8 +126,9 @@ class DeadEnds:
             ahead = {user for label in ends for user in users[label] if user not in self._cause}
 
     def _find_rings(self) -> None:
-        """Stage by stage: of what is left, everything fails that the forward closure does not reach. Feedback inputs
-        may be fed by anything that has not failed in an earlier stage.
+        """In each stage, a remaining transformation fails if the forward closure does not reach it.
+
+        Feedback inputs may be fed by any transformation that has not failed in an earlier stage.
         """
         alive = frozenset(self._environment.transformation) - self._cause.keys()
         while alive != self.possible:

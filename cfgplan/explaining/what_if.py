@@ -1,4 +1,4 @@
-"""What if: environments and problems without some of what they have, or that ask for something else."""
+"""Hypothetical problems: without some of their parts, or with other demands."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LARGEST_PRIORITY = 1_000_000_000
 
 @dataclass(frozen=True)
 class Supposed:
-    """An environment, a horizon in seconds and a largest cost in microseconds, as somebody supposes them to be."""
+    """A hypothetical environment, horizon in seconds and largest cost in microseconds."""
 
     environment: Environment
     horizon_s: int
@@ -51,7 +51,7 @@ def without(environment: Environment, names: Collection[str]) -> Environment:
 
 
 def with_settings(supposed: Supposed, settings: Mapping[str, str]) -> Supposed:
-    """The same with other values: of `horizon`, `max_cost`, facts, and a transformation's or target's properties.
+    """Return the same with other values of `horizon`, `max_cost`, facts, and properties of transformations or targets.
 
     Keys are `facts.NAME`, `T.labor`, `T.upkeep` (CPU seconds), `T.pinned`, `T.required` (true or false) and, for a
     target, `T.priority`. Raises InputError with every setting that can't be made.
@@ -130,7 +130,7 @@ _SETTINGS: Mapping[str, tuple[str, Callable[[str], Any]]] = MappingProxyType(
         "priority": ("priority", _whole),
     }
 )
-"""What can be set of a transformation or, for the last one, of a target: its attribute, and how its value is read."""
+"""The settable attributes of a transformation (the last one: of a target), and how a value is read."""
 
 
 def without_transformations(problem: Problem, labels: Collection[str]) -> Problem:
@@ -154,7 +154,7 @@ def requiring(problem: Problem, labels: Collection[str]) -> Problem:
 
 
 def running(problem: Problem, label: str) -> Problem:
-    """The problem of a target that wants nothing but a unit of one transformation."""
+    """Return the problem whose only target wants a running unit of one transformation."""
     environment = problem.environment
     used = OutputPort(_USED, _USED)
     library = tuple(replace(t, outputs=(*t.outputs, used)) if t.label == label else t for t in environment.library)

@@ -14,7 +14,7 @@ from cfgplan.summary import Summary, counted, summarised, summary
 
 @dataclass(frozen=True)
 class DemandSet:
-    """Some of what a problem demands: targets, required and pinned transformations, by their labels."""
+    """A subset of a problem's demands: targets, required and pinned transformations, by their labels."""
 
     targets: frozenset[str] = frozenset()
     required: frozenset[str] = frozenset()
@@ -22,7 +22,7 @@ class DemandSet:
 
     @classmethod
     def of(cls, environment: Environment) -> DemandSet:
-        """All that an environment demands; of pinned transformations those that run."""
+        """Return all demands of an environment; a pinned transformation is one if it has running units."""
         running = {unit.transformation for unit in environment.units}
         return cls(
             frozenset(target.label for target in environment.targets),
@@ -31,7 +31,7 @@ class DemandSet:
         )
 
     def each(self, environment: Environment) -> tuple[DemandSet, ...]:
-        """The single demands, those first that are easiest to let go: required, pinned, targets by priority."""
+        """Return single demands, the least important first: required, pinned, targets by priority."""
         targets = [target for target in environment.targets if target.label in self.targets]
         return (
             *(DemandSet(required=frozenset({label})) for label in sorted(self.required)),
@@ -45,13 +45,13 @@ class DemandSet:
 
 @dataclass(frozen=True)
 class Clash:
-    """A minimal reason why there is no plan although each target can be reached: demands that can't be met together.
+    """A minimal set of demands that can't be met together, although each target alone can be reached.
 
-    They alone still fail: of the other targets, required and pinned transformations nothing is asked. Without any
-    one of them there is a plan; if there are no demands, no configuration is valid at all. If the cheapest plan for
-    them is known, it costs `cost_us`, more than `max_cost_us`; otherwise no valid configuration meets them at any cost.
-    The same holds of the `limits` that are in the way: with all others lifted there still is no plan, and then without
-    any one of them there is. There are none if limits are not why.
+    They fail alone, with no other target, required or pinned transformation demanded; without any one of them a plan
+    exists. If `demands` is empty, no configuration is valid at all. If the cheapest plan for them is known, it costs
+    `cost_us`, more than `max_cost_us`; otherwise no valid configuration meets them at any cost. The `limits` that
+    prevent a plan are minimal in the same way: no plan exists with all others lifted, but one does if any one of them
+    is lifted too. `limits` is empty if they are not the reason.
     """
 
     demands: DemandSet
@@ -100,7 +100,7 @@ class Unused:
     """A required transformation that a plan leaves unused.
 
     It is `blocked` if it can't run at all. Otherwise it can't be used together with the required transformations
-    `excluded_by`; if there are none, no wiring leads from it to a target. If that is not `proven`, no plan was found
+    `excluded_by`; if that is empty, no wiring leads from it to a target. If that is not `proven`, no plan was found
     that uses it.
     """
 
@@ -135,7 +135,7 @@ class WhyNot:
 
 
 def why_not(problem: Problem, planner: Planner, nearest: NearestOffers | None = None) -> WhyNot:
-    """Why there is no plan; for a plan that there is, why it leaves required transformations unused."""
+    """Return why no plan exists; if one exists, why it leaves required transformations unused."""
     plan = planner(problem)
     out_of_reach = unreachable(problem, nearest)
     lost = {reason.target for reason in out_of_reach}

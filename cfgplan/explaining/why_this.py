@@ -1,4 +1,4 @@
-"""Why a plan uses what it uses: what that serves, and what it would cost to do without."""
+"""Why a plan uses a unit, a transformation or an output: the targets that it serves, and the cost of removing it."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from cfgplan.validity import unused_required
 
 
 class Choice(StrEnum):
-    """How a planner came to use something, or not to."""
+    """The planner's reason to use a subject, or not to."""
 
     FORCED = "forced"
-    """There is no plan without it."""
+    """No plan exists without it."""
     CHEAPER = "cheaper"
-    """The next best plan costs more, or has more of what is minimised before the cost."""
+    """The next best plan costs more, or is worse in an objective before the cost."""
     LESS_CHANGE = "less change"
     """The next best plan costs the same, but rewires or starts more units."""
     TIE = "tie"
@@ -31,7 +31,7 @@ class Choice(StrEnum):
     IMPOSSIBLE = "impossible"
     """It is not used, and no plan can use it without leaving another required transformation unused."""
     UNREAD = "unread"
-    """An output that nothing reads; what it would cost to read it is not asked."""
+    """An output without subscribers; the cost of using it is not computed."""
     UNDECIDED = "undecided"
     """The planner did not find out in time."""
 
@@ -51,13 +51,13 @@ def _why_summary(why: Why) -> Summary:
 @summarised(_why_summary)
 @dataclass(frozen=True)
 class Why:
-    """Why a plan uses `subject`, or why not: a unit, the units of a transformation, or an output of them.
+    """Why a plan uses `subject`, or why not: a unit, the units of a transformation, or one of their outputs.
 
-    `units` are those concerned that run after the update; if there are none, it is not used. They serve `targets`
-    and feed `consumers` (as unit/port). `otherwise` is the next best plan: without the subject, or with it if it
-    is not used. It costs `difference_us` more, whatever the largest cost is; then it runs the transformations
-    `more`, and not those in `less`. Of what is minimised, `decides` is the first in which it differs, by `difference`
-    more; it is the cost if it differs in nothing. If `is_spare`, the units are there for when something fails.
+    `units` are the units concerned that run after the update; empty if the subject is not used. They serve `targets`
+    and feed `consumers` (as unit/port). `otherwise` is the next best plan: without the subject, or with it if it is not
+    used. It costs `difference_us` more, whatever the largest cost is, and then runs the transformations `more` but not
+    those in `less`. `decides` is the first objective in which it differs, by `difference` more; the cost if it differs
+    in none. If `is_spare`, the units are spares, ready for a failure.
     """
 
     subject: str
@@ -155,7 +155,7 @@ def _why(
 
 
 def _feeding_what_stays(problem: Problem, planner: Planner, label: str) -> Plan | None:
-    """The best plan in which a transformation serves what runs anyway, such as pinned units, if there is one."""
+    """Return the best plan in which `label` serves units that run anyway, such as pinned ones; None if no plan does."""
     if Feature.SURVIVAL in problem.features:
         return None
     kept = Kept(problem)
@@ -187,7 +187,9 @@ def _choice(plan: Plan, otherwise: Plan) -> Choice:
 
 
 def _apart(plan: Plan, otherwise: Plan) -> tuple[Objective, int]:
-    """The first objective in which two plans differ, and how much more of it the other has; the cost if in none."""
+    """Return the first objective in which two plans differ, and the other's surplus; the cost if they differ
+    in none.
+    """
     both = zip(plan.measured, otherwise.measured, strict=True)
     differences = ((one.objective, other.value - one.value) for one, other in both)
     return next((each for each in differences if each[1]), (Objective.COST, 0))
@@ -218,7 +220,7 @@ def _running_with(environment: Environment, units: Iterable[ComputationUnit]) ->
 
 
 def _readers(environment: Environment, units: Iterable[ComputationUnit], port: str | None) -> tuple[str, ...]:
-    """Who subscribes to the units, or to one output of them: inputs as unit/port, and topics."""
+    """Return the subscribers of the units, or of one of their outputs: inputs as unit/port, and topics."""
     ids = {unit.id for unit in units}
     readers = (
         f"{user.id}/{s.port}"

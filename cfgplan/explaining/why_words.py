@@ -71,6 +71,6 @@ def choice_line(why: Why) -> str:
 
 
 def named_labels(what: str, labels: frozenset[str] | tuple[str, ...]) -> str:
-    """Labels with what they are: `targets a, b`."""
+    """Return labels after their kind `what`: `targets a, b`."""
     plural = "s" if what == "target" and len(labels) > 1 else ""
     return f"{what}{plural} {some(sorted(labels))}"

@@ -1,8 +1,8 @@
-"""Faults in the wiring of the running configuration, the probable fault first.
+"""Faults in the wiring of the running configuration, the most probable fault first.
 
-Broken rules are the judge's. To them come inputs that may stay unfed but look as if they should not, and streams that
-nobody takes. Beside an input stand the streams that come near to what it needs: a wrong name somewhere makes a pair of
-them, an input that nobody feeds and a stream of its kind that nobody takes.
+The judge reports broken rules. This module adds optional inputs that probably should be fed, and streams that no unit
+subscribes to. Each input is listed with the streams most similar to its demand: one misspelt topic name leaves both
+an input without a stream and a similar stream without a subscriber.
 """
 
 from __future__ import annotations
@@ -19,53 +19,53 @@ from cfgplan.matching import Nearest
 from cfgplan.validity import Rule, Violation
 
 MOST_NEAR = 3
-"""How many near streams are told of an input."""
+"""The number of similar streams listed for an input."""
 ALIKE = 0.6
-"""How like the texts of two tags are, at least, for a stream to be told where none is near by its meaning."""
+"""The least likeness of two tags' texts for a stream to be listed, if none is similar by meaning."""
 _SERVICE = re.compile(r"\b(srv|action)\b")
-"""What the type of an output says that answers requests; who asks now and then is not known, so all are taken."""
+"""The mark of a service in an output's type; its occasional clients are unknown, so it never counts as unused."""
 
 
 class Suspicion(IntEnum):
-    """How probable it is that a fault is the one to mend first: the smaller the more."""
+    """A kind of wiring fault; the smaller the value, the more probably it is the cause and to be mended first."""
 
     REMAP = 0
     """A node is told to rename a topic that it does not have."""
     QOS = 1
     """Nodes that are wired directly do not hear each other, since their qualities of service do not fit."""
     STOPPED = 2
-    """An input is not fed, and what would feed it does not run."""
+    """An input is not fed, and its possible feeder does not run."""
     CLASH = 3
-    """A stream comes to an input that does not match it."""
+    """An input is fed by a stream that does not match it."""
     PAIR = 4
-    """An input is not fed, and nobody takes a stream that comes near."""
+    """An input is not fed, and a similar stream has no subscriber."""
     NUMBER = 5
     """An input takes too many streams or too few."""
     PERHAPS = 6
-    """An input that may stay unfed is one of a pair."""
+    """An optional input is not fed, and a similar stream has no subscriber."""
     TAKEN = 7
-    """An input is not fed, and others take what comes near."""
+    """An input is not fed, and the similar streams have other subscribers."""
     NAMESAKE = 8
-    """An input is not fed, and what comes near does so by name only."""
+    """An input is not fed, and the similar streams are so by name only."""
     OTHER = 9
     """Another rule is broken."""
     ALONE = 10
-    """An input is not fed, and nothing comes near."""
+    """An input is not fed, and no stream is similar."""
     NEEDLESS = 11
-    """A unit runs that no target needs, mostly because it feeds an input no more."""
+    """A unit runs that no target needs, mostly because it no longer feeds an input."""
     UNTAKEN = 12
-    """Nobody takes a stream."""
+    """A stream has no subscriber."""
 
 
 _ODD: Mapping[Suspicion, str] = {Suspicion.REMAP: "remap", Suspicion.QOS: "qos", Suspicion.UNTAKEN: "untaken"}
-"""What is odd where no rule is broken; an input that is not fed if a suspicion is not here."""
+"""The oddity of each suspicion that breaks no rule; a suspicion that is missing here is an unfed input."""
 
 
 @dataclass(frozen=True, slots=True)
 class NearStream:
-    """A stream that comes near to what an input needs, whether anyone takes it, and how like it is (0 to 1).
+    """A stream similar to an input's demand, whether it has subscribers, and its likeness (0 to 1).
 
-    One that does not run is named by its transformation instead of a unit.
+    A stream that does not run is named by its transformation instead of a unit.
     """
 
     stream: Stream
@@ -85,7 +85,7 @@ class NearStream:
 
 @dataclass(frozen=True, slots=True)
 class WiringFault:
-    """Something that is wrong, or odd, with the wiring; odd is what breaks no rule: then there is no violation."""
+    """A wrong or an odd wiring; an odd one breaks no rule, and its `violation` is None."""
 
     suspicion: Suspicion
     text: str
@@ -103,7 +103,7 @@ class WiringFault:
 
     @property
     def breaks(self) -> bool:
-        """Whether the configuration does not work by it."""
+        """Whether the fault keeps the configuration from working."""
         return self.violation is not None or self.suspicion is Suspicion.QOS
 
     @property
@@ -157,7 +157,7 @@ def _input_of(environment: Environment, violation: Violation) -> tuple[Computati
 
 
 class _Wiring:
-    """The streams of running units, and who takes them."""
+    """The streams of running units, and their subscribers."""
 
     def __init__(self, environment: Environment, near: Mapping[str, Sequence[Nearest]]) -> None:
         self._environment = environment
@@ -222,7 +222,7 @@ class _Wiring:
         return tuple(islice(streams, MOST_NEAR))
 
     def _nearest(self, unit: ComputationUnit, port: InputPort) -> tuple[NearStream, ...]:
-        """The streams of others that come nearest to what an input needs, or else are called nearly so."""
+        """Return the other units' streams most similar to an input's demand, or else those with similar names."""
         alike = (Nearest(offered, (port.tag,)) for offered in self._offering if likeness(offered, port.tag) >= ALIKE)
         found: list[NearStream] = []
         meant = (offer for offer in self._near.get(port.tag, ()) if not offer.by_name)
@@ -248,7 +248,7 @@ def _of_unfed(near: Sequence[NearStream]) -> Suspicion:
 
 
 def likeness(one: str, other: str) -> float:
-    """How like two texts are, from 0 to 1: Dice's coefficient of their runs of three characters."""
+    """Return the likeness of two texts, from 0 to 1: Dice's coefficient of their runs of three characters."""
     ours, theirs = _runs(one), _runs(other)
     return 2 * len(ours & theirs) / (len(ours) + len(theirs))
 

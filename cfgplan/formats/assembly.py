@@ -73,7 +73,7 @@ _PORT_TYPES: dict[Any, Any] = {"inputs": InputPort, "outputs": OutputPort}
 
 
 class Expander:
-    """Makes transformations from their written form; what is wrong is noted where it stands."""
+    """Makes transformations from their written form; each fault is noted at its place in the file."""
 
     def __init__(
         self,
@@ -95,7 +95,7 @@ class Expander:
         self._instances: dict[str, tuple[str, ...] | MatchingError] = {}
 
     def expand(self, entry: Passage, part: fields.TransformationPart) -> Iterator[Transformation]:
-        """The transformations that one written transformation stands for; none if it has faults."""
+        """Return the transformations that one written transformation expands to; empty if it has faults."""
         if "$" not in str(vars(part)):
             yield from self._filled(entry, part, part, {})
             return
@@ -349,14 +349,14 @@ def _build(document: Document, vocabulary: TagVocabulary) -> EnvironmentFile:
 
 
 def _parts(document: Document, kind: str, faults: list[Fault]) -> Iterator[tuple[Passage, Any]]:
-    """The transformations, targets or units of all files, each with where it stands."""
+    """Return the transformations, targets or units of all files, each with its place."""
     for file in document.files:
         for index, part in getattr(file, kind):
             yield Passage(file.source, (kind, index), faults), part
 
 
 def _wants_one_thing(entry: Passage, part: fields.TargetPart) -> bool:
-    """Whether a target says `topic` and `tag`, or else `run` and nothing that is said of a stream."""
+    """Return whether a target has `topic` and `tag`, or else `run` and no key about a stream; note each fault."""
     said = [key for key in fields.OF_A_STREAM if getattr(part, key) is not None]
     if part.run is not None:
         for key in said:
@@ -370,7 +370,7 @@ def _wants_one_thing(entry: Passage, part: fields.TargetPart) -> bool:
 
 
 class _Names:
-    """The names that are taken, by kind and name, with who took them."""
+    """The names in use, by kind and name, each with the place that took it."""
 
     def __init__(self) -> None:
         self.origins: dict[tuple[str, str], Passage] = {}

@@ -31,7 +31,7 @@ _OTHER_KINDS = {
     ".launch.xml": _LAUNCH_FILE,
     ".py": ("Python code", "name its classes under `source:` of an environment file"),
 }
-"""What somebody may name in place of an environment, by its ending, and what to do with it."""
+"""Files that are mistaken for an environment, by their ending, each with its mend."""
 SUFFIXES = (".yaml", ".yml", ".json", ".xml")
 P = TypeVar("P", bound=BaseModel)
 
@@ -60,7 +60,7 @@ class File:
 
 @dataclass(frozen=True)
 class Document:
-    """An environment as its files say it; `faults` are those of syntax and schema."""
+    """An environment as written in its files; `faults` are those of syntax and schema."""
 
     path: FilePath
     header: fields.EnvironmentPart
@@ -177,7 +177,7 @@ def _read_source(source: Source, part: type[P]) -> tuple[P, File, list[Fault]]:
 
 
 def _other_kind(data: Mapping[str, object]) -> tuple[str, str] | None:
-    """What a mapping is that does not say that it is an environment; None if it may be one."""
+    """Return the kind of a mapping that does not declare an environment, with a mend; None if it may be one."""
     if "format_version" in data and "change_set" in data:
         return "a plan", "name the environment that it was made of; `cfgplan ctl apply` takes a plan"
     if "services" in data and "transformations" not in data:

@@ -1,4 +1,4 @@
-"""Environments and documents as plain data in the environment file's form, and as YAML or XML that says the same."""
+"""Environments and documents as plain data in the environment file's form, and as equivalent YAML or XML."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ _DUMPER: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
 def dump_yaml(data: object) -> str:
-    """Plain data as YAML text; Decimal is written exactly, and a text never looks like something else."""
+    """Return plain data as YAML text; Decimal is written exactly, and a text that looks like another type is quoted."""
     text: str = yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=2**20)
     return text
 
 
 def as_yaml(document: Document) -> str:
-    """A document as one YAML file that says the same; what it includes is written into it. Raises InputError."""
+    """Return a document as one equivalent YAML file, with its includes written into it. Raises InputError."""
     return dump_yaml(plain_document(document))
 
 
 def as_xml(document: Document) -> str:
-    """A document as one XML file that says the same; what it includes is written into it. Raises InputError."""
+    """Return a document as one equivalent XML file, with its includes written into it. Raises InputError."""
     return dump_xml(plain_document(document))
 
 
@@ -175,7 +175,7 @@ def _wish(wish: Wish, environment: domain.Environment) -> dict[str, Any]:
 
 
 def plain_unit(unit: domain.ComputationUnit) -> dict[str, Any]:
-    """A unit as an environment file says it."""
+    """Return a unit in the form of an environment file."""
     topics: dict[str, list[str]] = {}
     for publication in unit.publications:
         topics.setdefault(publication.port, []).append(publication.topic)
@@ -215,7 +215,7 @@ def _target(target: domain.Target, environment: domain.Environment) -> dict[str,
 
 
 class _Dumper(_DUMPER):  # type: ignore[misc]
-    """PyYAML's dumper, with the reader's own idea of which plain scalars are text."""
+    """PyYAML's dumper, which quotes plain scalars by the rules of our reader."""
 
     def ignore_aliases(self, data: object) -> bool:  # noqa: ARG002
         return True

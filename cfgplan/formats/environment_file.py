@@ -18,7 +18,7 @@ from cfgplan.formats.places import Passage, Place
 from cfgplan.planning import Failures
 
 ANY_IMPORT = ""
-"""Stands for every IRI that is imported and can't be found."""
+"""The key that stands for every imported IRI that is not found."""
 
 FoundImports: TypeAlias = tuple[tuple[str, FilePath | None], ...]
 """The file of each IRI that an ontology imports, sorted by IRI; None: the import is ignored."""
@@ -26,9 +26,9 @@ FoundImports: TypeAlias = tuple[tuple[str, FilePath | None], ...]
 
 @dataclass(frozen=True)
 class EnvironmentFile:
-    """An environment, what else planning needs, and where its parts are written.
+    """An environment, the other inputs of planning, and the places of its parts.
 
-    `origins` maps ("transformation", label), ("unit", id) and ("target", label) to where that is written.
+    `origins` maps ("transformation", label), ("unit", id) and ("target", label) to their places.
     """
 
     path: FilePath
@@ -46,11 +46,11 @@ class EnvironmentFile:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 (hex) of all that a plan depends on, the ontology files, `imports`, `rules` and `prefer` too.
+        """SHA-256 (hex) of all input of a plan, including the ontology files, `imports`, `rules` and `prefer`.
 
-        Of facts it counts which transformations they leave out, not their values.
-        Comments, the order of lists and fields that planning does not use don't count. Nor do imported files that
-        `imports` does not name: to find them would take reading ontologies.
+        For facts, only the transformations that they leave out count, not their values. Comments, the order of lists
+        and fields that planning does not use don't count, nor do imported files that `imports` does not name: to find
+        them would take reading ontologies.
         """
         content: list[object] = [
             self.horizon_s,
@@ -143,7 +143,7 @@ _HELD: Mapping[type[fields.Part], str] = {
     fields.UnitPart: "id transformation inputs topics host standby",
     fields.TargetPart: "label topic tag priority quality host",
 }
-"""The keys that digests hold apart. Any other that planning uses counts unless it is default."""
+"""The keys with a part of their own in digests. Any other key that planning uses counts if it is not default."""
 
 
 def later_fields(part: type[fields.Part], value: object) -> dict[str, object]:
@@ -181,7 +181,7 @@ def _later_parts(environment: Environment) -> Iterator[list[object]]:
 
 
 def _beyond_the_paper(environment: Environment, survive: Failures | None) -> list[object]:
-    """What goes beyond the paper; every entry is empty in an environment without it."""
+    """Return the values beyond the paper; every entry is empty for an environment of the paper."""
     placed, library = bool(environment.hosts), environment.library
     measured = bool(environment.qualities)
     numbered = (t for t in library if t.conflicts or t.min_instances or t.max_instances is not None)

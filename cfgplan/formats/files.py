@@ -1,4 +1,4 @@
-"""Files to plain data: whatever keeps a file from being read is one clear fault."""
+"""Files to plain data: every cause that keeps a file from being read is one clear fault."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _UNREADABLE: dict[type[Exception], tuple[str, str]] = {
     IsADirectoryError: ("this is a folder, not a file", "name the file in it"),
     PermissionError: ("the file may not be read", "make it readable for you, such as by `chmod u+r`"),
 }
-"""What is told of an error, and how to mend it."""
+"""The message and the mend for each kind of error."""
 
 
 def read_source(path: Path) -> Source:

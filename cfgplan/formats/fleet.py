@@ -1,4 +1,4 @@
-"""Hosts and quality attributes as written, and what transformations, units and targets say of them."""
+"""Hosts and quality attributes as written, and the references of transformations, units and targets to them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from cfgplan.selectors import selector
 
 
 class FleetReader:
-    """The hosts and attributes of one document; what is wrong goes into `faults`."""
+    """The hosts and attributes of one document; faults are added to `faults`."""
 
     def __init__(self, document: Document, left_out: LeftOut, faults: list[Fault]) -> None:
         self._left_out = left_out
@@ -77,7 +77,7 @@ class FleetReader:
         self.survive = self._survived(main.at("survive"), header.survive, has_hosts=bool(header.hosts))
 
     def _note_fact(self, entry: Passage, name: str, part: FactPart) -> None:
-        """Take a fact in; what does not go together is noted, and leaves the fact unobserved."""
+        """Add a fact; a contradiction among its keys is noted, and leaves the fact unobserved."""
         said = part.values()
         if misfit := misfit_of_fact(said):
             key, message, mend = misfit
@@ -111,7 +111,7 @@ class FleetReader:
         return Failures(written) if isinstance(written, str) else None
 
     def choice(self, names: Iterable[str]) -> tuple[str, ...]:
-        """The hosts that some names stand for, the name of several copies for all of them."""
+        """Return the hosts that some names stand for; the name of several copies stands for all of them."""
         return tuple(dict.fromkeys(host for name in names for host in self.copies.get(name, (name,))))
 
     def check_host(self, entry: Passage, name: str, *, is_choice: bool = False) -> None:
@@ -151,7 +151,7 @@ class FleetReader:
         return not misfits
 
     def host_of(self, entry: Passage, part: UnitPart, only: str | None) -> str | None:
-        """Where a unit runs: where it says, or the only host that its transformation allows."""
+        """Return the host of a unit: the one it names, or the only one that its transformation allows."""
         if part.host is not None:
             self.check_host(entry.at("host"), part.host, is_choice=True)
             return part.host
@@ -209,7 +209,7 @@ class FleetReader:
         return replace(stated, value=curve.at(fact.value), by=curve)
 
     def wishes(self, entry: Passage, part: TargetPart) -> tuple[Wish, ...]:
-        """What a target asks of its stream; `entry` is that of the mapping."""
+        """Return a target's demands on the quality of its stream; `entry` is the target's mapping."""
         found = []
         for name, wish in (part.quality or {}).items():
             attribute = self._attribute(entry.at(name), name)

@@ -31,7 +31,7 @@ _MENDS = {
 
 
 def read_json(text: str, file: str) -> Source:
-    """Read one JSON document; raises InputError where reading can't go on."""
+    """Read one JSON document; raises InputError if it can't be read to the end."""
     repeats: list[str] = []
 
     def mapping(pairs: list[tuple[str, object]]) -> dict[str, object]:

@@ -1,4 +1,4 @@
-"""Parts that were left out for faults of their own: what refers to one of them is not called dangling."""
+"""Parts left out for faults of their own, so that references to them are not reported as dangling."""
 
 from __future__ import annotations
 

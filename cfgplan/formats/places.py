@@ -1,4 +1,4 @@
-"""Where something stands in a file: paths of keys, and the spots that they lead to."""
+"""Places in a file: paths of keys, and the lines and columns that they lead to."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ Locate: TypeAlias = Callable[[Path, bool], Spot]
 
 @dataclass(frozen=True)
 class Source:
-    """A file that was read: plain data, the faults of its syntax, and a way back to its text.
+    """A file that was read: plain data, syntax faults, and a way back to its text.
 
-    Positions are found only when somebody asks, which is when there is an error.
+    Positions are computed only on demand, for an error message.
     """
 
     file: str
@@ -65,7 +65,7 @@ class Source:
 
 
 class Passage(NamedTuple):
-    """A value that a file says: where it stands, and the list that notes what is wrong with it."""
+    """A value in a file: its place, and the list for its faults."""
 
     source: Source
     path: Path

@@ -1,7 +1,7 @@
-"""Plans as JSON: what `solve --out` writes and whatever applies a plan reads.
+"""Plans as JSON, written by `solve --out` and read by every command that applies a plan.
 
-Costs are integers in microseconds; the keys that end in `_s` say the same in CPU seconds for people, and
-are not read back. `environment` is the digest of the environment that the plan was made for.
+Costs are integers in microseconds; the keys that end in `_s` say the same in CPU seconds for people, and are not read
+back. `environment` is the digest of the environment that the plan was made for.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class PlannedUnit(_PlanPart):
 
 
 class ChangeSetPart(_PlanPart):
-    """Definition 6: what starts, what is wired anew, what stops."""
+    """Definition 6: units to start, to rewire and to stop."""
 
     started: list[PlannedUnit] = []
     rewired: list[PlannedUnit] = []
@@ -159,10 +159,10 @@ def dump_plan(plan: Plan, problem: Problem, digest: str, basis: Mapping[str, Map
 
 
 def load_plan(path: str | os.PathLike[str], digest: str | None = None) -> Plan:
-    """The plan in a file; raises InputError, also if it was made for another environment than `digest`.
+    """Return the plan in a file; raises InputError, also if it was made for another environment than `digest`.
 
-    Only the form is checked, and the environment if `digest` is given; costs, wiring and proofs are not. For a plan
-    that is to be carried out call `cfgplan.load_plan`, which asks the judge.
+    Only the form is checked, and the environment if `digest` is given; costs, wiring and proofs are not. To carry out a
+    plan, call `cfgplan.load_plan`, which asks the judge.
     """
     source = read_json(read_text(FilePath(path)), str(path))
     part = _plan_part(source)

@@ -1,4 +1,4 @@
-"""Running units as written: what they refer to must be there, and they may not feed each other in a ring."""
+"""Running units as written: their references must exist, and they must not feed each other in a cycle."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ MOST_CYCLES_SHOWN = 10
 
 
 class UnitChecker:
-    """Makes units from `parts`, each with where it stands, by id; what is wrong is noted there.
+    """Makes units from `parts`, each with its place, by id, and notes faults at their places.
 
-    A reference to what may be a part that is left out for its own faults is no fault.
+    A reference is no fault if it may name a part that was left out for its own faults.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class UnitChecker:
                 yield Subscription(port, stream)
 
     def _each(self, entry: Passage, streams: Sequence[str]) -> list[tuple[Passage, str]]:
-        """The streams of a list with their places; one that is there twice is noted."""
+        """Return the streams of a list with their places; a stream listed twice is noted."""
         for index, stream in enumerate(streams):
             if stream in streams[:index]:
                 entry.at(index).note(f"`{stream}` feeds the input twice", "name it once")

@@ -1,7 +1,7 @@
-"""What an unquoted YAML scalar means: the core schema of YAML 1.2.
+"""The value of an unquoted YAML scalar, by the core schema of YAML 1.2.
 
-`on`, `no` and dates are text, as JSON Schema editors see them; numbers with a point or an exponent
-become Decimal, so that a cost is exactly what was written.
+`on`, `no` and dates are text, as JSON Schema editors see them; numbers with a point or an exponent become Decimal, so
+that a cost is exactly as written.
 """
 
 from __future__ import annotations

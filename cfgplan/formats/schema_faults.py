@@ -36,7 +36,7 @@ _SYNONYMS: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(("machines", "computers", "robots"), ("hosts",)),
     **dict.fromkeys(("value", "default"), ("declared",)),
 }
-"""What people write for keys, and the keys that they may mean."""
+"""Words that people write instead of keys, and the keys that they may mean."""
 _EACH_MEANS = {
     "upkeep": "CPU seconds of each second that it runs",
     "labor": "CPU seconds of one start",
@@ -79,7 +79,7 @@ def _meant_keys(error: Any, root: Path, part: type[BaseModel]) -> tuple[str, ...
 
 
 def _keys_like(name: str, known: Collection[str]) -> tuple[str, ...]:
-    """The known keys that an unknown one stands for: by what it means, or else by its spelling."""
+    """Return the known keys that an unknown one may stand for: its synonyms, or else those of similar spelling."""
     said = tuple(key for key in _SYNONYMS.get(name.casefold(), ()) if key in known)
     return said or tuple(close_names(name, known))
 
@@ -223,7 +223,7 @@ def _as_text(path: Path, written: str | None, value: object) -> str:
 
 
 def _as_number(path: Path, wanted: str, value: object) -> str:
-    """The mend of a value that is no number, or no whole one; what its unit says is converted."""
+    """Return the mend of a value that is no number, or no whole one; a value with a unit is converted."""
     is_whole = wanted.startswith("a whole")
     if isinstance(value, Decimal) and value.is_finite() and abs(value) < LARGEST_AMOUNT:
         return f"write a whole number, such as {ceil(value)}"

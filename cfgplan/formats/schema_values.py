@@ -58,7 +58,7 @@ def _member(kind: type[Enum]) -> AfterValidator:
 
 
 def _taken(convert: Callable[[Any], T], value: object) -> T:
-    """What the domain makes of a value; its refusal, in words, is pydantic's."""
+    """Return the converted value; the domain's error becomes pydantic's, with the same words."""
     try:
         return convert(value)
     except InvalidValueError as error:
@@ -88,7 +88,7 @@ def _seconds(value: object) -> int:
 
 
 def _silence(value: object) -> int:
-    """How long a unit may give no sign of life, in microseconds; 0 for ever."""
+    """Return how long a unit may be silent, in microseconds; 0: without limit."""
     silence_us = _seconds(value)
     _taken(lambda hang_us: RunOptions(hang_us=hang_us), silence_us)
     return silence_us
@@ -270,18 +270,18 @@ def list_or_mapping(value: object) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """How a file says a value of the domain, where that is not the value itself."""
+    """The written form of a domain's value, if that is not the value itself."""
 
     plain: Callable[[Any], object]
 
 
 def plain_cost(cost_us: int) -> Decimal | int:
-    """A cost in CPU seconds, or a time in seconds; whole where it is."""
+    """Return a cost in CPU seconds, or a time in seconds; an int if it is whole."""
     return _whole_if_it_is(seconds(cost_us))
 
 
 def plain_quality(micro: int) -> Decimal | int:
-    """A value of a quality attribute, whole where it is."""
+    """Return a value of a quality attribute; an int if it is whole."""
     return _whole_if_it_is(units(micro))
 
 
@@ -290,15 +290,15 @@ def _whole_if_it_is(value: Decimal) -> Decimal | int:
 
 
 FileName = Annotated[str, Field(pattern=NAME_PATTERN)]
-"""The name of a file stays as it is written; all other names are spelled in one way."""
+"""A file's name, kept as written; all other names are normalised."""
 FileList = Annotated[list[FileName], *_ONCE_EACH]
 Name = Annotated[FileName, AfterValidator(normal)]
 Names = Annotated[list[Name], *_ONCE_EACH]
 PortName = Annotated[str, Field(pattern=PORT), AfterValidator(normal)]
 StreamName = Annotated[Name, WithJsonSchema({"type": "string", "pattern": rf"^(?=.+/[^/]+$){NAME_PATTERN[1:]}"})]
-"""UNIT/PORT; what has no slash is told in words of its own."""
+"""UNIT/PORT; a missing slash has an error message of its own."""
 StreamNames = Annotated[list[StreamName], _UNIQUE]
-"""Streams that feed an input; what is there twice is told in words of its own."""
+"""Streams that feed an input; a repeated stream has an error message of its own."""
 TagText = Annotated[
     str, Field(min_length=1, description="a concept in description logic, or the paper's P(a)"), AfterValidator(normal)
 ]
@@ -361,7 +361,7 @@ Fact = Annotated[
     ),
     Written(_plain_fact),
 ]
-"""What is so of a fact."""
+"""The value of a fact."""
 StateName = Annotated[
     bool | str,
     PlainValidator(_state),

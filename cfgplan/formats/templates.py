@@ -25,7 +25,7 @@ class BadTemplateError(ValueError):
 
 
 Variable = tuple[str, str]
-"""A class and the name that tells variables over one class apart; the name may be empty."""
+"""A class, and a name to distinguish variables over the same class; it may be empty."""
 
 
 def variables(text: str) -> Iterator[tuple[Variable, int]]:

@@ -1,12 +1,12 @@
 """Sets of the Web Service Challenge 2008 as environments.
 
-A service is a transformation that costs 1 CPU second of labor; what is provided is one that costs nothing; each
+A service is a transformation that costs 1 CPU second of labor; a provided instance is one that costs nothing; each
 wanted instance is a target. So the cheapest update is the composition with the fewest services.
 
-For the shortest length the services are unrolled by layers: at layer k a service uses what is there by layer
-k - 1. Its tags are intersections such as `con12 and by3`, where by0 is below by1, by1 below by2, and so on.
-How many layers suffice follows from a forward closure; the cheapest update is then the composition with the
-fewest services among the shortest ones.
+For the shortest length the services are unrolled by layers: a service at layer k uses instances available by layer k -
+1. Its tags are intersections such as `con12 and by3`, where by0 is below by1, by1 below by2, and so on. A forward
+closure gives the number of layers; the cheapest update is then the composition with the fewest services among the
+shortest ones.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def wsc_texts(
 
 
 def shortest_length(test_set: TestSet) -> int | None:
-    """The fewest layers of services that make all that is wanted; None if no composition does."""
+    """Return the fewest layers of services that make all wanted instances; None if no composition does."""
     first = _first_layers(test_set)
     layers = [first.get(test_set.concept[instance]) for instance in test_set.wanted]
     return None if None in layers else max((layer for layer in layers if layer is not None), default=0)
@@ -117,7 +117,7 @@ def _by(layer: int) -> str:
 
 
 def _first_layers(test_set: TestSet) -> dict[str, int]:
-    """For each concept that can be had at all, the first layer after which it is there (0: provided)."""
+    """Return, for each reachable concept, the first layer after which it is available (0: provided)."""
     first: dict[str, int] = {}
     fresh = {c for instance in test_set.provided for c in test_set.above(test_set.concept[instance])}
     needing: dict[str, list[Service]] = defaultdict(list)

@@ -57,7 +57,7 @@ def read_test_set(folder: Path) -> TestSet:
 
 
 def unread(folder: Path) -> tuple[str, ...]:
-    """What a set says and nobody reads: attributes of services, such as their quality, and other files beside it."""
+    """Return the unused parts of a set: attributes of services, such as their quality, and other files beside it."""
     services = _SetFile(folder / "services.xml").root.children
     attributes = {name for service in services for name in service.attributes} - {"name"}
     files = {path.name for path in folder.iterdir() if path.suffix.lower() in (".owl", ".wsla", ".wsdl", ".bpel")}
@@ -65,7 +65,7 @@ def unread(folder: Path) -> tuple[str, ...]:
 
 
 class _SetFile:
-    """One file of a set. `faults` are its instances that are not in `concept`, and what is missing."""
+    """One file of a set. `faults` are its instances that are not in `concept`, and missing elements."""
 
     def __init__(self, path: Path, concept: Collection[str] = ()) -> None:
         self.file = str(path)

@@ -86,7 +86,7 @@ def _unit(part: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _attributes(part: type[fields.Part], data: Mapping[str, Any]) -> dict[str, object]:
-    """The attributes of a part. Raises InvalidValueError for what neither attributes nor elements can say."""
+    """Return the attributes of a part. Raises InvalidValueError for a value that XML can't express."""
     for key, row in part.rows().items():
         is_attribute = row.xml not in (None, fields.ELEMENT, fields.UNSAID)
         if data.get(key) and (row.xml is None or (is_attribute and isinstance(data[key], list | dict))):

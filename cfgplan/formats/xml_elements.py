@@ -1,7 +1,7 @@
 """XML as a tree of elements that know their places.
 
-Document types are refused outright, and with them every entity that could expand or reach outside; what
-is left of XML can't blow up.
+Document types are refused outright, and with them every entity that could expand or reach outside: the remaining XML
+can't blow up.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ class XmlElement:
     text: str = ""
 
     def __iter__(self) -> Iterator[XmlElement]:
-        """This element and all that are in it, in the order of the text."""
+        """Yield this element and all elements inside it, in the order of the text."""
         yield self
         for child in self.children:
             yield from child
 
     def close(self) -> None:
-        """Join the pieces of the text: there are no more to come."""
+        """Join the pieces of the text after the last one."""
         whole = "".join([piece for piece, _, _ in self.pieces])
         self.text = whole if self.attributes.get("xml:space") == "preserve" else whole.strip(XML_BLANK)
 

@@ -1,7 +1,7 @@
 """The paper's XML specifications (Listings 1 and 2) as plain data in the environment file's form.
 
-What the paper's XML lacks is added as attributes, one for each field that is a text, a number or a flag, and as the
-elements run, unit, ontology, prefer, include, and the root environment.
+Fields that the paper's XML lacks are attributes if they are a text, a number or a flag; the others are the elements
+run, unit, ontology, prefer, include, and the root environment.
 """
 
 from __future__ import annotations

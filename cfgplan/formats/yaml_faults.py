@@ -1,6 +1,6 @@
-"""What is wrong with a text that is no YAML: the line where the slip is, and what to write there.
+"""Faults of a text that is no YAML: the line of the slip, and its mend.
 
-The parser names the first place that it can't go on from. A missing colon, bracket or quote is often before it.
+The parser names the first place where it can't continue. A missing colon, bracket or quote is often before it.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def _in_words(problem: str) -> str:
 
 
 def _slip(problem: str, mark: yaml.Mark, begin: yaml.Mark, lines: list[str]) -> _Slip:
-    """What was meant where the parser stops at `mark`, inside of what begins at `begin`."""
+    """Return the probable slip if the parser stops at `mark`, inside the node that begins at `begin`."""
     here = lines[mark.line] if mark.line < len(lines) else ""
     at = _Slip(mark.line, mark.column, "check the indentation and the quotes here")
     if "\t" in here[: mark.column + 1] and not here[: mark.column].strip():
@@ -91,7 +91,7 @@ def _colon(written: str) -> str:
 
 
 def _second_colon(before: str, number: int, lines: list[str]) -> str:
-    """The mend of a line with a `: ` where the parser is inside a value: of this line, or of the line above."""
+    """Return the mend of a line with a `: ` inside a value that begins on this line, or on the line above."""
     if pair := _PAIR.search(before + ": "):
         value = lines[number][pair.end() :]
         if pair.end() < len(before):
@@ -132,7 +132,7 @@ def _flow(problem: str, mark: yaml.Mark, begin: yaml.Mark, lines: list[str]) -> 
 
 
 def _line_between(mark: yaml.Mark, begin: yaml.Mark, lines: list[str]) -> str:
-    """The mend of a line that continues neither the list or mapping that begins at `begin` nor what it holds."""
+    """Return the mend of a line that continues neither the list or mapping that begins at `begin` nor its content."""
     rest = lines[mark.line][mark.column :] if mark.line < len(lines) else ""
     before = lines[mark.line][: mark.column] if mark.line < len(lines) else ""
     if before.strip():

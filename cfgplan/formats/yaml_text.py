@@ -24,7 +24,9 @@ _NO_KEY = object()
 
 
 def read_yaml(text: str, file: str) -> Source:
-    """Read one YAML document; its data is None if there is none. Raises InputError where reading can't go on."""
+    """Read one YAML document; its data is None if the text is empty. Raises InputError if it can't be read to
+    the end.
+    """
     with no_garbage_collection():
         try:
             data, faults = _YamlReading(text, file).document()

@@ -1,5 +1,5 @@
-"""What each axiom of OWL 2 says, as statements of five kinds: the fast engine, finite models and the check of a model
-read all axioms by this one table.
+"""Each axiom of OWL 2 as statements of five kinds: the one table by which the fast engine, the finite models and the
+check of models read axioms.
 
 Reference: OWL 2 Direct Semantics (W3C, 2012), section 2.3.
 """
@@ -34,7 +34,7 @@ class DisjointExpressions:
 
 @dataclass(frozen=True, slots=True)
 class Subrole:
-    """What the role `sub`, or a chain of roles, links, the role `sup` links too."""
+    """Every pair linked by the role `sub`, or by a chain of roles, is also linked by the role `sup`."""
 
     sub: Tree
     sup: Tree
@@ -59,7 +59,7 @@ Statement: TypeAlias = Subclass | DisjointExpressions | Subrole | DisjointRoles 
 
 
 def statements_of(axiom: Tree) -> Sequence[Statement] | None:
-    """What an axiom says; None for a kind of axiom that is not known here, such as rules and keys."""
+    """Return an axiom's statements; None for an axiom of an unsupported kind, such as rules and keys."""
     said = _SAID.get(str(axiom[0]))
     return None if said is None else said(axiom[1:])
 
@@ -128,4 +128,4 @@ _SAID: Final[Mapping[str, Callable[[Sequence[Tree]], Sequence[Statement]]]] = {
     "DataPropertyAssertion": lambda p: (Subclass(*_valued(p)),),
     "NegativeDataPropertyAssertion": lambda p: (_denied(*_valued(p)),),
 }
-"""What the arguments of each kind of axiom say."""
+"""The function from the arguments of each kind of axiom to its statements."""

@@ -1,7 +1,7 @@
-"""Answers kept on disk between runs, keyed by a hash of the axioms and of what the tags mean.
+"""Answers kept on disk between runs, keyed by a hash of the axioms and of the tags' concepts.
 
-Files are written whole or not at all; one that is damaged, or was written by something else, is ignored and
-written anew. A cache that can't be written is no error: the answers are just not kept.
+Files are written whole or not at all; a damaged or foreign file is ignored and overwritten. A cache that can't be
+written is no error: the answers are just not kept.
 """
 
 from __future__ import annotations

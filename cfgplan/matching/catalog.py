@@ -1,6 +1,6 @@
-"""Catalogs of ontologies as Protégé keeps them beside ontologies: which file an imported IRI is.
+"""Catalogs as Protégé keeps them beside ontologies: the file of each imported IRI.
 
-Reference: XML Catalogs (OASIS Standard V1.1, 2005), of which `uri`, `group`, `nextCatalog` and `xml:base` are read.
+Reference: XML Catalogs (OASIS Standard V1.1, 2005). Only `uri`, `group`, `nextCatalog` and `xml:base` are read.
 """
 
 from __future__ import annotations

@@ -26,9 +26,9 @@ MOST_ARCHIVES: Final = 3
 NO_HURRY_S: Final = 30.0
 """The least time limit of a question after which an archive may be made."""
 _MAKING_S: Final = 60.0
-"""How long Java may take for one part of the archive."""
+"""The most seconds for Java to make one part of the archive."""
 _ABANDONED_S: Final = 600.0
-"""How long after its beginning an archive that is not ready was given up by the process that made it."""
+"""Seconds after which an unfinished archive counts as abandoned by the process that made it."""
 _ARCHIVE_VERSION: Final = "1"
 _JAVA_ARCHIVE: Final = "java.jsa"
 _OWN: Final = "hermit.jsa"
@@ -40,7 +40,7 @@ SubClassOf(<t:A> ObjectSomeValuesFrom(<t:r> <t:B>)) SubClassOf(<t:B> ObjectUnion
 
 @dataclass(frozen=True)
 class ClassArchive:
-    """The archive for one Java with its options and a jar; its folder is there while it is made and then."""
+    """The class archive of one Java with its options and a jar; `folder` exists as soon as it is being made."""
 
     folder: Path
     java: str
@@ -50,7 +50,7 @@ class ClassArchive:
 
     @property
     def flags(self) -> Sequence[str]:
-        """The options that let Java use the archive; none while it is not there."""
+        """The options that let Java use the archive; empty while it does not exist."""
         base, own = self.folder / _JAVA_ARCHIVE, self.folder / _OWN
         if not own.exists():
             return ()

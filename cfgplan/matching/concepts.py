@@ -1,4 +1,4 @@
-"""Class expressions of description logic as hashable values, equal when they are written alike.
+"""Class expressions of description logic as hashable values, equal if they are written the same.
 
 Conjunctions and disjunctions are sets: the order of their parts and repetitions don't count. Names are IRIs.
 """

@@ -1,15 +1,14 @@
 """Pairs of tags that certainly do not match, by finite models of the ontology.
 
-That an offered tag is not below a demanded one is shown by one model in which some thing has the offered tag and not
-the demanded one. Such a model is looked for by reading the ontology as a program that gives things what its axioms
-say they have: a union gives one of its parts (another in the next model), restrictions share the things that they
-need, at most n things are made by merging. What is built in this way says more than the ontology, or breaks it; so it
-is checked afterwards. Things that break an axiom are left out, and so are those that need them, until nothing breaks
-any axiom. What is left is a model of every axiom, whatever was done to build it, as long as there is something
-for each individual: that is all that the answers rest on.
+One model in which a thing has the offered tag and not the demanded one shows that the offered tag is not below the
+demanded one. To build models, the ontology is read as a program that gives things what its axioms say they have: a
+union gives one of its parts (another in the next model), restrictions share the things that they need, at most n things
+are made by merging. The resulting structure may say more than the ontology or break it, so it is checked: things that
+break an axiom are removed with all things that need them, until no axiom is broken. The rest is a model of every axiom,
+however it was built, as long as it has a thing for each individual. The answers rest on this check alone.
 
-Reference for reading what does not follow from an upper bound of the ontology: Y. Zhou, B. Cuenca Grau, Y. Nenov,
-M. Kaminski, I. Horrocks, "PAGOdA: Pay-as-you-go ontology query answering using a datalog reasoner", JAIR 54 (2015).
+Reference for reading non-entailments from an upper bound of the ontology: Y. Zhou, B. Cuenca Grau, Y. Nenov, M.
+Kaminski, I. Horrocks, "PAGOdA: Pay-as-you-go ontology query answering using a datalog reasoner", JAIR 54 (2015).
 """
 
 from __future__ import annotations
@@ -54,7 +53,9 @@ class _OutOfTimeError(Exception):
 
 @dataclass
 class _Rule:
-    """What is in a statement's left side is put into its right one. `seen` is the clock at its last application."""
+    """Members of a statement's left side become members of its right side. `seen` is the clock at its last
+    application.
+    """
 
     statement: Subclass | Subrole | Subvalue
     seen: int = -1
@@ -180,7 +181,7 @@ class _Model:
             changed = _some(self._apply(rule) for rule in self._rules)
 
     def _apply(self, rule: _Rule) -> bool:
-        """Give things what a rule says they have. Returns whether something changed."""
+        """Apply a rule to all things. Returns whether something changed."""
         structure, sub, sup = self.structure, rule.statement.sub, rule.statement.sup
         if not structure.has_changed(symbols_of(sub) | symbols_of(sup), rule.seen):
             return False
@@ -330,7 +331,7 @@ class _Batch:
 
 
 class Countermodels:
-    """Models of one ontology in which offered tags have members, and what they show not to match.
+    """Models of one ontology in which offered tags have members, and the matches that they refute.
 
     The models have a thing for each individual of the ontology and of `individuals`.
     """
@@ -359,9 +360,9 @@ class Countermodels:
         return frozenset().union(*(batch.refuted(demanded) for batch in self._batches))
 
     def build(self, offered: Iterable[Concept], demanded: Collection[Concept], time_limit_s: float | None) -> None:
-        """Look for models that have the new offered concepts, until they refute no further pairs or time is over.
+        """Search for models that have the new offered concepts, until they refute no further pairs or time is over.
 
-        The limit is CPU time: what is found does not hang on what else the computer does.
+        `time_limit_s` is CPU time of this thread, so that other load does not change the result.
         """
         offered = list(offered)
         new = [concept for concept in offered if concept not in self._tried]
@@ -390,8 +391,9 @@ class Countermodels:
                 return
 
     def _exclude(self, offered: Iterable[Concept], demanded: list[Concept], deadline: float | None) -> None:
-        """Build models in which things have offered concepts and none of the demanded ones. If there is no model for
-        all demands together, try each half of them.
+        """Build models in which things have offered concepts and none of the demanded ones.
+
+        If offered concepts remain that are not refuted for all demands, each half of the demands is tried.
         """
         waiting = [demanded] if demanded else []
         while waiting:
@@ -444,7 +446,7 @@ def tree_of(concept: Concept) -> Tree:
 
 
 def _conjuncts(tree: Tree) -> tuple[Tree, ...]:
-    """The parts of a conjunction; of any other expression itself."""
+    """Return the parts of a conjunction; any other expression is its only part."""
     return tree[1:] if isinstance(tree, tuple) and tree[0] == "ObjectIntersectionOf" else (tree,)
 
 
@@ -454,7 +456,7 @@ def _names_one(tree: Tree) -> bool:
 
 
 def _says_not(concept: Concept) -> bool:
-    """Whether a concept says what a thing is not. A minimal model does not refute such a concept."""
+    """Return whether a concept contains ¬, ∀ or ≤. A minimal model does not refute such a concept."""
     return any(isinstance(part, Complement | Only | AtMost) for part in walk(concept))
 
 

@@ -28,7 +28,7 @@ class Derivation:
 
 
 def derivation(offered: Concept, demanded: Concept, ontology: Ontology) -> Derivation | None:
-    """How offered ⊑ demanded follows; None if the fast engine doesn't find it.
+    """Return the derivation of offered ⊑ demanded; None if the fast engine doesn't find one.
 
     No axiom can be left out: by the others the engine does not find it.
     """
@@ -58,7 +58,7 @@ def is_minimal(derived: Derivation, offered: Concept, demanded: Concept, ontolog
 
 
 def fewest(axioms: Sequence[str], follows: Callable[[Sequence[str]], bool]) -> list[str]:
-    """A part of the axioms by which something follows as it does by all of them, and by no smaller part of it."""
+    """Return a minimal part of the axioms for which `follows` is true, as it is for all of them."""
     left = [*axioms]
     size = max(1, len(left) // 2)
     while left:
@@ -83,7 +83,9 @@ _UNNAMED: Final = (
 
 
 def _beside(axioms: Collection[str], ontology: Ontology) -> Iterator[str]:
-    """The axioms that may be needed beside those of the steps: of properties, and about the literals of individuals."""
+    """Yield the axioms that may be needed beside those of the steps, about properties and the literals of
+    individuals.
+    """
     has_domain = any(axiom.startswith("DataPropertyDomain(") for axiom in axioms)
     named = {name for axiom in axioms for name in leaves(ontology.trees[axiom])} if has_domain else set()
     for axiom, tree in ontology.trees.items():

@@ -1,7 +1,7 @@
-"""The fast engine: which offered concepts meet which demanded ones, with a certificate where nothing can be missing.
+"""The fast engine: decides which offered concepts meet which demanded ones, and certifies results that miss no match.
 
-There is one calculus for all of it (`saturation`). An offered concept is a context: the things that have it. A demanded
-concept is an atom that rules give to whatever has the concept. An offer meets a demand if its context has the atom.
+One calculus does all of it (`saturation`). An offered concept is a context: the things that have it. A demanded concept
+is an atom that rules give to each thing that has the concept. An offer meets a demand if its context has the atom.
 """
 
 from __future__ import annotations
@@ -39,10 +39,11 @@ _FEW_CONCEPTS: Final = 64
 
 @dataclass(frozen=True, slots=True)
 class MatchedRows:
-    """What the engine finds out about offered and demanded concepts.
+    """The engine's result for offered and demanded concepts.
 
-    `met`: the offers that meet each demand; every match in it holds. For offers in `uncertified`, and for demands in
-    `beyond_words`, more may hold; for all others nothing else does. `impossible`: the offers that nothing can have.
+    `met`: the offers that meet each demand; every match in it holds. For offers in `uncertified` and demands in
+    `beyond_words`, further matches may hold; for all others, no further match holds. `impossible`: the unsatisfiable
+    offers.
     """
 
     met: Mapping[Concept, Set[Concept]]
@@ -108,7 +109,7 @@ class FastEngine:
         return len(self._offers) + len(self._demands) > 2 * concepts + _FEW_CONCEPTS
 
     def rows(self, offered: Iterable[Concept], demanded: Iterable[Concept]) -> MatchedRows:
-        """Match offered concepts with demanded ones. What is known of a concept is not derived again."""
+        """Match offered concepts with demanded ones. Earlier derivations are reused."""
         demands = {concept: self._demand(concept) for concept in demanded}
         concept_of = {atom: concept for concept, atom in demands.items() if atom is not None}
         self._saturation.learn()
@@ -170,9 +171,9 @@ def _shared(wanted: frozenset[int], contexts: Collection[Context]) -> Iterable[i
 
 
 def disjuncts(concept: Concept) -> tuple[tuple[Concept, ...], bool]:
-    """Conjunctions without ⊔ whose union is the concept, and True; or whose union is more general, and False.
+    """Return conjunctions without ⊔: their union is the concept (True) or more general (False).
 
-    What the engine has no words for is left out of conjunctions, which makes them more general. Too many disjuncts
+    Parts that the engine can't express are left out of conjunctions, which makes them more general. Too many disjuncts
     give (⊤,), False.
     """
     if _is_conjunctive(concept):

@@ -64,7 +64,7 @@ class Nearest:
 
     @property
     def verdict(self) -> str:
-        """What it lacks, in words."""
+        """The missing and the undecided conjuncts, in words."""
         told = [f"lacks {', '.join(self.missing)}"] if self.missing else []
         if self.undecided:
             told.append(f"nobody has decided yet whether it is {', '.join(self.undecided)}")
@@ -116,10 +116,9 @@ def near_offers(
     reasoner: str = "auto",
     time_limit_s: float | None = None,
 ) -> dict[str, tuple[Nearest, ...]]:
-    """For each of some demanded tags the offered ones that come near: those that lack the fewest conjuncts first.
+    """Return the offered tags nearest to each demanded tag: fewest missing conjuncts first, then fewest undecided ones.
 
-    Among those that lack as many, fewer undecided conjuncts go first. What lacks all of them is near only if no other
-    is, and it is spelt much the same. Raises as `match`.
+    A tag that lacks all conjuncts is returned only if no other is near and its spelling is similar. Raises as `match`.
     """
     parts = {tag: conjuncts(parse_tag(tag, ontology), ontology) for tag in demanded_tags}
     every = {part for of_tag in parts.values() for part in of_tag}

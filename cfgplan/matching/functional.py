@@ -140,7 +140,7 @@ def _strings(tree: Tree) -> Iterator[str]:
 
 
 def _without_repetition(closed: list[Tree]) -> Tree:
-    """What is said to be disjoint is a set: what is repeated counts once (OWL 2, 2.1), if two or more are left."""
+    """Remove repeated operands of a disjointness axiom, which are a set (OWL 2, 2.1), if two or more are left."""
     first = _FIRST_DISJOINT.get(str(closed[0]))
     if first is None:
         return tuple(closed)
@@ -167,7 +167,7 @@ def _argument_text(argument: str) -> str:
 
 
 class Signature:
-    """The names that occur in axioms, by what they are used as."""
+    """The names that occur in axioms, by their use as class, role or individual."""
 
     def __init__(self, trees: Iterable[Tree]) -> None:
         self.classes: set[str] = set()

@@ -50,7 +50,7 @@ def classify(document: str, *, time_limit_s: float | None = None) -> Sequence[tu
 
 
 def _pairs(keyword: str, names: Sequence[str]) -> Iterable[tuple[str, str]]:
-    """What one line says: each class with those above it; anything that is not between named classes says nothing."""
+    """Return the pairs of one output line: each class with one above it; empty unless it relates named classes."""
     if keyword == "EquivalentClasses":
         return zip(names, (*names[1:], *names[:1]), strict=True)
     return [(names[0], names[1])] if len(names) == 2 else ()
@@ -59,7 +59,7 @@ def _pairs(keyword: str, names: Sequence[str]) -> Iterable[tuple[str, str]]:
 def satisfiable(
     document: str, classes: Sequence[str], *, time_limit_s: float | None = None, patience_s: float | None = None
 ) -> dict[str, bool]:
-    """Whether there can be a member of each class, asked in this order, until time is over or no answer comes.
+    """Return whether each class can have a member, asked in this order, until time is over or no answer comes.
 
     It gives up on the rest once no answer has come for `patience_s`, at the latest after twice as long. The ontology is
     in functional syntax (ASCII). Raises InconsistentOntologyError, or ReasonerError when HermiT refuses the ontology.
@@ -76,7 +76,7 @@ def satisfiable(
 def _run(
     folder: str, document: str, arguments: Sequence[str], time_limit_s: float | None, patience_s: float | None
 ) -> bool:
-    """Run HermiT on a document. Returns whether it ended in time. What it prints is in said.txt."""
+    """Run HermiT on a document, with its output in said.txt. Returns whether it ended in time."""
     import subprocess
 
     question, said, errors = (Path(folder, name) for name in ("ontology.ofn", "said.txt", "errors.txt"))
@@ -105,7 +105,7 @@ def _run(
 
 
 def _ends(process: Popen[bytes], said: Path, time_limit_s: float | None, patience_s: float | None) -> bool:
-    """Wait for a process to end. Returns False once time is over, or nothing new was said for `patience_s`."""
+    """Wait for a process to end. Returns False once time is over, or no output came for `patience_s`."""
     from subprocess import TimeoutExpired
 
     deadline = math.inf if time_limit_s is None else time.monotonic() + time_limit_s

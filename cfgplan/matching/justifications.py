@@ -62,7 +62,7 @@ def clash(ontology: Ontology, reference: Reference) -> tuple[str, ...]:
 
 
 def _nearest_first(axioms: Sequence[str], tags: str) -> list[list[str]]:
-    """Growing parts of the axioms: none, those that share a name with the tags, with those, and so on."""
+    """Yield growing parts of the axioms: none, axioms that share a name with the tags, with these axioms, and so on."""
     parts: list[list[str]] = [[]]
     reached = set(_IRI_IN_BRACKETS.findall(tags))
     while True:

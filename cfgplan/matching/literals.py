@@ -1,6 +1,6 @@
-"""What literals say about the individuals that have them, and what of it reasoners can be told.
+"""Consequences of literals for the individuals that have them, and the part of these that reasoners accept.
 
-Reasoners know the datatypes of OWL 2 except base64Binary: to HermiT no literal is of it, so that it finds
+Reasoners know the datatypes of OWL 2 except base64Binary: HermiT holds that it has no literals, and so finds
 contradictions.
 """
 
@@ -89,11 +89,10 @@ _RESTRICTING: Final = (
 
 
 def told(axioms: Collection[str]) -> tuple[frozenset[str], dict[str, str]]:
-    """The axioms as reasoners can be told them, and what is lost by that, with the reason.
+    """Return the axioms as reasoners accept them, and the axioms lost by that, each with the reason.
 
-    Malformed literals and those of unknown datatypes become texts if nothing restricts them but ranges of their own
-    datatype. Else reasoners are told only that there is some literal. A restriction to such a datatype or literal is
-    left out.
+    Malformed literals and those of unknown datatypes become texts if only ranges of their own datatype restrict them.
+    Otherwise reasoners get an axiom that some literal exists. A restriction to such a datatype or literal is left out.
     """
     foreign = {axiom: kinds for axiom in axioms if "^^" in axiom and (kinds := _foreign(axiom))}
     restricting = {a: parse(a) for a in axioms if a.startswith(_RESTRICTING) or " Data" in a or "(Data" in a}
@@ -160,7 +159,7 @@ class _Usage:
 
 
 def _foreign(axiom: str) -> frozenset[str]:
-    """What is foreign in an axiom's literals: datatypes that reasoners don't know, and malformed literals."""
+    """Return the datatypes in an axiom's literals that reasoners don't know, and its malformed literals."""
     return frozenset(kind for text, name in _TYPED.findall(axiom) if (kind := _foreign_kind(text, name)) is not None)
 
 
@@ -184,7 +183,7 @@ def _as_text(literal: re.Match[str]) -> str:
 
 
 def _foreign_in(tree: Tree) -> Iterator[str]:
-    """The unknown datatypes that an axiom or expression names, and what is foreign in its literals."""
+    """Yield the unknown datatypes that an axiom or expression names, and its malformed literals."""
     keyword, arguments = tree[0], tree[1:]
     if keyword in ("DataPropertyRange", "DataSomeValuesFrom", "DataAllValuesFrom"):
         places = arguments[-1:]

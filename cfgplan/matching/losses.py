@@ -1,9 +1,9 @@
-"""Pairs of tags that may depend on a loss: an axiom that an ontology's files say and no reasoner is told.
+"""Pairs of tags that may depend on a loss: an axiom of the ontology's files that reasoners do not get.
 
 A loss concerns a pair only if it is in the pair's module, and is joined to the pair there. An ontology is *open to
 newcomers* if things without class and link break none of its axioms. Its models then have any size, and parts of it
-without a common name do not bear on each other: a model of one can be laid over one of the other. A loss whose names
-are not known concerns all pairs. The ontology with all losses is taken to be free of contradictions.
+without a common name are independent: a model of one can be laid over one of the other. A loss whose names are unknown
+concerns all pairs. The ontology with all losses is assumed to be consistent.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Losses:
         self._concern: dict[tuple[Concept, Concept], bool] = {}
 
     def of(self, module: Module) -> Mapping[str, str]:
-        """Return the losses that may bear on the names of a module, with the reason of each."""
+        """Return the losses that may affect the names of a module, with the reason of each."""
         dropped = self._ontology.dropped
         if not dropped:
             return {}
@@ -59,7 +59,7 @@ class Losses:
             self._look_at(offered[half:], demanded)
 
     def about(self, concepts: Iterable[Concept]) -> Mapping[str, str]:
-        """Return the losses that may bear on some concepts together, with the reason of each."""
+        """Return the losses that may affect some concepts together, with the reason of each."""
         concepts = [*concepts]
         if self._nameless:
             return self._nameless

@@ -1,6 +1,6 @@
 """The relation ~ between tags (Definition 5, section IV-B): an offered tag feeds a demanded one that subsumes it.
 
-And what reading an environment asks of its ontology: whether a tag can be read, and who belongs to a class.
+It also answers the formats' questions to an ontology: whether a tag can be read, and which individuals a class has.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ def match(
     time_limit_s: float | None = None,
     cache: Path | None = None,
 ) -> Matching:
-    """Which offered tags may feed which demanded ones, as texts exactly as given.
+    """Decide which offered tags may feed which demanded ones; tags are texts exactly as given.
 
-    `reasoner` is one of REASONERS; `cache` is a folder for answers that are kept between runs. An offered tag that
-    nothing can have would match everything: it is reported and matches nothing. Raises InputError for tags that
-    can't be read and for an ontology that can't be reasoned with.
+    `reasoner` is one of REASONERS; `cache` is a folder for answers that are kept between runs. An unsatisfiable offered
+    tag would match everything: it is reported and matches nothing. Raises InputError for tags that can't be read and
+    for an ontology that can't be reasoned with.
     """
     return Matches(offered, demanded, ontology, reasoner=reasoner, time_limit_s=time_limit_s, cache=cache).matching
 
@@ -77,7 +77,7 @@ class Matches:
 
     @property
     def similarity(self) -> Similarity:
-        """What is known by now."""
+        """The similarity as far as it is known."""
         return self.matching.similarity
 
     @property
@@ -87,11 +87,11 @@ class Matches:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What was not as expected while tags were matched."""
+        """Warnings from matching the tags."""
         return self.matching.warnings
 
     def decide(self, pairs: Sequence[Pair]) -> int:
-        """Ask about open pairs within what is left of the time limit; returns how many were asked."""
+        """Ask about open pairs within the remaining time limit; returns how many were asked."""
         matcher = self._matcher
         if matcher is None or (self._left_s is not None and self._left_s <= 0):
             return 0
@@ -105,7 +105,7 @@ class Matches:
         return asked
 
     def _undecided(self, matcher: Matcher) -> Matching:
-        """What is known without asking."""
+        """Return the known part of the matching, without asking the reference."""
         return self._within_limit(lambda left_s: matcher.matching(time_limit_s=left_s, decide=False))
 
     def _within_limit(self, question: Callable[[float | None], T]) -> T:
@@ -127,10 +127,10 @@ def check_tag(text: str, ontology: Ontology) -> None:
 
 
 def instances(ontology: Ontology, class_or_tag: str, *, time_limit_s: float | None = None) -> tuple[str, ...]:
-    """The names of the individuals that belong to a class or tag, asserted or inferred, sorted.
+    """Return the sorted names of the individuals that belong to a class or tag, asserted or inferred.
 
-    Raises UnknownNameError for a name that is no class, TagError for a tag that can't be read, InputError for
-    an ontology that can't be reasoned with, ReasonerTimeoutError where the time did not suffice.
+    Raises UnknownNameError for a name that is no class, TagError for a tag that can't be read, InputError for an
+    ontology that can't be reasoned with, ReasonerTimeoutError if the time limit is too short.
     """
     name = normal(class_or_tag.strip())
     if name in ontology.individuals and name not in ontology.classes:

@@ -1,4 +1,4 @@
-"""Modules: the axioms of an ontology from which all follows that the ontology says about some names.
+"""Modules: axioms of an ontology that entail all its consequences about some names.
 
 Classes and properties beside these names may be read as empty, or as full. An axiom that then holds in every model is
 *local* and can be left out: each model of the other axioms becomes one of all of them, without a change of the names.

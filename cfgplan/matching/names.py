@@ -1,4 +1,4 @@
-"""Short names of an ontology's classes, individuals and properties, and what to say about a misspelt one."""
+"""Short names of an ontology's classes, individuals and properties, and the message about a misspelt one."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class NameTable:
         return next((prefix for prefix in sorted(self._prefixes) if self._prefixes[prefix] + short == iri), None)
 
     def _meant(self, short: str) -> str | None:
-        """The only IRI of a short name, or that of the first preferred namespace; None if neither is there."""
+        """Return the only IRI of a short name, or the one in the first preferred namespace that has it; else None."""
         iris = self._by_name.get(short, ())
         if len(iris) == 1:
             return iris[0]

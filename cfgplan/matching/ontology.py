@@ -25,13 +25,13 @@ BRACKETED: Final = re.compile(r"<([^<>\s]+)>")
 class Ontology:
     """Axioms in OWL functional syntax with full IRIs, and the prefixes their file declares.
 
-    An *open* ontology knows no names: every name is free to use in tags and means nothing but itself.
-    Ontologies are values: those with the same axioms and prefixes are equal. `files` says where it was read from.
-    `dropped` maps what its files say but no reasoner is told to the reason: matches hold all the same, but pairs that
-    don't match might by what was dropped. `lost_rules` are the texts of the rules among it, each with the axiom that
-    it stands for. `ignored` are the IRIs of imports that are left out on request, `ignored_rules` counts the rules that
-    are: what they say is no part of the ontology, so that no pair is open for them. `trees` may have axioms that are
-    parsed already. `preferred` are namespaces: the first that has a short name says what it means.
+    An *open* ontology declares no names: tags may use any name, and a name matches only itself. Ontologies are values:
+    those with the same axioms and prefixes are equal. `files` are those that it was read from. `dropped` maps each
+    statement of the files that reasoners do not get to the reason: matches hold in spite of it, but pairs that don't
+    match might match by it. `lost_rules` are the texts of the rules among it, each with the axiom that stands for it.
+    `ignored` are the IRIs of imports left out on request, `ignored_rules` counts the rules left out on request; neither
+    belongs to the ontology, so no pair is open for them. `trees` may have axioms that are parsed already. `preferred`
+    are namespaces: a short name means the IRI in the first of them that has it.
     """
 
     def __init__(
@@ -90,7 +90,9 @@ class Ontology:
         return other
 
     def preferring(self, spaces: Iterable[str]) -> Ontology:
-        """This ontology with namespaces of which the first that has a short name says what it means."""
+        """Return this ontology with preferred namespaces: a short name means the IRI in the first of them
+        that has it.
+        """
         other = copy(self)
         other.preferred = tuple(spaces)
         return other
@@ -130,17 +132,17 @@ class Ontology:
 
     @property
     def told(self) -> frozenset[str]:
-        """The axioms as reasoners can be told them: with literals of datatypes that they know."""
+        """The axioms as reasoners accept them: only with literals of datatypes that they know."""
         return self._told[0]
 
     @cached_property
     def dropped(self) -> Mapping[str, str]:
-        """What the files say and no reasoner is told, with the reason."""
+        """Statements of the files that reasoners do not get, with the reason of each."""
         return MappingProxyType(dict(sorted({**self._dropped, **self._told[1]}.items())))
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
-        """A sentence on each kind of thing that no reasoner is told, on each ignored import, and on ignored rules."""
+        """A sentence on each kind of dropped statement, on each ignored import, and on ignored rules."""
         by_reason: dict[str, list[str]] = {}
         for text, why in self.dropped.items():
             by_reason.setdefault(self.shortened(why), []).append(self.shortened(text))

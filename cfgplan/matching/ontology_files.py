@@ -58,9 +58,10 @@ _NO_TEXT = "name a file in Turtle, RDF/XML, JSON-LD, OWL/XML, functional or Manc
 
 @dataclass(frozen=True)
 class _Document:
-    """One parsed file: its own IRI, the IRIs it imports, its axioms and prefixes, what is dropped and why.
+    """One parsed file: its own IRI, the IRIs it imports, its axioms and prefixes, and its dropped statements with
+    reasons.
 
-    `lost_rules` are the texts of the rules among what is dropped, each with its rule.
+    `lost_rules` are the texts of the dropped rules, each with its rule.
     """
 
     iri: str | None = None
@@ -74,14 +75,14 @@ class _Document:
 def load_ontology(
     paths: Sequence[Path], imports: Mapping[str, Path | None] | None = None, *, ignores_rules: bool = False
 ) -> Ontology:
-    """The union of ontology files and of everything they import; the open ontology if there are no files.
+    """Return the union of ontology files and of everything they import; the open ontology if `paths` is empty.
 
-    The syntax (Turtle, N-Triples, RDF/XML, JSON-LD, OWL/XML, functional, Manchester) is told by the content. An import
+    The content determines the syntax (Turtle, N-Triples, RDF/XML, JSON-LD, OWL/XML, functional, Manchester). An import
     is a relative path, a file beside the importing one that is named like the last part of the IRI or declares it, or
-    one of `paths`. `imports` comes first: it maps an IRI to its file, or to None where the import is ignored, and "" to
-    None where every import is ignored that can't be found. `ignores_rules` leaves all rules out. Of the syntaxes that
-    are no RDF everything is read but annotations; what RDF says beyond axioms of OWL 2 is in `Ontology.dropped`. Data
-    ranges over several properties are refused. Raises InputError with every file that can't be used.
+    one of `paths`. `imports` comes first: it maps an IRI to its file, or to None to ignore that import; "" mapped to
+    None ignores every import that is not found. `ignores_rules` leaves all rules out. Files in a syntax other than RDF
+    are read completely except for annotations; statements in RDF that are no axioms of OWL 2 are in `Ontology.dropped`.
+    Data ranges over several properties are refused. Raises InputError with every file that can't be used.
     """
     if not paths:
         return Ontology(is_open=True)
@@ -359,7 +360,7 @@ def _document(parsed: Any, components: Iterable[str], syntax: str, shown: str) -
 
 
 def _loss_of_rule(rule: str, syntax: str) -> str | None:
-    """What reasoners leave out of a rule; None if they know all of it."""
+    """Return the part of a rule that reasoners do not get, in words; None if they get all of it."""
     if "BuiltInAtom(" in rule or "DataRangeAtom(" in rule or _BUILT_INS in rule:
         return _NOT_TOLD
     return None if syntax in _DL_SAFE else "it is applied to named individuals only"

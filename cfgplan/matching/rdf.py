@@ -1,10 +1,11 @@
 """RDF documents as N-Triples that py-horned-owl reads without a loss.
 
-Of a valid ontology it would silently drop disjointness of several classes or properties, anonymous individuals, class
-expressions without a type, qualified cardinalities of inverse properties, names that are defined without
-`owl:equivalentClass` (as OWL 1 allowed), and names of RDF Schema; it would refuse a second type of the ontology itself,
-and the whole document for one comparison of an object property with a data property.
-So these are written in another way first. What it drops nevertheless is found by comparing its axioms with the triples.
+From a valid ontology, py-horned-owl would silently drop disjointness of several classes or properties, anonymous
+individuals, class expressions without a type, qualified cardinalities of inverse properties, names that are defined
+without `owl:equivalentClass` (as OWL 1 allowed), and names of RDF Schema. It would refuse a second type of the ontology
+itself, and the whole document for one comparison of an object property with a data property.
+
+So these are rewritten first. Other statements that it drops are found by comparing its axioms with the triples.
 """
 
 from __future__ import annotations
@@ -111,7 +112,7 @@ class TripleGraph:
         self._index()
 
     def lossless(self) -> str:
-        """The document in N-Triples; what would be dropped from any triples is in `axioms`, in functional syntax."""
+        """The document in N-Triples; statements that any triples would lose are in `axioms`, in functional syntax."""
         self._drop_what_means_nothing()
         self._name_inverse_properties()
         self._give_names_a_type()
@@ -154,7 +155,9 @@ class TripleGraph:
         return term.startswith("_:") and term not in self._individuals
 
     def _drop_what_means_nothing(self) -> None:
-        """Drop what has no meaning: what is said of the ontology itself, deprecations, restrictions as classes."""
+        """Drop triples about the ontology itself, deprecations, and restrictions typed as classes: they have no meaning
+        here.
+        """
         restriction = (_TYPE, f"<{OWL}Restriction>")
         header = {s for s, p, o in self._triples if p == _TYPE and o == f"<{OWL}Ontology>"}
         self._triples = [
@@ -205,8 +208,10 @@ class TripleGraph:
                 self._triples.append((name, _TYPE, _PROPERTY_TYPES[is_data]))
 
     def _leave_out_what_is_refused(self) -> None:
-        """Give a property without a type that of a property that it is compared with; leave out comparisons of objects
-        with data, or of which neither has a type, and chains of what is no property.
+        """Rewrite properties that py-horned-owl would refuse.
+
+        A property without a type gets that of a property that it is compared with. Comparisons of object with data
+        properties or between untyped properties are left out, as are chains of terms that are no property.
         """
         kinds: defaultdict[str, set[str]] = defaultdict(set)
         for subject, predicate, value in self._triples:
@@ -232,7 +237,9 @@ class TripleGraph:
         self._triples = [triple for triple in self._triples if triple not in refused]
 
     def _untyped_classes(self, one: str, other: str) -> list[str]:
-        """Those of two equivalent terms that are names without the type of a class; none if one is a datatype."""
+        """Return those of two equivalent terms that are names without the type of a class; empty if one is a
+        datatype.
+        """
         data = (_TYPE, f"<{RDFS}Datatype>")
         if any(data in self._of[term] or term.startswith(f"<{XSD}") for term in (one, other)):
             return []
@@ -241,7 +248,7 @@ class TripleGraph:
         ]
 
     def unread(self, axioms: Collection[str]) -> Iterator[str]:
-        """What the triples say but no axiom read from `lossless` does, shortened."""
+        """Yield, shortened, the statements of the triples that are in no axiom read from `lossless`."""
         yield from (f"`{short_name(s.strip('<>'))} {short_name(p.strip('<>'))} ...`" for s, p in self._refused)
         known = frozenset(axioms)
         direct: set[str] = set()
@@ -284,7 +291,7 @@ class TripleGraph:
         return f"<{ANONYMOUS}{term[3:]}>" if term in self._individuals else term
 
     def _structure(self, term: str, inside: tuple[str, ...] = ()) -> object:
-        """What a blank node stands for: nodes that say the same are read as one axiom."""
+        """Return a value for a blank node, equal for nodes with equal triples: such nodes are read as one axiom."""
         if not term.startswith("_:") or term in inside or term not in self._of or term in self._individuals:
             return term
         return frozenset((p, self._structure(o, (*inside, term))) for p, o in self._of[term])
@@ -337,7 +344,7 @@ class TripleGraph:
 
 
 def ontology_iri(text: str, syntax: str, base: str) -> str | None:
-    """What an RDF document calls its ontology; it is read no further. Raises SyntaxError."""
+    """Return the IRI of an RDF document's ontology, or None; reading ends there. Raises SyntaxError."""
     meant = (_TYPE, f"<{OWL}Ontology>")
     own = (quad.subject for quad in _quads(text, syntax, base) if (str(quad.predicate), str(quad.object)) == meant)
     found = next(own, None)

@@ -1,7 +1,7 @@
-"""The reasoners that can be chosen, and questions to the reference among them: which tags are below which, what can
-exist, and which ontology it is told.
+"""The reasoners to choose from, and questions to the reference reasoner: subsumption of tags, and satisfiability.
 
-Names are written in ASCII, tags as classes `t:N`, so that the answer can't be garbled by a locale.
+It also writes the ontology's document for the reasoner. Names are written in ASCII, tags as classes `t:N`, so that the
+answer can't be garbled by a locale.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from cfgplan.onward import reached
 
 
 class Reference(Protocol):
-    """A reasoner that is told a document in functional syntax, such as the module `hermit`."""
+    """A reasoner that reads a document in functional syntax, such as the module `hermit`."""
 
     def classify(self, document: str, *, time_limit_s: float | None = None) -> Sequence[tuple[str, str]]:
         """Pairs of a class and one above it, from which all others follow. Raises ReasonerError, ReasonerTimeoutError
@@ -47,7 +47,7 @@ REASONERS: Final[Mapping[str, str]] = MappingProxyType(
         "hermit": "HermiT for everything",
     }
 )
-"""What each reasoner that `match` accepts does."""
+"""The reasoners that `match` accepts, each with a description."""
 
 
 def reference_named(reasoner: str) -> tuple[str, Reference | None]:

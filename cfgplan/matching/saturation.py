@@ -1,7 +1,8 @@
-"""Consequence-based saturation of an EL ontology: what follows for each kind of thing that axioms speak of.
+"""Consequence-based saturation of an EL ontology: derives the consequences for each kind of thing in its axioms.
 
-A context stands for all things that have some atoms (or for one individual). It collects the atoms that these have
-and the links that they have to other contexts. The contexts without ⊥ are a model of the ontology: the canonical one.
+A context stands for all things that have some atoms (or for one individual). It collects the atoms that these have and
+the links that they have to other contexts. The contexts without ⊥ are a model of the ontology: the canonical one.
+
 Reference: Y. Kazakov, M. Krötzsch, F. Simančík, "The Incredible ELK", J. Automated Reasoning 53 (2014).
 """
 
@@ -22,10 +23,10 @@ Reason: TypeAlias = "tuple[tuple[object, ...], tuple[DerivedFact, ...]]"
 
 
 class Context:
-    """The atoms and links of a kind of thing: of all things with the atoms `seeds` and the links that it was made with.
+    """The atoms and links of all things with the atoms `seeds` and the links that the context was made with.
 
-    `exists`: every model has such a thing. `conditional`: if there is such a thing, an individual gets atoms that it
-    does not have otherwise. So the context may miss something; what it has is right all the same.
+    `exists`: every model has such a thing. `conditional`: if one exists, an individual has atoms that it does not have
+    otherwise, so the context may be incomplete; its atoms and links hold all the same.
     """
 
     __slots__ = ("atoms", "conditional", "exists", "finished", "individual", "links", "preds", "seeds")
@@ -52,7 +53,7 @@ class Context:
 
 
 class Saturation:
-    """The contexts of an ontology, made and saturated on demand; those of individuals at once."""
+    """The contexts of an ontology, made and saturated on demand; contexts of individuals are made at once."""
 
     def __init__(self, rules: Rules, *, reasons: dict[DerivedFact, Reason] | None = None) -> None:
         """Saturate what must exist. `reasons`, if given, gets the first reason found for each fact."""
@@ -108,7 +109,7 @@ class Saturation:
         return found
 
     def learn(self) -> None:
-        """Apply the rules that were added since the last time to what is known."""
+        """Apply the rules added since the last call to all contexts."""
         if self.rules.new_premises:
             for context in self._contexts.values():
                 self._atoms.extend((context, atom) for atom in self.rules.new_premises & context.atoms)

@@ -1,4 +1,4 @@
-"""A matcher that is kept while tags come and go and the ontology changes, so that nothing is computed twice."""
+"""A matcher that is kept while tags and the ontology change, so that nothing is computed twice."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from cfgplan.planning import Pair
 
 
 class TagRegistry:
-    """Texts of tags by what they mean, and how often each was added."""
+    """The texts of tags by their concept, and how often each text was added."""
 
     def __init__(self) -> None:
         self._counts: Counter[str] = Counter()
@@ -37,7 +37,7 @@ class TagRegistry:
 
     @property
     def concepts(self) -> Mapping[str, Concept]:
-        """What each text means."""
+        """The concept of each text."""
         return self._concepts
 
     @property
@@ -88,9 +88,9 @@ class TagRegistry:
 
 
 _FEW_PAIRS: Final = 8
-"""The number of undecided pairs that are looked at for what stands in the way of a decision."""
+"""The most undecided pairs examined for the reason why they are undecided."""
 _FEW_LOSSES: Final = 3
-"""The most of what was dropped that one warning names."""
+"""The most dropped statements named in one warning."""
 REFUTING: Final = 0.25
 """The share of a time limit that models may take, in CPU time, before the reference is asked."""
 
@@ -129,13 +129,13 @@ class Matching:
 class Matcher:
     """The similarity of the tags that are registered now.
 
-    Tags are counted: one that was added twice is there until it was removed twice. The fast engine takes changes in
-    at once. The reference is asked about pairs that the engine leaves open: all of them by `matching`, those that
-    matter by `decide`, after which `matching(decide=False)` knows the answers. No pair is asked about twice.
-    An offered tag that nothing can have matches nothing as soon as that is known: after `matching` if time suffices,
-    and after `decide` for the tags that it asked about. Until then it matches what the fast engine finds. Reasoners are
-    told the module of the ontology that bears on the tags, the reference that of the tags it is asked about.
-    Raises UnknownNameError for a reasoner that is none of REASONERS.
+    Tags are counted: a tag added twice stays until it is removed twice. The fast engine takes in changes at once. The
+    reference is asked about pairs that the engine leaves open: `matching` asks about all of them, `decide` about the
+    given ones, after which `matching(decide=False)` has the answers. No pair is asked about twice. An unsatisfiable
+    offered tag matches nothing once that is known: after `matching` if time suffices, and after `decide` for the tags
+    that it asked about. Until then it matches what the fast engine finds. The fast engine gets the module of the
+    ontology for all registered tags, the reference the module for the tags in question. Raises UnknownNameError for a
+    reasoner that is not in REASONERS.
     """
 
     def __init__(self, ontology: Ontology, *, reasoner: str = "auto") -> None:
@@ -182,9 +182,9 @@ class Matcher:
     def change_ontology(self, ontology: Ontology) -> None:
         """Match by another ontology from now on.
 
-        The fast engine keeps what it knows if only whole individuals come and go that say nothing new of others, such
-        as robots that register; else it starts over. The reference always does. Raises InputError with every tag that
-        can't be read in the new ontology; nothing is changed then.
+        The fast engine keeps its derivations if the change only adds or removes individuals that say nothing new about
+        others, such as robots that register; otherwise it starts over. The reference always starts over. Raises
+        InputError with every tag that can't be read in the new ontology; nothing is changed then.
         """
         faults: list[Fault] = []
         offered, demanded = self._offered.reread(ontology, faults), self._demanded.reread(ontology, faults)
@@ -221,9 +221,9 @@ class Matcher:
     def decide(self, pairs: Sequence[Pair], *, time_limit_s: float | None = None) -> int:
         """Ask the reference about (offered, demanded) texts of registered tags in this order, until the time limit.
 
-        Returns how many pairs were asked: those of distinct tags that were open and not asked about before. What time
-        does not suffice for stays open. Raises KeyError for a text that is not registered, and InputError for an
-        ontology that can't be reasoned with.
+        Returns the number of distinct pairs asked about; pairs that are decided or were asked about before do not
+        count. Pairs not reached in time stay open. Raises KeyError for a text that is not registered, and InputError
+        for an ontology that can't be reasoned with.
         """
         rows = self._current_rows()
         left_s = countdown(time_limit_s)
@@ -341,7 +341,7 @@ class Matcher:
         return frozenset() if self._countermodels is None else self._countermodels.refuted(demand)
 
     def _for_certain(self, demand: Concept, denied: frozenset[Concept]) -> frozenset[Concept]:
-        """The denied offers that would not match either if what was dropped from the ontology held."""
+        """Return the denied offers that would not match either if the dropped statements of the ontology held."""
         return denied - self._losses.concerned(denied, demand)
 
     def _told(self, rows: MatchedRows | None, time_limit_s: float | None, *, is_asked: bool) -> Matching:
@@ -407,7 +407,7 @@ class Matcher:
         return {name: count for name, count in counts.items() if count}
 
     def _contradiction(self) -> InconsistentOntologyError:
-        """The error that names the axioms that clash: those of the fast engine, else those that the reference finds."""
+        """Return the error that names the clashing axioms, found by the fast engine or else by the reference."""
         steps = contradiction(self._ontology)
         if not steps and self._reference is not None:
             steps = clash(self._ontology, self._reference)

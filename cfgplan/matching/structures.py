@@ -1,8 +1,8 @@
-"""Finite interpretations of an ontology's names, and which of their things break an axiom.
+"""Finite interpretations of an ontology's names, and their things that break an axiom.
 
-A structure in which nothing breaks any axiom is a model: what does not hold in it does not follow from the ontology.
-Class expressions and axioms mean what they mean in OWL 2 Direct Semantics (W3C, 2012). Literals are known only as they
-are written, so that expressions about them have certain members and possible ones.
+A structure in which no thing breaks an axiom is a model: a statement that is false in it does not follow from the
+ontology. Class expressions and axioms have the meaning of OWL 2 Direct Semantics (W3C, 2012). Literals are known only
+as they are written, so that expressions about them have certain members and possible ones.
 """
 
 from __future__ import annotations
@@ -264,7 +264,7 @@ def checks_of(axiom: Tree) -> Sequence[axioms.Statement]:
 
 
 def linked_by(structure: Interpretation, chain: Tree) -> Iterator[tuple[int, Set[int]]]:
-    """What each thing is linked to by a role or a chain of roles."""
+    """Yield each thing with the things that a role or a chain of roles links it to."""
     roles = chain[1:] if isinstance(chain, tuple) and chain[0] == "ObjectPropertyChain" else (chain,)
     first, *others = map(structure.successors, roles)
     for thing, targets in first.items():

@@ -32,9 +32,9 @@ _FILLERS: Final = 2
 _MOST_TRIED: Final = 12
 _Filler: TypeAlias = Named | Nominal
 _SHORTEST_STEM: Final = 4
-"""Two words are of one stem if one begins with the other, which has at least so many letters."""
+"""Two words have one stem if one begins with the other, and that has at least this many letters."""
 _STEM: Final = 6
-"""Two words are of one stem too if they begin with so many equal letters."""
+"""Two words also have one stem if this many first letters are equal."""
 _UNIT: Final = 2
 """A unit of measure may have so few letters, which say nothing in a name."""
 _CHUNK: Final = re.compile(r"[^\W\d_]+|\d+")
@@ -73,7 +73,7 @@ _MEANINGS: Final = MappingProxyType(
         **dict.fromkeys(("kg", "g"), "mass"),
     }
 )
-"""What types of messages and units of measure are about, in the words of ontologies."""
+"""The subjects of message types and units of measure, in the words of ontologies."""
 
 
 @cache
@@ -148,7 +148,9 @@ class PortWords:
         return weights
 
     def mention(self, name: str, *, partly: bool = False) -> float:
-        """How much the texts speak of a name: what its words count; `partly`, half of that if only its end is."""
+        """Return how much the texts mention a name: the least weight of its words; with `partly`, half if only its end
+        is.
+        """
         weights = [self.said.get(word, 0.0) for word in words_of(name)]
         if not weights or not weights[-1]:
             return 0.0
@@ -207,7 +209,9 @@ class Proposer:
                 yield conjunction(parts), ", ".join(told)
 
     def _heads(self, port: PortWords) -> list[tuple[str, tuple[str, ...]]]:
-        """The classes whose names fit best, with the words that fit; of equals those without subclasses come first."""
+        """Return the classes whose names fit best, with the fitting words; among equals, classes without subclasses
+        come first.
+        """
         ranked = []
         for iri in self._classes.values():
             words = words_of(short_name(iri))
@@ -371,7 +375,7 @@ def tested(
     matched_now: Mapping[str, Set[str]],
     matched_then: Mapping[str, Mapping[str, Set[str]]],
 ) -> dict[str, tuple[Suggestion, ...]]:
-    """The suggestions with what they would change: `matched_then` is by port and tag."""
+    """Return the suggestions with the matches that they would add and remove; `matched_then` is by port and tag."""
     return {
         port: tuple(
             Suggestion(

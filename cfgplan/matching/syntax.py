@@ -105,7 +105,7 @@ class _TagReader(ExpressionReader[Concept]):
             raise self._error(f"{token!r} is not expected here", mend)
 
     def _meant_here(self, name: str, at: int) -> str | None:
-        """What somebody means who writes a name at a place where it means nothing; None if that can't be told."""
+        """Return a mend for a name at a place where it has no meaning; None if the intention can't be guessed."""
         follows, then = (*self._words[at + 1 :], "", "")[:2]
         if name.casefold() in KEYWORDS:
             return f"write `{name.casefold()}` in small letters"
@@ -213,7 +213,7 @@ class _TagReader(ExpressionReader[Concept]):
     def _found(
         self, name: str, at: int, *vocabularies: NameTable, mend: str | None = None
     ) -> tuple[NameTable | None, str]:
-        """The vocabulary that has a name, and its IRI; of an open ontology none, and a free one."""
+        """Return the vocabulary that has a name, and its IRI; for an open ontology None, and a free IRI."""
         try:
             return self._ontology.find(name, vocabularies) or (None, self._ontology.free_iri(name))
         except UnknownNameError as error:

@@ -1,9 +1,9 @@
-"""From axioms to the three kinds of statement that the fast engine knows, and what lies outside its fragment.
+"""Translates axioms to the three kinds of statement that the fast engine knows, and finds axioms outside its fragment.
 
 Inside: ⊤ ⊥ ⊓ ∃, ⊔ and {a, b} on the left, ∃r.{a} on the right, complements of left-hand concepts on the right,
 equivalence, disjointness, role hierarchy, chains, transitivity, domain, range (with the restriction of OWL EL),
-assertions and negative assertions. An inverse property that is nowhere needed is replaced by the property. What an
-outside axiom says inside the fragment is kept: it makes the engine incomplete, never wrong.
+assertions and negative assertions. An inverse property that is not needed anywhere is replaced by the property. If an
+axiom is partly outside, the part inside is kept: the engine is then incomplete, never wrong.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class RoleInclusion:
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """Whatever `role` points to is a `concept`."""
+    """All things that `role` points to are in `concept`."""
 
     role: str
     concept: Concept
@@ -67,7 +67,7 @@ class Range:
 class Translation:
     """The statements, the axioms outside the fragment with the reason, and the roles that inverses replaced.
 
-    Of an axiom that is partly outside, the statements say what is inside.
+    If an axiom is partly outside, the statements have the part inside.
     """
 
     inclusions: list[Inclusion] = field(default_factory=list)
@@ -110,7 +110,9 @@ class Translation:
 
 
 def translate(trees: Mapping[str, Tree], roles_of_tags: Collection[str] = ()) -> Translation:
-    """The statements of some axioms. Of two inverse roles, one that `roles_of_tags` doesn't name is replaced first."""
+    """Translate axioms to statements. If one of two inverse roles is replaced, it is preferably one not in
+    `roles_of_tags`.
+    """
     result = Translation()
     inverses = replaceable_inverses(trees.values(), roles_of_tags)
     result.replaced_roles = frozenset(inverses)
@@ -154,7 +156,7 @@ def _say(statement: Statement, axiom: str, result: Translation) -> None:
 
 
 def _translate_literals(trees: Mapping[str, Tree], result: Translation) -> None:
-    """Add what literals say about their individuals: the domains. What could contradict literals is outside."""
+    """Add the domains that literals imply for their individuals. Axioms that could contradict literals are outside."""
     above = above_of(trees.values())
     individuals: defaultdict[Tree, set[str]] = defaultdict(set)
     for tree in trees.values():

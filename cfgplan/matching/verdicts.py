@@ -1,4 +1,4 @@
-"""What the reference reasoner said about pairs of tags. It is asked about each pair once."""
+"""The reference reasoner's answers about pairs of tags. It is asked about each pair once."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CLASSIFYING: Final = 0.75
 PATIENCE: Final = 0.1
 """The share of a time limit that the answer for one pair may take before others are asked for."""
 VERDICT_PATIENCE_S: Final = 30.0
-"""How long the answer for one pair may take at first where there is no time limit, seconds."""
+"""The first time limit in seconds for one pair's answer, without a time limit of the caller."""
 FIRST_PAIRS: Final = 64
 """The number of pairs asked for in the first call; each later call asks for four times as many as the last."""
 MOST_PAIRS: Final = 8192
@@ -31,8 +31,8 @@ MOST_PAIRS: Final = 8192
 class Verdicts:
     """The answers for one ontology: by demanded concept, the offered ones asked about and those found to be below it.
 
-    `part` gives what the ontology says that bears on some concepts; the reference is told no more. Answers stay right
-    whether the tags are still registered or not.
+    `part` returns the part of the ontology that is relevant to some concepts; the reference gets only that. Answers
+    remain valid after their tags are removed.
     """
 
     def __init__(self, part: Callable[[Iterable[Concept]], Ontology], reference: Reference | None) -> None:
@@ -73,8 +73,8 @@ class Verdicts:
         """Ask, in this order, for which pairs the offered concept is below the demanded one. Returns how many were
         asked.
 
-        Many pairs are decided by classifying their tags, or one by one if that takes too long. What time does not
-        suffice for stays open. Raises what the reasoner raises, except ReasonerTimeoutError.
+        Many pairs are decided by classifying their tags, or one by one if that takes too long. Pairs not reached in
+        time stay open. Raises what the reasoner raises, except ReasonerTimeoutError.
         """
         left_s = countdown(time_limit_s)
         missing = [] if self._reference is None else self._missing(pairs)
@@ -160,6 +160,6 @@ def _questions(pair: AskedPair) -> tuple[Concept, Concept]:
 
 
 def countdown(time_limit_s: float | None) -> Callable[[], float | None]:
-    """A function that tells how many seconds are left of a time limit that begins now; None without a limit."""
+    """Return a function that gives the remaining seconds of a time limit starting now; None without a limit."""
     deadline = None if time_limit_s is None else time.monotonic() + time_limit_s
     return lambda: None if deadline is None else deadline - time.monotonic()

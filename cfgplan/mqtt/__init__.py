@@ -1,1 +1,1 @@
-"""MQTT as a broker shows it: what came on its topics, what Home Assistant's discovery says of it, and environments."""
+"""MQTT as a broker shows it: its traffic, Home Assistant's discovery messages, and environments made of them."""

@@ -1,7 +1,8 @@
-"""Home Assistant's MQTT discovery: which topics tell the state of which kind of thing, and in which unit.
+"""Home Assistant's MQTT discovery: messages that describe entities, each with its topics, its kind and its unit.
 
 A message on `homeassistant/<component>/[<node>/]<object>/config` describes one entity, one on
-`homeassistant/device/<object>/config` all those of a device. Keys may be abbreviated, and `~` stands for a base topic.
+`homeassistant/device/<object>/config` every entity of a device. Keys may be abbreviated, and `~` stands for a base
+topic.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ _LONG: Final = {
 }
 """The abbreviations of the keys that are read."""
 DISCOVERY: Final = "homeassistant/"
-"""Begins the topics of discovery messages."""
+"""The prefix of discovery messages' topics."""
 _COMMANDS: Final = re.compile(r"(\w+_)?(command_topic|cmd_t)|set_\w+_(topic|t)")
 _TOPIC: Final = re.compile(rf"{DISCOVERY}(\w+)/(?:[\w-]+/)?[\w-]+/config")
 _FILTER: Final = r"\s*\|\s*(?:float|int|round|default|is_defined)\s*(?:\([^()|]*\))?"
@@ -51,7 +52,7 @@ Path = tuple[str | int, ...]
 
 @dataclass(frozen=True, slots=True)
 class Entity:
-    """A value that a topic tells: of which kind, in which unit and area; `path` leads to it in the messages.
+    """A value published on a topic, with its kind, unit and area; `path` leads to it in the messages.
 
     `is_measured` tells a measurement from a state. `path` is None if the template that finds the value can't be read.
     """
@@ -66,7 +67,7 @@ class Entity:
 
 @dataclass(frozen=True)
 class Discovered:
-    """What discovery messages say: entities, topics that take commands, and messages that can't be read."""
+    """The content of discovery messages: entities, topics that take commands, and the topics of unreadable messages."""
 
     entities: tuple[Entity, ...]
     commands: frozenset[str]
@@ -74,7 +75,7 @@ class Discovered:
 
 
 def discovered(messages: Mapping[str, bytes]) -> Discovered:
-    """What discovery messages, by their topics, say. Of one value that several tell of, the first counts."""
+    """Read discovery messages, given by topic. If several describe the same value, the first topic in order counts."""
     found: dict[tuple[str, Path | None], Entity] = {}
     commands: set[str] = set()
     unread: list[str] = []
@@ -95,7 +96,7 @@ def discovered(messages: Mapping[str, bytes]) -> Discovered:
 
 
 def _components(component: str, said: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Each entity's component and what is said of it; of a device each one, with what is said of all."""
+    """Yield component and configuration of each entity; a device's shared keys are merged into each of its entities."""
     if component != "device":
         yield component, _based(said)
         return

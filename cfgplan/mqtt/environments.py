@@ -1,4 +1,4 @@
-"""From what came from a broker to an environment: its file and its ontology's, and what can't be taken over."""
+"""Make an environment, with its ontology, from the traffic of a broker, and list the topics that were left out."""
 
 from __future__ import annotations
 
@@ -21,14 +21,17 @@ from cfgplan.summary import counted, some
 _SUBSCRIBER: Final = "cfgplan_runtime.mqtt:Subscriber"
 _COSTS: Final = ("labor", "upkeep")
 _ALIKE: Final = 3
-"""So many topics that differ in one level are told."""
+"""The least number of topics differing in one level for a hint."""
 _PATIENCE: Final = 5
-"""A target is silent after so many periods of its source, rounded up to seconds."""
+"""The number of a source's periods after which a target is silent, rounded up to seconds."""
 
 
 @dataclass(frozen=True, slots=True)
 class MqttSource:
-    """A source of the file: a topic, or a field of its messages, what is known of it, and its tag."""
+    """A source of the file: a topic or a field of its messages, the entity that describes it, and its tag.
+
+    `is_silent` if no message came on the topic.
+    """
 
     label: str
     topic: HeardTopic
@@ -40,7 +43,7 @@ class MqttSource:
 
 @dataclass(frozen=True)
 class MqttImported:
-    """The environment of a broker, its ontology (Turtle), and what was not taken over, or is worth a look."""
+    """The environment of a broker, its ontology in Turtle, notes on topics left out, and hints worth a look."""
 
     traffic: Traffic
     sources: tuple[MqttSource, ...]
@@ -51,12 +54,12 @@ class MqttImported:
 
     @property
     def size(self) -> str:
-        """How much was imported, in words."""
+        """The size of the import, in words."""
         told = sum(source.entity is not None for source in self.sources)
         return f"{counted(len(self.sources), 'source')}, {told} of them described by discovery messages"
 
     def text(self, ontology: str) -> str:
-        """The environment file (YAML), which names its ontology file so; comments above tell the rest."""
+        """Return the environment file (YAML), which imports `ontology`; comments at its top list notes and hints."""
         plain = plain_environment(self.environment, horizon_s=DEFAULT_HORIZON_S, ontology=[ontology])
         for transformation in plain.get("transformations", ()):
             for cost in _COSTS:
@@ -76,10 +79,10 @@ class MqttImported:
 
 
 def mqtt_imported(traffic: Traffic, params: Mapping[str, Any]) -> MqttImported:
-    """The environment of sources for all that came; each has these parameters of a connection too.
-    Raises InputError if there is no source at all.
+    """Make an environment with a source for each topic heard; `params` go to the connection of every source.
 
-    A topic whose messages discovery describes becomes a source for each value that is described, any other topic one.
+    A topic that discovery describes becomes one source for each described value, any other topic becomes one source.
+    Raises InputError if no source is found.
     """
     told = discovered(traffic.discovery)
     heard = {topic.name: topic for topic in traffic.topics}
@@ -115,7 +118,7 @@ def mqtt_imported(traffic: Traffic, params: Mapping[str, Any]) -> MqttImported:
 
 
 def _silent(entity: Entity) -> HeardTopic:
-    """A topic that is described, and on which nothing came: its form is guessed from the description."""
+    """Return a described topic without messages; its form is guessed from the description."""
     if entity.path:
         return HeardTopic(entity.topic, "json", False)
     return HeardTopic(entity.topic, "number" if entity.is_measured and entity.unit else "text", False)
@@ -145,7 +148,7 @@ def _notes(
 
 
 def _hints(sources: Iterable[MqttSource]) -> Iterator[str]:
-    """Topics that differ in one level only and give the same kind of value, and mappings that nothing describes."""
+    """Yield hints: topics of the same kind that differ in only one level, and mappings without a description."""
     groups: defaultdict[tuple[object, ...], set[str]] = defaultdict(set)
     for source in sources:
         levels, entity = source.topic.name.split("/"), source.entity
@@ -165,7 +168,9 @@ def _hints(sources: Iterable[MqttSource]) -> Iterator[str]:
 
 
 def _on_one_line(text: str) -> str:
-    """A text with escapes in place of what would end a comment, or can't stand in one."""
+    """Return a text in which unprintable characters, such as ends of lines, are escaped, so that it fits into a
+    comment.
+    """
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
@@ -174,5 +179,5 @@ def _silent_s(period_s: float) -> int:
 
 
 def _is_open(source: MqttSource) -> bool:
-    """Whether a source gives mappings of which nothing says more."""
+    """Return whether a source gives mappings whose fields no discovery message describes."""
     return source.entity is None and bool(source.topic.fields)

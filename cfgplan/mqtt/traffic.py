@@ -1,4 +1,4 @@
-"""What came from a broker while somebody listened: its topics, and how each one's messages look."""
+"""The traffic heard from a broker: its topics, and the form of each topic's messages."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Literal
 from cfgplan.mqtt.discovery import DISCOVERY
 
 TopicForm = Literal["number", "json", "text", "bytes"]
-"""How all messages of a topic hold their values."""
+"""The form of the values in a topic's messages."""
 _CONFIG = "/config"
 _SPARKPLUG = "spBv1.0/"
 _MOST_FIELDS = 100
@@ -35,9 +35,9 @@ class HeardTopic:
 
 @dataclass(frozen=True)
 class Traffic:
-    """The topics of a broker by name, discovery messages by topic, and how many topics of Sparkplug there were.
+    """The topics of a broker by name, discovery messages by topic, and the number of Sparkplug topics.
 
-    `asked` are the filters of topics that were listened to, `notes` what was missed.
+    `asked` are the topic filters subscribed to, `span_s` is for how long; `notes` name messages that were missed.
     """
 
     broker: str
@@ -50,7 +50,7 @@ class Traffic:
 
 
 def fits(topic: str, filters: Iterable[str]) -> bool:
-    """Whether a topic is one of those that a filter names, by `+` for a level and `#` for all that follow."""
+    """Return whether a filter matches a topic: `+` stands for one level, `#` for all further ones."""
     levels = topic.split("/")
     return any(_fits(levels, asked.split("/")) for asked in filters)
 
@@ -62,7 +62,7 @@ def _fits(levels: Sequence[str], asked: Sequence[str]) -> bool:
 
 
 class Ear:
-    """Takes messages one after the other, and keeps what `Traffic` tells of them."""
+    """Collects messages one by one for a `Traffic`."""
 
     def __init__(self) -> None:
         self._topics: dict[str, _Topic] = {}
@@ -70,7 +70,7 @@ class Ear:
         self._sparkplug: set[str] = set()
 
     def take(self, topic: str, payload: bytes, *, is_retained: bool, time_s: float) -> None:
-        """Take a message. One without a payload says that a retained message is gone."""
+        """Take a message. An empty payload means that a retained message was deleted."""
         if topic.startswith(_SPARKPLUG):
             self._sparkplug.add(topic)
         elif topic.startswith(DISCOVERY) and topic.endswith(_CONFIG):
@@ -79,14 +79,14 @@ class Ear:
             self._topics.setdefault(topic, _Topic()).take(payload, is_retained=is_retained, time_s=time_s)
 
     def traffic(self, broker: str, span_s: float, asked: tuple[str, ...], notes: tuple[str, ...] = ()) -> Traffic:
-        """All that was taken."""
+        """Return the traffic of all messages taken."""
         topics = tuple(each.heard(name) for name, each in sorted(self._topics.items()))
         discovery = {topic: payload for topic, payload in sorted(self._discovery.items()) if payload}
         return Traffic(broker, span_s, topics, asked, discovery, len(self._sparkplug), notes)
 
 
 class _Topic:
-    """What is known of one topic so far."""
+    """Counts and forms of one topic's messages so far."""
 
     def __init__(self) -> None:
         self._forms: set[TopicForm] = set()
@@ -114,7 +114,7 @@ class _Topic:
 
     @property
     def _form(self) -> TopicForm:
-        """The only form of all messages, or the one that takes all of them in."""
+        """The form of all messages, or the form that covers all of theirs."""
         if len(self._forms) == 1:
             return next(iter(self._forms))
         if "bytes" in self._forms:

@@ -12,7 +12,7 @@ from cfgplan.selectors import KEYWORDS
 from cfgplan.turtle import class_line, heading
 
 MQTT_NAMES: Final = "urn:cfgplan:mqtt#"
-"""Begins the IRI of each concept that stands for a kind of value, a unit, an area or a topic."""
+"""The prefix of the IRIs of kinds of values, units, areas and topics."""
 _ROOTS: Final = {
     "Quantity": "Kinds of measurements, by Home Assistant's device classes.",
     "State": "Kinds of states. Each comes as its device says it: ON, open, true.",
@@ -31,7 +31,7 @@ _ABOVE: Final = {
     "Pm25": "ParticulateMatter",
     "Pm10": "ParticulateMatter",
 }
-"""What is also what, among Home Assistant's device classes."""
+"""The superclass of some of Home Assistant's device classes."""
 _UNITS: Final = {
     normalize("NFKC", sign): name
     for sign, name in {
@@ -82,7 +82,7 @@ _UNITS: Final = {
 
 
 class MqttVocabulary:
-    """The concepts of entities and topics; those of topics are made when they are first asked for.
+    """The concepts of entities and topics; a topic's concept is made when it is first asked for.
 
     Each level of a topic is below the one before: `house-kitchen-temperature` is a `house-kitchen`. Letters that no
     name takes are written `_`.
@@ -96,7 +96,9 @@ class MqttVocabulary:
         self._kinds = {entity: [*self._parts(entity)] for entity in entities}
 
     def tag(self, topic: str, path: Path = (), entity: Entity | None = None) -> str:
-        """What a source gives: messages of a topic, or a field of them; of an entity its kind, unit and area too."""
+        """Return the tag of a topic, or of a field of its messages; it includes kind, unit and area of a described
+        entity.
+        """
         return " and ".join([*(self._kinds[entity] if entity is not None else ()), self._topic(topic, path)])
 
     def _parts(self, entity: Entity) -> Iterator[str]:
@@ -125,7 +127,9 @@ class MqttVocabulary:
         return above
 
     def _concept(self, key: tuple[str, ...], word: str, above: str, label: str) -> str:
-        """The concept of a key, which begins with its root; a new one is named by the word, or nearly so."""
+        """Return the concept of a key, whose first element is its root; a new concept is named by `word`,
+        made unique.
+        """
         if key in self._words:
             return self._words[key]
         if word.casefold() in _NO_CONCEPTS or not word[:1].isalpha():

@@ -22,7 +22,7 @@ from cfgplan.planning import OnProgress, OwnPlannerError, Plan, Planner, Problem
 
 
 def _deciding(found: Callable[[], Planner]) -> Planner:
-    """What is `found` when it is called; in a `Deciding` where pairs are open."""
+    """Return a planner that calls `found()` for the planner to use, inside a `Deciding` if pairs are open."""
 
     def planner(problem: Problem, *, time_limit_s: float | None = None, report: OnProgress | None = None) -> Plan:
         plan = Deciding(found()) if problem.similarity.open else found()
@@ -75,7 +75,7 @@ def function_at(name: str) -> Callable[..., Any]:
 
 
 def _own(name: str, function: Planner) -> Planner:
-    """A function as a planner of this name; what it raises is its own fault."""
+    """Return a function as a planner of this name; other exceptions than CfgplanError become OwnPlannerError."""
     deciding = _deciding(lambda: function)
 
     def planner(problem: Problem, **how: Any) -> Plan:

@@ -1,6 +1,6 @@
 """The paper's planner: Algorithms 1 and 2, then the merging of section IV-D.
 
-A breadth-first tree of who could feed whom, pruned by cost along each chain; then duplicate subtrees
+A breadth-first tree of possible feeders, pruned by cost along each chain; then duplicate subtrees
 are merged from the root down. It is faithful, so that it can be compared, and keeps its weaknesses:
 
 * Costs are summed over the tree, so sharing counts only after the choice: with two targets, A giving
@@ -35,8 +35,8 @@ from cfgplan.validity import plan_violations
 class TreeNode:
     """A unit, or a transformation to instantiate, or (with neither) the root.
 
-    `slots` are what has to be fed: (name, demanded tag, feedback). `cost_us` is its own, `forward_us` the sum from the
-    root to it; `best` has the cost of the cheapest complete option of each slot so far, and that option.
+    `slots` are the streams to be fed: (name, demanded tag, feedback). `cost_us` is its own, `forward_us` the sum from
+    the root to it; `best` has the cost of the cheapest complete option of each slot so far, and that option.
     """
 
     parent: TreeNode | None = None
@@ -51,7 +51,7 @@ class TreeNode:
 
     @property
     def name(self) -> tuple[str, bool]:
-        """What duplicates share: the id of a running unit, else the label to instantiate."""
+        """The key shared by duplicates: the id of a running unit, else the label to instantiate."""
         assert self.transformation is not None, "the root has no duplicate"
         return (self.transformation.label, False) if self.unit is None else (self.unit.id, True)
 
@@ -198,7 +198,7 @@ def _twin_above(node: TreeNode, feedback: bool, transformation: Transformation) 
 
 
 def _propagate(node: TreeNode, total_us: int) -> None:
-    """Tell the parents of a completed subtree, as long as it improves on what they had."""
+    """Update the parents of a completed subtree, as long as it is cheaper than their best option for its slot."""
     parent = node.parent
     while parent is not None and (node.slot not in parent.best or total_us < parent.best[node.slot][0]):
         parent.best[node.slot] = total_us, node

@@ -178,7 +178,7 @@ def _reasons(problem: Problem) -> dict[str, str]:
 
 
 def _pinned(problem: Problem) -> set[str]:
-    """The running units that have to be kept: of pinned transformations that can be fed."""
+    """Return the running units of pinned transformations that can be fed, which have to be kept."""
     environment = problem.environment
     pinned = [u for u in environment.units if _may_stay(problem, u) and not u.standby]
     pinned = [u for u in pinned if environment.transformation[u.transformation].pinned]

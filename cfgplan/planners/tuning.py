@@ -14,7 +14,7 @@ Number = TypeVar("Number")
 
 
 class Said(NamedTuple):
-    """What is said of a number: its unit, what it does in a sentence, and what it was chosen on."""
+    """The description of a tuning number: its unit, its effect in a sentence, and its origin."""
 
     unit: str
     what: str
@@ -32,7 +32,7 @@ SERVED = "`count`, `optional` and `serves`, below"
 
 
 def said(value: Number, unit: str, what: str, origin: str) -> Number:
-    """The field of a number, with what is said of it."""
+    """Return a dataclass field for a number, with its description."""
     found: Number = field(default=value, metadata={"said": Said(unit, what, origin)})
     return found
 
@@ -81,7 +81,7 @@ class Rise:
 
 @dataclass(frozen=True)
 class Replan:
-    """Looking ahead where nothing is to be changed, and replanning from there."""
+    """Looking ahead while the running plan is optimal, and replanning from there."""
 
     cases: int = said(4, "labels", "If more of them changed their cost, all plans are bounded together.", AT_REST)
     room: float = said(
@@ -183,9 +183,9 @@ class Quality:
 
 @dataclass(frozen=True)
 class Tuning:
-    """All tuning. With `is_solver_only` there are no bounds, no first plans and no search of the planner's own.
+    """All tuning. With `is_solver_only` the planner uses no bounds, first plans or search of its own.
 
-    With `counts`, units are counted where names do not matter. With `reduces`, what can't matter is left out first.
+    With `counts`, units are counted if names do not matter. With `reduces`, parts that can't matter are left out first.
     """
 
     decide: Decide = Decide()
@@ -212,7 +212,7 @@ class Tuning:
         return replace(self, decide=replace(self.decide, steps=0))
 
     def rows(self) -> Iterator[tuple[str, object, Said]]:
-        """Name, value and what is said of each number."""
+        """Yield name, value and description of each number."""
         yield from _rows(self, "")
 
 

@@ -1,12 +1,12 @@
-"""Planning where some pairs of tags are open: those that matter are decided, nothing is claimed of the others.
+"""Planning with open pairs of tags: pairs that matter are decided, and no claim depends on the others.
 
 An update is planned as if every open pair matched. If it uses none of them, it is the answer: no completion of the
-relation has a better one. Else the pairs that it uses, and more of the same demands, are decided, and it is planned
-again. If they can't be decided, the answer is the best plan of the decided relation, with the optimistic one's cost as
-its bound.
+relation has a better one. Otherwise the pairs that it uses, and more of the same demands, are decided, and the planner
+is called again. If they can't be decided, the answer is the best plan of the decided relation, with the optimistic
+one's cost as its bound.
 
 More matches make plans cheaper, with two exceptions. A required transformation that can be used only then has to be
-used, and a pinned unit that can be fed only then has to be kept. Where that may be so, a bound or a refusal is taken
+used, and a pinned unit that can be fed only then has to be kept. If that may be the case, a bound or a refusal is taken
 from the problem that requires nothing and lets such units go.
 """
 
@@ -147,10 +147,10 @@ def used_pairs(environment: Environment, similarity: Similarity) -> Iterator[Pai
 
 
 def _compelling_pairs(problem: Problem) -> tuple[Pair, ...]:
-    """The open pairs that forbid plans if they match: at inputs that running units have to feed.
+    """Return the open pairs that forbid plans if they match: at inputs that running units have to feed.
 
-    An input that no plan can have asks for none, however pairs are decided. All pairs count where more than the cost is
-    minimised: what else gets less by more matches is not known.
+    An input that no plan can have adds none. If more than the cost is minimised, all pairs count: it is not known which
+    other objectives improve with more matches.
     """
     if Feature.ORDER in problem.features:
         return tuple(problem.similarity.open_pairs())
@@ -275,7 +275,7 @@ def _answer(problem: Problem, best: Plan, uses: tuple[Pair, ...], certain: Plan,
 
 
 def _is_monotone(problem: Problem) -> bool:
-    """Whether no further match can make plans dearer."""
+    """Return whether further matches never make a plan more expensive."""
     return not problem.environment.required and not _doubtful(problem)
 
 

@@ -1,4 +1,4 @@
-"""ROS as it is: message types, and the graphs of nodes and topics that running systems, recordings and files tell."""
+"""ROS: message types, and graphs of nodes and topics from running systems, recordings and files."""
 
 from cfgplan.ros.types import MessageType as MessageType
 from cfgplan.ros.types import TypeKind as TypeKind

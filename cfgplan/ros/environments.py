@@ -1,4 +1,4 @@
-"""From a graph of ROS nodes to an environment: its file, its ontology's, and what had to be guessed for them."""
+"""From a graph of ROS nodes to an environment: its file, its ontology, and the guesses made for them."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ _APART: tuple[Callable[[RosPort], str], ...] = (
     lambda port: ".service" if port.role.is_service else "",
     lambda port: f".{port.type.name if port.type else 'any'}",
 )
-"""What is put behind names that several ports of a node have, one after the other as long as it takes."""
+"""Endings for names that several ports of a node share, tried in order until the names differ."""
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class Guessed:
-    """Something that an import had to guess: of what, what, and why."""
+    """A guess of an import: its subject, its value, and the reason."""
 
     about: str
     guess: str
@@ -56,7 +56,7 @@ class Guessed:
 
 @dataclass(frozen=True)
 class Imported:
-    """The environment of a graph, its ontology (Turtle), and what was guessed."""
+    """The environment of a graph, its ontology in Turtle, and the guesses made."""
 
     graph: RosGraph
     environment: Environment
@@ -64,7 +64,7 @@ class Imported:
     guesses: tuple[Guessed, ...]
 
     def text(self, ontology: str) -> str:
-        """The environment file (YAML), which names its ontology file so; what was guessed stands above as comments."""
+        """Return the environment file (YAML), which imports `ontology`; comments at its top list the guesses."""
         plain = plain_environment(self.environment, horizon_s=DEFAULT_HORIZON_S, ontology=[ontology])
         for transformation in plain.get("transformations", ()):
             for cost in _COSTS:
@@ -84,17 +84,17 @@ class Imported:
 
     @property
     def size(self) -> str:
-        """How much was imported, in words."""
+        """The size of the import, in words."""
         found = {"node": self.environment.library, "topic": self.graph.topics, "service": self.graph.services}
         return ", ".join(counted(len(each), noun) for noun, each in found.items())
 
 
 def imported(graph: RosGraph, table: GuessTable, *, works: bool = False, keeps_topics: bool = False) -> Imported:
-    """The environment in which the graph's nodes run, wired as the graph's topics and services wire them.
+    """Return the environment in which the graph's nodes run, wired by the graph's topics and services.
 
-    Each node becomes a transformation and a unit of it. Whose streams nobody takes is a target to run. If the graph
-    `works` as it is, inputs that nobody feeds may stay unfed, and who publishes is meant to, whatever the table says.
-    With `keeps_topics` nodes outside of a run hear outputs on their topics of the graph.
+    Each node becomes a transformation with one unit. A node becomes a target to run if no node takes its streams. If
+    the graph `works` as it is, unfed inputs may stay unfed and every publisher is intended, whatever the table says.
+    With `keeps_topics`, nodes outside of a run hear outputs on their topics of the graph.
     """
     return _Making(graph, table, works=works, keeps_topics=keeps_topics).imported
 
@@ -154,7 +154,7 @@ class _Making:
         self._guesses.append(Guessed(about, guess, why))
 
     def _ported(self, graph: RosGraph) -> RosGraph:
-        """The graph with the ports that the table, or else the nodes' own code, tells of nodes without any."""
+        """Return the graph in which nodes without ports have those of the table, or else of their own code."""
         nodes, silent, notes = [], [], list(graph.notes)
         for node in graph.nodes:
             if not node.ports:
@@ -176,7 +176,7 @@ class _Making:
         return replace(graph, nodes=tuple(nodes), notes=tuple(notes))
 
     def _told_of_sources(self, node: RosNode, told: SourcePorts) -> Iterator[str]:
-        """Tell each port of a node's sources as a guess; returns notes of those that are computed."""
+        """Note each port from a node's sources as a guess; returns notes on computed names."""
         says = "a source of its package says so" if told.is_whole_package else "its source says so"
         for port, place in sorted(told.places.items(), key=lambda item: (item[1].file, item[1].line, item[0].name)):
             self._guess(node.name, f"{port.role.value} {port.name}", f"{says}: {place}")
@@ -216,7 +216,7 @@ class _Making:
 
     @cached_property
     def _givers(self) -> Mapping[tuple[str, bool], list[_End]]:
-        """Who publishes each topic and serves each service."""
+        """The publishers of each topic and the servers of each service."""
         found: dict[tuple[str, bool], list[_End]] = defaultdict(list)
         for node in self._graph.nodes:
             for port in node.ports:
@@ -226,7 +226,9 @@ class _Making:
         return found
 
     def _feeds(self, node: RosNode, port: RosPort) -> list[_End]:
-        """Who feeds an input. Of several that publish what a node publishes too, its own does not count."""
+        """Return the outputs that feed an input; the node's own output counts only if no other node publishes the
+        topic.
+        """
         givers = self._givers.get((port.name, port.role.is_service), [])
         others = [end for end in givers if end.node != self._labels[node.name]]
         return others or givers
@@ -276,7 +278,7 @@ class _Making:
         )
 
     def _taken(self, end: _End, streams: list[_End], port: InputPort) -> list[_End]:
-        """The streams that an input is wired to; of several servers of one name the first."""
+        """Return the streams that an input is wired to; a client with several servers gets only the first."""
         if port.service and len(streams) > 1:
             self._guess(f"input {end.port} of {end.node}", f"asks {streams[0].node}", "several serve it")
             return streams[:1]
@@ -288,7 +290,9 @@ class _Making:
         feeds: Mapping[_End, list[_End]],
         inputs: Mapping[_End, tuple[RosNode, RosPort]],
     ) -> dict[_End, InputPort]:
-        """The inputs through which cycles are closed: those that the table names, then those that lead back."""
+        """Return the inputs through which cycles are closed: first those that the table names, then those that lead
+        back.
+        """
         closing: dict[_End, InputPort] = {}
 
         def named(end: _End) -> tuple[str, RosPort]:
@@ -359,7 +363,9 @@ class _Making:
         )
 
     def _targets(self, ports: Mapping[_End, InputPort], feeds: Mapping[_End, list[_End]]) -> Iterator[Target]:
-        """A target for each node that is wanted for itself: all that is needed then feeds one of them."""
+        """Yield a target for each wanted node, or if none are named, for each end of the graph: every needed node feeds
+        one.
+        """
         wanted = self._table.wanted
         if wanted is not None:
             for node in self._graph.nodes:
@@ -381,10 +387,10 @@ def _qos(port: RosPort) -> str | None:
 
 
 def _own(node: RosNode, port: RosPort) -> str:
-    """What the node itself calls a topic or service, as far as that is known: before remapping.
+    """Return the node's own name of a topic or service, before remapping, as far as it is known.
 
-    What lies below the node's name is taken for private, and below its namespace for relative: so it is understood
-    wherever the node is started.
+    A name below the node's name is taken as private, one below its namespace as relative; so the name stays valid in
+    every namespace.
     """
     if port.own is not None:
         return port.own
@@ -408,7 +414,7 @@ def _idle_remaps(node: RosNode) -> Iterator[str]:
 
 
 def _source(node: RosNode, idle: tuple[str, ...]) -> NodeSource:
-    """How the node is started; where that is not known, somebody else runs it. `idle` are remappings of no port."""
+    """Return how the node is started; if that is unknown, it is external. `idle` are remappings of no port."""
     arguments = (*node.arguments, *idle)
     if node.package and node.plugin:
         kind: NodeKind = "component" if "::" in node.plugin else "nodelet"
@@ -428,7 +434,7 @@ def _unit_of(label: str) -> str:
 
 
 def _depths(graph: networkx.MultiDiGraph) -> dict[str, int]:
-    """How far each node is from those that nothing feeds; from the first node where something feeds each."""
+    """Return each node's distance from unfed nodes; if all nodes are fed, from the first node."""
     sources = [name for name in sorted(graph) if not graph.in_degree(name)]
     depths: dict[str, int] = {}
     while len(depths) < len(graph):
@@ -439,7 +445,9 @@ def _depths(graph: networkx.MultiDiGraph) -> dict[str, int]:
 
 
 def _ends(labels: Iterable[str], needs: Mapping[_End, list[_End]]) -> list[str]:
-    """One label of each group of nodes that need each other's streams, and whose streams nobody else needs."""
+    """Return one label of each group of nodes that need each other's streams, if no other node needs the group's
+    streams.
+    """
     graph = networkx.DiGraph()
     graph.add_nodes_from(labels)
     for end, streams in needs.items():
@@ -450,9 +458,9 @@ def _ends(labels: Iterable[str], needs: Mapping[_End, list[_End]]) -> list[str]:
 
 
 def port_names(node: RosNode) -> dict[RosPort, str]:
-    """A name for each port of a node: the end of its topic's name that no other port of the node has, with dots.
+    """Return a name for each port of a node: the shortest end of its topic's name unique among its ports, with dots.
 
-    Where a node publishes what it subscribes to, the output's name ends in `.out`.
+    If a node publishes a topic that it also subscribes to, the output's name ends in `.out`.
     """
     names: dict[RosPort, str] = {}
     for gives in (False, True):

@@ -1,4 +1,4 @@
-"""A graph of ROS nodes: what each publishes, subscribes to, serves and calls; the value between sources and files."""
+"""A graph of ROS nodes with their topics and services; the value between sources and files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cfgplan.ros.types import MessageType
 
 
 class Role(StrEnum):
-    """What a node does with a topic or a service; an action counts as a service."""
+    """The role of a node at a topic or a service; an action counts as a service."""
 
     PUBLISHES = "publishes"
     SUBSCRIBES = "subscribes"
@@ -60,13 +60,13 @@ def _port_key(port: RosPort) -> tuple[str, ...]:
 class RosNode:
     """A node by its full name, such as `/robot1/amcl`.
 
-    `package` and `executable` say how it is started (without a package the executable is a file), and `plugin` what a
-    container or nodelet manager of the name `container` loads; each is None where no source tells it. `remappings` are
-    full names, from the node's own to those used; `parameters` are as a launch file writes them. A `player` stands for
-    the unknown publishers of what was recorded. `runs` is None where no source looked whether the node runs. `machine`
-    is the computer that it runs on; None: the one that starts the graph. `shared` are the own names in `remappings`
-    that a launch file renames for all nodes of a group, whether or not each has them. `file` is the launch file that
-    starts the node: its package is looked for near it.
+    `package` and `executable` start it (without a package, the executable is a file); `plugin` is the class that the
+    container or nodelet manager `container` loads; each is None if no source names it. `remappings` map the node's own
+    names to those used, both in full; `parameters` are as a launch file writes them. A `player` stands for the unknown
+    publishers of recorded topics. `runs` is None if no source looked whether the node runs. `machine` is the computer
+    that it runs on; None: the one that starts the graph. `shared` are the own names in `remappings` that a launch file
+    renames for all nodes of a group, even those that do not use the name. `file` is the launch file that starts the
+    node: its package is searched near it.
     """
 
     name: str
@@ -97,7 +97,7 @@ class RosNode:
 class RosGraph:
     """The nodes of one or several sources.
 
-    `notes` say what the sources could not tell, and `dropped` what they say that no environment has a word for.
+    `notes` name facts that the sources do not tell, `dropped` statements of theirs that an environment can't express.
     `parameters` are those that launch files set outside nodes, by their full names.
     """
 
@@ -127,10 +127,11 @@ class RosGraph:
 
 
 def merged(graphs: Iterable[RosGraph]) -> RosGraph:
-    """One graph of several: nodes of one name are one node; the first source that tells how it starts is believed.
+    """Merge graphs: nodes of one name become one node, started as the first source that says so does.
 
-    A player keeps the topics that no other node publishes. Of the others the recording tells how often, and the type
-    if no other source does. If a source looked at what runs, nodes that it has not seen do not run, and players go.
+    A player keeps the topics that no other node publishes. For the other topics the recording gives the rate, and the
+    type if no other source does. If a source looked at the running nodes, nodes that it has not seen do not run, and
+    players are removed.
     """
     graphs = list(graphs)
     nodes: dict[str, RosNode] = {}
@@ -171,19 +172,19 @@ def _joined(one: RosNode, other: RosNode) -> RosNode:
 
 
 def _is_same(one: RosPort, other: RosPort) -> bool:
-    """Whether two sources tell of one port: what one of them does not know is no difference."""
+    """Return whether two sources describe the same port; an unknown type or definition equals any."""
     known = ((one.type, other.type), (one.definition, other.definition))
     return (one.role, one.name) == (other.role, other.name) and all(a == b for a, b in known if a and b)
 
 
 def _filled(one: RosPort, other: RosPort) -> RosPort:
-    """A port with what another source knows of it."""
+    """Return a port completed by another source's values."""
     names = ("type", "own", "rate_hz", "definition", "qos")
     return replace(one, **{name: getattr(one, name) or getattr(other, name) for name in names})
 
 
 def _with_recorded(nodes: Sequence[RosNode]) -> Iterator[RosNode]:
-    """The nodes with what players know of their topics, and the players with what is left."""
+    """Yield the nodes with the rates and types that players know, and the players with their remaining topics."""
     recorded = {port.name: port for node in nodes if node.player for port in node.ports}
     publishers = Counter(port.name for node in nodes if not node.player for port in node.ports if _publishes(port))
     for node in nodes:

@@ -1,4 +1,4 @@
-"""What an import has to guess: a table of well-known types, topics and nodes, and files of people who know better."""
+"""The guesses of an import: a table of well-known types, topics and nodes, and the user's own tables."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class _Rows(BaseModel):
 
 
 class InputGuess(_Rows):
-    """What is believed of the inputs that fit patterns of their type, topic and node: those that are given."""
+    """A row about inputs that fit the given patterns of type, topic and node; it says only the words that are given."""
 
     type: str | None = None
     topic: str | None = None
@@ -72,7 +72,7 @@ def _fits(pattern: str, kind: MessageType) -> bool:
 
 
 class NoiseGuess(_Rows):
-    """Patterns of the names that every graph has, and of those who only look on."""
+    """Patterns of names that every graph has, and of nodes that only observe."""
 
     topics: list[str] = []
     services: list[str] = []
@@ -110,9 +110,9 @@ class GuessTable(_Rows):
         return next((row for row in self.inputs if getattr(row, word) is not None and row.fits(node, port)), None)
 
     def ports_of(self, node: RosNode) -> tuple[RosPort, ...] | None:
-        """The ports of a node by what it runs, after its remappings; None if the table does not know it.
+        """Return the ports of a node's plugin or executable, after its remappings; None if the table lacks it.
 
-        A name `{1}` is the first argument of the command line; without so many there is no such port.
+        A name `{1}` stands for the first argument of the command line; the port is omitted if that is missing.
         """
         known = self.nodes.get(node.plugin or f"{node.package}/{node.executable}")
         if known is None:
@@ -125,7 +125,7 @@ class GuessTable(_Rows):
         return tuple(ports)
 
     def is_noise(self, node: str) -> bool:
-        """Whether a node only looks on."""
+        """Return whether a node only observes."""
         return _any(self.noise.nodes, node)
 
     def is_noisy(self, port: RosPort) -> bool:
@@ -138,7 +138,7 @@ def _any(patterns: Sequence[str], name: str) -> bool:
 
 
 def guess_table(files: Iterable[Path] = ()) -> GuessTable:
-    """The table of this room, behind what files say. Raises InputError."""
+    """Return the rows of the files, followed by those of this room's own table. Raises InputError."""
     read = [*map(_read, files), _own()]
     return GuessTable(
         inputs=[row for file in read for row in file.inputs],

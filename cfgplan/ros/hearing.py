@@ -14,11 +14,11 @@ from cfgplan.transformations import InputPort, OutputPort
 
 _MEND = "let both say the same, or let `cfgplan run --middleware ros2` put its relay between them"
 _LIKE = 0.5
-"""How similar a name is, at least, to be proposed instead of another (difflib's ratio)."""
+"""The least similarity of a name to be proposed instead of another (difflib's ratio)."""
 
 
 def ros_faults(environment: Environment) -> Iterator[WiringFault]:
-    """What is wrong with running nodes of ROS that the rules of validity do not know."""
+    """Yield faults of running ROS nodes that the rules of validity do not cover."""
     yield from _idle_remaps(environment)
     yield from _kept_apart(environment)
 
@@ -45,9 +45,10 @@ def _idle_remaps(environment: Environment) -> Iterator[WiringFault]:
 
 
 def _kept_apart(environment: Environment) -> Iterator[WiringFault]:
-    """The subscriptions that hear nothing where nodes are wired directly: they ask for a quality that is not offered.
+    """Yield the directly wired subscriptions that receive nothing because they ask for a quality that is not offered.
 
-    In a run with relays (`cfgplan run --middleware ros2`) each hears: the relay asks and offers what is needed.
+    In a run with relays (`cfgplan run --middleware ros2`) they receive all: the relay asks for and offers the right
+    quality.
     """
     library = {unit.id: environment.transformation.get(unit.transformation) for unit in environment.units}
     for unit in environment.units:

@@ -1,6 +1,6 @@
 """A configuration of ROS 2 nodes as a launch file in Python: nodes, containers of components, remappings and relays.
 
-References: the constructors of launch and launch_ros. What a launch file says of values is said here by `repr`.
+Reference: the constructors of launch and launch_ros. Values are written by `repr`.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class _Code:
 
 @dataclass(frozen=True)
 class _Call:
-    """A call with keyword arguments; those that are None or empty are left out."""
+    """A call with keyword arguments; arguments that are None or empty are left out."""
 
     name: str
     arguments: Mapping[str, object]
@@ -46,10 +46,11 @@ def launch_text(
     host: str | None = None,
     folder: str = ".",
 ) -> str:
-    """The launch file of what runs in an environment; the lines `about` are a comment above it.
+    """Return a launch file of the running configuration; the lines `about` are a comment at its top.
 
-    `part` leaves out the nodes or the components, and `host` all that runs elsewhere. Relays go with the nodes of the
-    first host. `folder`, from the launch file's, is where files are that nodes are (`node:./FILE`). Raises InputError.
+    `part` selects nodes or components, `host` the units of one host. Relays are launched with the nodes of the first
+    host. `folder` leads from the launch file's folder to the files of nodes that are files (`node:./FILE`). Raises
+    InputError.
     """
     _check_host(environment, host)
     names = TopicNames(environment)

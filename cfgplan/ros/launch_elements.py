@@ -1,4 +1,4 @@
-"""What elements of launch files of both generations of ROS have in common: conditions, words, faults with places."""
+"""Elements common to launch files of ROS 1 and ROS 2: conditions, words, faults with places."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def words(file: Path, element: XmlElement, attribute: str, value: str | None) ->
 
 
 def declared(file: Path, element: XmlElement, name: str, default: str | None) -> str:
-    """The value of an argument that nobody passed. Raises InputError if it has no default."""
+    """Return the default of an argument that was not passed. Raises InputError if it has none."""
     if default is None:
         mend = f"pass it: write {name}:=VALUE behind the file"
         raise launch_fault(file, element, f"the argument `{name}` has no value", mend)

@@ -1,6 +1,7 @@
-"""The nodes of a launch file of ROS 1 (XML), with what it includes. Reference: roslaunch/XML of wiki.ros.org.
+"""The nodes of a launch file of ROS 1 (XML), including the files that it includes.
 
-A launch file names nodes, how they are started, their parameters and remappings. It does not name their ports.
+Reference: roslaunch/XML of wiki.ros.org. A launch file names nodes, how they are started, their parameters and
+remappings. It does not name their ports.
 """
 
 from __future__ import annotations
@@ -51,9 +52,9 @@ _TYPES: Mapping[str, Callable[[str], object]] = {
 
 
 def launch_graph(path: Path, arguments: Mapping[str, str] | None = None) -> RosGraph:
-    """The nodes that a launch file starts with these arguments, without ports.
+    """Return the nodes that a launch file starts with these arguments, without ports.
 
-    Raises InputError with file and line. What lies in packages that are not here is left out; a note says so.
+    Raises InputError with file and line. Includes from packages that are not installed are left out; a note says so.
     """
     walk = _Walk()
     passed = dict(arguments or {})
@@ -64,8 +65,10 @@ def launch_graph(path: Path, arguments: Mapping[str, str] | None = None) -> RosG
 
 @dataclass(frozen=True)
 class _Scope:
-    """What holds at a place of a launch file: names are below `namespace`, remappings and private parameters are for
-    all nodes that follow. `given` are the arguments that were passed, `arguments` those that are declared.
+    """The settings at a place of a launch file.
+
+    Names are resolved below `namespace`; remappings and private parameters hold for all following nodes. `given` are
+    the arguments passed to the file, `arguments` those declared.
     """
 
     file: Path
@@ -131,7 +134,7 @@ class _Walk:
         return scope
 
     def _element(self, element: XmlElement, scope: _Scope) -> _Scope:
-        """Read an element; returns what holds after it."""
+        """Read an element; returns the settings after it."""
         match element.name:
             case "arg":
                 return self._argument(element, scope)
@@ -231,7 +234,7 @@ class _Walk:
         return None if self._machines.get(name) in _LOCAL else name
 
     def _tell_of_ways_to_start(self, element: XmlElement, scope: _Scope, name: str) -> None:
-        """Note each attribute of a node that an environment has no word for."""
+        """Note each attribute of a node that an environment can't express."""
         for attribute, reason in _DROPPED.items():
             value = self._value(element, attribute, scope)
             if value and value.strip().lower() not in FALSE:
@@ -304,7 +307,7 @@ class _Walk:
         return None if text is None else self._meant(element, text, scope, missing=missing)
 
     def _meant(self, element: XmlElement, text: str, scope: _Scope, *, missing: bool = False) -> str:
-        """A text with its substitutions; those of packages that are not here stay, unless `missing` asks to raise."""
+        """Return a text with its substitutions; those of missing packages stay, unless `missing` asks to raise."""
         try:
             return Substitutions(scope.file, scope.arguments).text(text)
         except PackageMissingError as error:
@@ -331,7 +334,7 @@ def _nodelet(node: RosNode, namespace: str) -> RosNode:
 
 
 def _leaves(values: Mapping[Any, object], above: str = "") -> Iterator[tuple[str, object]]:
-    """The values by their whole names, those within others too: what is loaded twice is put together."""
+    """Yield each value in nested mappings with its full name; mappings loaded twice are merged that way."""
     for key, value in values.items():
         name = f"{above}/{key}" if above else str(key)
         if isinstance(value, dict):

@@ -1,4 +1,4 @@
-"""The graph of a running ROS 1 system: what its master knows, and what its nodes say of their own topics."""
+"""The graph of a running ROS 1 system, from its master and its nodes' answers about their own topics."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def _node(
 
 
 def _type(text: str | None) -> MessageType | None:
-    """What a node says a topic's type is; `*` is any."""
+    """Return the type that a node names for a topic; None if it names none or `*`."""
     return None if not text or text == "*" else MessageType.read(text)
 
 
@@ -123,7 +123,7 @@ def _is_here(host: str) -> bool:
 
 
 def _started_by(node: RosNode, command: tuple[str, ...]) -> RosNode:
-    """A node with what its command line says of it: `.../lib/PACKAGE/EXECUTABLE`, arguments and remappings."""
+    """Return a node with the values of its command line: `.../lib/PACKAGE/EXECUTABLE`, arguments and remappings."""
     at = next((index for index, word in enumerate(command[:2]) if _package(Path(word)) is not None), None)
     if at is None:
         return node

@@ -1,4 +1,4 @@
-"""How masters and nodes of ROS 1 are talked to: calls of their interfaces, and the headers of their connections."""
+"""The protocol of masters and nodes of ROS 1: calls of their interfaces, and the headers of their connections."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from xmlrpc.client import Error, ServerProxy, Transport
 from cfgplan.errors import InputError
 
 ANSWER_LIMIT_S = 3.0
-"""How long a master or node may take to answer."""
+"""The most seconds for an answer of a master or node."""
 LARGEST_HEADER = 2**20
 SUCCESS, FAILURE = 1, 0
-"""What answers begin with."""
+"""The status codes that begin an answer."""
 
 
 class SilentError(Exception):

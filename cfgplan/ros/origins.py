@@ -1,4 +1,4 @@
-"""Where graphs come from: what people name on the command line, and who reads each."""
+"""The sources of graphs named on the command line, and the reader of each."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ _LAUNCH_FILES = (".launch", ".xml", ".test")
 
 
 def ros1_graph(sources: Sequence[str]) -> RosGraph:
-    """The graph that all sources together tell; NAME:=VALUE among them are arguments of launch files.
+    """Return the merged graph of all sources; NAME:=VALUE entries are arguments of launch files.
 
-    Raises InputError for what is no source of ROS 1.
+    Raises InputError for an entry that is no source of ROS 1.
     """
     return _merged(sources, _ros1, ROS1_SOURCES)
 
 
 def ros2_graph(sources: Sequence[str], live: Callable[[], RosGraph]) -> RosGraph:
-    """The graph that all sources together tell; NAME:=VALUE among them are arguments of launch files.
+    """Return the merged graph of all sources; NAME:=VALUE entries are arguments of launch files.
 
-    `live` asks a running system. Raises InputError for what is no source of ROS 2.
+    `live` queries the running system. Raises InputError for an entry that is no source of ROS 2.
     """
     return _merged(sources, lambda source, arguments: _ros2(source, arguments, live), ROS2_SOURCES)
 

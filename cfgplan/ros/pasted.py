@@ -1,4 +1,4 @@
-"""What people paste of `ros2 node info`, `ros2 topic info -v` and `rosnode info`, in one text file, in any order."""
+"""Pasted output of `ros2 node info`, `ros2 topic info -v` and `rosnode info`, in one text file, in any order."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _TOPIC_INFO = re.compile(r"(?:.*\s)?ros2\s+topic\s+info\b.*?\s(/\S+).*")
 _FIELD_LINE = re.compile(r"([A-Z][\w /()]*?):\s*(.*)")
 _SECONDS = re.compile(r"(\d+)\s+nanoseconds?")
 _NEVER_NS = 9_000_000_000_000_000_000
-"""Times from here on stand for none: DDS writes what is infinite as the largest number it has."""
+"""Times from here on are infinite: DDS writes infinity as its largest number."""
 
 
 def is_pasted(source: str) -> bool:
@@ -149,7 +149,7 @@ class _Pasted:
             self._fields[key] = value
 
     def _end(self) -> None:
-        """The end of an endpoint of a topic: all that was said of it is a port."""
+        """Finish an endpoint of a topic: make a port of its collected fields."""
         said, begin = self._fields, self._begin
         self._begin = 0
         self._fields = {"Type": said["Type"]} if "Type" in said else {}
@@ -174,7 +174,7 @@ class _Pasted:
 
 
 def _quality(said: dict[str, str]) -> ServiceQuality | None:
-    """The quality of service of an endpoint; None if nothing is said of it."""
+    """Return the quality of service of an endpoint; None if the output does not have it."""
     if "Reliability" not in said and "Durability" not in said:
         return None
     return ServiceQuality(
@@ -187,6 +187,6 @@ def _quality(said: dict[str, str]) -> ServiceQuality | None:
 
 
 def _seconds(text: str) -> float | None:
-    """A time in seconds; None if it is infinite, or not told."""
+    """Return a time in seconds; None if it is infinite or missing."""
     found = _SECONDS.fullmatch(text)
     return None if found is None or not 0 < int(found[1]) < _NEVER_NS else int(found[1]) / 1e9

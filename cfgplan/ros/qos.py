@@ -1,4 +1,4 @@
-"""Quality of service in ROS 2: what keeps a subscription from hearing a publisher.
+"""Quality of service in ROS 2: reasons why a subscription does not hear a publisher.
 
 Reference: OMG DDS 1.4, section 2.2.3.
 """
@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True, order=True)
 class ServiceQuality:
-    """What a publisher offers, or a subscription asks for; `deadline_s` and `lease_s` are None if there is none.
+    """A quality of service, offered or asked for; `deadline_s` and `lease_s` are None if not set.
 
-    The usual one of ROS 2 is reliable and volatile. With `manual` a node itself has to say that it lives.
+    The default of ROS 2 is reliable and volatile. With `manual`, a node has to assert its liveliness itself.
     """
 
     reliable: bool = True

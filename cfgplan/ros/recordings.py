@@ -27,9 +27,9 @@ def is_recording(path: Path) -> bool:
 
 
 def recorded_graph(path: Path) -> RosGraph:
-    """Who published what in a recording. Raises InputError for what can't be read.
+    """Return the publishers of a recording. Raises InputError if it can't be read.
 
-    Bags of ROS 1 mostly tell who published. A player publishes what has no known publisher.
+    Bags of ROS 1 usually name the publishers. A player publishes topics without a known publisher.
     """
     connections, seconds = _read(path)
     notes = [f"who subscribes to topics of {path}: a recording has only what was published"]
@@ -50,7 +50,7 @@ def recorded_graph(path: Path) -> RosGraph:
 
 
 def _player(path: Path, ports: Sequence[RosPort]) -> RosNode:
-    """Who plays what a recording has: in ROS 1 a node that is started so."""
+    """Return the player of a recording; in ROS 1 it is a node with its command."""
     name = f"/play_{re.sub(r'[^A-Za-z0-9]+', '_', path.stem)}"
     if path.suffix != _BAG1:
         return RosNode(name, tuple(ports), player=True)

@@ -79,7 +79,7 @@ def ros2_launch_graph(path: Path, arguments: Mapping[str, str] | None = None) ->
 
 @dataclass
 class _State:
-    """What actions of a launch file set for those that follow, until the group ends that they stand in."""
+    """The settings that actions of a launch file make for the following ones, up to the end of their group."""
 
     file: Path
     values: dict[str, str]
@@ -103,7 +103,7 @@ class _Launch:
         self._places = NodePlaces()
 
     def file(self, path: Path, state: _State) -> None:
-        """Read a file; what it sets outside of groups holds for the file that includes it too."""
+        """Read a file; its settings outside of groups hold for the including file too."""
         outer = state.file
         state.file, state.depth = path, state.depth + 1
         self._actions(_root(path).children, state)
@@ -296,7 +296,7 @@ def _unquoted(text: str) -> str:
 
 
 def _substituted(inner: str, state: _State) -> str:
-    """What a substitution without others in it stands for."""
+    """Return the value of a substitution that contains no other substitution."""
     word, _, rest = inner.partition(" ")
     if word == "eval":
         return str(evaluated(_unquoted(rest), {}))
@@ -358,7 +358,9 @@ def _package(name: str, near: Path, *, prefix: bool) -> Path:
 
 
 def _typed(text: str, kind: str | None) -> object:
-    """A parameter's value: of the type that is said, or of that which YAML reads. Raises ValueError and YAMLError."""
+    """Return a parameter's value in its declared type, or else in the type that YAML reads. Raises ValueError and
+    YAMLError.
+    """
     if kind is None or kind == "auto":
         return yaml.safe_load(text)
     if kind.startswith("list_of_"):

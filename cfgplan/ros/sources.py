@@ -1,4 +1,4 @@
-"""What `source` says of a unit that is a node of ROS."""
+"""The `source` of a unit that is a ROS node."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ NodeKind = Literal["node", "nodelet", "component", "external"]
 _FORMS = "node:PACKAGE/EXECUTABLE, node:./FILE, nodelet:PACKAGE/CLASS, component:PACKAGE/PLUGIN or external:/NAME"
 
 REMAPS = ":="
-"""What stands between the two names of a remapping among a node's arguments."""
+"""The sign between the two names of a remapping in a node's arguments."""
 
 
 @dataclass(frozen=True, slots=True)
 class NodeSource:
-    """The ROS node that units of a transformation are.
+    """The ROS node that a transformation's units run as.
 
     A `node` is an executable of a package, or a file (`package` is "") relative to the environment file. A `nodelet`
     (ROS 1) or a `component` (ROS 2) is a class of a package, loaded into the manager or container `group`, or if that
-    is "" into the run's own. An `external` node is run by somebody else under the name that `name` says.
+    is "" into the run's own. An `external` node is started outside of cfgplan, under the name `name`.
     """
 
     kind: NodeKind

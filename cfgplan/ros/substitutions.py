@@ -1,4 +1,4 @@
-"""What `$(arg ...)`, `$(find ...)` and their like in launch files of ROS 1 stand for."""
+"""Substitutions such as `$(arg ...)` and `$(find ...)` in launch files of ROS 1."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ class PackageMissingError(SubstitutionError):
 
 @dataclass(frozen=True)
 class Substitutions:
-    """What stands for what in a launch file, given its arguments."""
+    """The substitutions of a launch file, given its arguments."""
 
     file: Path
     arguments: Mapping[str, str]
 
     def text(self, text: str) -> str:
-        """A text with all that is meant by it. Raises SubstitutionError."""
+        """Return a text with its substitutions replaced. Raises SubstitutionError."""
         whole = _EVAL.fullmatch(text.strip())
         if whole:
             return str(self._evaluated(whole[1]))
@@ -142,7 +142,7 @@ def _roots(variable: str) -> list[Path]:
 
 @cache
 def _packages(root: Path) -> Mapping[str, Path]:
-    """The packages below a folder, by name; of those of one name the first."""
+    """Return the packages below a folder, by name; the first one of each name."""
     found: dict[str, Path] = {}
     for folder in _package_folders(root, _DEEPEST):
         found.setdefault(_name_in(folder / "package.xml") or folder.name, folder)

@@ -1,8 +1,8 @@
-"""Names of topics and services by which nodes hear what a configuration wires them to, and the relays that it takes.
+"""Topic and service names that wire nodes as a configuration says, and the relays needed for that.
 
 A node is remapped once, when it starts: each of its ports has one name. An output has the topic of its target, or one
-of its own; an input hears the name of what feeds it. Outputs that feed the same inputs, and nothing else, share a name.
-What one name can't do is done by a relay from one topic to another.
+of its own; an input has the name of the output that feeds it. Outputs that feed the same inputs, and no others, share a
+name. If an input needs streams under several names, relays copy them to its topic.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class PortEnd(NamedTuple):
 
 
 ACTION_PARTS = tuple(f"/_action/{part}" for part in ("send_goal", "cancel_goal", "get_result", "feedback", "status"))
-"""What stands behind an action's name in those of its services and topics."""
+"""The endings of the names of an action's services and topics."""
 
 
 def remapped(own: str, name: str, kind: str | None) -> Mapping[str, str]:
@@ -44,7 +44,7 @@ def remapped(own: str, name: str, kind: str | None) -> Mapping[str, str]:
 
 
 class LaunchRelay(NamedTuple):
-    """What comes on a topic is passed on to another one."""
+    """A relay: copies messages from one topic to another."""
 
     source: str
     target: str
@@ -61,11 +61,11 @@ class NodeUnit:
 
     @property
     def is_foreign(self) -> bool:
-        """Whether somebody else runs it, so that it can't be remapped."""
+        """Return whether the node is started outside of cfgplan, so that it can't be remapped."""
         return self.source.kind == "external"
 
     def own_name(self, end: PortEnd) -> str:
-        """What the node itself calls a port."""
+        """Return the node's own name of a port."""
         port = self.port(end)
         return port.remap or port.name
 
@@ -94,7 +94,9 @@ class TopicNames:
         return tuple(self._units[unit] for unit in sorted(self._units))
 
     def remappings(self, node: NodeUnit) -> list[tuple[str, str]]:
-        """What a node calls its topics and services, and their names. Raises InputError for two names of one."""
+        """Return pairs of a node's own name and the remapped name. Raises InputError if one own name needs
+        two topics.
+        """
         found: dict[str, str] = {}
         for end in node.ends:
             own = re.sub("^~/?", "~/", node.own_name(end))
@@ -148,7 +150,7 @@ class TopicNames:
         return {end: min(group) for end, group in groups if all(map(may_share, group))}
 
     def _wire_inputs(self) -> Iterator[LaunchRelay]:
-        """Name the inputs, and tell the relays."""
+        """Name the inputs, and yield the relays."""
         of_feeds: dict[frozenset[PortEnd], str] = {}
         for end, feeds in self._feeds.items():
             sources = {self.name[giver] for giver in feeds}

@@ -20,7 +20,7 @@ _PATH = re.compile(
 
 @dataclass(frozen=True, slots=True, order=True)
 class MessageType:
-    """What a topic carries, or what a service or an action takes and gives: `MessageType("nav_msgs", "Odometry")`."""
+    """The type of a topic, service or action: `MessageType("nav_msgs", "Odometry")`."""
 
     package: str
     name: str

@@ -17,10 +17,10 @@ _NO_CONCEPTS = KEYWORDS | {"thing", "nothing", "message", "topic", "service"}
 
 
 class RosVocabulary:
-    """A concept for each message type, and one for each topic and service: what stands for it in a tag.
+    """The concept names in tags: one for each message type, and one for each topic and service.
 
-    A name of a topic becomes a concept by writing `-` for `/`, which no name in ROS has: `/robot1/scan` is
-    `robot1-scan`, and `sensor_msgs/LaserScan` is `sensor_msgs-LaserScan`.
+    A topic's concept has `-` for `/`, which no name in ROS has: `/robot1/scan` is `robot1-scan`, and
+    `sensor_msgs/LaserScan` is `sensor_msgs-LaserScan`.
     """
 
     def __init__(self, graph: RosGraph) -> None:
@@ -39,7 +39,7 @@ class RosVocabulary:
         self._services = {name: self._concept(name, "service") for name in graph.services}
 
     def tag(self, port: RosPort) -> str:
-        """What a port gives or needs: messages of its type on its topic."""
+        """Return a port's tag: messages of its type on its topic."""
         topic = (self._services if port.role.is_service else self._topics)[port.name]
         if port.type is None:
             return topic
@@ -89,7 +89,7 @@ class RosVocabulary:
 
 
 def _short(digest: str) -> str:
-    """What stands for a definition's digest in a name."""
+    """Return the short form of a definition's digest in names: 8 characters."""
     return digest.rpartition("_")[2][:8]
 
 

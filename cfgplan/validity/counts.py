@@ -11,7 +11,7 @@ from cfgplan.validity.rules import Rule, Violation
 
 
 def count_violations(environment: Environment, similarity: Similarity) -> Iterator[Violation]:
-    """Inputs with too few streams or too many, with several of one unit, or with not all that there are for them."""
+    """Yield each input that has too few or too many streams, several of one unit, or not all that it must take."""
     for unit, port in _ports(environment):
         streams = unit.feeds.get(port.name, ())
         where, number = f"input {port.name} of unit {unit.id}", len(streams)
@@ -31,7 +31,7 @@ def count_violations(environment: Environment, similarity: Similarity) -> Iterat
 
 
 def unfed_violations(environment: Environment, similarity: Similarity) -> Iterator[Violation]:
-    """Optional inputs that nothing feeds, though streams of what runs could, at no price."""
+    """Yield each optional input that is not fed although running units could feed it at no cost."""
     for unit, port in _ports(environment):
         if port.starts_nothing and port.count != ALL and port.name not in unit.feeds:
             free = _free(environment, similarity, unit, port)
@@ -43,7 +43,7 @@ def unfed_violations(environment: Environment, similarity: Similarity) -> Iterat
 
 
 def serving_violations(environment: Environment) -> Iterator[Violation]:
-    """Streams that more take than their outputs serve."""
+    """Yield each stream with more subscribers and topics than its output serves."""
     for stream, left in _left_to_serve(environment).items():
         if left < 0:
             text = f"{-left} more than it serves take the stream {stream}"
@@ -51,7 +51,7 @@ def serving_violations(environment: Environment) -> Iterator[Violation]:
 
 
 def _left_to_serve(environment: Environment) -> dict[Stream, int]:
-    """How many more inputs and topics may take each stream of an output that serves only so many."""
+    """Return how many more inputs and topics may take each stream of an output with a `serves` limit."""
     taken = Counter(s.stream for unit in environment.units for s in unit.subscriptions)
     taken.update(Stream(unit.id, p.port) for unit in environment.units for p in unit.publications)
     return {
@@ -107,7 +107,7 @@ def _free(
 
 
 def _downstream(environment: Environment, unit: ComputationUnit) -> set[str]:
-    """A unit and all that it feeds, directly or through others, but by feedback inputs."""
+    """Return a unit and all units that it feeds, directly or through others, except by feedback inputs."""
     readers: dict[str, set[str]] = defaultdict(set)
     for other, transformation in known_units(environment):
         feedback = {port.name for port in transformation.inputs if port.feedback}

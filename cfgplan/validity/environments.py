@@ -25,11 +25,12 @@ def violations(
     spares: Collection[str] = (),
     before: Environment | None = None,
 ) -> list[Violation]:
-    """Every rule that the running configuration violates; empty when it is valid (Definition 9).
+    """Return every rule that the running configuration violates; empty when it is valid (Definition 9).
 
-    If it is what an update makes of `before`, pinned units that do not run yet have to be needed as others are.
-    With `survive`, it must bear every single failure of that kind too; the energy of hosts has to last for the horizon.
-    Whoever knows that it does, and which are its `justified_spares`, passes these instead.
+    `before` is the environment that an update changed into this one; a pinned unit that it does not have must be
+    needed. With `survive`, the configuration must survive every single failure of that kind. Host energy must last for
+    `horizon_s` seconds. A caller that has checked survival already passes the `justified_spares` as `spares`, without
+    `survive`.
     """
     return [
         *_unknown_transformations(environment),
@@ -108,7 +109,7 @@ def _bad_publications(environment: Environment, similarity: Similarity) -> Itera
 
 
 def missing_units(environment: Environment) -> Iterator[Violation]:
-    """Targets that want a unit of a transformation to run, though none does."""
+    """Yield each target that wants a running unit of a transformation that has none."""
     running = {unit.transformation for unit in environment.units if not unit.standby}
     for target in environment.targets:
         if target.run is not None and target.run not in running:
@@ -170,7 +171,7 @@ def _needless_units(
 
 
 def instance_violations(environment: Environment) -> Iterator[Violation]:
-    """Conflicting transformations that both have units, and too few or too many units of one."""
+    """Yield conflicting transformations that both have units, and transformations with too few or too many units."""
     there = Counter(unit.transformation for unit in environment.units)
     running = _running(environment)
     for transformation in environment.library:
@@ -190,7 +191,7 @@ def instance_violations(environment: Environment) -> Iterator[Violation]:
 
 
 def asked_by_number(environment: Environment) -> set[str]:
-    """The running units of transformations that have no more of them than they ask for."""
+    """Return the running units of transformations that have at most `min_instances` of them."""
     running = _running(environment)
     return {
         unit_id

@@ -1,4 +1,4 @@
-"""What the judge reads off an environment: known units, tags of streams, what is needed."""
+"""Facts that the judge derives from an environment: known units, tags of streams, needed units."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def tag_of(environment: Environment, stream: Stream) -> str | None:
 
 
 def meeting_targets(environment: Environment) -> set[str]:
-    """The units that publish on a target's topic, and the first running one of each transformation that is to run."""
+    """Return the units that publish on a target's topic, and the first running unit of each wanted transformation."""
     topics = {target.topic for target in environment.targets if target.run is None}
     found = {unit.id for unit in environment.units if any(p.topic in topics for p in unit.publications)}
     for target in environment.targets:
@@ -34,7 +34,7 @@ NOBODY: Mapping[str, list[str]] = {}
 
 
 def company_of(environment: Environment) -> dict[str, list[str]]:
-    """For each running unit, by its id, the units that it runs with and that are the only ones of their kind there."""
+    """Return, for each running unit, the units of `beside` that are the only ones of their kind on its host."""
     running: dict[tuple[str, str | None], list[str]] = defaultdict(list)
     for unit in environment.units:
         if not unit.standby:
@@ -47,9 +47,10 @@ def company_of(environment: Environment) -> dict[str, list[str]]:
 
 
 def needed_by(environment: Environment, roots: Collection[str], company: Mapping[str, list[str]] = NOBODY) -> set[str]:
-    """The ids of `roots` and of all units whose streams they use, directly or through others, and their `company`.
+    """Return the ids of `roots`, of all units whose streams they use, directly or through others, and of their
+    `company`.
 
-    What only inputs use that start nothing is not needed by them.
+    An input that starts nothing (`starts_nothing`) makes no unit needed.
     """
     needed: set[str] = set()
     ahead = [root for root in roots if root in environment.unit]

@@ -13,7 +13,7 @@ from cfgplan.validity.rules import Rule, Violation
 
 
 def placing_violations(environment: Environment, horizon_s: int = 0) -> Iterator[Violation]:
-    """Units on no host or a wrong one, and hosts with too many units; nothing where there are no hosts.
+    """Yield units on no host or a wrong one, and hosts with too many units; nothing without hosts.
 
     Energy has to last for the horizon.
     """
@@ -47,7 +47,10 @@ def placing_violations(environment: Environment, horizon_s: int = 0) -> Iterator
 
 
 def company_violations(environment: Environment) -> Iterator[Violation]:
-    """Units that may not be on their host with what is there, or without what is not; without hosts all are on one."""
+    """Yield violations of `beside`, `per_host` and `conflicts_on_host`.
+
+    Without hosts, all units count as being on one host.
+    """
     at: dict[str | None, Counter[str]] = defaultdict(Counter)
     running = {(unit.transformation, unit.host) for unit in environment.units if not unit.standby}
     for unit, transformation in known_units(environment):
@@ -71,7 +74,9 @@ def company_violations(environment: Environment) -> Iterator[Violation]:
 def costs_there(
     environment: Environment, unit: ComputationUnit, transformation: Transformation
 ) -> tuple[int, int, int]:
-    """A unit's labor, upkeep and standby on its host, in microseconds: divided by its speed unless they were seen."""
+    """Return a unit's labor, upkeep and standby on its host, in microseconds: as seen there, else divided by
+    its speed.
+    """
     costs = (transformation.labor_us, transformation.upkeep_us, transformation.standby_us or 0)
     host = environment.host.get(unit.host or "")
     if host is None:
@@ -87,7 +92,7 @@ def rents_us(environment: Environment) -> int:
 
 
 def carried_us(environment: Environment, horizon_s: int) -> int:
-    """The cost to carry streams to other hosts; a stream is paid once for each host that it is wanted on."""
+    """Return the cost of carrying streams to other hosts; a stream is paid once for each host that needs it."""
     cost = 0
     for a_second, origin, to in _journeys(environment):
         link = _link(environment, origin, to)
@@ -97,7 +102,7 @@ def carried_us(environment: Environment, horizon_s: int) -> int:
 
 
 def link_violations(environment: Environment) -> Iterator[Violation]:
-    """Links that carry more than they bear."""
+    """Yield each link that carries more bytes per second than its bandwidth."""
     over: Counter[Link] = Counter()
     for a_second, origin, to in _journeys(environment) if environment.links else ():
         link = _link(environment, origin, to)
@@ -111,7 +116,7 @@ def link_violations(environment: Environment) -> Iterator[Violation]:
 
 
 def _journeys(environment: Environment) -> Iterator[tuple[int, str | None, str]]:
-    """The bytes a second of each stream, from where it is made and to each other host that it is wanted on."""
+    """Yield the bytes per second of each stream, its host, and each other host that needs it."""
     at = {unit.id: unit.host for unit in environment.units}
     topic_host = {target.topic: target.host for target in environment.targets}
     journeys: set[tuple[str, str, str]] = set()
@@ -127,7 +132,7 @@ def _journeys(environment: Environment) -> Iterator[tuple[int, str | None, str]]
 
 
 def latency(environment: Environment, attribute: str, one: str | None, other: str | None) -> int:
-    """The share of a journey between two hosts in a stream's value of an attribute."""
+    """Return the amount that a transfer between two hosts adds to a stream's value of an attribute."""
     link = None if one == other or other is None else _link(environment, one, other)
     return link.latency if link is not None and link.adds == attribute else 0
 

@@ -18,12 +18,12 @@ from cfgplan.validity.startable import givers_by_tag, startable
 
 
 def plan_violations(problem: Problem, plan: Plan) -> list[Violation]:
-    """Every way in which a plan fails to be what it says it is; empty for a good plan.
+    """Return every way in which a plan contradicts itself or the problem; empty for a good plan.
 
-    The planner's proof that no plan is cheaper, or uses more of what is required, is not repeated here; but what runs
-    may refute it. Where pairs of tags are open, the change set must be valid even if none of them matches. Claims must
-    hold even if all of them match: that there is no plan and, with `optimal`, that every pinned unit is kept that can
-    be fed. An optimal plan hangs on no open pair.
+    The judge does not repeat the planner's proof that no plan is cheaper or uses more required transformations, but
+    reports when the running configuration refutes it. While pairs of tags are open, the change set must be valid even
+    if none of them matches. A refusal, and an optimal plan's claim that every pinned unit that can be fed is kept, must
+    hold even if all of them match. An optimal plan depends on no open pair.
     """
     if (plan.change_set is not None) != (plan.status in (Status.OPTIMAL, Status.FEASIBLE)):
         text = f"a plan that is {plan.status} must have a change set exactly if one was found"
@@ -87,7 +87,7 @@ def _bad_change_set(before: Environment, plan: Plan, after: Environment) -> Iter
 
 
 def silent_stops(problem: Problem, plan: Plan) -> list[Violation]:
-    """The pinned units that a plan stops without a reason; planners need not give one, what is handed out must."""
+    """Return the pinned units that a plan stops without a reason: a planner may omit it, a final plan may not."""
     if plan.change_set is None:
         return []
     dropped = _dropped_pinned(problem.environment, problem.environment.update(plan.change_set))
@@ -136,7 +136,7 @@ def _misreported_required(plan: Plan, after: Environment) -> Iterator[Violation]
 
 
 def _refuted_by_what_runs(problem: Problem, plan: Plan) -> Iterator[Violation]:
-    """The claims about all plans that what runs refutes, if that is valid and the plan changes something."""
+    """Yield each claim about all plans that a valid running configuration refutes; none if the plan changes nothing."""
     before, changes = problem.environment, plan.change_set
     if not changes or violations(before, problem.similarity, problem.survive, problem.horizon_s):
         return
@@ -162,7 +162,10 @@ def _refuted_by_what_runs(problem: Problem, plan: Plan) -> Iterator[Violation]:
 
 
 def kept_us(environment: Environment, horizon_s: int) -> int:
-    """What it costs to keep what runs over a horizon in seconds, in microseconds; unknown units cost nothing."""
+    """Return the cost of keeping the running configuration for `horizon_s`, in microseconds.
+
+    Units of unknown transformations cost nothing.
+    """
     cost = carried_us(environment, horizon_s) + priced_us(environment) + rents_us(environment) * horizon_s
     cost += unfed_us(environment, horizon_s)
     for unit, transformation in known_units(environment):

@@ -1,4 +1,4 @@
-"""How good the streams of a wiring are, and whether targets ask for more."""
+"""The quality of a wiring's streams, and whether it is enough for the targets."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def _asked(environment: Environment) -> Iterator[tuple[Target, Wish, int]]:
 
 
 def _feeders_first(environment: Environment) -> list[tuple[ComputationUnit, Transformation]]:
-    """The units, each after those that feed its inputs (feedback aside); those in a ring or behind one are left out."""
+    """Return the units, each after its feeders (except by feedback); units in a cycle or behind one are left out."""
     sorter: TopologicalSorter[str] = TopologicalSorter()
     known = {unit.id: (unit, transformation) for unit, transformation in known_units(environment)}
     for unit, transformation in known.values():
@@ -69,7 +69,7 @@ def _values(
     attribute: QualityAttribute,
     order: Iterable[tuple[ComputationUnit, Transformation]],
 ) -> dict[Stream, int]:
-    """The value of each stream; an input counts as the worst if it is not fed, or from outside the order."""
+    """Return the value of each stream; an input has the worst value if it is unfed, or fed from outside `order`."""
     values: dict[Stream, int] = {}
 
     def come(feed: Stream | None, host: str | None) -> int:

@@ -1,6 +1,6 @@
-"""Search for a wiring that meets targets where units compete for streams.
+"""Search for a wiring that meets targets if units compete for streams.
 
-They compete where outputs serve only so many, and where an input takes all streams: one unit more may then take what
+They compete if outputs have a `serves` limit, or an input takes all streams: a further unit may then take a stream that
 another one needs, or close a cycle. So the search starts only units that it needs, and tries every way to feed them.
 """
 
@@ -18,8 +18,10 @@ Known = tuple[ComputationUnit, Transformation]
 
 @dataclass(frozen=True)
 class _Need:
-    """A stream that a topic wants or, with a `port`, so many `more` for an input of the unit `reader`, of units that
-    come after the place `last`; or, with a `label`, a running unit of a transformation: on a host, if that `is_local`.
+    """A need for streams or for a running unit.
+
+    A topic needs one stream. With a `port`, the input of the unit `reader` needs `more` streams, of units after the
+    place `last`. With a `label`, a running unit of that transformation is needed: on `host`, if the need `is_local`.
     """
 
     tag: str = ""
@@ -34,12 +36,12 @@ class _Need:
 
 @dataclass
 class _PartialWiring:
-    """What runs, who feeds whom, and what is still needed."""
+    """A wiring under construction: running units, who feeds whom, and needs that are still open."""
 
     needs: list[_Need]
     running: set[str] = field(default_factory=set)
     readers: dict[str, set[str]] = field(default_factory=dict)
-    """The units that each unit feeds, but by feedback inputs."""
+    """The units that each unit feeds, except by feedback inputs."""
     taken: dict[Stream, int] = field(default_factory=dict)
     groups: set[tuple[str, str, str]] = field(default_factory=set)
     """A unit, a distinct group of its inputs, and a transformation that feeds the group."""
@@ -59,7 +61,7 @@ class _PartialWiring:
 
 
 class Rewiring:
-    """Units, each of which may run, that are to meet targets."""
+    """A search for a wiring of some of the given units that meets every target."""
 
     def __init__(self, units: list[Known], similarity: Similarity, targets: tuple[Target, ...]) -> None:
         self._units = {unit.id: (unit, kind) for unit, kind in sorted(units, key=lambda known: known[0].id)}
@@ -72,7 +74,10 @@ class Rewiring:
         self._is_shared = is_limited or any(port.count == ALL for kind in kinds for port in kind.inputs)
 
     def exists(self) -> bool:
-        """Whether some of the units can run, each fed, so that every target is met; each by itself is tried first."""
+        """Return whether some of the units can run, all fed, so that every target is met.
+
+        Each target by itself is tried first.
+        """
         wanted = [_Need(target.tag) if target.run is None else _Need(label=target.run) for target in self._targets]
         parts = [[one] for one in wanted] if len(wanted) > 1 else []
         return not self._is_shared or all(self._can_be_met(needs) for needs in (*parts, wanted))
@@ -90,7 +95,7 @@ class Rewiring:
         return False
 
     def _ways(self, wiring: _PartialWiring, need: _Need) -> Iterator[_PartialWiring]:
-        """The wiring with the need met, or with one stream more for it, in every way."""
+        """Yield the wiring with the need met, or with one stream more for it, in every way."""
         if need.label is not None:
             units = [i for i, (u, kind) in self._units.items() if kind.label == need.label]
             units = [i for i in units if not need.is_local or self._units[i][0].host == need.host]
@@ -125,7 +130,7 @@ class Rewiring:
                 yield fed
 
     def _next(self, wiring: _PartialWiring) -> set[str]:
-        """The first unit that does not run of each transformation on each host: the others are like it."""
+        """Yield the first stopped unit of each transformation on each host: the others are interchangeable with it."""
         found: dict[tuple[str, str | None], str] = {}
         for unit_id, (unit, kind) in self._units.items():
             if unit_id not in wiring.running:
@@ -133,7 +138,7 @@ class Rewiring:
         return set(found.values())
 
     def _starts(self, wiring: _PartialWiring, unit_id: str) -> bool:
-        """Start a unit, with what it then needs; False if inputs that take all streams can't have its own."""
+        """Start a unit with its needs; False if an input that takes all streams can't take this unit's."""
         unit, kind = self._units[unit_id]
         others = [self._units[other] for other in sorted(wiring.running)]
         wiring.running.add(unit_id)

@@ -9,11 +9,11 @@ from cfgplan.domain import Environment, InputPort, Similarity, Transformation
 
 
 def startable(environment: Environment, similarity: Similarity, units: Mapping[str, int] | None = None) -> set[str]:
-    """The labels of all transformations with a unit in some valid wiring.
+    """Return the labels of all transformations with a unit in some valid wiring.
 
-    More providers never hurt, so it is enough to look at all of them running at once: the largest
-    set whose ordinary inputs are fed by members that come before and feedback inputs by any member.
-    With `units` there are only so many of each; that outputs serve only so many is not looked at.
+    More providers never hurt, so it is enough to consider all of them running at once: the largest set whose ordinary
+    inputs are fed by earlier members and feedback inputs by any member. `units` limits the number of units of each; the
+    `serves` limits of outputs are ignored.
     """
     givers = givers_by_tag(environment, similarity)
     candidates = set(environment.transformation)
@@ -27,7 +27,7 @@ def startable(environment: Environment, similarity: Similarity, units: Mapping[s
 def _grounded(
     environment: Environment, givers: Mapping[str, set[str]], candidates: set[str], units: Mapping[str, int] | None
 ) -> set[str]:
-    """The candidates that are fed from sources on; each is looked at again when it may have got a feeder."""
+    """Return the candidates that can be fed, starting from sources; each is checked again when it may have a feeder."""
     giving: dict[str, list[str]] = defaultdict(list)
     for tag, labels in givers.items():
         for label in labels & candidates:
@@ -74,7 +74,9 @@ def _can_be_fed(
 
 
 def givers_by_tag(environment: Environment, similarity: Similarity) -> dict[str, set[str]]:
-    """For each demanded tag the transformations with an output that matches it, or that are themselves wanted."""
+    """Return, for each demanded tag, the transformations with a matching output, or those that a target wants
+    to run.
+    """
     offering: dict[str, set[str]] = defaultdict(set)
     for transformation in environment.library:
         for port in transformation.outputs:

@@ -1,4 +1,4 @@
-"""Whether a configuration bears every single failure: what is left can still be wired to meet every target."""
+"""Whether a configuration survives every single failure: the remaining units can be wired to meet every target."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cfgplan.validity.startable import givers_by_tag, startable
 def survival_violations(
     environment: Environment, similarity: Similarity, survive: Failures | None
 ) -> Iterator[Violation]:
-    """Each single failure that leaves a target without a stream, whatever is rewired and whatever spare starts."""
+    """Yield each single failure that leaves a target without a stream, for any rewiring and any start of spares."""
     if survive is None:
         return
     units, givers = list(known_units(environment)), givers_by_tag(environment, similarity)
@@ -36,7 +36,7 @@ def survival_violations(
 def justified_spares(
     environment: Environment, similarity: Similarity, survive: Failures | None, but: Collection[str] = ()
 ) -> set[str]:
-    """The units without which the others would not bear some failure; those of `but` are left out."""
+    """Return the ids of the units, except `but`, without which the others would not survive some failure."""
     if survive is None:
         return set()
     return {
@@ -51,7 +51,7 @@ def _without(environment: Environment, unit: ComputationUnit) -> Environment:
 
 
 def _failures(environment: Environment, survive: Failures) -> Iterator[tuple[str, set[str], tuple[Target, ...]]]:
-    """Each failure in words, the units lost by it and the targets that are still there."""
+    """Yield each failure in words, the lost units and the remaining targets."""
     for unit in environment.units:
         if not unit.standby:
             yield f"unit {unit.id}", {unit.id}, environment.targets
@@ -61,7 +61,7 @@ def _failures(environment: Environment, survive: Failures) -> Iterator[tuple[str
 
 
 def _able(left: list[Known], similarity: Similarity) -> list[Known]:
-    """The units that can run if all of them may: more units never hurt, but where they compete for streams."""
+    """Return the units that can run if all of them may: more units never hurt unless they compete for streams."""
     while True:
         library = tuple({kind.label: kind for _, kind in left}.values())
         labels = startable(Environment((), library), similarity, Counter(kind.label for _, kind in left))

@@ -44,7 +44,7 @@ class Scenario:
         return Behaviour(start_s=0.1, dies_s=self.dies_s, upkeep_us=lambda now_s: seconds[int(now_s)])
 
     def expected_us(self, now_s: int) -> float:
-        """What is right to expect at a moment: the mean over the horizon, without noise."""
+        """Return the true expected value at a moment: the mean over the horizon, without noise."""
         return sum(self.truth(now_s + second) for second in range(HORIZON_S)) / HORIZON_S
 
 
@@ -67,7 +67,7 @@ SCENARIOS = (
 
 
 def estimates(scenario: Scenario, estimators: dict[str, LearningEstimator]) -> tuple[list[int], dict[str, list[int]]]:
-    """What each estimator hands out every few seconds, all of them looking at the same unit."""
+    """Return the times and each estimator's estimates every few seconds; all estimators observe the same unit."""
     events: list[Event] = []
     backend = SimulatedBackend({"work": scenario.behaviour()})
     supervisor = Supervisor(backend, Environment((), (WORK,)), events.append)
@@ -96,7 +96,7 @@ def estimates(scenario: Scenario, estimators: dict[str, LearningEstimator]) -> t
 
 
 def settled_s(scenario: Scenario, moments: list[int], values: list[int], since_s: int) -> int | None:
-    """How long after a change all estimates are within a tenth of what is right; None if never."""
+    """Return how long after a change all estimates are within a tenth of the true value; None if never."""
     wrong = [
         moment
         for moment, value in zip(moments, values, strict=True)
@@ -108,7 +108,7 @@ def settled_s(scenario: Scenario, moments: list[int], values: list[int], since_s
 
 
 def error(scenario: Scenario, moments: list[int], values: list[int], since_s: int) -> float:
-    """The mean distance from what is right, in percent of it."""
+    """Return the mean deviation from the true value, in percent of it."""
     misses = [
         abs(value - scenario.expected_us(moment)) / scenario.expected_us(moment)
         for moment, value in zip(moments, values, strict=True)
@@ -118,7 +118,7 @@ def error(scenario: Scenario, moments: list[int], values: list[int], since_s: in
 
 
 def row(scenario: Scenario, name: str, moments: list[int], values: list[int]) -> str:
-    """One line of the table; what failures are to cost is no matter of right and wrong, so that it is told as it is."""
+    """Return one line of the table; estimates after failures are given as they are, since no true value exists."""
     churn = sum(before != after for before, after in pairwise(values))
     if scenario.dies_s is not None:
         most, last = max(values) / 1e3, values[-1] / 1e3

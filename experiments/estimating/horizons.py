@@ -1,10 +1,10 @@
-"""How the length of the horizon trades reaction against churn, and what exploring is worth.
+"""The trade-off of a horizon's length between reaction and churn, and the benefit of exploring.
 
 Two stages with three interchangeable transformations each, whose upkeep jumps every few minutes; a manager with a
-simulated runtime reviews at each horizon. What it spends is compared with an omniscient planner that knows
-the whole future and may switch at any second (dynamic programming, exact).
+simulated runtime reviews at each horizon. Its cost is compared with that of an omniscient planner, which knows the
+whole future and may switch at any second (dynamic programming, exact).
 
-python experiments/estimating/horizons.py [--out experiments/estimating] [--hours 1] [--worlds 4]
+    python experiments/estimating/horizons.py [--out experiments/estimating] [--hours 1] [--worlds 4]
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def upkeeps(seed: int, length_s: int) -> dict[str, list[float]]:
 
 
 def least_us(options: Sequence[Sequence[float]]) -> list[float]:
-    """What one stage costs an omniscient planner up to each second: the cheapest way there, each switch a start."""
+    """Return the least cost of one stage up to each second, for an omniscient planner; each switch is a start."""
     best = [LABOR_US + values[0] for values in options]
     course = [min(best)]
     for second in range(1, len(options[0])):
@@ -79,7 +79,7 @@ def least_us(options: Sequence[Sequence[float]]) -> list[float]:
 
 
 class Knowing:
-    """An estimator that knows every upkeep of the present second: what is left is the horizon's doing alone."""
+    """An estimator that knows every upkeep of the present second, so that only the horizon causes regret."""
 
     def __init__(self, truth: dict[str, list[float]]) -> None:
         self._truth = truth
@@ -114,8 +114,10 @@ ESTIMATORS: dict[str, Callable[[dict[str, list[float]]], Knowing | LearningEstim
 
 @dataclass(frozen=True)
 class Outcome:
-    """`regret` is what was spent beyond the omniscient planner, in parts of what that spends; `course` is how it grew,
-    in CPU seconds at each second.
+    """The result of one run.
+
+    `regret` is the cost beyond the omniscient planner's, as a fraction of the latter; `course` is how it grew, in CPU
+    seconds at each second.
     """
 
     estimator: str

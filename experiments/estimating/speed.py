@@ -1,4 +1,4 @@
-"""What learning costs in CPU time: one look at running units, and the estimates of a large library at a review.
+"""The CPU time of learning: for one look at running units, and for the estimates of a large library at a review.
 
 python experiments/estimating/speed.py
 """
@@ -52,7 +52,7 @@ def row(number: int) -> str:
 
 
 def family_row(number: int) -> str:
-    """A template with so many transformations, of which three run."""
+    """Return the table row for a template with `number` transformations, three of them running."""
     estimator = make_estimator()
     library = [Transformation(f"work(n{n})", labor_us=1, upkeep_us=1, source="units.py:Work") for n in range(number)]
     estimator.estimated(library, HORIZON_S)

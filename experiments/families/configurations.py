@@ -24,10 +24,10 @@ MILLISECONDS = 1000
 
 
 def cheap_configuration(environment: Environment, similarity: Similarity, horizon_s: int) -> Environment:
-    """The environment with a valid wiring for its targets running, each demand fed by its cheapest chain alone.
+    """Return the environment with a valid running configuration, in which the cheapest chain alone feeds each demand.
 
-    The chains are those of h_add (Bonet and Geffner 2001), which counts what is shared twice.
-    Every target must be satisfiable; `distinct` and `feedback` inputs are not provided for.
+    The chains are those of h_add (Bonet and Geffner 2001), which counts shared units twice. Every target must be
+    satisfiable; `distinct` and `feedback` inputs are not supported.
     """
     givers = Givers(environment.library, similarity)
     feeder = _cheapest_feeders(environment, givers, horizon_s)

@@ -1,6 +1,7 @@
-"""Deployments: replicated services on rented machines, many of both alike.
+"""Deployments: replicated services on rented machines, many identical ones of both.
 
-Of the kind of published deployments of OpenStack: 17 components, some of them many times, on few sizes of machines.
+The published deployments of OpenStack are the pattern: 17 components, some of them many times, on few sizes of
+machines.
 """
 
 from __future__ import annotations

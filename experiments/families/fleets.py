@@ -1,4 +1,4 @@
-"""Fleets: a random library on a few alike hosts, with limited room, that streams are carried between for a price."""
+"""Fleets: a random library on a few identical hosts with limited capacity and a price for carrying streams."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ def fleet(
     memory: float = 0.0,
     transfer_us: int = 20_000,
 ) -> Problem:
-    """A random library on alike hosts, with most targets on one of them.
+    """Return a random library on identical hosts, with most targets on one of them.
 
-    The hosts together have `room` times the CPU time, and `memory` times the memory, that is reckoned for the targets;
-    0: there is no limit. Carrying a megabyte costs `transfer_us`.
+    All hosts together have `room` times the CPU time and `memory` times the memory estimated for the targets; 0: no
+    limit. Carrying a megabyte costs `transfer_us`.
     """
     problem = random_library(seed, transformations=transformations, targets=targets)
     random = Random(seed)

@@ -1,7 +1,6 @@
 """The paper's case study (section V) with any number of robots, on tags whose matching is known.
 
-Labor and upkeep are those of `models/nao/pipeline.yaml`; each robot's differ by a seeded few percent so that
-the robots are not all alike.
+Labor and upkeep are those of `models/nao/pipeline.yaml`, varied by a seeded few percent so that the robots differ.
 """
 
 from __future__ import annotations

@@ -89,10 +89,10 @@ def replanning(
     targets: int = 3,
     horizon_s: int = 60,
 ) -> Problem:
-    """A library as `random_library` makes it, with a valid configuration that runs, after random failures.
+    """Return a library as of `random_library`, with a valid running configuration, after random failures.
 
-    `failures` units die; what they fed has gaps. With probability `gone` a dead unit's transformation
-    leaves the library too, unless a target could not be met without it.
+    `failures` units die; the inputs that they fed lose their subscriptions. With probability `gone` a dead unit's
+    transformation leaves the library too, unless a target could not be met without it.
     """
     if failures < 0:
         raise InvalidValueError("the number of failures is negative")

@@ -20,7 +20,7 @@ Action = tuple[str, tuple[str, ...], tuple[str, ...]]
 
 
 def transport(seed: int, *, places: int = 3, trucks: int = 2, crates: int = 4, pallets: int = 2) -> Problem:
-    """Crates in random stacks on the `pallets` of each place, each of which is wanted in another random stack.
+    """Return a problem of crates in random stacks on the `pallets` of each place; targets are other random stacks.
 
     Each place has a hoist. A truck drives from any place to any other. Every action is a transformation that costs a
     second; it has inputs and outputs only for facts that do not hold at first.
@@ -54,7 +54,7 @@ def transport(seed: int, *, places: int = 3, trucks: int = 2, crates: int = 4, p
 
 
 def _stacked(random: Random, pallets: Sequence[str], crates: Sequence[str]) -> dict[str, str]:
-    """What each crate stands on: in random order each is put on a pallet or crate that nothing stands on yet."""
+    """Return the pallet or crate below each crate: in random order, each is put on a free pallet or crate."""
     below: dict[str, str] = {}
     free = [*pallets]
     for crate in random.sample(crates, len(crates)):

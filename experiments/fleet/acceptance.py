@@ -1,10 +1,10 @@
-"""What a fleet of three computers has to stand: swaps, cut and overloaded links, agents and units that are killed.
+"""Acceptance tests of a fleet of three computers: swaps, cut and overloaded links, killed agents and units.
 
-python experiments/fleet/acceptance.py [--case NAME ...] [--short]
+    python experiments/fleet/acceptance.py [--case NAME ...] [--short]
 
 The computers are network namespaces (`network.py`) whose agents have certificates; the manager runs on `base`. Each
-case prints what was seen, and its limit. The exit code is 1 if one does not hold (with --short: limits of time, which
-a busy computer misses, do not count), 77 where there are no namespaces.
+case prints its figures and its limit. The exit code is 1 if one does not hold (with --short: limits of time, which a
+busy computer misses, do not count), 77 if namespaces are not available.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ LEASE_S = 2.0
 
 @dataclass(frozen=True)
 class Seen:
-    """What a case came to: figures as text, whether they are right, and whether they keep the limits of time."""
+    """The result of a case: figures as text, whether they are right, and whether they keep the limits of time."""
 
     text: str
     is_right: bool
@@ -128,7 +128,7 @@ def old_term(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
 
 
 def returning(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
-    """A host returns: what it still ran is gone within 1 s, and what that gave meanwhile is told as lost."""
+    """A host returns: its leftover units end within 1 s, and their elements of the meantime are reported as lost."""
     with stream(fleet, "r2", "r1") as (runtime, _):
         eventually(lambda: runtime.pid("count.1") is not None)
         process = Path(f"/proc/{runtime.pid('count.1')}")
@@ -200,7 +200,7 @@ def cut_for_good(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
 
 
 def after(runtime: Any, listener: Listener, start_s: float, limit_s: float) -> Seen:
-    """What came of a failure at a moment, once results come again."""
+    """Return the result after a failure at a moment, once results come again."""
     known = len(listener.values)
     eventually(lambda: listener.at_s[-1] > start_s + 0.02 and len(listener.values) > known + RATE_HZ)
     silence_s, repeated = listener.silence_s(start_s), sum(b <= a for a, b in pairwise(list(listener.values)))
@@ -262,7 +262,9 @@ def slow_links(fleet: Fleet, short: bool) -> Seen:
 
 
 def crowded_link(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
-    """2 MB at 2 Hz, 32 Mbit/s, over 20: a run says that the link takes less, what is needed, and what it gives."""
+    """2 MB at 2 Hz, 32 Mbit/s, over a 20 Mbit/s link: a run reports that the link takes less, both rates, and the
+    result.
+    """
     from cfgplan_runtime.operating.crowded_links import CrowdedLinks
     from cfgplan_runtime.operating.flows import Flows
 
@@ -425,7 +427,9 @@ def manager_killed(fleet: Fleet, short: bool) -> Seen:
 
 
 def partition(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
-    """A manager is cut off with one of three hosts: nobody takes over there, another one does where the rest is."""
+    """A manager is cut off with one of three hosts: no run takes over there, another one does on the
+    remaining hosts.
+    """
 
     def path(name: str, targets: str = "") -> Path:
         return environment_file(fleet, name, source="base", worker="[r1, r2]", targets=targets)
@@ -453,7 +457,9 @@ def partition(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
 
 
 def storm(fleet: Fleet, short: bool) -> Seen:
-    """200 perturbations, links cut and hosts lost: what runs then costs what a fresh plan does, without orphans."""
+    """200 perturbations, cut links and lost hosts: the final configuration costs as much as a fresh plan, without
+    orphans.
+    """
     happened, faults = faults_after(fleet, seed=0, perturbations=20 if short else 200)
     return Seen(f"{happened}: {'; '.join(faults) or 'as good as a fresh plan, no orphan'}", not faults)
 

@@ -1,4 +1,4 @@
-"""A fleet on three computers that are network namespaces, for experiments: its agents, and what comes on its topics."""
+"""A fleet of three network namespaces as computers, for experiments: its agents, and listeners to its topics."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ sys.exit(main())
 
 
 class Manager(NamedTuple):
-    """A run that is a process of its own; `said` is the file of what it prints."""
+    """A run as a process of its own; `said` is the file with its output."""
 
     process: subprocess.Popen[str]
     said: Path
@@ -133,7 +133,7 @@ class Fleet:
     def _start(
         self, host: str, arguments: list[str], certificates: Path, base: Path, *, ahead_ns: int = 0
     ) -> subprocess.Popen[str]:
-        """Start a command of cfgplan's; what it prints is in the file `said` of its folder of runs."""
+        """Start a command of cfgplan; its output goes to the file `said` of its folder of runs."""
         command = [sys.executable, "-c", _COMMAND, str(self.lease_s), str(os.getpid()), str(ahead_ns), *arguments]
         secured = [f"--certificates={certificates}"] if self._is_secured else []
         base.mkdir(exist_ok=True)
@@ -146,7 +146,7 @@ class Fleet:
             )
 
     def restart(self, host: str | None = None, *, ahead_ns: int = 0) -> None:
-        """Start a host's agent anew, by default all that have ended."""
+        """Restart a host's agent; without a host, all agents that have ended."""
         for name in HOSTS if host is None else (host,):
             if host is not None:
                 self.kill_agent(name)
@@ -201,7 +201,9 @@ class Fleet:
 
 
 def library() -> tuple[Any, ...]:
-    """Numbers at 200 Hz, for ever or some; images of 460 kB at 40 Hz; larger ones; one that gives on what it gets."""
+    """Return transformations: numbers at 200 Hz (endless or limited), images of 460 kB at 40 Hz, larger ones, and a
+    relay.
+    """
     from cfgplan.domain import InputPort, OutputPort, RunOptions, Transformation
 
     def source(label: str, rate_hz: float, code: str = "", **params: int) -> Transformation:
@@ -235,7 +237,9 @@ def unit(name: str, host: str, *, x: str | None = None, topic: str | None = None
 
 
 class Listener:
-    """Collects what comes on a topic, and when, until the run ends; of a run's id, or of a host's folder."""
+    """Collects the elements on a topic, with times, until the run ends; the run is given by id, or by a
+    host's folder.
+    """
 
     def __init__(self, run: str | Path, topic: str = "/result", *, number: Callable[[Any], Any] = int) -> None:
         from cfgplan_runtime import subscribe

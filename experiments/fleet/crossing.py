@@ -1,11 +1,11 @@
-"""Streams between two computers: cfgplan's against bare Zenoh, NATS and TCP, with and without TLS; what agents cost.
+"""Streams between two computers: cfgplan compared with bare Zenoh, NATS and TCP, with and without TLS; agents' cost.
 
-python experiments/fleet/crossing.py [--seconds 5]
+    python experiments/fleet/crossing.py [--seconds 5]
 
-NATS is measured if it is there: `apt install nats-server`, `pip install nats-py`.
+NATS is measured if it is installed: `apt install nats-server`, `pip install nats-py`.
 
 The computers are network namespaces on a bridge (`network.py`). Latency is from unit code to unit code, at the median,
-on clocks that are one; flat out a source gives as fast as it can, and what came is counted.
+with one clock for both. In the throughput test a source gives as fast as it can, and received elements are counted.
 """
 
 from __future__ import annotations
@@ -253,7 +253,7 @@ def crossing(fleet: Fleet, size: int, rate_hz: float, seconds: float) -> tuple[f
 
 
 def idle(fleet: Fleet, seconds: float) -> str:
-    """What an agent costs while nothing runs: all its processes."""
+    """Return the CPU time and memory of an idle agent: all its processes."""
     tree = [psutil.Process(fleet.agents["r1"].pid)]
     tree += tree[0].children(recursive=True)
 

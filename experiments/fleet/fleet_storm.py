@@ -1,6 +1,6 @@
 """A storm on three computers: links are cut, agents, helpers and units killed, hosts given up, wishes changed.
 
-What runs in the end must be as good as a fresh optimal plan, on all hosts, and nothing else may be left there.
+The final configuration must be as good as a fresh optimal plan, on all hosts, and no other process may be left there.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ PAUSES_S = (0.0, 0.0, 0.01, 0.1, 0.5, 2.5)
 
 
 class Weather:
-    """Draws what happens to computers; what it breaks it may mend."""
+    """Draws faults of computers; it may mend them later."""
 
     def __init__(self, fleet: Fleet, randoms: random.Random) -> None:
         self._fleet, self._randoms = fleet, randoms
@@ -58,7 +58,7 @@ class Weather:
 
 
 def faults_after(fleet: Fleet, seed: int, perturbations: int) -> tuple[str, list[str]]:
-    """What happened in a storm, and in what way what runs then is not as it should be."""
+    """Return the faults of a storm, and each way in which the final configuration is wrong."""
     import storm
     from cfgplan_runtime import Manager
     from cfgplan_runtime.lifecycle.changes import RegainHost

@@ -39,7 +39,7 @@ def both(seed: int, transformations: int = 415, targets: int = 8) -> Problem:
 
 
 def hosted(seed: int, transformations: int = 415, targets: int = 8, *, hosts: int = 3, tight: bool = True) -> Problem:
-    """Units are placed on some alike hosts, which bear about twice what the cheapest plan needs if it is `tight`."""
+    """Return a fleet of identical hosts; if it is `tight`, their capacity is about twice the cheapest plan's load."""
     return fleet(seed, transformations=transformations, targets=targets, hosts=hosts, room=2 if tight else 0)
 
 

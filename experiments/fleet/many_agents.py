@@ -1,10 +1,10 @@
-"""100 agents with 1,000 simulated units: orders, presence and reviews, and what they cost.
+"""100 agents with 1,000 simulated units: the cost of orders, presence and reviews.
 
-python experiments/fleet/many_agents.py [--agents 100] [--linked]
+    python experiments/fleet/many_agents.py [--agents 100] [--linked]
 
-Each unit may run on two hosts. The agents are cfgplan's, all in one process, but what they start is there only in
-thought: it is ready, gives a sign each second and ends, and no element flows. The manager is linked with each agent by
-a socket; with --linked all agents are also linked with all.
+Each unit may run on two hosts. The agents are cfgplan's, all in one process, but their units are simulated: each is
+ready, gives a sign each second and ends, and no element flows. The manager is linked with each agent by a socket; with
+--linked all agents are also linked with each other.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ PATIENCE_S = 120.0
 
 
 class Simulated:
-    """What an agent wants of its computer, in thought."""
+    """An agent's simulated computer."""
 
     clock_offset_ns = 0
     code_folder = Path("/")
@@ -187,7 +187,7 @@ def ms(seconds: float) -> str:
 
 
 def cost(what: str, process: psutil.Process, seconds: float) -> str:
-    """What a process takes of a core over some seconds, and its memory."""
+    """Return a process's share of a core over `seconds`, and its memory, as text after `what`."""
     before = sum(process.cpu_times()[:2])
     time.sleep(seconds)
     busy = (sum(process.cpu_times()[:2]) - before) / seconds

@@ -52,7 +52,7 @@ class Network:
 
     @property
     def token(self) -> str:
-        """What `joined` takes."""
+        """The argument of `joined`."""
         return json.dumps([self.address, self._pids, self._switch])
 
     @classmethod

@@ -1,10 +1,10 @@
-"""How often a link between two sessions is silent in one direction for good, when it opens as late as it may.
+"""How often a link between two sessions stays silent in one direction if it opens as late as possible.
 
-python experiments/fleet/starts.py [--trials 60] [--as-zenoh]
+    python experiments/fleet/starts.py [--trials 60] [--as-zenoh]
 
-A proxy holds back the last message of the first attempt to connect until the session that connects is about to give it
-up: 6 ms earlier to 2 ms later. Zenoh then leaves some links behind that are there, but never read. With --as-zenoh
-nobody gives these up.
+A proxy delays the last message of the first attempt to connect until the connecting session is about to give up: 6 ms
+earlier to 2 ms later. Zenoh then leaves some links open that no session reads. With --as-zenoh cfgplan does not close
+these.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ LAST_OF_OPENING = 2
 
 
 class Proxy:
-    """Passes messages on between a port and a new one. Of the first connection one message comes so late."""
+    """Passes messages between a port and a new one, and delays one message of the first connection."""
 
     def __init__(self, port: int, late_s: float) -> None:
         self._port, self._late_s = port, late_s

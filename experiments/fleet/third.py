@@ -1,10 +1,10 @@
-"""What of Zenoh's routing lets two sessions that are linked only with a third hear each other without being told.
+"""Whether Zenoh's routing lets two sessions that are linked only through a third one hear each other without being
+told.
 
-python experiments/fleet/third.py [--trials 15]
+    python experiments/fleet/third.py [--trials 15]
 
-Of `base`, `r1`, `r2` and `manager` all others connect to `base`, at about the same time. Then `r1` and `r2` end, and
-are there again at once. What is counted: trials in which somebody is not heard by everybody else, or does not seem
-alive, 5 s later.
+`r1`, `r2` and `manager` connect to `base`, at about the same time. Then `r1` and `r2` end, and restart at once. A trial
+is counted if, 5 s later, some session is not heard by every other one, or does not seem alive.
 """
 
 from __future__ import annotations

@@ -1,12 +1,11 @@
-"""Storms: one random perturbation after the other, after which what runs must be as good as a fresh optimal plan.
+"""Storms: sequences of random perturbations, with a check after each that the running configuration is optimal.
 
-python experiments/lifecycle/storm.py [--perturbations 200] [--seeds 10] [--seed 0] [--real | --hosts]
+    python experiments/lifecycle/storm.py [--perturbations 200] [--seeds 10] [--seed 0] [--real | --hosts]
 
-Units run in thought, on a clock that jumps, or with --real as processes. With --hosts they are placed on three hosts,
-which are lost and come back. With an even seed units are free to start, so
-that what runs must cost exactly what a fresh plan costs; else it must cost exactly what a planner without memory
-finds for what runs. What is met must be the same, no rule of the judge may be broken, and on the topics of processes
-elements must come.
+Units are simulated, on a clock that jumps, or with --real processes. With --hosts they are placed on three hosts, which
+are lost and come back. With an even seed starts are free, and the configuration must cost exactly as much as a fresh
+plan; otherwise exactly as much as a planner without memory finds from the running units. The met targets must be the
+same, no rule of the judge may be broken, and elements must come on the topics of processes.
 """
 
 from __future__ import annotations
@@ -91,7 +90,7 @@ def targets() -> list[Target]:
 
 
 class Storm:
-    """Draws perturbations for a manager; what it takes away it may give back."""
+    """Draws perturbations for a manager; it may restore removed items later."""
 
     def __init__(self, seed: int, known: list[Transformation], wanted: list[Target]) -> None:
         self.randoms = random.Random(seed)
@@ -122,7 +121,9 @@ class Storm:
 
 
 def faults(manager: Manager, running: Environment, *, is_free_to_start: bool) -> list[str]:
-    """In what way what runs is not as good as it can be, by a planner without memory and the judge."""
+    """Return each way in which the running configuration is worse than possible, by a planner without memory and the
+    judge.
+    """
     world, lost = manager.world, manager.snapshot().lost_hosts
     hosts = tuple(host for host in world.environment.hosts if host.name not in lost)
     known = replace(world.environment, hosts=hosts)
@@ -246,7 +247,7 @@ def _gives(topic: str, run: str) -> bool:
 
 
 def await_answer(outcome: Outcome, patience_s: float) -> None:
-    """Wait for an answer, not for ever; a request that came too late for what it was about is refused."""
+    """Wait at most `patience_s` seconds for an answer; a request that came too late is refused, which is ignored."""
     with suppress(InputError, TimeoutError):
         outcome.result(patience_s)
 

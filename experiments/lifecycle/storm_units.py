@@ -1,4 +1,4 @@
-"""Unit code of storms: what has no input gives 1 at 50 Hz, all else a sum."""
+"""Unit code of storms: a source gives 1 at 50 Hz, every other unit the sum of its inputs."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ _PAIRS = (("feeds", "isFedBy"), ("hasPart", "isPartOf"), ("hasPoint", "isPointOf
 
 
 def brick_shaped(seed: int = 0, classes: int = 1000) -> Ontology:
-    """Classes in deep trees below Point, Equipment and Location, and Brick's relations with what is said of them."""
+    """Return classes in deep trees below Point, Equipment and Location, and Brick's relations with their axioms."""
     rng = random.Random(seed)
     axioms = [f"SubClassOf(<{BRICK}{name}> <{BRICK}Entity>)" for name in ("Point", "Equipment", "Location")]
     names = {"Point": ["Point"], "Equipment": ["Equipment"], "Location": ["Location"]}
@@ -54,7 +54,7 @@ def brick(path: Path) -> Ontology:
 
 
 def building(ontology: Ontology, points: int = 1000, tags: int = 100, seed: int = 0) -> World:
-    """A building of some points, with what is offered and demanded: points of a kind that belong to something."""
+    """Return a building with some points; its tags are points of a kind that belong to some equipment or location."""
     rng = random.Random(seed)
     below: dict[str, list[str]] = {kind: [] for kind in ("Point", "Equipment", "Location")}
     above: dict[str, list[str]] = {}

@@ -2,9 +2,10 @@
 
     python experiments/matching/crosscheck.py --worlds 400 --tags 80 --large 20 --out experiments/matching/crosscheck.md
 
-HermiT classifies all tags. What the fast engine and finite models say is compared with that, and what HermiT answers to
-questions about some of the pairs that they leave open. Two errors are looked for: a match that HermiT's classification
-denies (false positive), and a match of its that is denied and not left open (certified miss). Both must be zero.
+HermiT classifies all tags. The results of the fast engine and of finite models are compared with that, and so are
+HermiT's answers about some of the pairs that they leave open. Two errors are counted: a match that HermiT's
+classification denies (false positive), and a match of HermiT that is denied instead of left open (certified miss). Both
+counts must be zero.
 """
 
 from __future__ import annotations
@@ -69,7 +70,9 @@ def compare(world: World) -> Counter[str]:
 
 
 def _questioned(world: World) -> tuple[Matching, int]:
-    """What is known after HermiT was asked about some open pairs of each demanded tag, and about how many."""
+    """Return the matching after HermiT was asked about some open pairs of each demanded tag, and the number
+    of these.
+    """
     matcher = Matcher(world.ontology)
     matcher.add(offered=world.offered, demanded=world.demanded)
     open_rows = matcher.matching(decide=False).similarity.open

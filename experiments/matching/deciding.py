@@ -28,7 +28,9 @@ DEAR_US = 10**8
 
 
 def planned(tags: World) -> api.World:
-    """Drivers that give what is offered, dear ones that give what is demanded, what derives tags from tags, targets."""
+    """Return a world of drivers with offered tags, expensive drivers with demanded tags, derived streams, and
+    targets.
+    """
     rng = random.Random(0)
     given, derived = tags.offered[:-DERIVED], tags.offered[-DERIVED:]
 

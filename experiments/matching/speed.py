@@ -2,8 +2,8 @@
 
     python experiments/matching/speed.py --out experiments/matching/speed.md
 
-Times are CPU seconds, so that other work on the machine counts little; what counts most are the ratios in one run.
-HermiT is asked only for the small sizes. "Reading the changed matrix" makes the whole relation as one value again.
+Times are CPU seconds, so that other work on the machine counts little; compare mainly the ratios in one run. HermiT is
+asked only for the small sizes. "Reading the changed matrix" builds the whole relation as one value again.
 """
 
 from __future__ import annotations

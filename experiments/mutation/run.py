@@ -42,7 +42,9 @@ def stale() -> list[str]:
 
 
 def verdict(tree: Path, mutant: Mutant | None, tests: tuple[str, ...]) -> int | None:
-    """What pytest ends with in a copied tree, with a mutant in it or none; a test that takes too long has failed."""
+    """Return pytest's exit code in a copied tree, with a mutant in it or none; a test that takes too long has
+    failed.
+    """
     path = tree / mutant.file if mutant is not None else None
     whole = path.read_text(encoding="utf-8") if path is not None else ""
     if path is not None and mutant is not None:
@@ -72,7 +74,7 @@ def _run_tests(tree: Path, tests: tuple[str, ...]) -> None:
 
 
 def survivors(mutants: list[Mutant], processes: int) -> list[Mutant]:
-    """Run the tests of each mutant, several at a time; what is neither killed nor survives raises."""
+    """Run the tests of each mutant, several at a time; raises if a result is neither killed nor survived."""
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(processes) as pool:
         trees = [Path(folder) / str(number) for number in range(processes)]
         for tree in trees:

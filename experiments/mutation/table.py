@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Mutant:
-    """A rule that is broken by writing `new` for `old`, which stands in `file` exactly once."""
+    """A rule broken by writing `new` for `old`, which must occur in `file` exactly once."""
 
     broken: str
     file: str

@@ -1,11 +1,11 @@
 """SUAVE's problem on real processes: an underwater robot searches for a pipeline and inspects it as the world changes.
 
-python experiments/observed/suave.py [--missions 3] [--pace 5] [--out models/suave/mission.svg]
-python experiments/observed/suave.py --crossings
+    python experiments/observed/suave.py [--missions 3] [--pace 5] [--out models/suave/mission.svg]
+    python experiments/observed/suave.py --crossings
 
 A mission takes 300 simulated seconds. After 35 s a thruster fails. Missions are run with the world's library, and with
-a single altitude of the search each, as without adaptation. With `--crossings` the search goes on for 480 s in real
-time, noise-free: each crossing of a comparison has to be answered by one switch.
+a single altitude of the search each, as without adaptation. With `--crossings` the search takes 480 s in real time,
+noise-free: each crossing of a comparison has to be answered by one switch.
 
 Reference: Rezende Silva et al., SUAVE: an exemplar for self-adaptive underwater vehicles, SEAMS 2023.
 """
@@ -48,7 +48,9 @@ _LOOK_S = 0.05
 
 @dataclass
 class Mission:
-    """What came of a mission: when the pipeline was found, in simulated seconds, and how many metres were inspected."""
+    """The result of a mission: when the pipeline was found, in simulated seconds, and how many metres were
+    inspected.
+    """
 
     name: str
     found_s: float | None = None

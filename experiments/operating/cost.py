@@ -1,4 +1,4 @@
-"""What watching and recording a stream cost the supervisor's process, and whether they slow its reactions.
+"""The CPU cost of watching and recording a stream in the supervisor's process, and the effect on its reactions.
 
 `python experiments/operating/cost.py [--kills 30]` prints a line for each stream, watched only and recorded.
 """

@@ -151,7 +151,7 @@ class Soak:
         self._signal_nursery(signal.SIGSTOP)
 
     def stall(self) -> None:
-        """Stop this process, supervisor, consumer and all: nobody is taken for hung."""
+        """Stop this process with supervisor and consumer: no unit may be reported as hung."""
         me, before, now = os.getpid(), self.faults_told(), time.monotonic()
         subprocess.run(["sh", "-c", f"(kill -STOP {me}; sleep {STALL_S}; kill -CONT {me}) &"], check=True)
         _await_gap(now)
@@ -160,7 +160,7 @@ class Soak:
         assert self.faults_told() == before, self.faults_told()
 
     def failing_fork(self) -> None:
-        """What is to be started can't be: what runs goes on until it can."""
+        """Let a start fail: the running units continue until it succeeds."""
         full = Path(os.environ["CFGPLAN_SOAK_FULL"])
         full.touch()
         self._edit_params()
@@ -174,7 +174,7 @@ class Soak:
         self.kill_units()
 
     def slow_start(self) -> None:
-        """What is the cheapest now takes long to load; it does not hold up the repair of what dies meanwhile."""
+        """Make the cheapest worker slow to load: it must not delay the repair of units that die meanwhile."""
         label = self.randoms.choice(list(WORKERS))
         self.upkeep_us[label] = min(self.upkeep_us.values()) - 1
         self.params[label] = {"load": self.randoms.uniform(0.5, 3.0)}
@@ -185,7 +185,7 @@ class Soak:
         )
 
     def full_disk(self) -> None:
-        """For a moment no file of this process may grow: the log takes no more, the run goes on."""
+        """For a moment no file of this process may grow: the log loses lines, the run continues."""
         soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
         resource.setrlimit(resource.RLIMIT_FSIZE, (1, hard))
         self._call("review")
@@ -218,7 +218,7 @@ class Soak:
         self._call("withdraw", name="guest")
 
     def settle(self) -> None:
-        """Wait until elements come again, nothing is to be reviewed and every target is met."""
+        """Wait until elements come again, no review is pending and every target is met."""
         self._await_result()
         _await(lambda: self.operation.manager.settle(1.0) and not self.unmet(), f"unmet: {self.unmet()}")
 
@@ -229,7 +229,7 @@ class Soak:
         return {kind: told[kind] for kind in ("UnitDied", "UnitHung", "HelperHung", "OutletsLost")}
 
     def await_review(self, what: Callable[[], bool], else_say: str) -> None:
-        """Have it reviewed until something is so: what has failed before is left out for a while."""
+        """Request reviews until `what()` is true: a review may exclude recently failed transformations for a while."""
 
         def reviewed() -> bool:
             self._call("review")
@@ -338,7 +338,7 @@ def _await(what: Callable[[], bool], else_say: str) -> None:
 
 
 def _await_gap(since_s: float) -> None:
-    """Wait until this process has been stopped, and goes on."""
+    """Wait until this process has been stopped and continued."""
     last_s = since_s
     while (now_s := time.monotonic()) - last_s < STALL_S - 1:
         assert now_s - since_s < PATIENCE_S, "nobody stops this process"
@@ -347,7 +347,7 @@ def _await_gap(since_s: float) -> None:
 
 
 def anomalies(soak: Soak) -> list[str]:
-    """Whatever a consumer must not see."""
+    """Return everything in the received elements that a consumer must not see."""
     found = []
     for (before_ns, before), (after_ns, after) in pairwise(zip(soak.times_ns, soak.values, strict=True)):
         if after_ns <= before_ns:
@@ -359,7 +359,7 @@ def anomalies(soak: Soak) -> list[str]:
 
 
 def fresh_cost_us(path: Path) -> int:
-    """What `cfgplan solve` finds for the file, which says of no unit that it runs."""
+    """Return the cost that `cfgplan solve` finds for the file, which lists no running unit."""
     code = "import sys; from cfgplan.cli import main; sys.exit(main())"
     line = [sys.executable, "-c", code, "solve", str(path), "--json"]
     solved = subprocess.run(line, capture_output=True, text=True, check=True)
@@ -369,7 +369,7 @@ def fresh_cost_us(path: Path) -> int:
 
 
 def running_cost_us(operation: Operation) -> int:
-    """What the units that run cost over the horizon; they were free to start."""
+    """Return the cost of the running units over the horizon; their starts were free."""
     world = operation.manager.world
     upkeep = sum(
         world.environment.transformation[u.transformation].upkeep_us for u in operation.runtime.environment.units

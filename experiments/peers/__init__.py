@@ -1,7 +1,7 @@
 """Other ways to plan, for comparison only: solvers, which need the extra `peers`, and the paper's search mended.
 
-Each knows the whole problem: grounded, shared, with what reuse saves. What one does not know it refuses. Fleets and
-deployments, of which nothing runs yet, are known to clingo, HiGHS and SCIP.
+Each models the whole problem: groundedness, sharing, and the savings of reuse. It refuses features that it does not
+know. Fleets and deployments with an empty running configuration are known to clingo, HiGHS and SCIP.
 """
 
 from __future__ import annotations

@@ -153,7 +153,7 @@ def _control(strategy: str, best: int | None = None) -> clingo.Control:
 
 
 class _Found(NamedTuple):
-    """What the best model shows, None if there is none, which may be proven; `bound_us` is."""
+    """The atoms of the best model (None without one), which may be proven optimal; `bound_us` is proven."""
 
     shown: Sequence[clingo.Symbol] | None
     is_infeasible: bool

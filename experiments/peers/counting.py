@@ -30,10 +30,10 @@ def is_counted(problem: Problem) -> bool:
 
 
 class Counting:
-    """The transformations and hosts of a problem in which nothing runs yet. Raises InputError for more than it knows.
+    """The transformations and hosts of a problem without running units. Raises InputError for unknown features.
 
-    Where a stream serves only so many, nothing else gives what it gives: so whom it feeds is known, and taken in turn,
-    the streams of its units are all taken about equally often.
+    If a stream serves a limited number, no other transformation gives its tag: so its consumers are known, and if they
+    are assigned in turn, the streams of its units are used about equally often.
     """
 
     def __init__(self, problem: Problem, who: str) -> None:
@@ -73,7 +73,7 @@ class Counting:
 
     @cached_property
     def most(self) -> dict[Where, int]:
-        """How many units of a transformation a host bears by itself, where any may be there."""
+        """Return how many units of a transformation each host holds by itself; pairs that hold none are missing."""
         found = {}
         for label, units in self.kinds.items():
             for name, place in units[0].places.items():
@@ -87,7 +87,7 @@ class Counting:
         return self.problem.environment.host[host].room(resource, self.problem.horizon_s)
 
     def cost_us(self, where: Where) -> int:
-        """Of a unit."""
+        """Return the cost of a unit."""
         return self.kinds[where[0]][0].places[where[1]].cost_us
 
     def takes(self, where: Where) -> Mapping[str, int]:

@@ -1,6 +1,6 @@
-"""A head start for peers: what `cpsat` knows of a plain problem before it calls its solver.
+"""A head start for peers: the results of `cpsat` on a plain problem before it calls its solver.
 
-That is a plan, a bound, landmarks, and which units no better plan has.
+These are a plan, a bound, landmarks, and the units that no better plan has.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from experiments.peers.selection import Selection
 
 @dataclass(frozen=True)
 class Lead:
-    """What is known of a selection's candidates, by their numbers.
+    """Results about a selection's candidates, by their numbers.
 
-    Of each landmark the candidates with how often each counts, and the number that a plan has of them at least.
+    A landmark is the least total that a plan has, and for each of its candidates how often it counts.
     """
 
     plan: list[int] | None
@@ -45,7 +45,7 @@ def _send(to: Connection, problem: Problem, who: str, time_limit_s: float | None
 
 
 def lead_of(problem: Problem, who: str, time_limit_s: float | None) -> Lead:
-    """What bounds and closing find; the planner's own search of small problems has no part in it."""
+    """Return the results of bounds and closing; the planner's own search of small problems is not used."""
     from cfgplan.planners.exact.memory import Memory
     from cfgplan.planners.exact.session import offer_what_runs
     from cfgplan.planners.exact.stages import close_gap, raise_bound, see_what_can_be_met

@@ -125,7 +125,7 @@ class Model:
 
     @property
     def is_infeasible(self) -> bool:
-        """Whether it is proven that there is no solution."""
+        """Return whether the engine has proven that the program is infeasible."""
         return bool(self._highs.getModelStatus() == self._highspy.HighsModelStatus.kInfeasible)
 
     def solve(self, left_s: float | None) -> tuple[list[int] | None, int, int, bool]:

@@ -1,7 +1,7 @@
-"""A fleet as a plain problem with limits: what may be chosen are units on a host, and journeys of streams to a host.
+"""A fleet as a plain problem with limits: the choices are units on a host, and transfers of streams to a host.
 
-A unit on a host needs what it needs there; there are the streams of the units of that host, and those that come. So all
-that is said of what is grounded holds here too. Limits say what hosts bear, and that a unit is on one host.
+A unit on a host has its needs on that host; the streams there are those of its units, and those transferred to it. So
+the rules of groundedness hold here too. Limits say how much a host holds, and that a unit is on one host.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class Placing(Selection):
         return [i for kind in kinds for i in self._places[self.hostless.candidates[kind].transformation.label]]
 
     def kinds(self, chosen: Collection[int]) -> list[int]:
-        """The hostless candidates of which a unit is chosen."""
+        """Return the hostless candidates that have a chosen unit."""
         return [i for i in range(len(self.hostless.candidates)) if not set(chosen).isdisjoint(self.places([i]))]
 
     def _plain(self) -> Problem:
@@ -124,7 +124,7 @@ class Placing(Selection):
                 yield Limit(room // unit, {i: amount // unit for i, amount in amounts.items()})
 
     def _wherever_it_is(self) -> Iterator[Limit]:
-        """A unit runs only if a giver of what it needs does, on whichever host: each host by itself says less."""
+        """A unit runs only if a giver of each need runs, on any host: rules for each host by itself are weaker."""
         library = self._fleet.environment.transformation
         givers: dict[str, list[int]] = defaultdict(list)
         for tag in {port.tag for label in self._places for port in library[label].inputs}:
@@ -163,5 +163,5 @@ def _there(tag: str, host: str) -> str:
 
 
 def selection_of(problem: Problem, who: str) -> Selection:
-    """What may be chosen of a plain problem, or of a fleet."""
+    """Return the choices of a plain problem, or of a fleet."""
     return Placing(problem, who) if Feature.HOSTS in problem.features else Selection(problem, who)

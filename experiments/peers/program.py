@@ -83,9 +83,10 @@ class Program:
                 rows.at_least(0, [i], [-1.0])
 
     def missed(self, chosen: list[int]) -> Rows:
-        """Landmarks that these chosen miss: one of the ways in must be taken; or one of those outside a grown set.
+        """Return the landmarks that the chosen units miss, as rows.
 
-        Of a fleet also those that would be missed wherever units were.
+        One row demands one of the ways in, or one unit outside a grown set. For a fleet, landmarks of the hostless
+        problem are added.
         """
         rows = Rows()
         if self.placing is not None:
@@ -126,9 +127,10 @@ def _needs(selection: Selection) -> list[list[str]]:
 
 
 class NumberProgram:
-    """A number for each transformation on each host; whether any is there, whether a host is used, who runs at all.
+    """Integer variables: the number of units of each transformation on each host, whether that is positive, whether a
+    host is used, and which transformations run.
 
-    All are whole. Of hosts alike the first ones are used.
+    Among identical hosts the first ones are used.
     """
 
     def __init__(self, counting: Counting) -> None:
@@ -189,7 +191,7 @@ class NumberProgram:
                 self._at_most(0, {has: 1}, {self._has[other, host]: -1} if (other, host) in self._has else {})
 
     def _fewer(self, counting: Counting, tag: str) -> dict[int, int]:
-        """Minus the number of units that give what is demanded."""
+        """Return minus the number of units that give a demanded tag, as coefficients."""
         givers = {label for label, _ in counting.givers(tag)}
         return {number: -1 for label in givers for number in self._of[label]}
 
@@ -204,7 +206,7 @@ class NumberProgram:
 
 
 class Closure:
-    """What a growing set of units feeds from sources."""
+    """The tags that a growing set of units feeds from sources."""
 
     def __init__(self, selection: Selection, needs: Sequence[Collection[str]]) -> None:
         self._selection = selection
@@ -222,7 +224,7 @@ class Closure:
         self._goals = dict.fromkeys([*selection.wanted, *(tag for i in sorted(selection.kept) for tag in needs[i])])
 
     def missed(self, chosen: Collection[int]) -> list[list[int]]:
-        """For each goal that the chosen miss, who is left out of a largest set around them that misses it too."""
+        """Return, for each goal that the chosen units miss, the units outside a largest superset that misses it too."""
         self._begin(chosen)
         missed = [goal for goal in self._goals if goal not in self._fed]
         left_out = []

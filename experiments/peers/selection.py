@@ -25,11 +25,11 @@ class Limit:
 
 
 class Selection:
-    """The candidates of a problem by index, in canonical order: those that can be fed and that a target may need.
+    """The candidates of a problem by index, in canonical order: units that can be fed and that a target may need.
 
-    A transformation with a running unit has no new one, which could do nothing better. `kept` are the running
-    units of pinned transformations, `wanted` the tags of the targets. Raises InputError if a transformation
-    is required, since a set of units does not tell which of them a target uses, and for all beyond the paper.
+    A transformation with a running unit has no new one, which could do nothing better. `kept` are the running units of
+    pinned transformations, `wanted` the tags of the targets. Raises InputError if a transformation is required, since a
+    set of units does not tell which of them a target uses, and for all beyond the paper.
     """
 
     limits: tuple[Limit, ...] = ()
@@ -65,7 +65,7 @@ class Selection:
     def answer(
         self, chosen: Collection[int] | None, bound_us: int, *, seconds: Mapping[str, float], counts: Mapping[str, int]
     ) -> Plan:
-        """The plan that runs the chosen; `bound_us` is proven. Of plans that cost the same any will do."""
+        """Return a plan that runs the chosen units; `bound_us` is proven. Ties in cost are broken arbitrarily."""
         largest = self.problem.max_cost_us
         if largest is not None and bound_us > largest:
             return Plan(self.who, Status.TOO_EXPENSIVE, bound_us=bound_us, seconds=seconds, counts=counts)
@@ -79,7 +79,7 @@ class Selection:
         return Plan(self.who, status, changes, cost_us, bound_us, required_proven=True, seconds=seconds, counts=counts)
 
     def grounded(self, chosen: Collection[int]) -> list[int]:
-        """Those of the chosen that can be fed from sources by other chosen ones, in an order of feeding."""
+        """Return the chosen units that other chosen units can feed from sources, in an order of feeding."""
         alive = frozenset(chosen)
         while True:
             order = self._fed_in_order(alive, alive)
@@ -88,7 +88,8 @@ class Selection:
             alive = frozenset(order)
 
     def ways_in(self, chosen: Collection[int]) -> list[int]:
-        """The further units of which every valid superset of the chosen has one, if these are not valid by themselves.
+        """Return further units such that every valid superset of the chosen ones has one, if these are not valid by
+        themselves.
 
         In the order of feeding of such a superset, the first further unit is fed by chosen ones, or needs no feeding.
         """
@@ -116,7 +117,7 @@ class Selection:
         return not self.open_demands(frozenset(chosen)) and len(self.grounded(chosen)) == len(chosen)
 
     def plan_within(self, chosen: Collection[int]) -> list[int] | None:
-        """The grounded ones of the chosen, if these are a plan: what else is chosen feeds nothing that is needed."""
+        """Return the grounded ones of the chosen units if they are a plan: the other ones feed no needed unit."""
         grounded = self.grounded(chosen)
         is_plan = self.kept <= set(grounded) and not self.open_demands(frozenset(grounded))
         return grounded if is_plan else None
@@ -129,7 +130,7 @@ class Selection:
         return {tag: self.feeders(tag) for tag in tags if chosen.isdisjoint(self.feeders(tag))}
 
     def needed(self, chosen: Collection[int]) -> frozenset[int]:
-        """Those of a satisfied set that targets and pinned units need in the wiring of `answer`."""
+        """Return the units of a satisfied set that targets and pinned units need in the wiring of `answer`."""
         return frozenset(self._wired(chosen))
 
     def _wired(self, chosen: Collection[int]) -> dict[int, ComputationUnit]:
@@ -154,7 +155,7 @@ class Selection:
         return units
 
     def _feed(self, index: int, before: Collection[int], anywhere: Collection[int]) -> dict[InputPort, int] | None:
-        """A feeder for each input, its old one if it may stay; None if there is no way."""
+        """Return a feeder for each input, its old one if it may stay; None if no choice feeds all inputs."""
         feeds: dict[InputPort, int] = {}
         groups: dict[str, dict[str, dict[str, int]]] = defaultdict(dict)
         for port in self.candidates[index].transformation.inputs:

@@ -1,10 +1,10 @@
 """Branch-and-bound that counts sharing correctly: over sets of units instead of trees of them.
 
-What the paper's search could be at its best, to compare against. A state is a set of chosen units, each paid for once.
-It branches over the feeders of a demand that no chosen unit feeds, most promising state first. The bound adds the
-cheapest feeders of open demands that have no feeder in common. A set without open demands that is not grounded (or not
-distinct) branches over the further units of which one must run (`Selection.ways_in`). Now and then it dives for a plan.
-Ties are not told apart, so they are never proven.
+This is the paper's search at its best, to compare against. A state is a set of chosen units, each paid for once. It
+branches over the feeders of a demand that no chosen unit feeds, most promising state first. The bound adds the cheapest
+feeders of open demands that have no feeder in common. A set without open demands that is not grounded (or not distinct)
+branches over further units such that one of them must run (`Selection.ways_in`). Now and then it dives for a plan. Ties
+are not distinguished, so they are never proven.
 """
 
 from __future__ import annotations

@@ -108,7 +108,7 @@ def at_rest(session: PlannerSession, seed: int, parameters: dict[str, float], li
 
 
 def timed(session: PlannerSession, problem: Problem, limit_s: float) -> tuple[Plan, float]:
-    """A plan and its CPU milliseconds, with those of the look at what will be needed if nothing is to be changed."""
+    """Return a plan and its CPU milliseconds, including the preparation of the next plan if nothing changes."""
     began = time.process_time()
     found = session.plan(problem, time_limit_s=limit_s)
     return found, 1000 * (time.process_time() - began)

@@ -1,4 +1,4 @@
-"""What can happen to a running configuration, one thing at a time: failures, costs, the library, the targets."""
+"""Single changes of a running configuration: failures, costs, the library, the targets."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def all_costs_move(problem: Problem, draw: random.Random) -> Iterator[Environmen
 
 
 def a_transformation_joins(problem: Problem, draw: random.Random) -> Iterator[Environment]:
-    """A cheaper version of one that is there."""
+    """Add a cheaper version of an existing transformation."""
     for label in _others(problem, draw):
         joins = replace(_times(problem.environment.transformation[label], CHEAPER), label=f"{label}_new")
         yield replace(problem.environment, library=(*problem.environment.library, joins))

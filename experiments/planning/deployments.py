@@ -1,4 +1,4 @@
-"""Deployments planned by counting, and by naming each unit and host: CPU seconds and what is proven.
+"""Deployments planned by counting, and by naming each unit and host: CPU seconds and proofs.
 
 `python experiments/planning/deployments.py`; `--limit` is the wall time for each plan in seconds.
 """

@@ -35,7 +35,7 @@ def base(seed: int) -> Problem:
 
 
 def with_latency(seed: int, slack: float | None = None, weight_us: int = 0) -> Problem:
-    """Outputs add 1 to 100 ms; targets bear `slack` times the least latency, or pay for each ms."""
+    """Outputs add 1 to 100 ms; targets allow `slack` times the least latency, or pay for each ms."""
     problem, draw = base(seed), random.Random(seed)
     library = tuple(
         replace(t, outputs=tuple(replace(o, quality=(_adds(draw.randint(1, 100)),)) for o in t.outputs))

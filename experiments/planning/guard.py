@@ -1,9 +1,9 @@
-"""What a change of the planner costs: `python experiments/planning/guard.py BEFORE [AFTER]` for one or two checkouts.
+"""The cost of a change of the planner: `python experiments/planning/guard.py BEFORE [AFTER]` for one or two checkouts.
 
 Each plan is made in a process of its own, which imports the planner first; CPU seconds of that process are taken. With
 two checkouts each instance is planned by one and by the other in turn. Prints a row for each instance, and for each
-family the geometric mean of the ratios; ends with 1 if a cost, or the number of rewired or started units, differs where
-both prove it, if something is newly unproven, or if a family is slower by more than a tenth.
+family the geometric mean of the ratios. Ends with 1 if a cost, or the number of rewired or started units, differs
+although both prove it, if a proof is lost, or if a family is slower by more than a tenth.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ FAMILIES = PLAIN | OTHERS
 
 
 def measured(family: str, seed: int, limit_s: float) -> dict[str, object]:
-    """CPU seconds for all plans of an instance, and what is proven of the last."""
+    """Return CPU seconds for all plans of an instance, and the proofs of the last."""
     from cfgplan.planners.cpsat import PlannerSession
 
     made, session = FAMILIES[family](seed), PlannerSession()

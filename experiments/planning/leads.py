@@ -1,7 +1,7 @@
-"""How far one planner is ahead of others in time to proof, and of what no one proved, who knows more.
+"""How far one planner leads others in time to proof, and in bounds and plans on instances that neither proved.
 
-A planner that did not prove an instance counts with its time limit, so a lead over it is at least what is said here.
-What neither proved tells nothing about time; there bounds and plans compare.
+A planner that did not prove an instance counts with its time limit, so the true lead is at least the given one.
+Instances that neither proved tell nothing about time; there bounds and plans are compared.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from experiments.study.rows import SHORTEST_PROOF_S, Row
 class Lead:
     """The geometric mean of other's time to proof over base's, on the `decided` instances that one of them proved.
 
-    `at_least` says that the other left some of these unproven, `at_most` that the base did. Of the undecided ones
-    the base had the better bound (or plan) as often as the first number says, the other as often as the second.
+    `at_least`: the other left some of these unproven; `at_most`: the base did. `bounds` and `plans` count, among the
+    undecided instances, how often the base had the better one, and how often the other had.
     """
 
     ratio: float | None
@@ -32,7 +32,7 @@ class Lead:
     plans: tuple[int, int]
 
     def text(self) -> str:
-        """Such as `≥ 4.2`, and who knew more where neither proved anything."""
+        """Return the lead as text such as `≥ 4.2`, followed by the better bounds and plans on undecided instances."""
         sign = {(False, False): "", (True, False): "≥ ", (False, True): "≤ ", (True, True): "about "}
         parts = [] if self.ratio is None else [f"{sign[self.at_least, self.at_most]}{self.ratio:.2g}"]
         if self.undecided:

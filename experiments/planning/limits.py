@@ -1,6 +1,6 @@
 """How well time limits are kept: `python experiments/planning/limits.py` writes `limits.md` beside this file.
 
-With `depth` it prints the same for chains and rows of pairs, and what they take without a limit.
+With `depth` it prints the same for chains and rows of pairs, and their time without a limit.
 
 The planner's clock is one of CPU time here, because the machine may be shared; each row is made in a process of its
 own. A limit is kept if the plan takes no more than a tenth, or 10 ms, longer.
@@ -115,7 +115,7 @@ def rows(kinds: Iterable[str], sizes: Limits, limits_s: Limits) -> Iterator[str]
 
 
 def measured(kind: str, size: int, limits_s: Limits) -> list[str]:
-    """For each limit the CPU seconds it took, in bold if that is too long, and whether there is a plan."""
+    """Return for each limit the CPU seconds used, in bold if too many, and whether a plan was found."""
     make = (KINDS | DEEP)[kind]
     for warm in (make(30), random_library(0)):  # neither are other imports
         plan(warm, time_limit_s=5)

@@ -1,9 +1,9 @@
 """Random environments of each kind against the oracle: `python experiments/planning/night.py`.
 
 Cost, rewired and started units, status and the judge's word are compared. Environments are drawn a hundred at a time,
-each time from a seed. What was compared is written to `--record`, a line for each seed, and not compared again: delete
-the file to begin anew. It ends with 1 if there were differences. With `--seed` the hundred of one seed of one kind are
-compared, and the smallest environment that differs is shown.
+each time from a seed. `--record` is a file with a line for each compared seed; these are not compared again: delete the
+file to start over. Ends with 1 on any difference. With `--seed` the hundred of one seed of one kind are compared, and
+the smallest environment that differs is shown.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def known(record: Path) -> Iterator[dict[str, Any]]:
 
 
 def run(kinds: list[str], each: int, processes: int, record: Path) -> int:
-    """Compare what is missing of each kind; returns how many seeds had differences."""
+    """Compare the missing seeds of each kind; returns how many seeds had differences."""
     numbers: dict[str, int] = defaultdict(int)
     seen: dict[str, set[int]] = defaultdict(set)
     bad = 0

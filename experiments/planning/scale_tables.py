@@ -90,7 +90,9 @@ def behind(rows: Sequence[Row]) -> Table:
 
 
 def building(rows: Sequence[Row], loads: Mapping[str, float]) -> Table:
-    """What loading takes, the shares of the planner's phases, and how long the others build their models."""
+    """Return a table of loading times, the shares of the planner's phases, and the model building times of
+    the others.
+    """
     others = [name for name in planners(rows) if any("build" in row.seconds for row in rows if row.planner == name)]
     lines = []
     for name, group in families(rows).items():
@@ -120,7 +122,9 @@ def building(rows: Sequence[Row], loads: Mapping[str, float]) -> Table:
 
 
 def everyone(rows: Sequence[Row]) -> Table:
-    """Every planner on every family; gaps to the best known cost are the worst of what it had not proven by then."""
+    """Return a table of every planner on every family; gaps to the best known cost are the worst of unproven
+    instances.
+    """
     reference = references(rows)
     lines = []
     for name, group in families(rows).items():

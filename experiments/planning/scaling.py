@@ -1,4 +1,4 @@
-"""What the comparison at scale has besides its runs: how long files load, and its report."""
+"""Additions to the comparison at scale: the loading times of files, and its report."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from experiments.study.rows import Row
 
 
 def measure_loads(instances: Iterable[Instance], folder: Path) -> None:
-    """Keep in `loads.json` the seconds to load the file of each instance; what is there is not measured again."""
+    """Keep in `loads.json` the seconds to load the file of each instance; known times are not measured again."""
     file = folder / "loads.json"
     known = read_loads(folder)
     for instance in instances:

@@ -1,9 +1,9 @@
-"""What a word costs that does nothing: `python experiments/planning/words.py`.
+"""The cost of a word without effect: `python experiments/planning/words.py`.
 
-Each word of `tests/test_words.py` is said, in a library of 500 and of 1,000 transformations, by two that can't be
-started, and by two that nothing wants. Hosts, resources and links that never bind are added to what the plan uses, and
-words that never bind are said of it. Prints the CPU time of a plan with the word as a multiple of that without it, the
-median of some seeds; ends with 1 if a cost, status or proof differs.
+Each word of `tests/test_words.py` is added, in a library of 500 and of 1,000 transformations, to two that can't be
+started, and to two that no target needs. Hosts, resources and links that never bind are added to the plan's units, and
+words that never bind to its transformations. Prints the CPU time of a plan with the word as a multiple of that without
+it, the median of some seeds; ends with 1 if a cost, status or proof differs.
 """
 
 from __future__ import annotations

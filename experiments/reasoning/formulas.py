@@ -31,10 +31,10 @@ def within(begin_s: float, end_s: float) -> Interval:
 
 @dataclass(frozen=True)
 class Measured:
-    """`inner` is what is asked of each state: the formula is `always (inner)`.
+    """A formula `always (inner)`: `inner` is checked in each state.
 
-    `reelay` is the same about the past, `rtamt` about a bounded future; intervals in it are counted in states by
-    {2}, {10} and so on, in seconds.
+    `reelay` is the same about the past, `rtamt` about a bounded future; intervals in it are counted in states by {2},
+    {10} and so on, in seconds.
     """
 
     name: str
@@ -113,7 +113,7 @@ def times(count: int, rate: int, seed: int, *, jitter: bool) -> Times:
 
 
 def truths(monitor: Monitor, given: Columns) -> npt.NDArray[np.int8]:
-    """What a monitor is fed: the truth of its propositions in each state."""
+    """Return a monitor's input: the truth of its propositions in each state."""
     return np.stack([_column(each, given) for each in monitor.program.propositions], axis=1)
 
 

@@ -1,7 +1,7 @@
 """How large obligations of random nested formulas become: `python experiments/reasoning/growth.py --formulas 5000`.
 
-Formulas of a given depth, with intervals bounded, unbounded and beginning late, over random irregular streams. Those
-decided within 100 states say nothing and are not counted.
+Formulas have a given depth, with bounded, unbounded and late intervals, over random irregular streams. Formulas decided
+within 100 states are not informative and are not counted.
 """
 
 from __future__ import annotations

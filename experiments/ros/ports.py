@@ -84,7 +84,7 @@ def told(node: RosNode, graph: RosGraph, table: GuessTable) -> tuple[str, list[s
 
 
 def graph_of(path: Path) -> RosGraph | None:
-    """What a launch file starts; None if it can't be read."""
+    """Return the nodes that a launch file starts; None if it can't be read."""
     arguments = dict[str, str]()
     for _ in range(50):
         try:
@@ -101,7 +101,7 @@ def graph_of(path: Path) -> RosGraph | None:
 
 
 def reading(path: Path, arguments: dict[str, str]) -> RosGraph:
-    """What a file starts, read as one of the generation of ROS whose words it has."""
+    """Return the nodes that a file starts, read as ROS 1 or ROS 2 by its keywords."""
     words = re.search(r"<node\b[^>]*\bexec=|\$\(var ", path.read_text("utf-8", "replace"))
     is_ros2 = words is not None or path.suffix in (".yaml", ".yml")
     return ros2_launch_graph(path, arguments) if is_ros2 else launch_graph(path, arguments)

@@ -1,11 +1,11 @@
 """How early `cfgplan check` tells the fault of a wrong wiring, on real ROS 1 architectures.
 
-git clone https://github.com/cmu-rss-lab/rosdiscover-evaluation
-python experiments/ros/wiring.py rosdiscover-evaluation
+    git clone https://github.com/cmu-rss-lab/rosdiscover-evaluation
+    python experiments/ros/wiring.py rosdiscover-evaluation
 
-First the faults that are known of its architectures. Then faults made here: of every topic that an input of a sound
-architecture has from one publisher alone, the input gets another name. A rank is the place of the first line that names
-the fault, among all that is told; `new` is the rank with `--against` the sound one.
+First the known faults of its architectures. Then faults made here: each input of a sound architecture that has its
+topic from a single publisher is renamed. A rank is the position of the first line that names the fault in the output;
+`new` is the rank with `--against` the sound one.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ def kind(text: str, role: Role) -> MessageType | None:
 
 
 def told(whole: RosGraph) -> tuple[WiringFault, ...]:
-    """What `cfgplan check` tells of an imported graph, but for streams that nobody takes, which are one line."""
+    """Return the faults that `cfgplan check` finds in an imported graph, except unused streams, which are one line."""
     with TemporaryDirectory() as folder:
         found = imported(whole, guess_table())
         (Path(folder) / "robot.ttl").write_text(found.ontology)

@@ -1,9 +1,9 @@
-"""What changes cost where units are processes of cfgplan, nodes of ROS 1 or nodelets, side by side in one run.
+"""The cost of changes with units as processes of cfgplan, nodes of ROS 1 or nodelets, side by side in one run.
 
-python experiments/ros1/figures.py [--times 10]
+    python experiments/ros1/figures.py [--times 10]
 
-A worker between a source of 100 Hz and a topic is loaded, led to another source, unloaded, and killed under the
-life-cycle. Then what the relay of topics takes of a core. Needs ROS 1 (see `.ci/run`).
+A worker between a source of 100 Hz and a topic is loaded, connected to another source, unloaded, and killed under the
+life-cycle. Then the relay's share of a core is measured. Needs ROS 1 (see `.ci/run`).
 """
 
 from __future__ import annotations
@@ -202,7 +202,7 @@ def messages(reader: MessageReader) -> Iterator[object]:
 
 
 def connected(topic: str) -> socket.socket:
-    """A connection to whoever publishes a topic."""
+    """Return a connection to the publisher of a topic."""
     ends = []
 
     def connects() -> bool:

@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""What `figures.py` runs: `nodes.py camera|worker` as nodes of ROS 1; `count` and `work` as units of cfgplan."""
+"""Programs for `figures.py`: `nodes.py camera|worker` as nodes of ROS 1; `count` and `work` as units of cfgplan."""
 
 from __future__ import annotations
 

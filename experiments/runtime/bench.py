@@ -83,7 +83,7 @@ def of_runtime(size: int, consumers: int, rate_hz: float | None, seconds: float)
 
 
 def _measured(reports: Any, seconds: float) -> tuple[float, float]:
-    """Of reports (count, median age, 99th percentile, time): the median age and the rate, after the first report."""
+    """Return median age and rate from reports (count, median age, 99th percentile, time), after the first report."""
     first = next(reports)
     medians: list[float] = []
     count = 0

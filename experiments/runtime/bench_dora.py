@@ -41,7 +41,7 @@ def sink(every: int, reports: str) -> None:
 
 
 def dataflow(size: int, consumers: int, rate_hz: float, reports: Path) -> dict[str, object]:
-    """The source, and consumers of which the first writes its reports."""
+    """Return a dataflow of the source and some consumers; the first consumer writes its reports."""
     node = {"path": sys.executable}
     queue = {"queue_size": 256 if rate_hz else 16, "queue_policy": "drop_oldest" if rate_hz else "backpressure"}
     args = f"{__file__} sink {50 if rate_hz else 200}"

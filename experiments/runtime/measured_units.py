@@ -46,7 +46,7 @@ def same(x: Any) -> Any:
 
 
 class Constructed:
-    """Takes so many seconds to construct, as a model takes to load; gives its process and what it gets."""
+    """Takes `seconds` to construct, as a model takes to load; gives its process id and its input."""
 
     def __init__(self, seconds: float) -> None:
         time.sleep(seconds)
@@ -87,7 +87,7 @@ class Ages:
 
 
 class SameWithHeir:
-    """Gives what it gets; on a wish, it leaves a process of a session of its own behind, for some seconds."""
+    """Gives its input; on request, it leaves behind a process in a session of its own, for some seconds."""
 
     def __init__(self) -> None:
         self._wish = Path(os.environ["CFGPLAN_SOAK_HEIR"])

@@ -1,4 +1,4 @@
-"""What observing costs: CPU of an idle unit, and of one look at all units.
+"""The cost of observing: CPU of an idle unit, and of one look at all units.
 
 python experiments/runtime/observation_cost.py
 """

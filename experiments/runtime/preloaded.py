@@ -1,4 +1,4 @@
-"""For the soak, preloaded into its nursery: as long as a file is there, no process can be made."""
+"""For the soak, preloaded into its nursery: as long as a file exists, no process can be made."""
 
 from __future__ import annotations
 

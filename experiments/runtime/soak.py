@@ -130,7 +130,7 @@ class Soak:
         self.mended_ms.append((time.time_ns() - begin) / 1e6)
 
     def stall(self) -> None:
-        """Stop this process, supervisor, consumer and all, for longer than a round takes: nobody is taken for hung."""
+        """Stop this process with supervisor and consumer for longer than a round: no unit may be reported as hung."""
         me = os.getpid()
         subprocess.run(["sh", "-c", f"(kill -STOP {me}; sleep 1.5; kill -CONT {me}) &"], check=True)
         time.sleep(0.3)
@@ -165,7 +165,7 @@ class Soak:
             self.kills_ns.append((begin, time.time_ns()))
 
     def kill_in_update(self) -> None:
-        """Kill what is being replaced, at some moment of the update."""
+        """Kill the unit that is being replaced, at some moment of the update."""
         label = self.rng.choice(["first", "second"])
         begin, pid = time.time_ns(), self.runtime.pid(self.name(label)) or 0
         timer = threading.Timer(self.rng.uniform(0, 0.02), _kill, [pid])
@@ -231,7 +231,7 @@ def _kill(pid: int) -> None:
 
 
 def anomalies(received: list[Received], kills_ns: list[tuple[int, int]]) -> list[str]:
-    """Whatever a consumer must not see."""
+    """Return everything in the received elements that a consumer must not see."""
     found = []
     for before, after in pairwise(received):
         excused = any(before.time_ns <= end + SLACK_NS and begin - SLACK_NS <= after.time_ns for begin, end in kills_ns)

@@ -1,9 +1,9 @@
-"""How much sooner a cold spare is there for being prepared: from a kill to the first element of what takes its place.
+"""The time that a prepared cold spare saves: from a kill to the first element of the replacement.
 
-python experiments/runtime/spares.py [--times 3] [--seconds 0.5 ...]
+    python experiments/runtime/spares.py [--times 3] [--seconds 0.5 ...]
 
-A unit that takes so many seconds to construct is killed on this computer; then in a fleet of three agents on this
-computer, of which one is killed as well. A life-cycle (`survive`) has a cold spare of it all the time.
+A unit that takes that many seconds to construct is killed, first on this computer, then in a fleet of three agents on
+this computer; there an agent is killed as well. A life-cycle (`survive`) has a cold spare of it all the time.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ targets: [{{label: result, topic: /result, tag: Y{at_base}}}]
 
 
 class Run:
-    """A run of the world, and what comes on its topic."""
+    """A run of the world, and the elements on its topic."""
 
     def __init__(self, runtime: Runtime, manager: Manager, *, is_prepared: bool) -> None:
         self._manager, self._is_prepared = manager, is_prepared
@@ -64,7 +64,7 @@ class Run:
         return first_s - start_s
 
     def settle(self) -> None:
-        """Wait until all spares are prepared, if they are to be, and until no failure is held against anybody."""
+        """Wait until all spares are in the wanted state, prepared or not, and until no failure counts any more."""
         self._manager.request(ReviewNow("the experiment")).result(PATIENCE_S)
         _eventually(lambda: self._prepared() == {self._is_prepared} or None)
         time.sleep(1.0)
@@ -137,7 +137,7 @@ def running(seconds: float, *, is_fleet: bool, is_prepared: bool) -> Iterator[Ru
 
 
 def _eventually(look: Callable[[], T | None]) -> T:
-    """What something comes to be, once it is not None. Raises TimeoutError."""
+    """Return the first result of `look` that is not None. Raises TimeoutError."""
     end_s = time.monotonic() + PATIENCE_S
     while time.monotonic() < end_s:
         found = look()

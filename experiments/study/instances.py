@@ -85,7 +85,7 @@ def _value(text: str) -> object:
 
 
 def given(name: str, problem: Problem, *, family: str = "own") -> Instance:
-    """An instance of a problem that is there already, such as a user's own file."""
+    """Return an instance of an existing problem, such as a user's own file."""
     return Instance(name, family, {}, None, lambda: problem)
 
 

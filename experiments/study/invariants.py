@@ -1,4 +1,4 @@
-"""What must hold between the results of different planners, whoever is right: every breach, in words."""
+"""Invariants between the results of different planners: every breach, in words."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def by_instance(rows: Iterable[Row]) -> dict[tuple[str, str], list[Row]]:
 
 
 def references(rows: Iterable[Row]) -> Mapping[tuple[str, str], LeastCost]:
-    """What to measure costs against, for each instance that anyone has a judged plan for."""
+    """Return the least known cost of each instance with a judged plan, to measure costs against."""
     found = {}
     for instance, group in by_instance(rows).items():
         plans = best_used(group)
@@ -43,7 +43,7 @@ def references(rows: Iterable[Row]) -> Mapping[tuple[str, str], LeastCost]:
 
 
 def gap(row: Row, reference: Mapping[tuple[str, str], LeastCost]) -> float | None:
-    """By what share of the least known cost a row's plan is dearer; None without a plan that compares with it."""
+    """Return how much more a row's plan costs than the least known cost, as a share; None without a comparable plan."""
     least = reference.get((row.instance, row.digest))
     if least is None or row.cost_us is None or not row.has_plan or row.violations != ():
         return None

@@ -26,9 +26,9 @@ LEAST_GAP = 1e-3
 
 
 def write_plots(rows: Sequence[Row], folder: Path) -> list[Path]:
-    """Write every plot that the rows have something for, as PNG; returns the files. Raises ImportError.
+    """Write every plot that the rows have data for, as PNG; returns the files. Raises ImportError.
 
-    What the judge refused is in none.
+    Rows that the judge refused are left out.
     """
     import matplotlib
 
@@ -53,7 +53,7 @@ def write_plots(rows: Sequence[Row], folder: Path) -> list[Path]:
 
 
 def scaling(rows: Sequence[Row], everyone: Sequence[Row]) -> Figure | None:
-    """Time to proof against every parameter that is varied by itself; what is not proven lies hollow at its end.
+    """Plot time to proof against every parameter that is varied by itself; unproven runs are hollow marks at their end.
 
     The styles of the planners are those in the rows of `everyone`.
     """
@@ -98,7 +98,7 @@ def scaling(rows: Sequence[Row], everyone: Sequence[Row]) -> Figure | None:
 
 
 def gap_profile(rows: Sequence[Row]) -> Figure | None:
-    """The share of instances on which each planner's plan is at most so much dearer than the least known cost."""
+    """Plot the share of instances on which each planner's plan is within a factor of the least known cost."""
     import matplotlib.pyplot as plt
 
     reference = references(rows)

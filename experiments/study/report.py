@@ -40,7 +40,7 @@ def write_report(rows: Sequence[Row], folder: Path) -> list[Path]:
 
 
 def tables_text(rows: Sequence[Row]) -> str:
-    """What was run on what, whether the planners contradict each other, then the tables, in Markdown."""
+    """Return the report in Markdown: machines and runs, contradictions between planners, then the tables."""
     parts = [
         "# Results of the comparison",
         head(rows),
@@ -53,7 +53,7 @@ def tables_text(rows: Sequence[Row]) -> str:
 
 
 def head(rows: Sequence[Row]) -> str:
-    """What was run on what, and whether the planners contradict each other."""
+    """Return the report's head: machines and runs, and contradictions between planners."""
     machines = dict.fromkeys(", ".join(f"{name} {value}" for name, value in row.machine.items()) for row in rows)
     versions = dict.fromkeys(f"{name} {version}" for row in rows for name, version in sorted(row.versions.items()))
     limits = dict.fromkeys(f"{row.time_limit_s:g} s" for row in rows)
@@ -69,7 +69,9 @@ def head(rows: Sequence[Row]) -> str:
 
 
 def overview(rows: Sequence[Row], *, base: str = "cpsat") -> Table:
-    """A column for each planner over all instances: what it proved, found, how dear, how fast against `base`."""
+    """Return a table with a column for each planner over all instances: proofs, plans, costs, and speed
+    against `base`.
+    """
     reference = references(rows)
     names = planners(rows)
     measures = (
@@ -117,7 +119,7 @@ def by_family(rows: Sequence[Row], *, base: str = "cpsat") -> Table:
 
 
 def detail(rows: Sequence[Row]) -> Table:
-    """Every run: its time to proof, or the gap of what it found, or how it failed."""
+    """Return a table of every run: its time to proof, or the gap of its plan, or how it failed."""
     names = planners(rows)
     reference = references(rows)
     lines = []

@@ -34,7 +34,7 @@ class Row(Run):
 
     @property
     def key(self) -> RunKey:
-        """What must be equal for a run to be the same one."""
+        """The identity of a run: rows with equal keys are the same run."""
         return (self.instance, self.digest, self.planner, self.time_limit_s, self.memory_mb)
 
 
@@ -44,10 +44,10 @@ def planners(rows: Iterable[Row]) -> tuple[str, ...]:
 
 
 def read_rows(path: Path) -> list[Row]:
-    """The rows of a file, of equal runs the last; none if there is no file.
+    """Return the rows of a file, the last one of equal runs; empty if the file does not exist.
 
-    A last line that an interruption cut short is passed over. Raises InputError for any other that is no row, and
-    for a file that can't be read.
+    A last line that an interruption cut short is skipped. Raises InputError for any other line that is no row, and for
+    a file that can't be read.
     """
     if not path.exists():
         return []
@@ -62,10 +62,10 @@ def read_rows(path: Path) -> list[Row]:
 
 
 def append_row(path: Path, row: Row) -> None:
-    """Add a row at the end of the file, which is made if need be; a line cut short before it is removed.
+    """Append a row to a file, which is created if needed; a line cut short before it is removed.
 
-    It goes without its traceback, which names paths of this machine; the message says what was raised and where.
-    Raises InputError if it can't be written.
+    The row is written without its traceback, which names paths of this machine; the message has the exception and its
+    place. Raises InputError if the file can't be written.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,6 @@
-"""The runner: each planner on each instance, every run a row of a file; an interrupted study goes on where it was."""
+"""The runner: each planner on each instance, every run a row of a file; an interrupted study continues where it
+stopped.
+"""
 
 from __future__ import annotations
 
@@ -46,8 +48,8 @@ def run(
 ) -> list[Row]:
     """Run every entrant on every instance that it takes part in and append a row for each to the file `results`.
 
-    A run whose row is there already is not repeated, unless a package was missing then. Returns the
-    rows of exactly these runs. `watch` is told of each run before it starts, and of the end.
+    A run that has a row already is not repeated, unless a package was missing then. Returns the rows of exactly these
+    runs. `watch` is called before each run, and at the end.
     """
     known = {row.key: row for row in read_rows(results) if row.outcome != RunFailure.UNAVAILABLE}
     tasks = [(instance, entrant) for instance in instances for entrant in entrants if takes_part(instance, entrant)]
@@ -132,7 +134,7 @@ def _version(distribution: str) -> str:
 
 @cache
 def machine() -> dict[str, object]:
-    """What the runs ran on; times compare only within one machine."""
+    """Return a description of the machine; times compare only within one machine."""
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     return {
         "system": f"{platform.system()} {platform.machine()}",

@@ -93,9 +93,9 @@ OBJECTIVES: tuple[WscObjective, ...] = ("services", "length")
 
 
 def wsc_sets(folder: Path) -> list[Instance]:
-    """Two instances for each set in a folder of sets: fewest services at all, and at the shortest length.
+    """Return two instances for each set in a folder of sets: fewest services at all, and at the shortest length.
 
-    Raises InputError if there is no set.
+    Raises InputError if the folder has no set.
     """
     sets = sorted(path.parent for path in folder.glob("*/services.xml"))
     if not sets:

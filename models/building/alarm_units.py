@@ -1,6 +1,6 @@
-"""The units that watch the building, as `alarm_units.yaml` names them. What is measured is a function of time.
+"""The units that watch the building, as `alarm_units.yaml` names them; their measurements are functions of time.
 
-It smokes for a second in one room, then in the other; every other second the cellar is wet.
+Smoke appears for a second in one room, then in the other; every other second the cellar is wet.
 """
 
 from __future__ import annotations

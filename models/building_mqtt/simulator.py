@@ -1,8 +1,8 @@
 """A building on MQTT: sensors, a heater, and discovery messages, on a broker of its own or a given one.
 
 `python models/building_mqtt/simulator.py --run` starts mosquitto, the building and `cfgplan run`, breaks the meeting
-room's thermometer after ten seconds, and prints what becomes of it. Without `--run` the building is there until Ctrl-C;
-what is published on `simulator/break` is the name of a sensor that falls silent, `simulator/mend` brings it back.
+room's thermometer after ten seconds, and prints what happens. Without `--run` the building runs until Ctrl-C; a
+sensor's name published on `simulator/break` silences the sensor, published on `simulator/mend` it restores it.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ SET, STATE = "office/meeting/heater/set", "office/meeting/heater/state"
 
 
 def sensor(name: str, kind: str, unit: str, area: str, **more: str) -> tuple[str, dict[str, Any]]:
-    """A discovery message: its topic and what it says, in the short keys that devices use."""
+    """Return a discovery message: its topic and its content, in the short keys that devices use."""
     topic = TOPICS[name]
     said = {"stat_t": topic, "dev_cla": kind, "unit_of_meas": unit, "dev": {"name": name, "sa": area}, **more}
     return f"homeassistant/sensor/{name}/{kind}/config", said
@@ -89,7 +89,7 @@ class Building:
             self._publish(topic, said, retain=True)
 
     def live(self) -> None:
-        """Publish what is measured, until it is over."""
+        """Publish the measurements until `over` is set."""
         while not self.over.wait(PERIOD_S):
             heat = HEATING_C if self.is_heating else 0
             self.meeting_c += heat - LOSS * (self.meeting_c - OUTSIDE_C)

@@ -1,4 +1,4 @@
-"""What the office's streams go through: a converter of units, and a thermostat."""
+"""The office's processing units: a converter of temperature units, and a thermostat."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ def celsius(fahrenheit: float) -> float:
 
 
 class Thermostat:
-    """Says whether the heater is to be on: below the wanted temperature, and until it is a little above."""
+    """Switches the heater on below `wanted_c - band_c`, and off again from `wanted_c + band_c`."""
 
     def __init__(self, wanted_c: float, band_c: float = 0.2) -> None:
         self._wanted_c, self._band_c = wanted_c, band_c

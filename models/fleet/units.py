@@ -1,4 +1,4 @@
-"""The units of the fleet, as `transformations.yaml` names them; what they see and know is in the package `warehouse`.
+"""The units of the fleet, as `transformations.yaml` names them; the package `warehouse` simulates their observations.
 
 Elements carry the time of their frame.
 """
@@ -22,7 +22,7 @@ _DRIFT_M, _DRIFT = 0.03, math.radians(0.4)
 
 
 class Camera:
-    """Gives pictures of what is before the robot: RGB, (240, 320, 3), 15 times a second."""
+    """Yields pictures of the scene in front of the robot: RGB, (240, 320, 3), 15 times a second."""
 
     def __init__(self, robot: str) -> None:
         self._robot = robot
@@ -32,7 +32,7 @@ class Camera:
         return (None if time_ns is None else At(time_ns, self.picture(time_ns)) for time_ns in _frames(15))
 
     def picture(self, time_ns: int) -> Bytes:
-        """What the camera sees at a time."""
+        """Return the camera's picture at a time."""
         return self._photographer.picture(hall.pose(self._robot, time_ns), hall.crates(time_ns))
 
 
@@ -47,7 +47,7 @@ class Localiser:
         return (None if time_ns is None else At(time_ns, self.pose(time_ns)) for time_ns in _frames(30))
 
     def pose(self, time_ns: int) -> list[float]:
-        """What the robot believes at a time: the truth, and a slow drift."""
+        """Return the robot's estimated pose at a time: the truth plus a slow drift."""
         true = hall.pose(self._robot, time_ns)
         angle = time_ns / 1e9 % 1e6
         x, y, heading = (math.sin(angle / period + self._phase) for period in (2.0, 2.7, 3.1))
@@ -80,7 +80,7 @@ def watchdog() -> dict[str, float]:
 
 
 def _frames(per_s: int) -> Iterator[int | None]:
-    """The time of each frame once it is due, None while none is. What is asked for too late is left out."""
+    """Yield the time of each frame once it is due, None before that. Frames that are requested too late are skipped."""
     last = hall.last_frame(time.time_ns(), per_s)
     while True:
         number = hall.last_frame(time.time_ns(), per_s)

@@ -1,6 +1,6 @@
-"""What the nodes of ROS 1 and of ROS 2 share: the ports of the case's units, and their values as ROS's own messages.
+"""Shared by the nodes of ROS 1 and ROS 2: the ports of the case's units, and their values as ROS messages.
 
-A node imports it where ROS's messages are found: both generations call the packages and their fields the same.
+A node imports it in its own ROS installation: both generations have the same names of packages and fields.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def kind_of(port: str) -> Any:
 
 
 def outputs_of(name: str, value: Any) -> dict[str, Any]:
-    """What a class has given, by output: no output if it is nothing."""
+    """Return a result of a class by output; empty if it is None."""
     outputs = PORTS[name][1]
     if value is None:
         return {}

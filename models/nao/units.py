@@ -1,4 +1,4 @@
-"""The units of the case study, as `pipeline.yaml` names them; what they do is in the package `football`.
+"""The units of the case study, as `pipeline.yaml` names them; the package `football` has their algorithms.
 
 Elements carry the time of their frame.
 """
@@ -47,7 +47,7 @@ class BottomCam:
         return _frames(self.picture)
 
     def picture(self, time_ns: int) -> Bytes:
-        """What the camera sees at a time."""
+        """Return the camera's picture at a time."""
         camera = self._gait.camera(scenario.pose(self._robot, time_ns))
         return self._renderer.picture(camera, scenario.ball(time_ns), scenario.light(time_ns, self._day_s))
 
@@ -118,7 +118,7 @@ class SelfLocalization:
         return _frames(self.pose)
 
     def pose(self, time_ns: int) -> dict[str, float]:
-        """What the robot believes at a time."""
+        """Return the robot's estimated pose at a time."""
         believed = self._gait.believed(scenario.pose(self._robot, time_ns), time_ns)
         return {"x": believed.x, "y": believed.y, "heading": believed.heading}
 
@@ -139,7 +139,7 @@ class FuseBallPos:
 
 
 def _frames(seen: Callable[[int], object]) -> Iterator[At | None]:
-    """What is seen at the time of each frame; nothing between frames."""
+    """Yield `seen(time)` at the time of each frame, and None between frames."""
     from cfgplan_runtime import At  # here, since nodes of ROS run in a Python that may have no cfgplan
 
     clock = FrameClock()

@@ -46,12 +46,12 @@ def person_finder(image: Image) -> list[Place]:
 
 
 def warm_spot_finder(image: Image) -> list[Place]:
-    """Gives bearing and distance of all that is as warm as a person."""
+    """Return bearing and distance of every spot as warm as a person."""
     return _found(image > 150)
 
 
 def search_map(ant: list[Place], ant_at: Place, bee: list[Place], bee_at: Place) -> list[Place]:
-    """Gives where there are people: what both scouts see is there once."""
+    """Return the places of people; a person seen by both scouts is listed once."""
     found: list[Place] = []
     for sightings, (x, y, heading) in ((ant, ant_at), (bee, bee_at)):
         for bearing, distance in sightings:

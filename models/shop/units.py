@@ -92,5 +92,5 @@ class Cache:
 
 
 def python() -> Iterator[None]:
-    """A package: it is there, and gives nothing."""
+    """A package: its unit runs, and gives nothing."""
     yield from ()

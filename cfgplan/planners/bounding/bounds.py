@@ -1,4 +1,4 @@
-"""Lower bounds from landmarks: sets of transformations of which every plan has one, or several.
+"""Lower bounds from landmarks: every plan contains at least one transformation of a landmark, or several.
 
 Each landmark is charged part of its members' costs, no member more than it costs in total. The sum of the charges is a
 lower bound (LM-cut: Helmert and Domshlak 2009). A landmark that demands several members counts its charge several
@@ -19,7 +19,8 @@ from cfgplan.planners.solving.clock import Clock
 
 
 def cheapest_way(core: Core, cost: Ints, above: Ints | None = None) -> tuple[Ints, Ints]:
-    """h_max of each fact, and of each label without its own cost: the dearest chain that can't be avoided.
+    """Return h_max of each fact, and of each label without its own cost: the most expensive chain that can't be
+    avoided.
 
     `above` are upper bounds on the facts' values, such as h_max at higher costs.
     """
@@ -64,7 +65,9 @@ class Bound:
         return weight
 
     def recharge(self, weights: Sequence[int]) -> None:
-        """Charge all landmarks anew: first each with its weight, as far as that goes, then each with what is left."""
+        """Charge all landmarks again: first each with its weight as far as costs allow, then each with the remaining
+        costs.
+        """
         self.residual, self.value = self.cost.copy(), 0
         charged = [self.charge(one, weight) for one, weight in zip(self.landmarks, weights, strict=False)]
         self.weights = charged + [0] * (len(self.landmarks) - len(charged))
@@ -100,7 +103,9 @@ class Bound:
             facts, _ = cheapest_way(self.core, self.residual, facts)
 
     def may_be_used(self, limit: int) -> Flags:
-        """Which labels may be in a plan that costs at most `limit` (reduced-cost fixing); none if no plan does."""
+        """Return which labels may be in a plan that costs at most `limit` (reduced-cost fixing); none if no
+        plan does.
+        """
         _, before = cheapest_way(self.core, self.residual)
         if self.value + before[-1] > limit:
             return np.zeros(self.core.goal, np.bool_)
@@ -190,11 +195,12 @@ def _pays(closed: int, gap: int, took: float, patience: float) -> bool:
 
 
 def chained_bound(core: Core, cost: Ints, certain: Sequence[int], is_over: Callable[[], bool]) -> int:
-    """A quick lower bound: the labels that are `certain` to run, plus the dearest chains, until the time is over.
+    """Return a quick lower bound: the cost of the labels that are `certain` to run, plus the most expensive chains.
 
     h_max of a fact is a sum of landmarks, one for each level up to it. The zone of a level holds the facts at or above
-    it from which the fact comes by the dearest needs. All of them are charged at once, and another chain is charged
-    from what they leave. Where few labels need more than one fact at a time this meets the optimum after a few rounds.
+    it from which the fact comes by the most expensive needs. All landmarks of a chain are charged at once; the next
+    chain is charged from the remaining costs. It ends when the time is over. If few labels need more than one fact at a
+    time, it meets the optimum after a few rounds.
     """
     residual, value = cost.copy(), int(cost[certain].sum())
     residual[certain] = 0

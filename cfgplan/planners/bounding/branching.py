@@ -118,7 +118,9 @@ class Ways:
                 heappush(ahead, (cost, given))
 
     def landmark(self) -> tuple[int, ...]:
-        """A landmark: the labels that may enter first the zone from which the goal comes free by the dearest needs."""
+        """Return a landmark: the labels that may be first to enter the zone from which the goal comes free of charge by
+        its most expensive needs.
+        """
         links, price, before, dearest = self._links, self._price, self._before, self._dearest
         givers, needed_by = links.givers, links.needed_by
         zone = [dearest[links.goal]]
@@ -151,7 +153,7 @@ class Ways:
         return chosen
 
     def labels_from(self, cost: int) -> list[int]:
-        """The labels whose own price and dearest chain together cost at least `cost`."""
+        """Return the labels whose own price and most expensive unavoidable chain together cost at least `cost`."""
         pairs = zip(self._price, self._before, strict=False)
         return [label for label, (own, before) in enumerate(pairs) if own < LEFT_OUT and own + before >= cost]
 

@@ -1,9 +1,9 @@
-"""Landmarks: sets of transformations of which every plan has one, or several.
+"""Landmarks: every plan contains at least one transformation of a landmark, or several.
 
-For any set of facts (a *zone*) with something that the goal needs, every plan has a transformation that offers a fact
-of the zone and needs none of it: the first to enter. If a fact takes several givers, that many have entered before
-anything can need it. Labels that count as *there* already lower this number. A label that enters may be replaced by
-those that enter the zone *behind* it: a zone with something that it needs.
+For any set of facts (a *zone*) with one that the goal needs, every plan has a transformation that offers a fact of the
+zone and needs none of it: the first to enter. If a fact takes several givers, that many have entered before any label
+can need it. Labels that count as *there* already lower this number. A label that enters may be replaced by labels that
+enter the zone *behind* it: a zone with a fact that it needs.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ NOTHING: Zones = MappingProxyType({})
 
 @dataclass(frozen=True)
 class Crowd:
-    """What a landmark demands whose members have `counts`: those of a plan's members add up to `least` or more.
+    """A demand of a landmark: the `counts` of its members that a plan contains add up to `least` or more.
 
     `there`, `behind` and `most` are the arguments of `landmark_of` that made it.
     """
@@ -152,9 +152,10 @@ def _ways_to(core: Core, zone: Collection[int], late: Collection[int], there: Co
 
 
 def ways_into(core: Core, goal: int, facts: list[int], residual: list[int]) -> Landmark:
-    """The landmark of the zone from which `goal` comes free by the dearest needs; `facts` are h_max of each.
+    """Return the landmark of the zone from which `goal` comes free by the most expensive needs; `facts` are h_max of
+    each.
 
-    Labels that are free together with all they need count as there. Other free labels get a zone behind them.
+    Labels that are free together with all that they need count as there. Other free labels get a zone behind them.
     """
     givers, needs, takes = core.givers.lists, core.needs.lists, core.crowd_takes
     there: set[int] = set()

@@ -18,7 +18,7 @@ from cfgplan.planners.tuning import USUAL, Close, Tuning
 
 
 class Closing:
-    """Brings together a plan and the bound for plans no dearer than it.
+    """Closes the optimality gap: improves a plan, and the bound for plans that cost no more, until they meet.
 
     `cost` holds the costs of all labels of the network, multiples of `step`.
     """

@@ -1,7 +1,7 @@
 """The linear program over landmarks: the cheapest fractions of labels that hit each of them.
 
-Its dual is the best way to charge the landmarks. New landmarks only cut off the last solution, so that the
-dual simplex method goes on from there.
+Its dual is the best way to charge the landmarks. New landmarks only cut off the last solution, so that the dual simplex
+method continues from there.
 """
 
 from __future__ import annotations
@@ -28,10 +28,11 @@ FINEST, LARGEST_CHARGES = 1024, 2**58
 
 
 def alike(network: Network, cost: Ints) -> Ints:
-    """A number for each label, equal for those of which a cheapest plan has at most one: they meet the same demands.
+    """Return a number for each label, equal for labels that meet the same demands: a cheapest plan has at most one of
+    each.
 
-    If a plan had two, the later one in a grounded order could go: all that it gives is given by the earlier one. So the
-    later one must cost something, and nobody may want two different ones.
+    If a plan had two, the later one in a grounded order could go: the earlier one gives all that it gives. This holds
+    only for labels that cost something, and whose facts are not demanded by a distinct group.
     """
     distinct = {network.fact_of_tag[p.tag] for t in network.transformations for p in t.inputs if p.distinct is not None}
     gives = network.core.gives
@@ -47,9 +48,9 @@ def alike(network: Network, cost: Ints) -> Ints:
 class Feeding:
     """The rows that say how used labels are fed; `uses` says how much of each label is used.
 
-    A fact is needed as much as labels that need it are used, and offered as much as its givers are used; labels that
-    are alike need it together. The prices of these rows are moved from facts to labels (Lagrangian relaxation:
-    Geoffrion 1974). Whatever the prices are, landmarks may be charged at the costs that are left.
+    A fact is needed as much as the labels that need it are used, and offered as much as its givers are used; labels of
+    the same kind need it together. The prices of these rows are moved from facts to labels (Lagrangian relaxation:
+    Geoffrion 1974). For any such prices, landmarks may be charged from the remaining costs.
     """
 
     def __init__(self, core: Core, kinds: Ints, engine: pywraplp.Solver, uses: list[pywraplp.Variable]) -> None:
@@ -81,7 +82,9 @@ class Feeding:
             self._together[pair].SetCoefficient(uses[label], -1.0)
 
     def charged(self, cost: Ints, unit: float) -> tuple[int, Ints]:
-        """The bound by these rows alone at their prices in the last solution, and what is left of each label's cost."""
+        """Return the bound by these rows alone at their prices in the last solution, and each label's
+        remaining cost.
+        """
         core = self._core
         price = np.array([max(0, int(row.dual_value() * unit)) for row in self._offered], np.int64)
         paid = np.array([max(0, int(row.dual_value() * unit)) for row in self._together], np.int64)
@@ -96,9 +99,10 @@ class Feeding:
 
 
 class LandmarkProgram:
-    """Finds the cheapest fractions of labels that are fed and hit all landmarks; labels of equal `kinds` are alike.
+    """Finds the cheapest fractions of labels that are fed and hit all landmarks; labels of equal `kinds` are
+    interchangeable.
 
-    `value` is the optimum of the last solution: a bound on cost, but for rounding.
+    `value` is the optimum of the last solution: a bound on cost, except for rounding.
     """
 
     def __init__(self, core: Core, kinds: Ints, cost: Ints) -> None:

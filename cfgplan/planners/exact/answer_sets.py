@@ -1,7 +1,7 @@
-"""Answer sets prove networks with many cycles and few different costs, where the extra `cycles` is installed.
+"""Answer sets prove networks with many cycles and few different costs, if the extra `cycles` is installed.
 
-An answer set is grounded by definition, so no cycle has to be cut. Where costs are alike, unsatisfiable cores raise the
-bound fast; where they differ, landmarks and linear programs are many times faster.
+An answer set is grounded by definition, so no cycle has to be cut. If costs are equal, unsatisfiable cores raise the
+bound fast; if they differ, landmarks and linear programs are many times faster.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How bad streams are at least, and how bad they may be at most, attribute by attribute.
+"""Bounds on the badness of streams, from below and from above, attribute by attribute.
 
 Badness is by how much a value misses the best of its scale, in micro-units. The least is that with all running that can
 run. A stream that misses every bound even then is of no use anywhere.

@@ -41,7 +41,7 @@ class OnHost:
 class Candidate:
     """A unit of the environment, or a new one of a transformation. It `may_run`, or `may_wait` as a cold spare.
 
-    `places` are the hosts it may be on: its own if it is there already, only None where there are no hosts.
+    `places` are the hosts it may be on: only its own if it exists already; only None without hosts.
     """
 
     id: str
@@ -179,7 +179,7 @@ class Candidates:
         return self._units.get(label, ())
 
     def first_of_each(self, labels: Iterable[str]) -> set[int]:
-        """The first unit of each label, a running one if there is one; of pinned labels all running units."""
+        """Return the first unit of each label, a running one if possible, and all running units of pinned labels."""
         return {self._units[label][0] for label in labels} | set(filter(self.is_pinned, range(len(self.all))))
 
     def streams(self, tag: str) -> tuple[Stream, ...]:

@@ -1,4 +1,4 @@
-"""Who takes whose streams, once it is known how many units of each group run, and where."""
+"""The wiring of a counted solution, given the number of running units of each group and their hosts."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class CountedWiring:
         self._stays = {i: unit for i in staying if (unit := self._all[i].running) is not None}
 
     def units(self) -> list[ComputationUnit]:
-        """The units, wired; those that stay as they are the same."""
+        """Return the units, wired; units that stay are unchanged."""
         demands = list(self._demands())
         limited = [demand for demand in demands if any(map(self._serves, demand.streams))]
         taken = {demand.who: _first(demand) for demand in demands if demand not in limited}
@@ -59,7 +59,7 @@ class CountedWiring:
         return [units[i] for i in sorted(units)]
 
     def _serves(self, stream: Stream) -> int:
-        """How many may take a stream; 0: any number."""
+        """Return how many consumers may take a stream; 0: any number."""
         return self._all[self._candidates.index_of[stream.unit]].transformation.output[stream.port].serves or 0
 
     def _running(self, tag: str) -> list[Stream]:

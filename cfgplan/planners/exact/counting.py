@@ -42,10 +42,10 @@ class Weights(NamedTuple):
 
 
 class CountingModel:
-    """The numbers of units on hosts of some kinds, as variables of a constraint model.
+    """The numbers of units on each kind of host, as variables of a constraint model.
 
-    Where each kind is one host this is all that a configuration must be. Else it says of the hosts of a kind what they
-    bear together, and how many of them: whoever asks has to see whether the units can be placed.
+    If each kind is one host, the model is complete. Otherwise it bounds the total load of all hosts of a kind and their
+    number; the caller has to check whether the units can be placed.
     """
 
     def __init__(

@@ -101,7 +101,7 @@ class _Decoding:
         return self._port_of(taken, target.tag, old)
 
     def _fed(self, unit: int, port: InputPort) -> tuple[Stream, ...]:
-        """The streams by which an input is fed: those that it has already if they are there."""
+        """Return the streams that feed an input: its present ones if the solution has them."""
         model, host = self.model, self.host_of.get(unit)
         running = self.candidates.all[unit].running
         old = () if running is None else running.feeds.get(port.name, ())

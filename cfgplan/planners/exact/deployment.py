@@ -1,7 +1,7 @@
-"""Plans made by counting: how many units of each group, then which hosts they are on, then who is wired to whom.
+"""Plans made by counting: how many units of each group, then their hosts, then their wiring.
 
-Hosts alike are first counted too. Where the units that are best then can be placed, all is proven; else each host
-is looked at by itself.
+Symmetric hosts are counted first. If the best numbers of units can be placed, the plan is proven; otherwise each host
+is modelled separately.
 """
 
 from __future__ import annotations
@@ -84,8 +84,8 @@ class _Deployment:
     def count(self, kinds: Sequence[HostKind]) -> bool:
         """Minimise the objectives one after the other. Returns whether each minimum is proven.
 
-        Where each kind is one host, each solution is a plan. Else the best numbers have to be placed, and until then
-        only the bound on what is minimised first is proven.
+        If each kind is one host, each solution is a plan. Otherwise the best numbers have to be placed, and until then
+        only the bound on the first objective is proven.
         """
         standing, is_placed = self.standing, all(len(kind.names) == 1 for kind in kinds)
         counts = CountingModel(self.candidates, self.groups, kinds) if is_placed else self._alike(kinds)
@@ -251,7 +251,7 @@ class _Deployment:
         return is_limited
 
     def apart(self, kinds: Sequence[HostKind]) -> list[HostKind]:
-        """Hosts as kinds of their own: of each kind as many as a plan may use that is no worse than the incumbent."""
+        """Split kinds into single hosts, as many of each kind as a plan no worse than the incumbent may use."""
         found: list[HostKind] = []
         for k, kind in enumerate(kinds):
             most = len(kind.names)

@@ -1,6 +1,6 @@
 """Plans for a fleet before any model is built: cheapest supports by h_add, placed, wired and given spares.
 
-Not all rules are kept on the way: what breaks one is refused when it is offered.
+Some rules are not kept on the way: a plan that breaks one is refused when it is offered.
 """
 
 from __future__ import annotations
@@ -33,7 +33,9 @@ class FirstPlans:
         self._is_weighed = any(wish.weight_us for target in candidates.environment.targets for wish in target.quality)
 
     def look(self, attempts: int) -> None:
-        """Offer a plan of cheap transformations, then make up to `attempts` attempts without one of its dearest."""
+        """Offer a plan of cheap transformations, then make up to `attempts` more, each without one of the most
+        expensive ones.
+        """
         candidates, standing = self.candidates, self.standing
         if len(self.network.targets) < len(candidates.environment.targets):
             return
@@ -90,7 +92,9 @@ class FirstPlans:
         return np.array([max([0, *values]) for values in added], np.float64)
 
     def _offer_supports(self, price: Floats) -> bool:
-        """Offer the cheapest support at these prices, without the dearer of two transformations that conflict."""
+        """Offer the cheapest support at these prices, without the more expensive one of two conflicting
+        transformations.
+        """
         for _ in self.candidates.environment.library:
             support = plan_at(self.network, self._cost, price)
             if support is None:

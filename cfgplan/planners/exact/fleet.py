@@ -1,8 +1,8 @@
-"""The exact planner for what the paper leaves to the future: quality, hosts, conflicts, instances, spares.
+"""The exact planner for the paper's future work: quality, hosts, conflicts, instances, spares.
 
 First plans are made without search, then by the solver among few transformations of least reduced cost, and among more
-(kernel search). Landmarks over units bound the cost and leave out what is too dear; the solver proves the rest in the
-one model.
+(kernel search). Landmarks over units bound the cost and exclude expensive units; the solver proves the rest in the one
+model.
 """
 
 from __future__ import annotations
@@ -151,7 +151,7 @@ def left_by_bounds(candidates: Candidates, standing: Standing) -> Shortlist:
 
 
 def look_among_few(candidates: Candidates, standing: Standing, first: FirstPlans) -> None:
-    """Search among the incumbent's transformations and more and more others; offer plans and raise the bound."""
+    """Search among the incumbent's transformations and a growing number of others; offer plans and raise the bound."""
     from cfgplan.planners.exact.search import Search
 
     tuning, order = standing.clock.tuning, left_by_bounds(candidates, standing).order

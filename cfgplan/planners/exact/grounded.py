@@ -1,8 +1,9 @@
 """Grounding: the chosen candidates that can run on each other's streams, and the streams that may feed each input.
 
-Streams are added one by one, and a unit runs as soon as earlier streams can feed its inputs. So there is no cycle. With
-an attribute the best stream comes first: where no rule makes a value better than its inputs, values are as good as the
-choice allows. Else units come first that can stay as they are, and last those that could if others came before.
+Streams are added one by one, and a unit runs as soon as earlier streams can feed its inputs, so no cycle arises. With
+an attribute the best stream comes first: if no rule makes a value better than its inputs, values are as good as the
+choice allows. Otherwise units that can stay as they are come first, and units that could only stay if others came
+before come last.
 """
 
 from __future__ import annotations

@@ -43,7 +43,7 @@ class Group:
 
 @dataclass(frozen=True)
 class HostKind:
-    """Hosts that may take each other's place, or the one place that there is without hosts."""
+    """Interchangeable hosts, or the only place (None) without hosts."""
 
     names: tuple[HostName, ...]
     rooms: Mapping[str, int]

@@ -21,7 +21,9 @@ def what_is_made_on_a_host_is_not_carried_there(model: Model) -> None:
 
 
 def links_bear_what_is_carried_and_have_their_prices(model: Model) -> None:
-    """`Model.ways` has charged a carried stream its cheapest journey. This rule adds the difference of a dearer one."""
+    """`Model.ways` has charged a carried stream its cheapest transfer. This rule adds the extra cost of any other
+    transfer.
+    """
     loads: dict[Link, list[LinearExprT]] = defaultdict(list)
     for (stream, host), carried in model.carried.items() if model.environment.links else ():
         costs_us = model.journeys_us(stream, host)

@@ -1,4 +1,4 @@
-"""The rules of inputs: each is fed by streams that are there, and what feeds a unit comes before it."""
+"""The rules of inputs: each is fed by present streams, and a unit's feeders come before it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cfgplan.planning import Feature
 
 
 def a_staying_unit_keeps_its_feeders(model: Model) -> None:
-    """It stays if its streams are there, grounded before it except at feedback inputs; for topics see targets."""
+    """It stays if its streams are present, grounded before it except at feedback inputs; for topics see targets."""
     for i, stays in model.stays.items():
         candidate = model.candidates.all[i]
         assert candidate.running is not None
@@ -24,7 +24,9 @@ def a_staying_unit_keeps_its_feeders(model: Model) -> None:
 
 
 def a_wired_unit_is_fed(model: Model) -> None:
-    """Inputs rest on hubs, or on their feeders where these are told apart. A feedback input takes any running unit."""
+    """An input depends on its hub or, if it has variables of its own, on its feeders; a feedback input takes any
+    running unit.
+    """
     for i in model.candidates.clock.each(model.runs):
         inputs = model.candidates.all[i].transformation.inputs
         told_apart = [port for port in inputs if model.is_told_apart(i, port)]

@@ -1,4 +1,6 @@
-"""The memory of a session: closure and network of the library, landmarks, the last plan, and the plan at rest."""
+"""The memory of a session: closure and network of the library, landmarks, the last plan, and the proven
+running plan.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,7 @@ class Structure:
         return Candidates(problem, self.closure, frozenset(labels), clock)
 
     def counts(self) -> dict[str, int]:
-        """How many transformations and demands are left, step by step."""
+        """The numbers of remaining transformations and demands, step by step."""
         return {
             "transformations": len(self.environment.library),
             "startable": len(self.closure.possible),
@@ -186,7 +188,7 @@ def _pinned(environment: Environment) -> frozenset[str]:
 
 
 def _alike(one: Environment, other: Environment) -> bool:
-    """Whether the libraries differ in nothing but costs."""
+    """Return whether the libraries are equal except for costs."""
     return one.library == other.library or (
         len(one.library) == len(other.library)
         and all(

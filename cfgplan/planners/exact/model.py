@@ -1,8 +1,8 @@
 """The constraint model of an update: its booleans. The constraints on them are in `rules`.
 
-Booleans say which candidates run, where, and which of them stay as they are. Inputs that do not care who feeds them
-share one boolean for each demand and host (a *hub*), so that the model grows with the ports and not with inputs times
-outputs. Where the feeder matters an input is *told apart*: each stream that may feed it has a boolean.
+Booleans say which candidates run, where, and which of them stay as they are. Inputs that accept any feeder share one
+boolean for each demand and host (a *hub*), so that the model grows with the ports and not with inputs times outputs. An
+input for which the feeder matters is explicit: each stream that may feed it has a boolean.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ ModelRule = Callable[["Model"], None]
 class Model:
     """The booleans of a problem's candidates, which are named by their index; streams and ports are named by name.
 
-    A candidate `runs` or `waits` as a cold spare, and `is_there` if it does either, each also by host. One that runs
-    `stays` as it was wired, or `is_wired` anew. `hubs` say that a demand is met on a host, and `meets` by which stream
-    where that matters; `connects` say which streams feed an input told apart, and `publishes` which meet a target.
-    Every input and target is told apart with `is_apart`.
+    A candidate `runs` or `waits` as a cold spare, and `is_there` if it does either, each also by host. A running one
+    `stays` as it was wired, or `is_wired` by this update. `hubs` say that a demand is met on a host, and `meets` by
+    which stream if that matters; `connects` say which streams feed an explicit input, and `publishes` which meet a
+    target. With `is_apart`, every input and target is explicit.
     """
 
     def __init__(self, candidates: Candidates, rules: Iterable[ModelRule], *, is_apart: bool = False) -> None:
@@ -158,7 +158,7 @@ class Model:
         return self._streams[demand]
 
     def _units_by_demand(self) -> dict[int, set[int]]:
-        """The candidates with each demand at an ordinary input, by demand; inputs told apart are included."""
+        """Return the candidates with each demand at an ordinary input, explicit ones included, by demand."""
         needing: dict[int, set[int]] = defaultdict(set)
         for i, candidate in self.candidates.clock.each(enumerate(self.candidates.all)):
             for port in candidate.transformation.inputs if candidate.may_run else ():
@@ -216,7 +216,7 @@ class Model:
         return {origin: self.candidates.carried_us(stream, origin, host) for origin in origins}
 
     def ways(self, stream: Stream, host: HostName) -> list[IntVar]:
-        """The booleans of the ways to have a stream on a host, one of which a present stream implies."""
+        """Return booleans for the ways to have a stream on a host; a present stream implies one of them."""
         unit = self.unit_of(stream)
         is_made_elsewhere = self.runs_on[unit].keys() != {host}
         if host is not None and stream in self.placed and is_made_elsewhere and (stream, host) not in self.carried:
@@ -292,7 +292,7 @@ class Model:
         return [self.is_wired[i] for i in self.runs if self.candidates.all[i].running is not None]
 
     def started(self) -> list[IntVar]:
-        """The booleans that new units are there."""
+        """Return the `is_there` booleans of new units."""
         return [there for i, there in self.is_there.items() if self.candidates.all[i].running is None]
 
 

@@ -75,7 +75,9 @@ class Places:
         self._rooms = Rooms(candidates.problem)
 
     def put_all(self, grounded: Grounded, but_on: HostName = None) -> bool:
-        """Place the units that run and have no host yet, none on `but_on`, and feed all. False if there is no room."""
+        """Place all running units that have no host yet, except on `but_on`, and feed them. False if they do
+        not fit.
+        """
         new = [unit for unit in grounded.order if unit not in self.host_of]
         hosts_of = {unit: [h for h in self.candidates.all[unit].hosts if h is None or h != but_on] for unit in new}
         if not all(self.put(unit, hosts) for unit, hosts in hosts_of.items() if len(hosts) <= 1):
@@ -120,10 +122,10 @@ class Places:
         return 0 if host is None or at is None or at == host else self.candidates.carried_us(stream, at, host)
 
     def _feed(self, grounded: Grounded) -> None:
-        """Feed each input by a stream that is on its host already if possible, or is cheap to carry there.
+        """Feed each input by a stream that is on its host already if possible, else by the cheapest to carry there.
 
-        Of equal ones it is the present stream. A target takes that of a unit that publishes it and may stay as it is,
-        or of one that has to change anyway.
+        Among equally cheap streams, the present one is taken. A target takes the stream of a unit that publishes it and
+        may stay as it is, or of a unit that has to change anyway.
         """
         environment, all_of = self.candidates.environment, self.candidates.all
         carried: set[tuple[Stream, HostName]] = set()

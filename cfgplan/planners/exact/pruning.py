@@ -184,7 +184,7 @@ def needed_in_all(problem: Problem, units: Collection[ComputationUnit], spares: 
 
 
 def _is_asked_for(environment: Environment, number: Mapping[str, int], unit: ComputationUnit) -> bool:
-    """Whether a unit is pinned, or there are no more of its transformation than are asked for."""
+    """Return whether a unit is no cold spare, and is pinned or one of at most `min_instances` units."""
     transformation = environment.transformation[unit.transformation]
     is_pinned = transformation.pinned and unit.id in environment.unit
     return not unit.standby and (is_pinned or number[unit.transformation] <= transformation.min_instances)

@@ -55,9 +55,9 @@ def chains_are_as_bad_as_who_runs_lets_them(model: Model, cuts: Iterable[ChainCu
 
 
 class _Badness:
-    """Variables of an attribute where a stream is chosen: at targets, at inputs told apart, in hubs.
+    """Variables of an attribute where a stream is chosen: at targets, at explicit inputs, in hubs.
 
-    Their values are `numbers`, of which only those in one span differ as badness does.
+    Their values are `numbers`; only numbers within one span differ as badness does.
     """
 
     def __init__(self, model: Model, attribute: QualityAttribute) -> None:
@@ -171,7 +171,7 @@ class _Badness:
         cp.add(badness >= LinearExpr.sum(terms))  # implied, but what the linear relaxation needs
 
     def _delay(self, where: Hashable, stream: Stream) -> IntVar | None:
-        """The badness that links add on the way to a target or an input told apart; None if they add none."""
+        """Return the badness that links add on the way to a target or an explicit input; None if they add none."""
         model, made_on = self.model, self.model.runs_on[self.model.unit_of(stream)]
         if Feature.LATENCY not in model.problem.features:
             return None

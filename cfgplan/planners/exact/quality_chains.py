@@ -76,7 +76,7 @@ class Chains:
         self._know_rules([candidates.all[i].transformation for i in self.unit.tolist()], streams)
 
     def _know_rules(self, makers: list[Transformation], streams: list[Stream]) -> None:
-        """What each stream makes of its inputs."""
+        """Store each stream's quality rule as arrays: its inputs, their combination, gain and shift."""
         each = self.clock.each(zip(makers, streams, strict=True))
         making = [Making.of(self.attribute, maker, maker.output[stream.port]) for maker, stream in each]
         inputs = [[self.demand.get(port.tag, len(self.demand)) for port in one.inputs] for one in making]

@@ -22,9 +22,10 @@ ChainLandmarks = Iterable[tuple[Iterable[str], int]]
 
 
 def chain_cuts(candidates: Candidates, landmarks: ChainLandmarks, clock: Clock) -> tuple[list[ChainCut], Floats]:
-    """Cuts for all that targets ask, and each candidate's share in the relaxation; no cuts if that is too large.
+    """Return cuts for all wishes of targets, and each candidate's share in the relaxation; no cuts if that is too
+    large.
 
-    Targets ask for one attribute. `landmarks` are labels of which every plan runs one.
+    The wishes must be about one attribute. Every plan runs at least one label of each of the `landmarks`.
     """
     tuning, network = clock.tuning.quality, candidates.network
     is_met = len(network.targets) == len(candidates.environment.targets)
@@ -53,9 +54,9 @@ class _Asked:
 
 
 class _Relaxation:
-    """The linear relaxation of which labels run, a first unit of each.
+    """The linear relaxation of the running labels, with one unit each.
 
-    `value_us` is the solver's bound on the cost, as exact as its floats are.
+    `value_us` is the solver's bound on the cost, with the precision of its floats.
     """
 
     def __init__(self, candidates: Candidates, landmarks: ChainLandmarks) -> None:

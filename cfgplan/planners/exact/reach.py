@@ -12,7 +12,7 @@ from cfgplan.planners.networks.network import Network
 
 
 class Reach:
-    """Labels of a network that are there, and the facts that hold then; the last addition can be taken back."""
+    """Present labels of a network, and the facts that hold then; the last addition can be undone."""
 
     def __init__(self, network: Network, labels: Iterable[int] = ()) -> None:
         self._network = network

@@ -128,7 +128,7 @@ def _missing_places(problem: Problem) -> str | None:
 
 
 def _most_units(problem: Problem, label: str) -> int:
-    """How many units of a transformation may run: those that do, and new ones, but no more than it allows."""
+    """Return how many units of a transformation may run: running ones and new ones, within `max_instances`."""
     kind = problem.environment.transformation[label]
     running = sum(unit.transformation == label and not unit.standby for unit in problem.environment.units)
     most = running + problem.most_new(kind)
@@ -148,7 +148,7 @@ def _least_units(problem: Problem, givers: Givers) -> Mapping[str, int]:
 
 
 def _missing_host(problem: Problem) -> str | None:
-    """Name the first unit of a transformation that finds no host, even if nothing else is there; or None."""
+    """Name the first transformation whose `min_instances` do not fit on empty hosts; None if all fit."""
     for t in problem.environment.library:
         _, lack = _placed(problem, t, t.min_instances)
         if lack:

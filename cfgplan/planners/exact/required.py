@@ -1,7 +1,7 @@
-"""Required transformations: a first plan that uses all of them, and what may be in a cheaper one.
+"""Required transformations: a first plan that uses all of them, and the labels that a cheaper one may have.
 
-A plan that uses all of them runs all of them, so bounds may count them as wanted. Where no plan uses all, the search
-finds without bounds how many can be used.
+A plan that uses all of them runs all of them, so bounds may count them as wanted. If no plan uses all, the search finds
+without bounds how many can be used.
 """
 
 from __future__ import annotations
@@ -20,7 +20,9 @@ from cfgplan.planners.networks.network import Network, Weighing, costs
 
 
 def left_with_all(work: Work) -> Left:
-    """The labels that a plan with all required transformations can contain. Such a plan is offered if one is found."""
+    """Return the labels that a plan with all required transformations can contain; offer such a plan if one
+    is found.
+    """
     clock, structure, standing = work.clock, work.structure, work.standing
     required = frozenset(t.label for t in structure.network.transformations if t.required)
     network = structure.network_with(work.problem, required, clock)

@@ -1,9 +1,9 @@
-"""The plan at rest: what its proof implies for plans after a small change of costs.
+"""The proven plan that runs, and the implications of its proof for plans after a small change of costs.
 
-At rest nothing is to be changed: the plan runs, and no other is cheaper. Then costs change: a unit that dies costs its
-labor again, estimates move. A plan is no better than the plan at rest if it has all labels of that one that got dearer,
-and no other labels that got cheaper. Any other plan lacks one of the former or has one of the latter: landmarks,
-charged as at rest, mostly show that it is dearer.
+The plan runs and no other is cheaper. Then costs change: a dead unit costs its labor again, estimates move. Another
+plan is no better if it has all labels of the proven one whose cost rose, and no other labels whose cost fell. Any other
+plan lacks one of the former or has one of the latter: landmarks, charged as before the change, mostly show that it
+costs more.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Rest:
 
     @classmethod
     def of(cls, plan: Ints, cost: Ints, limit: int, bound: Bound, clock: Clock) -> Rest:
-        """The rest at a proven plan: its bound is tightened for plans within `limit`, and its rivals are looked for."""
+        """Return the rest for a proven plan: tighten its bound for plans within `limit`, and search for its rivals."""
         value = int(cost[plan].sum())
         bound = _charged(bound.restricted(bound.may_be_used(limit)), value, limit, clock)
         bound = bound.restricted(bound.may_be_used(limit))
@@ -64,7 +64,7 @@ class Rest:
         return Rest.of(plan, cost, known, self._bound_at(cost), clock) if limit <= known else None
 
     def limit_at(self, cost: Ints) -> int:
-        """The limit of the bound at other costs that admits each plan of cost `limit` or less at rest."""
+        """Return the limit of the bound at other costs that admits each plan that cost `limit` or less when proven."""
         fallen = cost < self.cost
         less = int((self.cost - cost)[fallen].sum())
         share = float((cost[fallen] / self.cost[fallen]).min(initial=1.0))

@@ -1,6 +1,6 @@
-"""The rules of an update in the constraint model, each a function that is named as what it says.
+"""The rules of an update in the constraint model, each a function named by its content.
 
-A rule adds nothing where nobody asks for it.
+A rule that a problem does not use adds nothing.
 """
 
 from __future__ import annotations

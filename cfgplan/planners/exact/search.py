@@ -207,8 +207,8 @@ class Search:
     ) -> bool:
         """Solve and forbid in rounds. True if the incumbent is proven best in this objective; False if time is over.
 
-        `level_of` gives the objective of a plan. `learn` is called with bounds on it.
-        Raises InfeasibleError if there is no plan at all. The rounds end: each forbids a solution.
+        `level_of` gives the objective of a plan. `learn` is called with bounds on it. Raises InfeasibleError if no plan
+        exists. The rounds end: each forbids a solution.
         """
         self.model.cp.minimize(objective)
         standing = self.standing
@@ -260,10 +260,10 @@ class Search:
         return self.standing.offer(candidates, named(candidates, lean(candidates, units)))
 
     def _look_at(self, solution: CpSolverSolutionCallback) -> bool:
-        """Check a solution that the solver found on its way. Returns True, to go on, if it is a plan.
+        """Check a solution that the solver found on its way. Returns True, to continue, if it is a plan.
 
         A solution without a plan stops the solver and is forbidden at once, since proving the best one beside it takes
-        long. With hosts the solver goes on, since a new start takes longer there.
+        long. With hosts the solver continues, since a new start takes longer there.
         """
         return self.consider(self.true_of(solution.boolean_value)) is not None or self._has_hosts
 

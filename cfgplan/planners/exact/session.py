@@ -1,8 +1,8 @@
-"""The planner as a session: what one plan has found out about a problem helps with the next.
+"""The planner as a session: results of one plan speed up the next.
 
-A manager keeps one session and asks it again after every change: a unit died, a transformation joined,
-a cost moved, a target came. What did not change is not computed anew: the closure and the network of
-the library, the landmarks, and the last plan as a first one. The answer is as good as a cold one.
+A manager keeps one session and calls it again after every change: a unit died, a transformation joined, a cost moved, a
+target came. Unchanged parts are not recomputed: the closure and the network of the library, the landmarks, and the last
+plan as a first one. The answer is as good as that of a new session.
 """
 
 from __future__ import annotations
@@ -183,7 +183,8 @@ def plan(
 def offer_what_runs(standing: Standing) -> None:
     """Offer the running units without needless ones, first wired as they are, then rewired where they must be.
 
-    No clock is looked at, so that a plan is there at any limit. What first plans don't know is not rewired.
+    It ignores the clock, so that any time limit gives a plan. With features that first plans don't know, nothing is
+    rewired.
     """
     problem, environment = standing.problem, standing.problem.environment
     labels = {unit.transformation for unit in environment.units}

@@ -18,7 +18,7 @@ from cfgplan.planners.solving.engine import ExactModel, repeatable_solver, solve
 
 
 class Sharing:
-    """The model of some units: which of them run, and who feeds whom. A site is a transformation on a host."""
+    """The model of some units: their running, and their wiring. A site is a transformation on a host."""
 
     def __init__(
         self, candidates: Candidates, units: Iterable[tuple[tuple[str, HostName], int]], targets: tuple[Target, ...]

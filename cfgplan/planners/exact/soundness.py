@@ -25,7 +25,7 @@ from cfgplan.qualities import is_met
 def flaws(candidates: Candidates, units: Collection[ComputationUnit]) -> Iterator[str]:
     """Yield each flaw of a configuration as text; a valid one yields none.
 
-    The candidates may be part of all: what has to run is read off the problem.
+    The candidates may be a part of all: the rules about units that must run are checked against the problem.
     """
     configuration = _Configuration(candidates, units)
     yield from configuration.of_wiring()
@@ -178,7 +178,7 @@ class _Configuration:
     def _free(
         self, unit: ComputationUnit, port: InputPort, there: Collection[Stream], left: Mapping[Stream, int]
     ) -> set[str]:
-        """The units, or transformations where the input is distinct, of which a stream may feed an input."""
+        """Return the units with a stream that may feed an input; for a distinct input, the transformations."""
         inputs = self.library[unit.transformation].inputs
         barred = set() if port.feedback else {*reached([unit.id], lambda here: self._readers.get(here, ()))}
         group = [p.name for p in inputs if p.distinct is not None and p.distinct == port.distinct]
@@ -192,7 +192,7 @@ class _Configuration:
 
     @cached_property
     def _readers(self) -> dict[str, list[str]]:
-        """By unit: those that it feeds, but by feedback inputs."""
+        """The units that each unit feeds, except by feedback inputs."""
         readers: dict[str, list[str]] = defaultdict(list)
         for unit in self.hot.values():
             inputs = self.library[unit.transformation].input

@@ -78,8 +78,9 @@ def decide_all(work: Work) -> bool:
 def raise_bound(work: Work) -> bool:
     """Find a plan and a bound, and leave out labels by reduced costs.
 
-    The plan is the one at rest, or the last one. Where that no longer is a plan, and in a session's first call, where
-    the last plan is what runs, a new one is made too, and the cheaper of both is tried without its dearest members.
+    The plan is the proven running one, or the last one. If that is no longer valid, or in a session's first call, where
+    the last plan is the running configuration, a new one is made too, and the cheaper of both is tried without its most
+    expensive members.
     """
     standing, memory, clock, network = work.standing, work.memory, work.clock, work.structure.network
     is_first = not memory.last
@@ -105,7 +106,7 @@ def raise_bound(work: Work) -> bool:
 
 
 def _known_plan(work: Work, network: Network) -> set[int] | None:
-    """The plan at rest or the last plan; None if it is not valid any more."""
+    """Return the proven running plan or the last plan; None if it is not valid any more."""
     known, memory = set(network.pinned), work.memory
     if memory.rest is not None:
         known |= set(memory.rest.plan.tolist())
@@ -115,10 +116,10 @@ def _known_plan(work: Work, network: Network) -> set[int] | None:
 
 
 def _bounded(work: Work, weighing: Weighing, plan: Ints | None) -> tuple[Ints | None, Remainder]:
-    """Raise the bound by landmarks. Returns the plan, or a cheaper one, and what the bound leaves.
+    """Raise the bound by landmarks. Returns the plan, or a cheaper one, and the labels that the bound leaves.
 
-    Less work is spent where closing may follow and there are no crowds. With crowds (distinct inputs) the labels that
-    a good bound charges in full often make a cheaper plan.
+    If closing may follow and no label has distinct inputs, less work is spent. With distinct inputs the labels that a
+    good bound charges in full often make a cheaper plan.
     """
     network, clock = work.structure.network, work.clock
     limit = int(weighing.weight.sum()) if plan is None else weighing.of_plan(plan)

@@ -67,7 +67,7 @@ class Standing:
     def largest_us(self) -> int | None:
         """The largest cost that an optimal plan may have: the incumbent's.
 
-        None if not known: a plan that uses more required transformations, or is better in an order, may be dearer.
+        None if unknown: a plan that uses more required transformations, or is better in an order, may cost more.
         """
         if Feature.ORDER in self.problem.features:
             return None

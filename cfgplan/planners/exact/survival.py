@@ -65,7 +65,7 @@ class Survival:
         self._known: set[Missed] = set()
 
     def missed(self, units: Collection[ComputationUnit]) -> list[Missed]:
-        """The landmarks of which a configuration has too few units, one for each failure and target."""
+        """Return the landmarks that have too few units in a configuration, one for each failure and target."""
         if self.candidates.problem.survive is None:
             return []
         found = [
@@ -91,9 +91,9 @@ class Survival:
         return bool(new)
 
     def needless_spares(self, model: Model, true: Collection[int], units: list[ComputationUnit]) -> list[int]:
-        """The candidates that a solution says to run for failures, though its `units` bear all failures without them.
+        """Return the candidates that a solution runs as spares although its `units` survive all failures without them.
 
-        Empty if that does no harm: no input that starts nothing is fed by them, and they take no stream from one.
+        Empty if that does no harm: they feed no input that starts nothing, and take no stream from one.
         """
         there = {unit.id: unit for unit in units}
         said = {i: there[self.candidates.all[i].id] for i, spare in model.spares.items() if spare.index in true}
@@ -116,7 +116,7 @@ class Survival:
             model.cp.add_bool_or([model.spares[spare].negated(), *others])
 
     def _there(self, model: Model, site: Site) -> Iterator[tuple[HostName, IntVar]]:
-        """The booleans that units of a site are there, with their hosts."""
+        """Yield the `is_there` booleans of a site's units, with their hosts."""
         for i in self.candidates.units_of(site[0]):
             for host, literal in model.there_on(i):
                 if site_of(self.candidates.environment, site[0], host) == site:

@@ -67,10 +67,10 @@ def failures(candidates: Candidates, units: Collection[ComputationUnit]) -> Iter
 
 
 def unmet(candidates: Candidates, failure: Failure) -> list[tuple[Target, ...]]:
-    """The targets that the units left after a failure can't meet, each by itself; if they can meet each, all targets
-    together if they can't meet these at once.
+    """Return the targets that the remaining units can't meet after a failure.
 
-    Units of one site are alike, so it is enough to know how many are left of each.
+    First each target by itself; if each can be met, all targets together if they can't be met at once. Units of one
+    site are interchangeable, so only their remaining number matters.
     """
     reach = Reach(candidates.network, candidates.numbers(label for label, _ in failure.left))
     together = [failure.targets] if len(failure.targets) > 1 and are_counted(candidates) else []
@@ -136,9 +136,9 @@ def bears_all_failures(candidates: Candidates, units: Collection[ComputationUnit
 
 
 def can_do_without(candidates: Candidates, units: Collection[ComputationUnit], one: ComputationUnit) -> bool:
-    """Whether units that bear all failures do so without `one`.
+    """Return whether units that survive all failures do so without `one`.
 
-    Where units are not counted, only failures that leave none of its site matter.
+    If units are not counted, only failures that leave none of its site matter.
     """
     others = [unit for unit in units if unit is not one]
     site = site_of(candidates.environment, one.transformation, one.host)

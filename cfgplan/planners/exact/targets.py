@@ -13,7 +13,7 @@ from cfgplan.planners.exact.model import Model
 
 
 def a_target_is_published_by_one_unit(model: Model) -> None:
-    """A staying unit publishes exactly what it published before."""
+    """Each target is published by exactly one unit; a staying unit publishes exactly its previous targets."""
     for target in model.environment.stream_targets:
         choices = model.publishes[target.label] = {}
         others: list[IntVar] = []

@@ -1,4 +1,4 @@
-"""The rules of units: what each of them does, and how many are there together."""
+"""The rules of units: the states of each, and their numbers."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def there_are_as_many_units_as_asked_for_and_allowed(model: Model) -> None:
 
 
 def _there(model: Model, label: str) -> list[IntVar]:
-    """The booleans that units of a transformation are there, running or as cold spares."""
+    """Return the `is_there` booleans of a transformation's units, running or as cold spares."""
     return [model.is_there[i] for i in model.candidates.units_of(label)]
 
 
@@ -84,10 +84,10 @@ def new_units_come_in_order(model: Model) -> None:
 
 
 def one_of_new_units_alike_is_enough(model: Model) -> None:
-    """At most one of several new units that meet the same demands runs, and its consumers share it.
+    """At most one of several interchangeable new units that meet the same demands runs, and its consumers share it.
 
-    It shortens the proof where nothing is asked beyond the paper; `closing.program.alike` says why it holds. Where
-    transformations are required two of them may be wanted.
+    This shortens the proof of problems without features; `closing.program` says why it holds. It is left out if
+    transformations are required, since two of them may be wanted.
     """
     if model.problem.features or model.tracked:
         return

@@ -87,9 +87,9 @@ class Work:
             self.standing.offer(candidates, units)
 
     def take(self, left: Left) -> None:
-        """Continue with the remaining labels: raise the proven bound, offer the plan, and return whether all is proven.
+        """Continue with the remaining labels: raise the proven bound and offer the plan.
 
-        Raises OutOfTimeError if there is no plan to be offered.
+        Raises OutOfTimeError if no plan can be offered.
         """
         standing, weighing = self.standing, left.weighing
         standing.counts["left by bounds"] = len(left.labels)

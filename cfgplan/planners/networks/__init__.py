@@ -1,5 +1,5 @@
-"""What a plan can be made of, and what it costs.
+"""The parts of a plan and their costs, as seen by bounds.
 
-`keys` compares plans. Bounds forget who feeds whom: in a `network` labels (transformations) have weights, and need and
-give facts (sets of those who may feed the same inputs), as arrays (`core`). `greedy` makes plans of labels.
+`keys` compares plans. Bounds ignore which unit feeds which: in a `network` labels (transformations) have weights, and
+need and give facts (sets of labels that may feed the same inputs), as arrays (`core`). `greedy` makes plans of labels.
 """

@@ -1,6 +1,6 @@
-"""Transformations and facts as arrays: what each label needs and offers.
+"""Transformations and facts as arrays: the needs and offers of each label.
 
-See `network` for what labels and facts are.
+See `network` for the meaning of labels and facts.
 """
 
 from __future__ import annotations
@@ -130,8 +130,8 @@ def crowds_of_group(inputs: Mapping[tuple[int, ...], int]) -> Iterator[tuple[tup
 class Core:
     """`needs[label]` are facts, `givers[fact]` labels. The last label is the goal, which needs every target.
 
-    `labels` and `facts` are the numbers that they have in the whole network. A fact holds when as many of its givers
-    are there as it `takes`; None if one is enough everywhere.
+    `labels` and `facts` are the numbers that they have in the whole network. A fact holds when at least `takes` of its
+    givers are chosen; if `takes` is None, one is enough for every fact.
     """
 
     needs: Rows
@@ -279,7 +279,7 @@ class Core:
                         ready.append(label)
 
     def restricted(self, keep: Flags) -> Core:
-        """The part with the labels flagged and the facts they need; what a kept label needs must be kept."""
+        """Return the part with the flagged labels and the facts they need; every need of a kept label must be kept."""
         stays = np.append(keep, True)
         needed = np.zeros(len(self.givers), np.bool_)
         needed[self.needs.items[stays[self.needs.row_of_item]]] = True

@@ -91,7 +91,7 @@ def _total(network: Network, price: Floats) -> list[float] | None:
 
 
 def _added(values: list[float]) -> float:
-    """The sum, but at most DEAREST if all are finite. A need that repeats in many layers would overflow."""
+    """Return the sum, capped at DEAREST if all are finite. A need that repeats in many layers would overflow."""
     return min(sum(values), DEAREST) if max(values) < np.inf else np.inf
 
 
@@ -136,7 +136,7 @@ def _assigned(network: Network, by_price: dict[str, list[int]]) -> list[str]:
 
 
 def without_redundant(network: Network, cost: Ints, chosen: set[int]) -> set[int]:
-    """The plan without redundant labels; the dearest are dropped first."""
+    """Return the plan without redundant labels; the most expensive are dropped first."""
     gives_of, needs, takes = network.core.gives.lists, network.core.needs.lists, network.core.crowd_takes
     givers_left: dict[int, int] = {}
     for label in chosen:

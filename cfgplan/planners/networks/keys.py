@@ -12,7 +12,7 @@ from cfgplan.planning import Feature, Problem
 
 
 class Key(NamedTuple):
-    """The order of optimality: of two configurations the one with the lesser key is better."""
+    """The order of optimality: a configuration with a smaller key is better."""
 
     unused: int
     """Required transformations that serve no target."""

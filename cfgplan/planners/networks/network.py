@@ -1,9 +1,9 @@
-"""The problem over transformations as arrays: what each needs and offers.
+"""The problem over transformations as arrays of needs and offers.
 
-For least cost alone one unit of each transformation is enough, so the problem is one of *labels*:
-choose a set of them, grounded, that meets the targets. A *fact* is a demand (merged with all demands
-that the same transformations can meet): "a label offers this", or "N labels do" for the inputs of a distinct
-group. Feedback inputs are left out: bounds stay valid.
+For least cost alone one unit of each transformation is enough, so the problem is one of *labels*: choose a set of them,
+grounded, that meets the targets. A *fact* is a demand (merged with all demands that the same transformations can meet):
+"a label offers this", or "N labels do" for the inputs of a distinct group. Feedback inputs are left out: bounds stay
+valid.
 """
 
 from __future__ import annotations

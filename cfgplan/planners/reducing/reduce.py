@@ -440,7 +440,7 @@ def _is_valid(problem: Problem, unit: ComputationUnit, port: InputPort, streams:
 
 
 def _without_what_all_have(problem: Problem) -> Problem:
-    """Leave out objectives that are the same for all plans, as there are no hosts."""
+    """Leave out objectives about hosts if the environment has none: they are the same for all plans."""
     environment = problem.environment
     if environment.hosts or problem.max_cost_us is not None:
         return problem
@@ -474,9 +474,9 @@ def _without_numbers(problem: Problem, use: _Use) -> Problem:
 
 
 def fed_afterwards(whole: Problem, part: Problem, units: Sequence[ComputationUnit]) -> list[ComputationUnit]:
-    """The units of a plan of a part, with the inputs fed that the part has not, wherever streams are there for them.
+    """Return the units of a part's plan, with the inputs that the part lacks fed by the present streams.
 
-    An input keeps the streams that it has.
+    An input keeps its present streams.
     """
     library, others = whole.environment.transformation, part.environment.transformation
     gone = {
@@ -526,7 +526,7 @@ class _Wiring:
         ]
 
     def feed(self, unit: ComputationUnit, port: InputPort, *, keeps: bool) -> None:
-        """Feed an input that nothing feeds yet, if enough streams are there for it; by those it has if it `keeps`."""
+        """Feed an unfed input if enough streams may feed it; with `keeps`, by its present streams only."""
         if port.name in self._feeds[unit.id]:
             return
         free = list(self._free(unit, port))

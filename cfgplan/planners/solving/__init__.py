@@ -1,1 +1,1 @@
-"""What planners that call CP-SAT share: the clock, one run of the engine, who supports whom."""
+"""Shared by planners that call CP-SAT: the clock, one run of the engine, who supports whom."""

@@ -95,12 +95,13 @@ def solve(
 ) -> CpSolverStatus:
     """Solve in a thread, so that `stop` and Ctrl-C end it with the best solution so far.
 
-    `look_at` is called at each solution, and returns whether to go on. `learn` is called with bounds on the objective.
-    A model with larger numbers than the engine is exact with is solved without full linearisation, and the engine's
-    "optimal" or "infeasible" stands only if it says so without any linearisation too: else the status is "feasible" or
-    "unknown". No bound is learned before that.
-    Raises KeyboardInterrupt if Ctrl-C comes before the thread has begun, and the exceptions of `look_at`. No
-    solving thread is left behind: it would make the process abort when that ends.
+    `look_at` is called at each solution, and returns whether to continue. `learn` is called with bounds on the
+    objective. A model with larger numbers than the engine is exact with is solved without full linearisation, and the
+    engine's "optimal" or "infeasible" stands only if it says so without any linearisation too: else the status is
+    "feasible" or "unknown". No bound is learned before that.
+
+    Raises KeyboardInterrupt if Ctrl-C comes before the thread has started, and the exceptions of `look_at`. No solving
+    thread is left behind: it would make the process abort when that ends.
     """
     is_exact = model.is_exact()
     if not is_exact:

@@ -13,7 +13,7 @@ from cfgplan.ros.types import MessageType, TypeKind
 BROADCASTERS = {"TransformBroadcaster": "/tf", "StaticTransformBroadcaster": "/tf_static"}
 """Classes whose objects publish transforms, and their topics."""
 MOST_STEPS = 25
-"""How many names may stand for each other before a name counts as computed."""
+"""The longest chain of names standing for each other; a longer one counts as computed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,9 +59,10 @@ class CodeReading:
 
 
 def action_ports(is_server: bool, port: CodePort) -> Iterator[CodePort]:
-    """The ports of a server or client of an action: one service in ROS 2, five topics in ROS 1.
+    """Yield the ports of a server or client of an action: one service in ROS 2, five topics in ROS 1.
 
-    `port` has the action's name and its type: of kind `action` in ROS 2; the message `NameAction`, or None, in ROS 1.
+    `port` has the action's name and its type. In ROS 2 the type has the kind `action`; in ROS 1 it is the message
+    `NameAction`, or None.
     """
     if port.type is not None and port.type.kind == "action":
         yield replace(port, role=Role.SERVES if is_server else Role.CALLS)
@@ -94,7 +95,7 @@ def type_of(text: str, kind: TypeKind) -> MessageType | None:
 def ports_of_code(
     reading: CodeReading, node: RosNode, shared: Mapping[str, object]
 ) -> tuple[dict[RosPort, Place], list[str]]:
-    """The ports of a node that runs the code, each with its place; and what its parameters leave unclear.
+    """Return the ports of a node that runs the code, each with its place, and notes on unclear parameters.
 
     `shared` are the parameters that were set outside of nodes, by full name.
     """

@@ -68,7 +68,7 @@ _PRIVATE = re.compile(r"priv|pnh|^pn_?$|local_n|^n_?p(riv)?_?$|_p$", re.IGNORECA
 _POINTER = re.compile(r"(?:::)?(?:Const)?(?:Ptr|SharedPtr|UniquePtr|ConstSharedPtr|ConstPtr)$")
 _READ = ("param", "getParam", "get_parameter", "get_parameter_or", "declare_parameter", "get", "getParamCached")
 _LONGEST = 200
-"""How many tokens an argument may have that is followed."""
+"""The most tokens of an argument that is evaluated."""
 _Spot: TypeAlias = tuple[CppFile, range]
 
 
@@ -526,7 +526,9 @@ class _Sources:
         return False
 
     def _parameter(self, file: CppFile, at: int) -> tuple[str, int, int] | None:
-        """The function (its name, which parameter, its body) of which a word is a parameter; None if it is none."""
+        """Return the function whose parameter a word is, as name, parameter number and start of the body;
+        None if none.
+        """
         if file.sign(at + 1) not in (",", ")", "="):
             return None
         end = at

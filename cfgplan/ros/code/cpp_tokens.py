@@ -26,7 +26,7 @@ _ESCAPE = re.compile(r"\\(.)", re.DOTALL)
 _PAIRS = {")": "(", "]": "[", "}": "{"}
 _OPENING = frozenset(_PAIRS.values())
 _LONGEST_ANGLES = 400
-"""How many tokens may stand between `<` and `>`."""
+"""The most tokens between `<` and `>`."""
 
 
 class Token(NamedTuple):
@@ -39,7 +39,7 @@ class Token(NamedTuple):
 
 @dataclass(frozen=True)
 class CppFile:
-    """A source file: its tokens, what it includes, and the texts that it defines as macros."""
+    """A source file: its tokens, its includes, and the texts of its macros."""
 
     file: str
     tokens: Sequence[Token]
@@ -168,7 +168,7 @@ def cpp_file(text: str, file: str) -> CppFile:
 
 
 _HIDE, _SHOW = "\x01", "\x02"
-"""What stands for a directive after which the source is left out (`#if 0`), or read."""
+"""The marks of a directive after which the source is skipped (`#if 0`), or read."""
 
 
 def _tokens(text: str) -> Iterator[Token]:

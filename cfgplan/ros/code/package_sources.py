@@ -23,7 +23,7 @@ _LEFT_OUT = frozenset(("test", "tests", "build", "install", "devel", "log", "nod
 LARGEST_FILE = 1_000_000
 """Bytes of the largest source file that is read."""
 MOST_FILES = 2000
-"""Files of a package that are looked at."""
+"""The most files of a package that are read."""
 MOST_OF_A_NODE = 60
 """Source files that are read for one node."""
 _CMAKE_COMMAND = re.compile(r"([A-Za-z_]\w*)\s*\(((?:[^()\"]|\"(?:[^\"\\]|\\.)*\"|\([^()]*\))*)\)")
@@ -75,7 +75,7 @@ class _Package:
 
     @cached_property
     def _files(self) -> tuple[Path, ...]:
-        """The files that may say something, nearest to the folder first; hidden folders and tests are left out."""
+        """The files that may have ports, nearest to the folder first; hidden folders and tests are left out."""
         found, folders = list[Path](), deque([self._folder])
         while folders and len(found) < MOST_FILES:
             try:
@@ -94,7 +94,7 @@ class _Package:
 
     @property
     def tells_files(self) -> bool:
-        """Whether the package says of any executable or plugin which files it has."""
+        """Whether the package names the files of any executable or plugin."""
         return bool(self._executables or self._entry_points or self._registered)
 
     @property
@@ -106,7 +106,7 @@ class _Package:
         return tuple([each for each in self._files if each.suffix in _CPP | _HEADERS] + sorted({*scripts} - {*launch}))
 
     def files_of(self, node: RosNode) -> Iterator[Path]:
-        """The source files of what a node runs, with those of the package that they use; none if not known."""
+        """Return the source files of a node's program and the package's files that they use; empty if unknown."""
         begin = self._of_plugin(node.plugin) if node.plugin else self._of_executable(node.executable or "")
         waiting, found = deque(begin), dict[Path, None]()
         while waiting and len(found) < MOST_OF_A_NODE:

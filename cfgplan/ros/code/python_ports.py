@@ -51,7 +51,7 @@ _Block = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef | ast.Module
 
 
 def python_ports(text: str, file: str) -> CodeReading:
-    """The ports that calls in a Python source make. Text that does not parse has none, and is told."""
+    """Return the ports that calls in a Python source make. Text that does not parse has none, and adds a note."""
     tree = _tree(text)
     if tree is None:
         return CodeReading(unclear=(f"{file}, which does not parse",))
@@ -90,7 +90,7 @@ def _tree(text: str) -> ast.Module | None:
 
 
 class _Source:
-    """One Python source: who imports what, what names stand for, and the calls that make ports."""
+    """One Python source: its imports, the values of its names, and the calls that make ports."""
 
     def __init__(self, tree: ast.Module, file: str) -> None:
         self._tree = tree
@@ -156,7 +156,7 @@ class _Source:
 
     @cached_property
     def _imports(self) -> Mapping[str, str]:
-        """What imported names stand for, as dotted names."""
+        """The dotted name of each imported name."""
         found: dict[str, str] = {}
         for node in ast.walk(self._tree):
             if isinstance(node, ast.Import):
@@ -171,7 +171,7 @@ class _Source:
 
     @cached_property
     def _stars(self) -> list[str]:
-        """The modules of which all names are imported."""
+        """The modules imported with `*`."""
         return [
             node.module or ""
             for node in ast.walk(self._tree)
@@ -179,7 +179,7 @@ class _Source:
         ]
 
     def _path(self, node: ast.expr) -> str:
-        """The dotted name that an expression is, with what was imported in full; "" if it is no such name."""
+        """Return an expression's dotted name, with imported names in full; "" if it is not a dotted name."""
         if isinstance(node, ast.Name):
             return self._imports.get(node.id, node.id)
         if isinstance(node, ast.Attribute):
@@ -268,7 +268,9 @@ class _Source:
         return found
 
     def _variable(self, node: ast.AST, word: str, steps: int) -> CodeName | None:
-        """What a variable stands for, in the innermost function that has it, or in the module."""
+        """Return the name that a variable holds, looked up in the enclosing functions and in the module; None if
+        unknown.
+        """
         scope = self._scope_of(node)
         while scope is not None:
             if isinstance(scope, ast.FunctionDef | ast.AsyncFunctionDef):

@@ -1,7 +1,7 @@
-"""What is really there: crates, robots and their cameras, as functions of time.
+"""The ground truth of the hall: crates, robots and their cameras, as functions of time.
 
-Metres from the middle of the hall; headings in radians from the x axis. Whoever holds an element of a stream can
-compute the truth of its moment.
+Metres from the middle of the hall; headings in radians from the x axis. The truth for any element of a stream can be
+computed from its time.
 """
 
 from __future__ import annotations

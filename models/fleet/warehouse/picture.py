@@ -1,4 +1,4 @@
-"""What a robot's camera sees: floor and walls, crates by ray casting, and noise."""
+"""The picture of a robot's camera: floor and walls, crates by ray casting, and noise."""
 
 from __future__ import annotations
 

@@ -73,7 +73,9 @@ def obstacles(found: Sequence[Box], pose: Pose) -> list[Obstacle]:
 
 
 def merged(one: Sequence[Obstacle], other: Sequence[Obstacle]) -> list[Obstacle]:
-    """All obstacles of both. What both see is there once, as the mean weighted by the inverse squares of the errors."""
+    """Return the obstacles of both; one seen by both is merged to the mean weighted by the inverse squares of the
+    errors.
+    """
     left = list(other)
     together = []
     for obstacle in one:

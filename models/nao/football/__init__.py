@@ -1,4 +1,4 @@
-"""A football field, two robots on it and a ball: what their cameras see, and how they find the ball."""
+"""A football field, two robots on it and a ball: the pictures of their cameras, and how they find the ball."""
 
 try:
     import cv2  # noqa: F401

@@ -1,4 +1,6 @@
-"""What the bottom camera sees, as YUYV 4:2:2: carpet and lines by a homography, balls by ray casting, and noise."""
+"""The picture of the bottom camera, as YUYV 4:2:2: carpet and lines by a homography, balls by ray casting,
+and noise.
+"""
 
 from __future__ import annotations
 
@@ -78,7 +80,7 @@ def _ground(camera: Camera) -> tuple[Bytes, Bytes]:
 
 
 def _wall(luma: Bytes, chroma: Bytes, camera: Camera) -> None:
-    """What is above the horizon is a wall; the homography shows there what is behind the camera."""
+    """Paint a wall above the horizon, where the homography would show the scene behind the camera."""
     left, right = camera.horizon(0) + _WALL_ROWS, camera.horizon(WIDTH) + _WALL_ROWS
     if max(left, right) <= 0:
         return

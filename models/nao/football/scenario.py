@@ -1,6 +1,6 @@
-"""What really happens: the ball's and the robots' places as functions of time, and the clock of the frames.
+"""The ground truth of the play: the ball's and the robots' places as functions of time, and the clock of the frames.
 
-Everything is a function of the time stamp, so whoever holds an element of a stream can compute the truth of its moment.
+The truth for any element of a stream can be computed from its time stamp.
 """
 
 from __future__ import annotations

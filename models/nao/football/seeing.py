@@ -58,7 +58,7 @@ def subsampled(channel: Bytes) -> dict[int, Bytes]:
 
 
 def field_hull(luma: Bytes, v: Bytes) -> Points | None:
-    """The convex hull of what is green, from small Y and V images; None if hardly anything is."""
+    """Return the convex hull of the green area of small Y and V images; None if hardly any pixel is green."""
     mask = ((v < _GREEN_V) & (luma > _GREEN_Y[0]) & (luma < _GREEN_Y[1])).astype(np.uint8)
     mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))  # type: ignore[assignment]
     outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
@@ -98,7 +98,7 @@ def find_ball(hull: Points, fine: Bytes, coarse: Bytes) -> Seen | None:
 
 
 def _measured(fine: Bytes, u: float, v: float, radius: float, threshold: float) -> Seen | None:
-    """Fit a circle to the outline around a candidate; None if there is no such circle of about the right size."""
+    """Fit a circle to the outline around a candidate; None if no circle of about the right size fits."""
     reach = math.ceil(1.6 * radius) + 2
     left, top = max(0, round(u) - reach), max(0, round(v) - reach)
     window = fine[top : round(v) + reach + 1, left : round(u) + reach + 1]

@@ -1,4 +1,4 @@
-"""What a walking robot gets wrong: its body sways, and what it believes of its pose drifts and trembles."""
+"""The errors of a walking robot: its body sways, and its estimated pose drifts and trembles."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Gait:
         return Camera(pose, HEIGHT_M + height, TILT + self._tilt_error + tilt, roll)
 
     def believed(self, pose: Pose, time_ns: int) -> Pose:
-        """What the robot's self-localization says when it is at `pose`."""
+        """Return the pose that the robot's self-localization reports when it is at `pose`."""
         angle = 2 * math.pi * time_ns / 1e9 / self._periods_s + self._phases
         waves = np.sin(angle)
         x, y, heading = (waves[:3] + waves[3:]) / math.sqrt(2)

@@ -123,7 +123,7 @@ def error_chart(played: Sequence[Played]) -> str:
 
 
 def failure_chart(step: Played, samples: Sequence[Sample]) -> str:
-    """The ball's x around a failure: the truth, each picture's position, and what was done when."""
+    """Draw the ball's x around a failure: the truth, each picture's position, and the times of the repair's steps."""
     came_ns = step.first.came_ns if step.first is not None else step.ended_ns
     events = (
         ("killed", step.began_ns),

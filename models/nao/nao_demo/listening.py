@@ -1,4 +1,4 @@
-"""Listening to the ball's positions while the play goes on, and holding each against the truth of its moment."""
+"""Listening to the ball's positions during the play, and comparing each with the truth of its moment."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Sample:
 
 
 class Listener:
-    """Collects what comes on a topic of a run, in a thread, until the run ends."""
+    """Collects the elements on a topic of a run, in a thread, until the run ends."""
 
     def __init__(self, topic: str, run: str) -> None:
         self._topic, self._run = topic, run

@@ -1,4 +1,4 @@
-"""Tells a play on the terminal while it goes on."""
+"""Narrates a play on the terminal."""
 
 from __future__ import annotations
 

@@ -86,7 +86,7 @@ def _comparison(robots: Sequence[Robot], played: Sequence[Played]) -> Comparison
 
 
 def _figures(played: Sequence[Played], failure: Played | None, comparison: Comparison | None) -> list[tuple[str, str]]:
-    """The figures at the top: each with what it is."""
+    """Return the figures at the top of the page, each with its caption."""
     figures = []
     if failure is not None:
         figures.append(
@@ -138,7 +138,7 @@ def _section(number: int, played: Played, every: Sequence[Played]) -> dict[str, 
 
 
 def _graphs(played: Played) -> tuple[str | None, str]:
-    """What ran before, with what has died in it, and the update of what was left."""
+    """Return pictures of the previous configuration with its dead units (None if it was empty), and of the update."""
     before = _svg(played.before, ChangeSet(stopped=played.gone)) if played.before.units else None
     return before, _svg(played.left, played.changes)
 
@@ -153,7 +153,7 @@ def _svg(environment: Environment, changes: ChangeSet) -> str:
 
 
 def _units(played: Sequence[Played]) -> list[dict[str, str]]:
-    """What each unit cost at the end: as declared, and as measured."""
+    """Return a table row for each unit of the last step: its declared and its measured cost."""
     last = played[-1]
     library = last.after.transformation
     rows = []

@@ -1,4 +1,4 @@
-"""What came of the steps of a play."""
+"""The results of the steps of a play."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FRAME_NS = 1_000_000_000 / 15
 
 @dataclass(frozen=True, slots=True)
 class Alternative:
-    """A plan that was not chosen, and what it would cost, in microseconds of CPU time over the horizon."""
+    """A plan that was not chosen, and its cost in microseconds of CPU time over the horizon."""
 
     what: str
     cost_us: int
@@ -38,7 +38,10 @@ class Silence:
 
 @dataclass(frozen=True)
 class Played:
-    """What came of a step. Times in nanoseconds since the epoch; `first` is the first position of a moment after it."""
+    """The result of a step.
+
+    Times are in nanoseconds since the epoch; `first` is the first position of a moment after the step began.
+    """
 
     step: Step
     began_ns: int
@@ -59,13 +62,13 @@ class Played:
 
     @property
     def left(self) -> Environment:
-        """What ran before, without the units that have died, and with the targets of afterwards."""
+        """The configuration before the step without its dead units, with the targets of afterwards."""
         units = (replace(u, subscriptions=_living(u, self.gone)) for u in self.before.units if u.id not in self.gone)
         return replace(self.before, units=tuple(units), targets=self.after.targets)
 
     @property
     def changes(self) -> ChangeSet:
-        """What the update has changed in what was left."""
+        """The changes from `left` to the configuration afterwards."""
         return self.left.change_to(self.after.units)
 
     @property

@@ -45,7 +45,7 @@ LONGEST_S = 120.0
 
 
 class Audience(Protocol):
-    """Whoever is told how the play goes on."""
+    """Receives the events of a play."""
 
     def is_served(self, url: str) -> None:
         """A page about the play is served at this address."""
@@ -54,7 +54,7 @@ class Audience(Protocol):
         """A step begins."""
 
     def answers(self, answered: Played) -> None:
-        """The manager has answered it; there are no positions yet."""
+        """The manager has answered it; positions come later."""
 
     def watches(self, sample: Sample | None) -> None:
         """The newest position, if there is any; told a few times a second while a step is watched."""
@@ -136,7 +136,10 @@ class _Player:
         return Played(step, began_ns, time.time_ns(), before, after, review, self._others(step, manager))
 
     def watched(self, answered: Played, manager: Manager, audience: Audience) -> Played:
-        """A step with what comes on the topic while it is watched."""
+        """Return a step with the positions that came while it was watched.
+
+        Raises RuntimeFaultError if no position came for `LONGEST_S` seconds although the targets are met.
+        """
         began_ns, review, first = answered.began_ns, answered.review, None
         if review.met:
             first = self._listener.wait_for(began_ns, LONGEST_S)

@@ -19,7 +19,7 @@ _QUALITY = 82
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """What a robot's units make of one moment; None where they find nothing. `sizes` are the subsampled channels."""
+    """The outputs of a robot's units for one moment; None if they find nothing. `sizes` are the subsampled channels."""
 
     sizes: Mapping[str, Any]
     hull: Any
@@ -88,7 +88,7 @@ def view(robot: Robot, time_ns: int) -> View:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Root mean squares of the errors at the same moments, in metres: of each robot alone, and of both fused."""
+    """Root mean squares of the errors at the same moments, in metres, for each robot alone and for both fused."""
 
     moments: int
     alone_m: Mapping[str, float]

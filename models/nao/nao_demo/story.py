@@ -1,4 +1,4 @@
-"""Section V of the paper in steps: what happens in each, what else could be done, and what robots declare in them."""
+"""Section V of the paper in steps: the event of each, its alternatives, and the robots' declarations."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ WORLD = Path(__file__).parents[1]
 
 @dataclass(frozen=True, slots=True)
 class Begin:
-    """Nothing but the target is there."""
+    """The start: only the target is given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +92,7 @@ SECTION_V = (
 
 
 def declared_by(robot: str) -> Declare:
-    """What a robot declares when it registers: itself, and the pipeline that it can run."""
+    """Return a robot's declaration when it registers: itself, and the pipeline that it can run."""
     text = (WORLD / "pipeline.yaml").read_text(encoding="utf-8").replace("${NAO}", robot)
     return Declare(robot, _transformations(text), (Individual(robot, ("NAO",)),))
 

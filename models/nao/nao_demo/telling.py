@@ -1,4 +1,4 @@
-"""What is said of a step, in words and figures, for the terminal and the page."""
+"""Reports of a step, in words and figures, for the terminal and the page."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def span(seconds: float) -> str:
 
 
 def noticed(played: Played) -> list[str]:
-    """What the manager has noticed."""
+    """Return the perturbations that the manager noticed, in words."""
     return list(dict.fromkeys(_noticed(played.review.perturbations)))
 
 
@@ -58,7 +58,7 @@ def _noticed(perturbations: tuple[Perturbation, ...]) -> Iterator[str]:
 
 
 def decided(played: Played) -> str:
-    """What was decided, in a sentence."""
+    """Return the decision, in a sentence."""
     review = played.review
     if review.unmet:
         return next(iter(review.unmet.values()))
@@ -79,7 +79,7 @@ def decided(played: Played) -> str:
 
 
 def cost(played: Played) -> str | None:
-    """What the plan costs and of what that is made up."""
+    """Return the cost of the plan and its parts, in words; None if a target is not met or the cost is unknown."""
     review = played.review
     if review.cost_us is None or not review.met:
         return None
@@ -98,7 +98,7 @@ def labor(played: Played) -> int:
 
 
 def others(played: Played) -> list[str]:
-    """What else could be done, and what more it would cost."""
+    """Return the alternatives, each with its cost and the difference to the chosen plan."""
     chosen_us = played.review.cost_us or 0
     return [f"{other.what}: {cpu(other.cost_us)}, {cpu(other.cost_us - chosen_us)} more" for other in played.others]
 
@@ -110,7 +110,7 @@ def times(played: Played) -> list[tuple[str, float]]:
 
 
 def seen(played: Played) -> str | None:
-    """What came on the topic."""
+    """Return a sentence about the positions on the topic; None if none came."""
     if played.first is None or played.rms_error_m is None:
         return None
     if not played.before.units:
