@@ -136,8 +136,15 @@ class Screen:
 
     def tell(self, line: str) -> None:
         """Print a line at once. If the disk is full, warn once and go on without the line."""
+        self._tell(lambda: self.write(f"{line}\n"))
+
+    def show_at_once(self, result: RenderableType) -> None:
+        """Print a result for people as `tell` prints a line."""
+        self._tell(lambda: self.show(result))
+
+    def _tell(self, print_it: Callable[[], None]) -> None:
         try:
-            self.write(f"{line}\n")
+            print_it()
             self.flush()
         except OSError as error:
             if error.errno not in FULL_DISK:

@@ -466,9 +466,40 @@ def test_lines_are_printed_where_no_terminal_is(env: Path) -> None:
     arguments = command("run", env, "--for", "200ms", "--no-estimates")
     done = subprocess.run(arguments, capture_output=True, text=True, timeout=PATIENCE_S, check=True)
     lines = done.stdout.splitlines()
-    assert lines[0].startswith("Running 2 units as run ")
+    assert any(line.startswith("Running 2 units as run ") for line in lines)
     assert any(line.startswith("Review 1: started camera(piff).1, detector(piff).1; ") for line in lines)
     assert "\x1b" not in done.stdout
+
+
+PLANNER = """
+from cfgplan.planners import PLANNERS
+
+def plan(problem, **more):
+    with open("plans", "a") as file:
+        file.write("planned\\n")
+    return PLANNERS["cpsat"](problem, **more)
+"""
+
+
+def test_a_run_shows_what_solve_shows_before_anything_starts_and_carries_that_out(env: Path) -> None:
+    (env.parent / "own.py").write_text(PLANNER)
+    arguments = command("run", env, "--for", "200ms", "--no-estimates", "--planner", "own:plan")
+    ran = subprocess.run(
+        arguments, capture_output=True, text=True, timeout=PATIENCE_S, check=True, cwd=env.parent
+    ).stdout
+    assert (env.parent / "plans").read_text() == "planned\n"
+    solved = subprocess.run(command("solve", env), capture_output=True, text=True, timeout=PATIENCE_S, check=True)
+    assert ran.startswith(solved.stdout.replace("cpsat", "own:plan").partition("Optimal")[0])
+    assert ran.index("Optimal: ") < ran.index("Running 2 units")
+
+
+def test_the_plan_of_a_run_is_an_event_of_its_own_before_all_others(env: Path) -> None:
+    with running(env, "--for", "200ms") as process:
+        assert process.stdout is not None
+        told = [json.loads(line) for line in process.stdout]
+    assert [one["event"] for one in told[:2]] == ["Planned", "Running"]
+    assert [unit["id"] for unit in told[0]["plan"]["change_set"]["started"]] == ["camera(piff).1", "detector(piff).1"]
+    assert told[0]["ended"] == []
 
 
 @pytest.mark.usefixtures("run")

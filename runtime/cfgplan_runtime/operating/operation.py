@@ -24,6 +24,7 @@ from cfgplan_runtime.children.source_faults import source_fault
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.estimating.estimates_file import EstimatesError, load, save
 from cfgplan_runtime.estimating.estimator import make_estimator
+from cfgplan_runtime.lifecycle.basis import Preview
 from cfgplan_runtime.lifecycle.changes import ReplaceWorld
 from cfgplan_runtime.lifecycle.file_watch import WorldWatch
 from cfgplan_runtime.lifecycle.manager import Manager
@@ -88,6 +89,8 @@ class Settings:
     """Finds what keeps the code of a transformation from being started. None: the code is on other computers."""
     reloads: bool = False
     """Whether units are restarted when their code changes."""
+    first: Preview | None = None
+    """The plan that was shown before the run: it is carried out first, unless it is stale by then."""
 
 
 class Operation(Closable):
@@ -203,6 +206,7 @@ class Operation(Closable):
             planner=settings.planner,
             estimator=self._estimator,
             policy=settings.policy,
+            first=settings.first,
         )
         if self.log is not None:
             self.manager.listen(logging_to(self.log))
