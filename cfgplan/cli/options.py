@@ -237,6 +237,15 @@ def setting(text: str) -> tuple[str, str]:
     return key.strip(), value.strip()
 
 
+def run_name(text: str) -> str:
+    """The name of a run: letters, digits, `.`, `-` and `_`, and no id."""
+    if not re.fullmatch(r"[\w.-]{1,40}", text):
+        raise argparse.ArgumentTypeError(f"{text!r} can't name a run: write 1 to 40 letters, digits, ., - or _")
+    if re.fullmatch(r"[0-9a-f]{8}", text):
+        raise argparse.ArgumentTypeError(f"{text!r} looks like a run's id: choose another name, such as robot")
+    return text
+
+
 def count(text: str) -> int:
     value = _decimal(text, is_count=True)
     if value != value.to_integral_value() or value < 1:

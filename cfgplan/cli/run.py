@@ -62,6 +62,8 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     differing = "say how what the run starts differs from the file's `units:`; nothing of them is adopted"
     parser.add_argument("--from", dest="compared", choices=("units",), help=differing)
     parser.add_argument("--strict", action="store_true", help="start nothing unless every target can be met")
+    named = "call the run so: `cfgplan ctl --name NAME` and `listen --run NAME` find it"
+    parser.add_argument("--name", type=shared.run_name, metavar="NAME", help=named)
     yes = "do not ask before units that an earlier run has left are stopped"
     parser.add_argument("--yes", action="store_true", help=yes)
     parser.add_argument("--plain", action="store_true", help="print lines instead of the live view, as when piped")
@@ -458,6 +460,7 @@ def _settings(options: argparse.Namespace, screen: Screen) -> Settings:
         adjust=partial(_adjusted, options),
         check=_source_check(options),
         reloads=options.reload,
+        name=options.name,
     )
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from cfgplan_runtime.fleet.fleet_runtime import Fleet, left_units
+from cfgplan_runtime.fleet.reached import ReachedFleet
 from cfgplan_runtime.operating.control_client import connect
 from cfgplan_runtime.streams.run_folder import base_folder, remove_dead_runs
 from small_fleet import FOLDER, PATIENCE_S, SmallFleet, eventually, small_fleet
@@ -64,6 +65,19 @@ def test_looking_at_what_is_left_changes_nothing(left: tuple[SmallFleet, Path]) 
     other = left_units(reached, cfgplan.load(environment(env.parent, "other")).environment)
     assert other.ended == ("count.1",) and not other.running.units
     assert fleet.units() == ["count.1"]
+
+
+def test_a_run_is_found_by_its_name_from_another_computer(tmp_path: Path) -> None:
+    env = environment(tmp_path)
+    with (
+        small_fleet("r1") as fleet,
+        subprocess.Popen(command(fleet, env, "--name", "crew"), stdout=subprocess.PIPE) as run,
+    ):
+        eventually(lambda: "count.1" in fleet.units())
+        with ReachedFleet(fleet.endpoints) as reached, connect("crew", reached) as control:
+            assert (control.system.name, control.path) == ("crew", None)
+            control.call("stop")
+        assert run.wait(PATIENCE_S) == 0
 
 
 def test_units_that_the_plan_keeps_are_not_asked_about(left: tuple[SmallFleet, Path]) -> None:

@@ -35,14 +35,15 @@ from cfgplan_runtime.operating.crowded_links import CrowdedLinks
 from cfgplan_runtime.operating.flows import Flows, Following
 from cfgplan_runtime.operating.methods import Methods
 from cfgplan_runtime.operating.observed_facts import ObservedFacts
+from cfgplan_runtime.operating.past import Past
 from cfgplan_runtime.operating.printed import Printed
 from cfgplan_runtime.operating.recording import Recorder
-from cfgplan_runtime.operating.records import logging_to, report_record
-from cfgplan_runtime.operating.sentences import sentence
+from cfgplan_runtime.operating.records import logging_to
 from cfgplan_runtime.operating.sources import SourceCheck, Sources
+from cfgplan_runtime.operating.stream_rates import StreamRates
 from cfgplan_runtime.runtime import Runtime
 from cfgplan_runtime.streams.closable import Closable
-from cfgplan_runtime.streams.run_folder import base_folder
+from cfgplan_runtime.streams.run_folder import base_folder, claim_name
 from cfgplan_runtime.supervision.observation import Ledger, Observation
 from cfgplan_runtime.supervision.run_log import RunLog
 
@@ -89,6 +90,8 @@ class Settings:
     """Finds what keeps the code of a transformation from being started. None: the code is on other computers."""
     reloads: bool = False
     """Whether units are restarted when their code changes."""
+    name: str | None = None
+    """A name by which `cfgplan ctl` and others find the run, besides its id."""
     first: Preview | None = None
     """The plan that was shown before the run: it is carried out first, unless it is stale by then."""
 
@@ -190,6 +193,11 @@ class Operation(Closable):
             self.runtime = stack.enter_context(Runtime(folder=folder, preload=settings.preload))
         else:
             self.runtime = stack.enter_context(settings.runtime(world.environment, folder))
+        if settings.name is not None:
+            try:
+                claim_name(base_folder() / self.id, settings.name)
+            except RuntimeFaultError as error:
+                raise InputError.of(str(error)) from None
         if self.recorder is not None:
             facts = {"run": self.id, "environment": str(self._path.resolve()), "version": __version__}
             self.recorder.recording.describe(facts)
@@ -212,9 +220,10 @@ class Operation(Closable):
             self.manager.listen(logging_to(self.log))
         if self.recorder is not None:
             self.manager.listen(self.recorder.report)
-        printed = Printed()
+        printed, rates, self._past = Printed(), StreamRates(), Past()
         self.manager.listen(printed.hear)
-        methods = Methods(self.manager, self.flows, printed).by_name()
+        self.manager.listen(rates.hear)
+        methods = Methods(self.manager, self.flows, printed, self._past, rates).by_name()
         self._observed = ObservedFacts(self.id, self.manager, self.show)
         stack.callback(self._observed.close)
         self._server = ControlServer(base_folder() / self.id, methods, str(self._path.resolve()))
@@ -268,8 +277,9 @@ class Operation(Closable):
             case Ended(cause):
                 self.failure = "" if self._is_closed_at_once else cause
                 self.begun.set()
-        if self._server.has_subscribers:
-            self._server.publish({**report_record(report), "says": sentence(report)})
+        event = self._past.take(report)
+        if event is not None and self._server.has_subscribers:
+            self._server.publish(event)
         self.show(report)
 
     def _tell_of_full_disks(self) -> None:
