@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import suppress
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from cfgplan_runtime.fleet.reached import ReachedFleet
 
 _GREETING_S = 5.0
+_RUN_LOOK_S = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,12 +132,19 @@ def connect(run: str | None = None, fleet: ReachedFleet | None = None) -> Contro
 
 
 def _connect_in(fleet: ReachedFleet, run: str | None) -> Control:
-    """Connect to a run of a fleet. Each run that is alive is asked for its name, if none has this id."""
-    for one in fleet.runs if run is not None and run not in fleet.runs else ():
-        control = Control(*fleet.control(one))
-        if control.system.name == run:
-            return control
-        control.close()
+    """Connect to a run of a fleet. Each run that is alive is asked for its name, until one has it or all are known."""
+    end_s = time.monotonic() + _GREETING_S
+    while run is not None and run not in fleet.runs:
+        runs = fleet.runs
+        for one in runs:
+            with suppress(ControlError):
+                control = Control(*fleet.control(one))
+                if control.system.name == run:
+                    return control
+                control.close()
+        if runs or time.monotonic() > end_s:
+            break
+        time.sleep(_RUN_LOOK_S)
     return Control(*fleet.control(run))
 
 
