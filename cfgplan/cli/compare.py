@@ -123,7 +123,7 @@ def _table(env: str, runs: Sequence[Run]) -> Table:
 def _draw(found: Mapping[str, Sequence[Run]], rows: Sequence[Axes]) -> None:
     """For each environment the best cost (a line) and the bound (dotted) of each planner over time.
 
-    A cross marks the first plan, a circle a proof; a planner without a plan stands only in the legend, with its outcome.
+    A cross marks the first plan, a circle a proof; the legend has the outcomes, those without a plan too.
     """
     for axis, (env, runs) in zip(rows, found.items(), strict=True):
         for number, one in enumerate(runs):

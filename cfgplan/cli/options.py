@@ -378,7 +378,7 @@ def write_plots(
     ending, content = Path(file).suffix.lower(), BytesIO()
     with rc_context({"svg.hashsalt": "cfgplan", "text.parse_math": False}):
         figure = Figure(figsize=size, layout="constrained")
-        draw(figure.subplots(count, squeeze=False)[:, 0])
+        draw(list(figure.subplots(count, squeeze=False)[:, 0]))
         figure.savefig(content, format=ending[1:], metadata=_PLOTS[ending])
     api.write_file(Path(file), content.getvalue())
     screen.note(f"Wrote {file}.")

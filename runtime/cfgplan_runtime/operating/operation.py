@@ -37,6 +37,7 @@ from cfgplan_runtime.operating.methods import Methods
 from cfgplan_runtime.operating.observed_facts import ObservedFacts
 from cfgplan_runtime.operating.past import Past
 from cfgplan_runtime.operating.printed import Printed
+from cfgplan_runtime.operating.recorded_world import world_files
 from cfgplan_runtime.operating.recording import Recorder
 from cfgplan_runtime.operating.records import logging_to
 from cfgplan_runtime.operating.sources import SourceCheck, Sources
@@ -201,6 +202,8 @@ class Operation(Closable):
         if self.recorder is not None:
             facts = {"run": self.id, "environment": str(self._path.resolve()), "version": __version__}
             self.recorder.recording.describe(facts)
+            for name, text in world_files(world, folder):
+                self.recorder.recording.attach(name, text)
         self._estimator = make_estimator(settings.estimator, settings.guess)
         self._load_estimates()
         self.flows = Flows()
