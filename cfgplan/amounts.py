@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 
 _MINUTE_S, _HOUR_S, _DAY_S = 60, 3600, 86400
@@ -34,9 +35,9 @@ def rate(hertz: float) -> str:
 
 
 def core_share(cpu_us_per_s: float) -> str:
-    """CPU time per second of time, in microseconds, as a share of a core: `5 % of a core`, `2.3 cores`."""
+    """CPU time per second of time, in microseconds, as a share of a core: `5 % of a core`, `2.35 cores`."""
     percent = cpu_us_per_s / 1e4
-    return f"{percent / 100:.1f} cores" if percent >= 199.5 else f"{_short(percent)} % of a core"
+    return f"{_three(percent / 100)} cores" if percent >= 199.95 else f"{_three(percent)} % of a core"
 
 
 def clock_time(time_s: float) -> str:
@@ -44,9 +45,23 @@ def clock_time(time_s: float) -> str:
     return time.strftime("%H:%M:%S", time.localtime(time_s))
 
 
+def exact_clock_time(time_ns: int) -> str:
+    """The local time of day of nanoseconds since 1970, with milliseconds: `14:03:59.042`."""
+    return f"{clock_time(time_ns / 1e9)}.{time_ns // 1_000_000 % 1000:03}"
+
+
 def _short(value: float) -> str:
     """Two figures, or all those before the point: `0.81`, `0.8`, `2.5`, `12`, `120`."""
     return f"{value:.0f}" if abs(value) >= 9.95 else f"{value:.2g}"
+
+
+def _three(value: float) -> str:
+    """Three figures, or all those before the point, without an exponent: `0.0764`, `12.3`, `1234`."""
+    if value == 0:
+        return "0"
+    places = max(0, 2 - math.floor(math.log10(abs(value))))
+    text = f"{value:.{places}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
 
 
 def _two(seconds: float, large_s: int, large: str, small_s: int, small: str) -> str:

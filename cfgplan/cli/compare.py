@@ -114,7 +114,7 @@ def _table(env: str, runs: Sequence[Run]) -> Table:
             "judged false" if each.violations else f"{each.outcome}: {each.message}" if each.message else each.outcome,
             "" if each.cost_us is None else cpu(each.cost_us),
             cpu(each.bound_us),
-            *("" if time_s is None else f"{time_s:.3g} s" for time_s in times),
+            *("" if time_s is None else span(time_s) for time_s in times),
             "" if each.peak_mb is None else f"{each.peak_mb:.0f} MB",
         )
     return table

@@ -120,16 +120,13 @@ def _topics(control: Control, screen: Screen, _: argparse.Namespace) -> Exit:
     from rich.table import Table
 
     topics = Table("topic", "from", "rate", "last", "age", "dropped", box=None, pad_edge=False)
-    of_stream = {one["stream"]: one["rate_hz"] for one in told["streams"]}
     for one in told["topics"]:
-        # A topic counts for 3 s, in which nothing of a slow stream may come.
-        rate_hz = one["rate_hz"] or of_stream.get(one["stream"], 0.0)
         age = "" if one["latency_ms"] is None else span(one["latency_ms"] / 1e3)
         dropped = str(one["dropped"]) if one["dropped"] else ""
-        topics.add_row(one["topic"], one["stream"] or "nothing", *_pace(one, rate_hz), age, dropped)
+        topics.add_row(one["topic"], one["stream"] or "nothing", *_pace(one), age, dropped)
     streams = Table("stream", "rate", "last", "elements", box=None, pad_edge=False)
     for one in told["streams"]:
-        streams.add_row(one["stream"], *_pace(one, one["rate_hz"]), f"{one['elements']}")
+        streams.add_row(one["stream"], *_pace(one), f"{one['elements']}")
     for table in (topics, streams):
         if table.row_count:
             screen.show(table)
@@ -138,11 +135,11 @@ def _topics(control: Control, screen: Screen, _: argparse.Namespace) -> Exit:
     return Exit.OK
 
 
-def _pace(one: Mapping[str, Any], rate_hz: float | None) -> tuple[str, str]:
+def _pace(one: Mapping[str, Any]) -> tuple[str, str]:
     """How often something comes, and when it came last."""
     silent_s = one["silent_s"]
     last = "nothing came yet" if silent_s is None else f"{span(silent_s)} ago"
-    return rate(rate_hz) if rate_hz else "", last
+    return rate(one["rate_hz"]) if one["rate_hz"] else "", last
 
 
 def _hz(control: Control, screen: Screen, options: argparse.Namespace) -> Exit:

@@ -100,7 +100,9 @@ class Methods:
     def _state(self, params: Mapping[str, Any]) -> Record:
         _only(params)
         crossings = self._flows.crossing_records()
-        return {**snapshot_record(self._manager.snapshot(), self._flows.records()), "crossings": crossings}
+        snapshot = self._manager.snapshot()
+        flows = self._rates.of_topics(self._flows, snapshot.targets)
+        return {**snapshot_record(snapshot, flows), "crossings": crossings}
 
     def _add(self, params: Mapping[str, Any]) -> Record:
         _only(params, "name", "text", "wait_s", "while_connected")
@@ -187,7 +189,8 @@ class Methods:
 
     def _topics(self, params: Mapping[str, Any]) -> Record:
         _only(params)
-        flows, targets = self._flows.records(), self._manager.snapshot().targets
+        targets = self._manager.snapshot().targets
+        flows = self._rates.of_topics(self._flows, targets)
         by_topic = {target.topic: target for target in targets if target.topic}
         topics = [
             {

@@ -223,10 +223,10 @@ class Operation(Closable):
             self.manager.listen(logging_to(self.log))
         if self.recorder is not None:
             self.manager.listen(self.recorder.report)
-        printed, rates, self._past = Printed(), StreamRates(), Past()
+        printed, self.rates, self._past = Printed(), StreamRates(), Past()
         self.manager.listen(printed.hear)
-        self.manager.listen(rates.hear)
-        methods = Methods(self.manager, self.flows, printed, self._past, rates).by_name()
+        self.manager.listen(self.rates.hear)
+        methods = Methods(self.manager, self.flows, printed, self._past, self.rates).by_name()
         self._observed = ObservedFacts(self.id, self.manager, self.show)
         stack.callback(self._observed.close)
         self._server = ControlServer(base_folder() / self.id, methods, str(self._path.resolve()))

@@ -5,10 +5,11 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from cfgplan.domain import Stream
-from cfgplan_runtime.lifecycle.reports import Observed, Report
+from cfgplan_runtime.lifecycle.reports import Observed, Report, TargetView
+from cfgplan_runtime.operating.flows import Flows
 from cfgplan_runtime.operating.protocol import Record
 
 RATE_OVER_S, LONGEST_S, ENOUGH = 10.0, 120.0, 3
@@ -56,6 +57,18 @@ class StreamRates:
         now_s = self._now_s()
         with self._lock:
             return [self._record(stream, now_s) for stream in sorted(self._counts)]
+
+    def of_topics(self, flows: Flows, targets: Iterable[TargetView]) -> dict[str, Record]:
+        """The flow of each topic, as `Flows.records` gives it. Where nothing has come in the few seconds over which
+        topics are measured, the rate is that of the target's stream: 0 only if that has stopped.
+        """
+        slow_hz = {one["stream"]: one["rate_hz"] for one in self.records()}
+        records = flows.records()
+        for target in targets:
+            record = records.get(target.topic)
+            if record is not None and not record["rate_hz"] and target.stream is not None:
+                record["rate_hz"] = slow_hz.get(str(target.stream)) or 0.0
+        return records
 
     def _record(self, stream: Stream, now_s: float) -> Record:
         known, given_s = self._counts[stream], self._given_s.get(stream)
