@@ -65,6 +65,6 @@ def _three(value: float) -> str:
 
 
 def _two(seconds: float, large_s: int, large: str, small_s: int, small: str) -> str:
-    """A whole number of the large unit, with what is left in the small one."""
+    """A whole number of the large unit, and the remainder as a whole number of the small one."""
     left = int(seconds % large_s // small_s)
     return f"{int(seconds // large_s)} {large}" + (f" {left} {small}" if left else "")

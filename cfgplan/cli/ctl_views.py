@@ -1,4 +1,4 @@
-"""What `cfgplan ctl` shows of a run without changing it: events, printed lines, topics, and rates."""
+"""The commands of `cfgplan ctl` that only read: events, printed lines, topics, and rates."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ OPTIONS: Mapping[str, Callable[[argparse.ArgumentParser], None]] = MappingProxyT
 
 
 def _events(control: Control, screen: Screen, options: argparse.Namespace) -> Exit:
-    """Print what has happened, as far as it is asked for, and what happens from now on."""
+    """Print the past events that the options ask for, then those that follow."""
     has_past = options.last is not None or options.since is not None
     follows, told = options.follow or not has_past, 0
     try:

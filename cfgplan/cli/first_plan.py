@@ -90,7 +90,7 @@ class FirstPlan:
     def confirm(self, screen: Screen) -> bool:
         """Ask whether to go on where units of an earlier run would be stopped. Returns whether to.
 
-        Raises InputError where there is no terminal to ask at.
+        Raises InputError without a terminal.
         """
         if not self.stopped:
             return True

@@ -165,7 +165,7 @@ def _source(found: Recorded, target: Target, options: argparse.Namespace, begin_
 
 
 def _fed(world: World, sources: tuple[Transformation, ...]) -> World:
-    """An environment with the sources besides what it has."""
+    """Add the sources to an environment."""
     environment = world.environment
     return replace(world, environment=replace(environment, units=(), library=(*environment.library, *sources)))
 

@@ -36,7 +36,7 @@ class RecordedTopic:
 
 @dataclass(frozen=True)
 class Recorded:
-    """What a recording has, without its messages: topics by name, and its attachments by name, as bytes."""
+    """The topics and attachments of a recording by name; an attachment is its bytes."""
 
     path: Path
     topics: Mapping[str, RecordedTopic]
@@ -54,7 +54,7 @@ class Recorded:
 
 
 def recorded(path: Path) -> Recorded:
-    """What is in a recording. Raises InputError for what can't be read, or was recorded by something else."""
+    """Read the topics and attachments of a recording. Raises InputError for an unreadable file, or a foreign one."""
     topics: dict[str, RecordedTopic] = {}
     images: set[str] = set()
     with _opened(path) as reader:
@@ -162,7 +162,7 @@ def _image(body: Mapping[str, Any]) -> Any:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[McapReader]:
-    """A reader of a file. Raises InputError for what is no recording."""
+    """Open a recording. Raises InputError if the file is none."""
     needed("recordings", "mcap")
     from mcap.exceptions import McapError
     from mcap.reader import make_reader

@@ -1,4 +1,4 @@
-"""The environment of a run as its recording keeps it: one file with all that is planned, and one with the ontology."""
+"""The environment of a run as its recording keeps it: a file of the environment, and a file of its ontology."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cfgplan_runtime.operating.recorded import ENVIRONMENT, ONTOLOGY
 def world_files(world: World, folder: Path) -> Iterator[tuple[str, str]]:
     """The names and texts of files that say a world again: templates expanded, includes and imports taken in.
 
-    Unit code in `folder` is named by its whole path. What no reasoner was told of an ontology is not in it.
+    Unit code in `folder` is named by its whole path. The ontology has the axioms that reasoners were told.
     """
     environment = world.environment
     library = tuple(replace(one, source=_whole(one, folder)) for one in environment.library)
