@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.plan_text import left_out_lines, nothing_wanted
-from cfgplan.cli.screen import Screen, counted
+from cfgplan.cli.screen import Screen, append_excerpt, counted
+from cfgplan.errors import Fault
 from cfgplan.summary import some
 
 if TYPE_CHECKING:
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
     from cfgplan.api import World
     from cfgplan.explaining import WiringFault
+    from cfgplan.formats.places import Place
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
@@ -130,6 +132,8 @@ def _text(world: World, fault: WiringFault) -> Text:
     line = Text(f"{_place(world, fault)}: ", style="bold")
     line.append(f"{fault.rule}: ", style="red" if fault.breaks else "yellow")
     line.append(fault.text, style="not bold")
+    if (place := _written(world, fault)) is not None:
+        append_excerpt(line, Fault(fault.text, *place), "red" if fault.breaks else "yellow")
     for near in fault.near:
         line.append(f"\n    nearest: {near.stream} gives {near.verdict}", style="not bold")
     return line
@@ -188,6 +192,11 @@ def _as_json(world: World, fault: WiringFault) -> dict[str, object]:
 
 def _place(world: World, fault: WiringFault) -> str:
     """Where the unit or target of a fault is written, as `file:line:column`."""
+    place = _written(world, fault)
+    return ":".join(map(str, place)) if place else str(world.file.path if world.file else "environment")
+
+
+def _written(world: World, fault: WiringFault) -> Place | None:
+    """Where the unit or target of a fault is written; None if nowhere."""
     file, target = world.file, fault.violation.target if fault.violation else None
-    place = file.place(unit=fault.unit, port=fault.port, target=target) if file else None
-    return ":".join(map(str, place)) if place else str(file.path if file else "environment")
+    return file.place(unit=fault.unit, port=fault.port, target=target) if file else None

@@ -5,17 +5,17 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cfgplan.canonical import normal
+from cfgplan.cli import ctl_views
 from cfgplan.cli import options as shared
 from cfgplan.cli.agent import add_links, reached
 from cfgplan.cli.exits import Exit
-from cfgplan.cli.screen import OUTPUT_VERSION, Screen, printable
+from cfgplan.cli.screen import Screen
 from cfgplan.domain import Environment
 from cfgplan.errors import Fault, InputError
 
@@ -37,6 +37,10 @@ example:
   cfgplan ctl plan --out plan.json     (what a review would do now)
   cfgplan ctl why camera.1
   cfgplan ctl logs camera --follow     (what its units print, those that have died too)
+  cfgplan ctl events --since 10m       (what has happened)
+  cfgplan ctl topics                   (what comes where, how often, since when)
+  cfgplan ctl hz /result               (its rate and jitter)
+  cfgplan ctl --name robot state       (of two runs the one that `run --name robot` has started)
   cfgplan ctl apply plan.json          (refused if something has changed since)
   cfgplan ctl stop
   cfgplan ctl state --connect tls/10.0.0.3:7447 --certificates /etc/cfgplan/manager      (from another computer)
@@ -56,9 +60,6 @@ class _Command:
     method: str = ""
     key: str = ""
 
-
-_FOLLOWS_S = 0.3
-"""Seconds between two reads of a unit's output."""
 
 _COMMANDS = (
     _Command("state", "show targets, units, reviews and what was added"),
@@ -81,7 +82,9 @@ _COMMANDS = (
     _Command("why", "say why a unit runs, and what doing without it would cost", "UNIT", "its id, such as camera.1"),
     _Command("logs", "print what a unit has printed", "UNIT", "its id, or a label: all its units, ended ones too"),
     _Command("apply", "carry out a plan that was made for what runs", "FILE", "what `ctl plan --out` wrote"),
-    _Command("events", "print what happens, until the run ends"),
+    _Command("events", "print what happens, until the run ends, or what has happened"),
+    _Command("topics", "list the topics of targets and the streams of units: who gives them, how often, since when"),
+    _Command("hz", "measure how often a topic or a unit gives, and how evenly", "NAME", "a topic, or a unit's id"),
     _Command("socket", "print where the run's control socket is, for other programs"),
     _Command("stop", "stop the run, letting units finish"),
 )
@@ -89,7 +92,8 @@ _COMMANDS = (
 
 def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _CTL_EXAMPLE
-    parser.add_argument("--run", dest="run_id", metavar="ID", help="the run, if several are live")
+    which = "the run, by its name (`run --name`) or id, if several are live"
+    parser.add_argument("--name", "-n", "--run", dest="run_id", metavar="NAME", help=which)
     add_links(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)
@@ -99,7 +103,8 @@ def add_to(parser: argparse.ArgumentParser) -> None:
             command.name, help=command.says, description=command.says[0].upper() + command.says[1:] + "."
         )
         # Also behind the command, where people put them; absent there, what stands before it holds.
-        each.add_argument("--run", dest="run_id", metavar="ID", default=argparse.SUPPRESS, help="the run")
+        spelled = ("-n", "--run") if command.name == "add" else ("--name", "-n", "--run")
+        each.add_argument(*spelled, dest="run_id", metavar="NAME", default=argparse.SUPPRESS, help="the run")
         add_links(each, default=argparse.SUPPRESS)
         each.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="print JSON for machines")
         if command.operand:
@@ -107,14 +112,12 @@ def add_to(parser: argparse.ArgumentParser) -> None:
             kind = kinds.get(command.operand, normal)
             each.add_argument("operand", type=kind, metavar=command.operand, help=command.means)
         if command.name == "add":
-            each.add_argument("--name", type=normal, metavar="NAME", help="the name to add it under (the file's)")
+            under = "the name to add it under (the file's)"
+            each.add_argument("--name", dest="added_as", type=normal, metavar="NAME", help=under)
         if command.name in ("plan", "observed"):
             shared.add_out(each)
-        if command.name == "logs":
-            each.add_argument("--follow", action="store_true", help="go on until the run ends")
-            each.add_argument(
-                "--last", type=shared.count, metavar="N", help="only the last N lines (up to 1,000 of a unit)"
-            )
+        if command.name in ctl_views.OPTIONS:
+            ctl_views.OPTIONS[command.name](each)
         if command.method or command.name in ("add", "fact", "plan", "why", "apply"):
             shared.add_time(each, "--wait", 60.0, "how long to wait for the review (60s)")
 
@@ -125,18 +128,19 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
     text = _read(options.operand) if options.command in ("add", "apply") else None
     with reached(options) as fleet, connect(options.run_id, fleet) as control:
+        options.fleet = fleet
         try:
             match options.command:
                 case "state":
                     return _state(control, screen)
-                case "events":
-                    return _events(control, screen)
+                case "events" | "logs" | "topics" | "hz":
+                    return ctl_views.VIEWS[options.command](control, screen, options)
                 case "socket":
                     return _socket(control, screen)
                 case "stop":
                     return _stop(control, screen)
                 case "add":
-                    name = options.name or _name(options.operand)
+                    name = options.added_as or _name(options.operand)
                     params = {"name": name, "text": text}
                     return _change(control, screen, "add", params, f"Added {name}.", options.wait)
                 case "fact":
@@ -150,8 +154,6 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
                     reply = control.call("why", timeout_s=options.wait + 10, unit=options.operand, wait_s=options.wait)
                     screen.show_json(reply) if screen.json else screen.show("\n".join(reply["says"]))
                     return Exit.OK
-                case "logs":
-                    return _logs(control, screen, options)
                 case "apply":
                     params = {"name": options.operand, "text": text}
                     return _change(control, screen, "apply", params, "Done.", options.wait)
@@ -165,58 +167,15 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 def _state(control: Control, screen: Screen) -> Exit:
     from cfgplan.cli.run_picture import state_text
 
-    state = control.call("state", timeout_s=60)
+    state, system = control.call("state", timeout_s=60), control.system
     if screen.json:
-        screen.show_json({"run": control.system.run, "environment": control.system.environment, **state})
+        screen.show_json(
+            {"run": control.system.run, "name": control.system.name, "environment": control.system.environment, **state}
+        )
     else:
         system = control.system
-        screen.show(state_text(system.run, Path(system.environment).name, system.pid, state))
+        screen.show(state_text(system.name or system.run, Path(system.environment).name, system.pid, state))
     return _met(target["met"] for target in state["targets"])
-
-
-def _events(control: Control, screen: Screen) -> Exit:
-    try:
-        for event in control.events():
-            if screen.json:
-                screen.write(json.dumps({"format_version": OUTPUT_VERSION, **event}) + "\n")
-            elif event["says"] is not None:
-                screen.write(f"{time.strftime('%H:%M:%S')}  {printable(event['says'])}\n")
-            screen.flush()
-    except KeyboardInterrupt:
-        screen.note("stopped")
-    return Exit.OK
-
-
-def _logs(control: Control, screen: Screen, options: argparse.Namespace) -> Exit:
-    """Print lines of a unit; for a label, of all its units, with the unit's id before each line."""
-    from cfgplan_runtime.errors import ControlError
-
-    name, after = options.operand, 0
-    lines = control.call("logs", timeout_s=60, unit=name)["lines"]
-    if options.last is not None:
-        lines = lines[max(0, len(lines) - options.last) :]
-    if not lines and not options.follow:
-        screen.note(f"{name} has printed nothing")
-    try:
-        while True:
-            for line in lines:
-                after = line["number"]
-                if screen.json:
-                    screen.write(json.dumps({"format_version": OUTPUT_VERSION, **line}, ensure_ascii=False) + "\n")
-                else:
-                    at = time.strftime("%H:%M:%S", time.localtime(line["time_s"]))
-                    unit = "" if line["unit"] == name else f"{line['unit']}  "
-                    screen.write(f"{at}  {unit}{printable(line['line'])}\n")
-            screen.flush()
-            if not options.follow:
-                return Exit.OK
-            time.sleep(_FOLLOWS_S)
-            lines = control.call("logs", timeout_s=60, unit=name, after=after)["lines"]
-    except ControlError:
-        screen.note(f"run {control.system.run} has ended")
-    except KeyboardInterrupt:
-        screen.note("stopped")
-    return Exit.OK
 
 
 def _socket(control: Control, screen: Screen) -> Exit:
@@ -313,5 +272,5 @@ def _faults(error: RefusedError, options: argparse.Namespace) -> Iterable[Fault]
         return [Fault(error.message, mend=error.mend)]
     if options.command != "add":
         return error.faults
-    name = options.name or _name(options.operand)
+    name = options.added_as or _name(options.operand)
     return [replace(fault, file=options.operand) if fault.file == name else fault for fault in error.faults]

@@ -8,6 +8,7 @@ from os.path import relpath
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cfgplan.amounts import span
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import OF_STATUS, Exit
 from cfgplan.cli.screen import Screen
@@ -139,7 +140,7 @@ def _import_mqtt(broker: str, options: argparse.Namespace, screen: Screen) -> Ex
     shown = Table("topic", "field", "payload", "every", "retained", "tag", box=None, pad_edge=False)
     for source in found.sources:
         period_s, path = source.topic.period_s, ".".join(map(str, source.path))
-        every = "" if period_s is None else f"{period_s:.3g} s"
+        every = "" if period_s is None else span(period_s)
         kept = "yes" if source.topic.is_retained else "no"
         shown.add_row(source.topic.name, path, source.topic.form, every, kept, source.tag)
     screen.show(shown)

@@ -8,6 +8,8 @@ import time
 from collections import deque
 from typing import Any
 
+from cfgplan.amounts import exact_clock_time, span
+from cfgplan.amounts import rate as often
 from cfgplan.canonical import normal
 from cfgplan.cli import options as shared
 from cfgplan.cli.agent import add_links, reached
@@ -25,7 +27,7 @@ example:
 def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _LISTEN_EXAMPLE
     parser.add_argument("topic", type=normal, metavar="TOPIC", help="the topic of a target, such as /result")
-    parser.add_argument("--run", dest="run_id", metavar="ID", help="the run, if several have the topic")
+    parser.add_argument("--run", dest="run_id", metavar="ID", help="the run's id or name, if several have the topic")
     parser.add_argument("--count", type=shared.count, metavar="N", help="end after N elements")
     shared.add_span(parser)
     shared.add_time(parser, "--wait", 0.0, "how long to wait for the topic (0)")
@@ -54,9 +56,9 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
                     more = {"latency_ms": round(latency_ms, 3), "rate_hz": round(rate, 2)}
                     screen.write(json.dumps({**line, **more, "dropped": subscription.dropped}) + "\n")
                 else:
-                    at = time.strftime("%H:%M:%S", time.localtime(received.time_ns / 1e9))
-                    place = f"{at}.{received.time_ns // 1_000_000 % 1000:03}"
-                    screen.write(f"{place}  {readable(received.value)}  ({rate:.1f} Hz, {latency_ms:.1f} ms old)\n")
+                    at = exact_clock_time(received.time_ns)
+                    pace = f"{often(rate)}, " if rate else ""
+                    screen.write(f"{at}  {readable(received.value)}  ({pace}{span(latency_ms / 1e3)} old)\n")
                 screen.flush()
                 if number == options.count or (end is not None and time.monotonic() >= end):
                     break

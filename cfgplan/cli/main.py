@@ -36,6 +36,7 @@ VERBS: Mapping[str, str] = MappingProxyType(
         "ctl": "steer a run that is under way",
         "page": "serve a page about a run that is under way",
         "listen": "print what comes on a topic of a running system",
+        "replay": "play a recording again: its topics as sources, alone or for the units of an environment",
         "query": "answer a temporal formula over the streams of semantic subscriptions",
         "certificates": "make a fleet's own authority, and a certificate for each of its hosts",
         "demo": "play the paper's case study: two robots, one ball, a failure and a fusion",

@@ -7,7 +7,7 @@ import json
 import os
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from decimal import Decimal, InvalidOperation
@@ -249,6 +249,15 @@ def setting(text: str) -> tuple[str, str]:
     return key.strip(), value.strip()
 
 
+def run_name(text: str) -> str:
+    """The name of a run: letters, digits, `.`, `-` and `_`, and no id."""
+    if not re.fullmatch(r"[\w.-]{1,40}", text):
+        raise argparse.ArgumentTypeError(f"{text!r} can't name a run: write 1 to 40 letters, digits, ., - or _")
+    if re.fullmatch(r"[0-9a-f]{8}", text):
+        raise argparse.ArgumentTypeError(f"{text!r} looks like a run's id: choose another name, such as robot")
+    return text
+
+
 def count(text: str) -> int:
     value = _decimal(text, is_count=True)
     if value != value.to_integral_value() or value < 1:
@@ -366,6 +375,13 @@ def plot_file(text: str) -> str:
 
 def write_plot(file: str, size: tuple[float, float], draw: Callable[[Axes], None], screen: Screen) -> None:
     """Write a plot of `size` in inches; `draw` fills its axes."""
+    write_plots(file, size, 1, lambda rows: draw(rows[0]), screen)
+
+
+def write_plots(
+    file: str, size: tuple[float, float], count: int, draw: Callable[[Sequence[Axes]], None], screen: Screen
+) -> None:
+    """Write `count` plots below each other, together of `size` in inches; `draw` fills their axes."""
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 
@@ -374,7 +390,7 @@ def write_plot(file: str, size: tuple[float, float], draw: Callable[[Axes], None
     ending, content = Path(file).suffix.lower(), BytesIO()
     with rc_context({"svg.hashsalt": "cfgplan", "text.parse_math": False}):
         figure = Figure(figsize=size, layout="constrained")
-        draw(figure.subplots())
+        draw(list(figure.subplots(count, squeeze=False)[:, 0]))
         figure.savefig(content, format=ending[1:], metadata=_PLOTS[ending])
     api.write_file(Path(file), content.getvalue())
     screen.note(f"Wrote {file}.")

@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterable, Iterator
 
 from rich.text import Text
 
+from cfgplan.amounts import core_share
 from cfgplan.cli.screen import counted, decided_by
 from cfgplan.costs import keep_cost_us, labor_us, standby_cost_us, upkeep_us
 from cfgplan.domain import CPU, MEMORY, POWER, ChangeSet, ComputationUnit, Environment, Host, Stream, Target
@@ -107,9 +108,9 @@ def _headline(sign: str, unit: ComputationUnit, width: int, environment: Environ
         where = "" if unit.host is None else f"on {unit.host}, "
         host = environment.place_of(unit)
         labor = f"labor {cpu(labor_us(transformation, host))}, " if sign == "+" else ""
-        figures = f"{labor}upkeep {cpu(upkeep_us(transformation, host))}/s"
+        figures = f"{labor}upkeep {core_share(upkeep_us(transformation, host))}"
         if unit.standby:
-            figures = f"a cold spare, standby {cpu(standby_cost_us(transformation, 1, host))}/s"
+            figures = f"a cold spare, standby {core_share(standby_cost_us(transformation, 1, host))}"
         line.append(f"   {where}{figures}", style="dim")
     return line
 
@@ -292,10 +293,13 @@ def _reached(environment: Environment, target: Target, name: str, value: int) ->
 
 
 def _amount(host: Host, resource: str, taken: int, horizon_s: int) -> str:
-    """Return the used and the total amount of a resource: `0.1 s of 0.2 s CPU/s`, `300 of 500 MB`, `1 of 2 gpu`."""
-    shown, unit = (cpu, "CPU/s") if resource == CPU else (str, {MEMORY: "MB", POWER: "W"}.get(resource, resource))
+    """Return what is used of a resource and the limit: `9 % of a core (limit 40 %)`, `300 of 500 MB`, `1 of 2 gpu`."""
     room = host.room(resource, horizon_s)
-    return f"{shown(taken)}{'' if room is None else f' of {shown(room)}'} {unit}"
+    if resource == CPU:
+        limit = "" if room is None else f" (limit {core_share(room).removesuffix(' of a core')})"
+        return f"{core_share(taken)}{limit}"
+    unit = {MEMORY: "MB", POWER: "W"}.get(resource, resource)
+    return f"{taken}{'' if room is None else f' of {room}'} {unit}"
 
 
 def _hosts(problem: Problem, after: Environment) -> Iterator[Text]:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cfgplan.amounts import exact_clock_time, span
 from cfgplan.canonical import normal
 from cfgplan.cli import options as shared
 from cfgplan.cli.agent import add_links, reached
@@ -192,7 +192,7 @@ def as_text(screen: Screen, formula: str, *, verbose: bool) -> Callable[[QueryRe
         match report:
             case queries.SetUp(topics, seconds):
                 streams = ", ".join(f"{name} on {topic}" for name, topic in topics.items())
-                screen.note(f"Set up in {seconds:.2f} s: {streams or 'no streams are needed'}.")
+                screen.note(f"Set up in {span(seconds)}: {streams or 'no streams are needed'}.")
             case queries.Noted(text):
                 screen.note(text, style="yellow" if verbose or "unknown" in text else "dim")
             case queries.Progressed():
@@ -259,5 +259,4 @@ def _clock(time_ns: Any) -> str:
     """Return a time on the clock, or in seconds for a stream with a clock of its own."""
     if time_ns < 1_000_000_000 * 86_400 * 365:
         return f"{time_ns / 1e9:.3f}s"
-    at = time.strftime("%H:%M:%S", time.localtime(time_ns / 1e9))
-    return f"{at}.{time_ns // 1_000_000 % 1000:03}"
+    return exact_clock_time(time_ns)

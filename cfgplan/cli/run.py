@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
@@ -27,14 +26,13 @@ from cfgplan.summary import some
 
 if TYPE_CHECKING:
     from cfgplan_runtime.fleet.fleet_runtime import Fleet
-    from cfgplan_runtime.lifecycle.deliberation import Thought
     from cfgplan_runtime.operating.operation import Operation, Settings
     from cfgplan_runtime.operating.sources import SourceCheck
     from cfgplan_runtime.runtime import Runtime
 
     from cfgplan.api import World
+    from cfgplan.cli.first_plan import FirstPlan
     from cfgplan.domain import ComputationUnit, Environment
-    from cfgplan.matching import Matches
 
 _LIVE_LOOK_S = 0.1
 ROS1, ROS2 = "ros1", "ros2"
@@ -64,6 +62,10 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     differing = "say how what the run starts differs from the file's `units:`; nothing of them is adopted"
     parser.add_argument("--from", dest="compared", choices=("units",), help=differing)
     parser.add_argument("--strict", action="store_true", help="start nothing unless every target can be met")
+    named = "call the run so: `cfgplan ctl --name NAME` and `listen --run NAME` find it"
+    parser.add_argument("--name", type=shared.run_name, metavar="NAME", help=named)
+    yes = "do not ask before units that an earlier run has left are stopped"
+    parser.add_argument("--yes", action="store_true", help=yes)
     parser.add_argument("--plain", action="store_true", help="print lines instead of the live view, as when piped")
     parser.add_argument("--log", metavar="FILE", help="add every event to FILE, one JSON line each")
     parser.add_argument("--record", metavar="FILE", help="record the targets' streams and all events to FILE (MCAP)")
@@ -115,7 +117,6 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan_runtime.lifecycle.worlds import refuse_hosts
 
-    from cfgplan.api import FEW_PAIRS
     from cfgplan.cli.plan_text import left_out_lines, nothing_wanted
 
     if options.page is not None:
@@ -157,23 +158,51 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     for line in left_out_lines(loaded.environment):
         screen.note(line)
     world = replace(loaded, environment=replace(loaded.environment, units=()))
-    if options.dry_run or options.strict:
-        settings = _settings(options, screen)
-        matches = shared.matches(options, screen, world, FEW_PAIRS)
-        known = matches.warnings
-        with screen.phase("plan"):
-            thought = first_review(_adjusted(options, world), settings, matches, _folder(options))
-        found = thought.found
-        if found is None or (thought.change_set is None and found.plan.change_set is not None):
+    settings = _settings(options, screen)
+    planned = _first_plan(options, world, settings, screen)
+    thought, found = planned.preview.thought, planned.found
+    code = None if found is None else exit_of(found.plan.status, is_exact=found.exact, is_unmet=bool(found.unmet))
+    if options.dry_run or (options.strict and code is not Exit.OK):
+        if found is None or code is None:
             raise thought.error or RuntimeError(thought.cause)
-        for warning in thought.warnings:
-            if warning not in (*known, *found.plan.reasons.values()):
-                screen.warn(warning)
-        code = exit_of(found.plan.status, is_exact=found.exact, is_unmet=bool(found.unmet))
-        if options.dry_run or code is not Exit.OK:
-            _shown_first(thought, world, said, screen)
-            return code
-    return _operate(options, world, screen, said)
+        screen.write(planned.document()) if screen.json else planned.show(screen, _differing(said))
+        return code
+    if found is not None:
+        planned.tell(screen) if screen.json else planned.show(screen)
+        settings = replace(settings, first=planned.preview)
+    if not (options.yes or planned.confirm(screen)):
+        return Exit.INTERRUPTED
+    return _operate(options, world, settings, screen, said)
+
+
+def _first_plan(options: argparse.Namespace, world: World, settings: Settings, screen: Screen) -> FirstPlan:
+    """The plan of the run's first review, with the units that an earlier run has left on the hosts of a fleet."""
+    from cfgplan.api import FEW_PAIRS
+    from cfgplan.cli.first_plan import FirstPlan, first_review
+    from cfgplan.domain import Environment
+
+    left, fleet = None, None if options.dry_run else _fleet(options)
+    if fleet is not None:
+        from cfgplan_runtime.fleet.fleet_runtime import left_units
+
+        left = left_units(fleet, world.environment)
+    matches = shared.matches(options, screen, world, FEW_PAIRS)
+    known = matches.warnings
+    adjusted = _adjusted(options, world)
+    with screen.phase("plan"):
+        running = Environment() if left is None else left.running
+        preview = first_review(adjusted, settings, matches, _folder(options), running, screen.warn)
+    found = preview.thought.found
+    reasons = () if found is None else found.plan.reasons.values()
+    for warning in preview.thought.warnings:
+        if (options.dry_run or options.strict) and warning not in (*known, *reasons):
+            screen.warn(warning)
+    return FirstPlan(adjusted, preview, () if left is None else left.ended)
+
+
+def _differing(said: Environment | None) -> Callable[[Environment], str] | None:
+    """How units that run differ from those that a file says; None if it is not asked."""
+    return None if said is None else partial(difference_text, said)
 
 
 def _check_can_start(options: argparse.Namespace, world: World) -> None:
@@ -263,12 +292,14 @@ def _folder(options: argparse.Namespace) -> Path:
     return env if env.is_dir() else env.parent
 
 
-def _operate(options: argparse.Namespace, world: World, screen: Screen, said: Environment | None) -> Exit:
+def _operate(
+    options: argparse.Namespace, world: World, settings: Settings, screen: Screen, said: Environment | None
+) -> Exit:
     from cfgplan_runtime.operating.operation import Operation
 
     with Interrupts() as interrupts:
         with screen.phase("start"):
-            operation = Operation(world, Path(options.env), _settings(options, screen))
+            operation = Operation(world, Path(options.env), settings)
         with operation, _published(options, operation):
             interrupts.only_count()
             with screen.phase("plan"):
@@ -429,6 +460,7 @@ def _settings(options: argparse.Namespace, screen: Screen) -> Settings:
         adjust=partial(_adjusted, options),
         check=_source_check(options),
         reloads=options.reload,
+        name=options.name,
     )
 
 
@@ -484,47 +516,3 @@ def _runtime(
     from cfgplan_runtime.fleet.fleet_runtime import fleet_runtime
 
     return lambda environment, folder: fleet_runtime(fleet, environment, folder, options.preload, screen.note)
-
-
-def first_review(world: World, settings: Settings, matches: Matches, folder: Path) -> Thought:
-    """Plan as the first review of a run would, with the estimates that earlier runs have kept. Code is in `folder`."""
-    from cfgplan_runtime.estimating.estimates_file import load
-    from cfgplan_runtime.estimating.estimator import make_estimator
-    from cfgplan_runtime.lifecycle.basis import preview_of
-    from cfgplan_runtime.lifecycle.decisions import first_state
-    from cfgplan_runtime.lifecycle.deliberation import Deliberation
-    from cfgplan_runtime.lifecycle.guarded_estimator import GuardedEstimator
-    from cfgplan_runtime.operating.sources import faults_of
-
-    estimator = make_estimator(settings.estimator, settings.guess)
-    if settings.estimates is not None:
-        load(estimator, settings.estimates, time.monotonic())
-    policy = replace(settings.policy, hosts_s=None, refuses_hosts=False)  # no host is asked whether it is there
-    deliberation = Deliberation(settings.planner, GuardedEstimator(estimator), policy, matches)
-    scene = first_state(world, policy).scene
-    faults = faults_of(world.environment.library, folder, settings.check)
-    scene = replace(scene, situation=replace(scene.situation, code_faults=faults))
-    return preview_of(deliberation, scene, threading.Event()).thought
-
-
-def _shown_first(thought: Thought, world: World, said: Environment | None, screen: Screen) -> None:
-    """Show a first review that starts nothing: as text, or as a plan file (JSON)."""
-    found = thought.found
-    assert found is not None
-    if screen.json:
-        from cfgplan.formats.plan_file import dump_plan
-
-        screen.write(dump_plan(found.plan, found.problem, world.digest))
-    else:
-        from cfgplan.cli.plan_text import update_text
-
-        screen.show(update_text(found.problem, found.plan, found.given_up))
-    if found.plan.change_set is None:
-        return
-    library = world.environment.transformation
-    lacking = {unit.transformation for unit in found.plan.change_set.started if not library[unit.transformation].source}
-    if lacking:
-        labels = some(sorted(lacking), _MOST_NAMED)
-        screen.warn(f"{labels}: no unit code (`source:`) is named; a run can't start it, and plans again without it")
-    if said is not None:
-        screen.note(difference_text(said, found.problem.after(found.plan)), style="")

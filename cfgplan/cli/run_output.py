@@ -8,6 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, Self
 
+from cfgplan.amounts import core_share, span
 from cfgplan.cli.screen import OUTPUT_VERSION, Screen, counted, printable
 
 if TYPE_CHECKING:
@@ -140,9 +141,9 @@ def show_ledger(operation: Operation, screen: Screen) -> None:
     table = Table("unit", "labor", "upkeep", "memory", "steps", "dropped", "errors", box=None)
     for entry in entries:
         seen = entry.seen
-        upkeep = "" if entry.upkeep_us is None else f"{entry.upkeep_us / 1e6:.4f} s/s"
+        upkeep = "" if entry.upkeep_us is None else core_share(entry.upkeep_us)
         counts = [str(count) for count in (seen.steps, seen.dropped, seen.errors)]
-        table.add_row(seen.unit, f"{seen.labor_us / 1e6:.3f} s", upkeep, f"{seen.memory_bytes >> 20} MB", *counts)
+        table.add_row(seen.unit, span(seen.labor_us / 1e6), upkeep, f"{seen.memory_bytes >> 20} MB", *counts)
     screen.show(table)
 
 

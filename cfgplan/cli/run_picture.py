@@ -11,13 +11,14 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Self
 
-from cfgplan_runtime.operating.sentences import ERROR, WARNING, milliseconds, short
+from cfgplan_runtime.operating.sentences import ERROR, WARNING, short
 from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
 from rich.live import Live
 from rich.rule import Rule
 from rich.table import Table
 from rich.text import Text
 
+from cfgplan.amounts import clock_time, core_share, rate, span
 from cfgplan.cli.plan_text import with_the_stream
 from cfgplan.cli.run_output import RunOutput, fetched, show_files, show_ledger
 from cfgplan.cli.screen import Screen, counted, printable
@@ -53,7 +54,7 @@ class LogLine:
 
     def text_with_time(self) -> Text:
         """As it is shown."""
-        shown = Text().append(time.strftime("%H:%M:%S  ", time.localtime(self.at)), style="dim")
+        shown = Text().append(f"{clock_time(self.at)}  ", style="dim")
         return shown.append(printable(self.text), style=_STYLES.get(self.level, ""))
 
 
@@ -71,7 +72,7 @@ def observed_text(state: Mapping[str, Any]) -> RenderableType:
         table = Table("output", "quality", "declared", "planned", "observed", "error", "ago", box=None)
         for one in state["qualities"]:
             figures = (f"{one[key]:.4g}" for key in ("declared", "planned", "estimate", "error"))
-            table.add_row(one["output"], one["attribute"], *figures, _span(one["ago_s"]))
+            table.add_row(one["output"], one["attribute"], *figures, span(one["ago_s"]))
         parts.append(table)
     return Group(*parts)
 
@@ -91,7 +92,10 @@ def _whole(run: str, environment: str, pid: int, state: Mapping[str, Any]) -> It
     for label, why in state["left_out"].items():
         yield Text(f"Left out for now: {label}, {why}.", style="yellow")
     if state["clocks_ahead_us"]:
-        clocks = (f"{host} {ahead_us / 1e6:+.4f} s" for host, ahead_us in sorted(state["clocks_ahead_us"].items()))
+        clocks = (
+            f"{host} {'+' if ahead_us >= 0 else ''}{span(ahead_us / 1e6)}"
+            for host, ahead_us in sorted(state["clocks_ahead_us"].items())
+        )
         yield Text(f"Clocks of hosts against this one: {', '.join(clocks)} (corrected).")
     if state["crossings"]:
         yield Text("Streams between hosts:")
@@ -163,17 +167,17 @@ def _facts(state: Mapping[str, Any]) -> Iterator[str]:
     """Yield the present facts; for an observed one, with the time of its last element."""
     heard = state["facts_heard_s"]
     for name, value in state["facts"].items():
-        ago = f" (observed {heard[name]:.1f} s ago)" if name in heard else ""
+        ago = f" (observed {span(heard[name])} ago)" if name in heard else ""
         yield f"{name} is {value}{ago}"
 
 
 def _headline(run: str, environment: str, facts: Iterable[str], state: Mapping[str, Any]) -> Text:
     parts = [*facts, state["phase"]]
     if state["horizon_left_s"] is not None:
-        parts.append(f"horizon in {_span(state['horizon_left_s'])}")
-    parts.append(f"{state['cost_us'] / 1e6:.3g} s of CPU per {_span(state['horizon_s'])}")
+        parts.append(f"horizon in {span(state['horizon_left_s'])}")
+    parts.append(core_share(state["cost_us"] / max(1, state["horizon_s"])))
     if state["saving_us"]:
-        parts.append(f"{state['saving_us'] / 1e6:.3g} s to save at the horizon")
+        parts.append(f"{span(state['saving_us'] / 1e6)} of CPU to save at the horizon")
     return Text(f"Run {run} of {environment}", style="bold").append("  " + "  ·  ".join(parts), style="dim")
 
 
@@ -199,18 +203,18 @@ def _targets(state: Mapping[str, Any], room: int | None = None) -> RenderableTyp
 
 def _target(target: Mapping[str, Any]) -> Iterator[Text]:
     has_stream = target["stream"] is not None
-    rate, latency_ms = (target.get(key) if has_stream else None for key in ("rate_hz", "latency_ms"))
+    rate_hz, latency_ms = (target.get(key) if has_stream else None for key in ("rate_hz", "latency_ms"))
     yield Text(target["label"], style="green" if target["met"] else "red")
     yield Text(target["topic"] or "")
-    yield Text("" if rate is None else f"{rate:.1f} Hz", style="" if rate else "yellow")
-    yield Text("" if latency_ms is None else milliseconds(latency_ms / 1e3))
+    yield Text(rate(rate_hz) if rate_hz else "")
+    yield Text("" if latency_ms is None else span(latency_ms / 1e3))
     silent_s = target.get("silent_s")
     if not target["met"]:
         yield Text(target["reason"], style="red")
     elif not has_stream:
         yield Text(target["unit"])
     elif silent_s is None or silent_s > _OLD_S:
-        silent = "nothing came yet" if silent_s is None else f"silent for {_span(silent_s)}"
+        silent = "nothing came yet" if silent_s is None else f"silent for {span(silent_s)}"
         yield Text().append(f"{target['stream']}  ").append(silent, style="yellow")
     else:
         yield Text(target["stream"])
@@ -258,7 +262,7 @@ def _unit(unit: Mapping[str, Any], more: list[Text]) -> list[Text]:
     return [
         Text(unit["id"]),
         *more,
-        Text("" if unit["upkeep_us"] is None else f"{unit['upkeep_us'] / 1e4:.1f} %"),
+        Text("" if unit["upkeep_us"] is None else core_share(unit["upkeep_us"]).removesuffix(" of a core")),
         Text(f"{unit['memory_bytes'] >> 20} MB"),
         Text(f"{unit['steps_per_s']:.1f}"),
         *(Text(str(unit[key]), style="yellow" if unit[key] else "dim") for key in ("dropped", "errors")),
@@ -267,14 +271,14 @@ def _unit(unit: Mapping[str, Any], more: list[Text]) -> list[Text]:
 
 
 def _waiting(waiting: Mapping[str, Any], columns: int) -> list[Text]:
-    again = "until it changes" if waiting["left_s"] is None else f"for {_span(waiting['left_s'])}"
+    again = "until it changes" if waiting["left_s"] is None else f"for {span(waiting['left_s'])}"
     times = "once" if waiting["failures"] == 1 else f"{waiting['failures']} times"
     state = Text(f"not started {again}, failed {times}: {short(waiting['cause'])}", style="red")
     return [Text(waiting["transformation"], style="red"), *[Text("")] * (columns - 2), state]
 
 
 def _review(review: Mapping[str, Any]) -> Text:
-    shown = Text(f"{_span(max(0.0, time.time() - review['time_s']))} ago  ", style="dim")
+    shown = Text(f"{span(max(0.0, time.time() - review['time_s']))} ago  ", style="dim")
     return shown.append(review["says"], style=_DECISIONS.get(review["decision"], ""))
 
 
@@ -311,18 +315,6 @@ def _title(text: str) -> RenderableType:
 
 def _clipped(text: Text) -> Text:
     return Text.assemble(text, no_wrap=True, overflow="ellipsis")
-
-
-def _span(seconds: float) -> str:
-    """A time as people say it: `4.2 s`, `3 min`, `2 h 5 min`."""
-    if seconds < 10:
-        return f"{seconds:.1f} s"
-    if seconds < 120:
-        return f"{seconds:.0f} s"
-    if seconds < 7200:
-        return f"{seconds / 60:.0f} min"
-    minutes = f" {seconds % 3600 // 60:.0f} min" if seconds % 3600 >= 60 else ""
-    return f"{seconds // 3600:.0f} h{minutes}"
 
 
 class LiveView(RunOutput):
@@ -390,7 +382,10 @@ class LiveView(RunOutput):
             run=operation.id,
             environment=operation.environment,
             elapsed_s=time.monotonic() - self._since_s,
-            state=snapshot_record(replace(snapshot, units=_with_the_stream(snapshot)), operation.flows.records()),
+            state=snapshot_record(
+                replace(snapshot, units=_with_the_stream(snapshot)),
+                operation.rates.of_topics(operation.flows, snapshot.targets),
+            ),
             lines=tuple(self._lines),
             recorded=operation.recorder.recording.written if operation.recorder else None,
             note=self._note,

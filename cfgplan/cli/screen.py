@@ -136,8 +136,15 @@ class Screen:
 
     def tell(self, line: str) -> None:
         """Print a line at once. If the disk is full, warn once and go on without the line."""
+        self._tell(lambda: self.write(f"{line}\n"))
+
+    def show_at_once(self, result: RenderableType) -> None:
+        """Print a result for people as `tell` prints a line."""
+        self._tell(lambda: self.show(result))
+
+    def _tell(self, print_it: Callable[[], None]) -> None:
         try:
-            self.write(f"{line}\n")
+            print_it()
             self.flush()
         except OSError as error:
             if error.errno not in FULL_DISK:
@@ -181,16 +188,11 @@ class Screen:
         """A fault with its place, the line that it is about, and its mend."""
         from rich.text import Text
 
-        from cfgplan.cli.excerpts import drawn, excerpt
-
         text = Text(kind, style=style)
         text.append(f"{fault.place}: " if fault.place else "", style="bold")
         text.append(f"{fault.key}: " if fault.key else "", style="cyan")
         text.append(fault.message, style="not bold default")
-        if (found := excerpt(fault, self.command)) is not None:
-            line, space, carets = drawn(found)
-            text.append(f"\n{line}\n{space}", style="not bold default")
-            text.append(carets, style=style)
+        append_excerpt(text, fault, style, self.command)
         if fault.mend:
             text.append(f"\n       {fault.mend}", style="green")
         return text
@@ -217,6 +219,16 @@ class Screen:
         from rich.console import Console
 
         return Console(stderr=True, highlight=False, markup=False, emoji=False)
+
+
+def append_excerpt(text: Text, fault: Fault, style: str, command: Sequence[str] = ()) -> None:
+    """Append the line that a fault is about, with carets below it, if it is about one."""
+    from cfgplan.cli.excerpts import drawn, excerpt
+
+    if (found := excerpt(fault, command)) is not None:
+        line, space, carets = drawn(found)
+        text.append(f"\n{line}\n{space}", style="not bold default")
+        text.append(carets, style=style)
 
 
 def blamed(error: Exception) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from math import prod
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeAlias, TypeVar
 
 from cfgplan.domain import (
     CPU,
@@ -69,11 +69,15 @@ class TagChecker:
 
 
 VariableValues = Mapping[templates.Variable, str]
+PartT = TypeVar("PartT", fields.TransformationPart, fields.TargetPart)
 _PORT_TYPES: dict[Any, Any] = {"inputs": InputPort, "outputs": OutputPort}
 
 
+Expandable: TypeAlias = fields.TransformationPart | fields.TargetPart
+
+
 class Expander:
-    """Makes transformations from their written form; each fault is noted at its place in the file."""
+    """Makes transformations and targets from their written form; each fault is noted at its place in the file."""
 
     def __init__(
         self,
@@ -96,19 +100,31 @@ class Expander:
 
     def expand(self, entry: Passage, part: fields.TransformationPart) -> Iterator[Transformation]:
         """Return the transformations that one written transformation expands to; empty if it has faults."""
+        for filled, values in self._expansions(entry, part, "transformations"):
+            yield from self._filled(entry, part, filled, values)
+
+    def expand_target(self, entry: Passage, part: fields.TargetPart) -> Iterator[fields.TargetPart]:
+        """Yield the targets that one written target expands to, and check their tags; none if it has faults."""
+        for filled, values in self._expansions(entry, part, "targets"):
+            if part.tag is not None and filled.tag is not None:
+                self._tags.check(filled.tag, entry.at("tag"), part.tag, values)
+            yield filled
+
+    def _expansions(self, entry: Passage, part: PartT, kind: str) -> Iterator[tuple[PartT, VariableValues]]:
+        """Yield the part with its variables filled in, in each way; if it has faults, check its plain tags instead."""
         if "$" not in str(vars(part)):
-            yield from self._filled(entry, part, part, {})
+            yield part, {}
             return
-        instances = self._variable_instances(entry, part)
+        instances = self._variable_instances(entry, part, kind)
         if instances is None:
-            self._left_out.add("transformations", part.label)
+            self._left_out.add(kind, part.label)
             self._check_plain_tags(entry, part)
             return
         for values in templates.assignments(instances):
-            yield from self._filled(entry, part, templates.substitute_all(part, values), values)
+            yield templates.substitute_all(part, values), values
 
     def _variable_instances(
-        self, entry: Passage, part: fields.TransformationPart
+        self, entry: Passage, part: Expandable, kind: str
     ) -> dict[templates.Variable, tuple[str, ...]] | None:
         """The instances of each variable of a template, or None if the template has faults."""
         found = _variables(entry, part)
@@ -131,7 +147,7 @@ class Expander:
             return None
         count = prod(map(len, instances.values()))
         if count > templates.MOST_EXPANSIONS:
-            message = f"this template stands for {count:,} transformations, more than {templates.MOST_EXPANSIONS:,}"
+            message = f"this template stands for {count:,} {kind}, more than {templates.MOST_EXPANSIONS:,}"
             entry.at("label").note(message, "use fewer variables or smaller classes")
             return None
         return instances
@@ -205,8 +221,12 @@ class Expander:
                 said["quality"] = self._fleet.contributions(at.at("quality"), said["quality"])
             yield _PORT_TYPES[key](name, **said)
 
-    def _check_plain_tags(self, entry: Passage, part: fields.TransformationPart) -> None:
+    def _check_plain_tags(self, entry: Passage, part: Expandable) -> None:
         """Check the plain tags of a template that can't be expanded, so that all its faults are told at once."""
+        if isinstance(part, fields.TargetPart):
+            if part.tag is not None and "$" not in part.tag:
+                self._tags.check(part.tag, entry.at("tag"))
+            return
         for key in _PORT_TYPES:
             for name, written in (getattr(part, key) or {}).items():
                 place, tag = _tag_of(written, entry.at(key, name))
@@ -214,7 +234,7 @@ class Expander:
                     self._tags.check(tag, place)
 
 
-def _variables(entry: Passage, part: fields.TransformationPart) -> dict[templates.Variable, tuple[Passage, int]] | None:
+def _variables(entry: Passage, part: Expandable) -> dict[templates.Variable, tuple[Passage, int]] | None:
     """Each variable of a part with the place of its first mention, or None if a `${` is wrong."""
     found: dict[templates.Variable, tuple[Passage, int]] = {}
     is_good = True
@@ -290,10 +310,8 @@ def _build(document: Document, vocabulary: TagVocabulary) -> EnvironmentFile:
             if names.is_new("transformation", transformation.label, entry, "label"):
                 library[transformation.label] = transformation
     targets: dict[str, Target] = {}
-    for entry, part in _parts(document, "targets", faults):
-        is_new = names.is_new("target", part.label, entry, "label") & _wants_one_thing(entry, part)
-        if part.tag is not None:
-            tags.check(part.tag, entry.at("tag"))
+    for entry, part in _targets(document, expander, faults):
+        is_new = names.is_new("target", part.label, entry, "label")
         if part.topic is not None:
             is_new &= names.is_new("topic", part.topic, entry, "topic")
         if part.host is not None:
@@ -355,6 +373,15 @@ def _parts(document: Document, kind: str, faults: list[Fault]) -> Iterator[tuple
             yield Passage(file.source, (kind, index), faults), part
 
 
+def _targets(
+    document: Document, expander: Expander, faults: list[Fault]
+) -> Iterator[tuple[Passage, fields.TargetPart]]:
+    """The targets of all files, templates expanded, each with where it stands; without those that want no one thing."""
+    for entry, part in _parts(document, "targets", faults):
+        is_whole = _wants_one_thing(entry, part)
+        yield from ((entry, filled) for filled in expander.expand_target(entry, part) if is_whole)
+
+
 def _wants_one_thing(entry: Passage, part: fields.TargetPart) -> bool:
     """Return whether a target has `topic` and `tag`, or else `run` and no key about a stream; note each fault."""
     said = [key for key in fields.OF_A_STREAM if getattr(part, key) is not None]
@@ -384,7 +411,7 @@ class _Names:
         what = {"topic": "topic", "unit": "unit id"}.get(kind, f"{kind} label")
         message = f"the {what} `{name}` is taken: it stands in {first.place.file}, line {first.place.line} already"
         if first == entry:
-            message = f"several expansions of this template have the label `{name}`"
+            message = f"several expansions of this template have the {'topic' if kind == 'topic' else 'label'} `{name}`"
         entry.at(key).note(message, "give each a name of its own")
         return False
 

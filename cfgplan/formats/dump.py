@@ -208,10 +208,11 @@ def one_or_more(texts: list[str]) -> str | list[str]:
 
 
 def _target(target: domain.Target, environment: domain.Environment) -> dict[str, Any]:
+    """A target, with every `${` in its texts escaped."""
     stream = {} if target.run is None else {"tag": None, "topic": None}
-    return fields.TargetPart.written(
-        target, **stream, quality={wish.attribute: _wish(wish, environment) for wish in target.quality}
-    )
+    wishes = {wish.attribute: _wish(wish, environment) for wish in target.quality}
+    said: dict[str, Any] = escaped(fields.TargetPart.written(target, **stream, quality=wishes))
+    return said
 
 
 class _Dumper(_DUMPER):  # type: ignore[misc]

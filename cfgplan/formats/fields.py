@@ -3,7 +3,7 @@
 A row says the key, its values, their meaning and the default; `to`, the attribute of the domain's value (the key if
 absent); `use`, who looks at it; and `xml`, the attribute of the XML format (the key if absent). XML refuses a value
 that is no text, number or flag, unless it is an ELEMENT. It leaves out an UNSAID value, which means nothing without a
-refused one. Every text of a transformation may hold template variables.
+refused one. Every text of a transformation or a target may hold template variables.
 """
 
 from __future__ import annotations
@@ -411,7 +411,7 @@ class TargetPart(Part):
         {"run": _IS_SAID, **dict.fromkeys(OF_A_STREAM, _IS_UNSAID)},
     )
 
-    label: Name = row("unique", ..., xml=ELEMENT)
+    label: Name = row("unique; mentions every template variable of the target", ..., xml=ELEMENT)
     topic: Name | None = row("where its stream is published; unique", xml=ELEMENT)
     tag: TagText | None = row("what is wanted, a concept in description logic or the paper's P(a)", xml=ELEMENT)
     type: Name | None = row(f"{_MESSAGE_TYPE}; `cfgplan run --ros2` publishes it", use=Use.RUNNING, xml="message")

@@ -150,6 +150,8 @@ def _unknown_key(source: Source, path: Path, part: type[BaseModel]) -> Fault:
         mend = "an included file has only transformations and targets: move this key to the main file"
     elif first in known and rest:
         mend = f"put a space after the colon: `{first}: {rest}`"
+    elif name == "rate" and _has_inputs(source, path):
+        mend = "remove it: only a source has a rate (`run: {rate: ...}`); elements of its inputs start its steps"
     elif name.casefold() not in _SYNONYMS and inner is not None:
         mend = f"it stands under `{inner}`: write `{inner}: {{{name}: ...}}`"
     elif len(meant) > 1 and any(key in _EACH_MEANS for key in meant):
@@ -159,6 +161,14 @@ def _unknown_key(source: Source, path: Path, part: type[BaseModel]) -> Fault:
     else:
         mend = f"did you mean `{meant[0]}`?" if meant else f"the keys here are {', '.join(known)}"
     return source.fault(path, f"unknown key `{name}`", mend, at_key=True)
+
+
+def _has_inputs(source: Source, path: Path) -> bool:
+    """Whether the mapping with the key at `path` has inputs."""
+    data: Any = source.data
+    for step in path[:-1]:
+        data = data[step]
+    return bool(data.get("inputs"))
 
 
 def _keys_within(field: Any) -> Collection[str]:

@@ -1,4 +1,4 @@
-"""Template variables in transformations: `${NAO}`, `${NAO:x}`, and `$${` for a plain `${`."""
+"""Template variables in transformations and targets: `${NAO}`, `${NAO:x}`, and `$${` for a plain `${`."""
 
 from __future__ import annotations
 

@@ -38,6 +38,19 @@ def test_planners_are_compared_on_an_environment_file(run: Run, write: Callable[
     assert "All proofs agree" in result.out
 
 
+def test_the_plot_has_a_picture_of_each_file_with_each_planner_and_its_answer(
+    run: Run, write: Callable[[str], Path], tmp_path: Path
+) -> None:
+    path, plot = write(TWO_WAYS), tmp_path / "planners.svg"
+    other = MODELS / "nao" / "2-segmenter-lost.yaml"
+    assert run("compare", path, other, *PAIR, "--plot", plot).code == 0
+    drawn = plot.read_text()
+    for text in (path, other, "branch-and-bound: feasible", "exhaustive: optimal"):
+        assert f"<!-- {text} -->" in drawn, text
+    refused = run("compare", path, "--plot", tmp_path / "planners.txt")
+    assert refused.code == 30 and "is no kind of plot" in refused.err
+
+
 def test_without_any_proof_none_are_said_to_agree(run: Run, write: Callable[[str], Path]) -> None:
     result = run("compare", write(TWO_WAYS), "--planner", "branch-and-bound")
     assert result.code == 0

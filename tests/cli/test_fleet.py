@@ -14,7 +14,7 @@ def test_solve_tells_hosts_quality_and_transfers(run: Run) -> None:
     assert "+ start   small_detector(r2).2    on base" in out
     assert "- stop    small_detector(r2).1    on r2" in out
     assert "Target obstacles: error 0.45 m (at most 0.5 m is asked)" in out
-    assert "Host r2: 2 units, 0.09 s of 0.4 s CPU/s, 160 of 300 MB." in out
+    assert "Host r2: 2 units, 9 % of a core (limit 40 %), 160 of 300 MB." in out
     assert "camera(r2).1/image: r2 -> base, 1.0368 s" in out
 
 

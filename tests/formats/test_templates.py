@@ -1,4 +1,4 @@
-"""Templates in transformations: what they stand for and what is wrong with them."""
+"""Templates in transformations and targets: what they stand for and what is wrong with them."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ from pathlib import Path
 
 from hypothesis import given
 from hypothesis import strategies as st
-from loading import faults_of, load_text, only_fault, place_of
+from loading import faults_of, load, load_text, only_fault, place_of
 
+from cfgplan.formats.dump import dump_yaml, plain_environment
 from cfgplan.formats.templates import escaped, original_column, substitute
 
 HEAD = "format: cfgplan/1\ntransformations:\n"
@@ -120,6 +121,42 @@ def test_a_template_that_stands_for_too_many_is_refused(tmp_path: Path) -> None:
     label = "".join(f"${{Room:v{number}}}" for number in range(13))
     fault = only_fault(tmp_path, HEAD + f"  - label: {label}\n")
     assert "1,594,323 transformations" in fault.message
+
+
+WANTED = "format: cfgplan/1\ntargets:\n"
+
+
+def test_a_target_with_a_variable_stands_for_one_of_each_individual(tmp_path: Path) -> None:
+    text = WANTED + "  - {label: '${NAO} in ${Room}', topic: '/${Room}/${NAO}', tag: 'T and {${NAO}}', priority: 2}\n"
+    targets = load_text(tmp_path, text).environment.targets
+    assert len(targets) == 6
+    assert (targets[0].label, targets[0].topic, targets[0].tag) == ("piff in r1", "/r1/piff", "T and {piff}")
+    assert {target.priority for target in targets} == {2}
+
+
+def test_a_target_may_want_the_transformations_of_a_template_to_run(tmp_path: Path) -> None:
+    text = HEAD + "  - label: cam(${NAO})\ntargets:\n  - {label: 'film ${NAO}', run: 'cam(${NAO})'}\n"
+    assert [target.run for target in load_text(tmp_path, text).environment.targets] == ["cam(piff)", "cam(puff)"]
+
+
+def test_what_is_wrong_with_a_template_of_targets_is_told_at_its_place(tmp_path: Path) -> None:
+    fault = only_fault(tmp_path, WANTED + "  - {label: a, topic: '/${NAO}', tag: T}\n")
+    assert (fault.message, place_of(fault)) == ("the label does not mention ${NAO}", (3, 13))
+    fault = only_fault(tmp_path, WANTED + "  - {label: 'a ${NAO}', topic: /a, tag: T}\n")
+    assert fault.message == "several expansions of this template have the topic `/a`"
+    fault = only_fault(tmp_path, WANTED + "  - {label: 'a ${NAO}', topic: '/${NAO}', tag: '{${NAO}} and Bad'}\n")
+    assert fault.message == "unknown name Bad, in the expansion '{piff} and Bad'"
+    fault = only_fault(tmp_path, WANTED + "  - {label: 'a ${Nothing}', topic: '/${Nothing}', tag: T}\n")
+    assert fault.message == "the class Nothing has no individuals"
+    places = [place_of(one) for one in faults_of(tmp_path, WANTED + "  - {label: 'a ${NAO', topic: /a, tag: Bad}\n")]
+    assert places == [(3, 16), (3, 40)]
+
+
+def test_a_target_with_a_dollar_and_a_brace_is_written_so_that_it_is_read_again(tmp_path: Path) -> None:
+    environment = load_text(tmp_path, WANTED + "  - {label: 'a $${NAO}', topic: '/$${x', tag: T}\n").environment
+    assert (environment.targets[0].label, environment.targets[0].topic) == ("a ${NAO}", "/${x")
+    (tmp_path / "again.yaml").write_text(dump_yaml(plain_environment(environment, horizon_s=60)))
+    assert load(tmp_path / "again.yaml").environment.targets == environment.targets
 
 
 @given(st.text(alphabet="${}a:"))

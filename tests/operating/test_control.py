@@ -52,6 +52,7 @@ def test_a_client_is_told_what_it_is_connected_to(run_folder: RunFolder) -> None
         "run": run_folder.id,
         "environment": "/robots/env.yaml",
         "pid": os.getpid(),
+        "name": None,
     }
 
 

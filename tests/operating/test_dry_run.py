@@ -14,7 +14,7 @@ from cfgplan_runtime.operating.operation import Settings
 import cfgplan
 from cfgplan.api import FEW_PAIRS, matches
 from cfgplan.cli import main
-from cfgplan.cli.run import first_review
+from cfgplan.cli.first_plan import first_review
 from cfgplan.formats.plan_file import load_plan
 
 MODELS = Path(__file__).parents[2] / "models"
@@ -65,7 +65,8 @@ def test_worlds_are_there_to_compare() -> None:
 @pytest.mark.parametrize("path", WORLDS, ids=[str(path.relative_to(MODELS)) for path in WORLDS])
 def test_a_dry_run_answers_what_the_first_review_does(path: Path) -> None:
     world = startable(path)
-    said = first_review(world, Settings(policy=PATIENT, check=None), matches(world, most=FEW_PAIRS), path.parent)
+    settings = Settings(policy=PATIENT, check=None)
+    said = first_review(world, settings, matches(world, most=FEW_PAIRS), path.parent).thought
     manager = begun(world)
     (review,) = manager.snapshot().reviews
     assert said.change_set == review.change_set

@@ -10,8 +10,8 @@ from operated_world import UNITS, await_event, running, write_world
 from cfgplan.cli import main
 
 BROKEN = "import nosuchmodule\n" + UNITS
-AT_DETECTORS = "detectors.py:1: it imports nosuchmodule, which is not there"
-SAYS = "units.py:1: it imports nosuchmodule, which is not there"
+AT_DETECTORS = "detectors.py:1:8: it imports nosuchmodule, which is not there"
+SAYS = "units.py:1:8: it imports nosuchmodule, which is not there"
 
 
 @pytest.fixture
@@ -28,7 +28,7 @@ def test_a_fault_of_code_is_a_warning_before_anything_runs(
     said = capsys.readouterr().err
     place, _, what = SAYS.partition(": ")
     assert f"warning: {env.with_name(place)}: camera(piff) can't be started: {what}, as {env}:" in said
-    assert "    1 | import nosuchmodule\n      | ^^^" in said
+    assert "    1 | import nosuchmodule\n      |        ^^^^^^^^^^^^" in said
     (env.parent / "units.py").write_text(UNITS)
     assert main([verb, str(env)]) == 0
     assert "can't be started" not in capsys.readouterr().err

@@ -117,7 +117,7 @@ def test_a_page_adds_targets_and_code_if_it_may(page: PageServer, manager: FakeM
 
 def test_a_page_does_what_it_lists_and_no_other_method_of_a_run(page: PageServer, manager: FakeManager) -> None:
     others = Methods(manager).by_name().keys() - set(METHODS)
-    assert others == {"state", "plan", "apply", "fact", "logs", "remove_individual"}
+    assert others == {"state", "plan", "apply", "fact", "logs", "events", "topics", "remove_individual"}
     assert {asking(page, method).status_code for method in others} == {400}
 
 

@@ -123,7 +123,7 @@ def test_following_ends_with_the_run(
     server = ControlServer(run_folder.path, Methods(manager, printed=printed).by_name(), "/robots/env.yaml")
     say(printed, "camera.1", "one")
     steps = iter([lambda: say(printed, "camera.1", "two", "three"), lambda: None, server.close])
-    monkeypatch.setattr("cfgplan.cli.ctl.time.sleep", lambda _: next(steps)())
+    monkeypatch.setattr("cfgplan.cli.ctl_views.time.sleep", lambda _: next(steps)())
     assert main(["ctl", "logs", "camera.1", "--follow"]) == 0
     told = capsys.readouterr()
     assert [line[10:] for line in told.out.splitlines()] == ["one", "two", "three"]

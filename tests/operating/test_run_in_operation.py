@@ -229,11 +229,96 @@ def test_the_run_must_be_named_if_there_are_two(
     with running(env) as other:
         run_id = await_event(other, "Running")["run"]
         assert main(["ctl", "stop"]) == 30
-        assert "several runs are live: name one by --run" in capsys.readouterr().err
+        assert "several runs are live: name one by --name" in capsys.readouterr().err
         assert main(["ctl", "--run", run_id, "state"]) == 0
         assert main(["ctl", "stop", "--run", run_id]) == 0
         assert other.wait(PATIENCE_S) == 0
     assert run.poll() is None
+
+
+def test_a_run_is_found_by_its_name_which_no_other_live_run_has(
+    run: subprocess.Popen[str], env: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with running(env, "--name", "robot") as named:
+        run_id = await_event(named, "Running")["run"]
+        assert main(["ctl", "state"]) == 30
+        assert f"name one by --name: robot ({run_id}) of env.yaml" in re.sub(
+            "[0-9a-f]{8} [(]env.yaml, pid [0-9]+[)], ", "", capsys.readouterr().err
+        )
+        for which in (["--name", "robot"], ["-n", "robot"], ["--run", run_id]):
+            assert ctl(capsys, *which, "state")["run"] == run_id
+        assert ctl(capsys, "state", "--name", "robot")["name"] == "robot"
+        assert main(["listen", "/result", "--run", "robot", "--count", "1", "--wait", "60s"]) == 0
+        assert main(["listen", "/result"]) == 30
+        assert f"robot ({run_id})" in capsys.readouterr().err
+        with running(env, "--name", "robot") as refused:
+            assert refused.wait(PATIENCE_S) == 30
+        assert main(["ctl", "stop", "-n", "robot"]) == 0
+        assert named.wait(PATIENCE_S) == 0
+    with running(env, "--name", "robot") as again:
+        await_event(again, "Running")
+        assert main(["ctl", "stop", "-n", "robot"]) == 0
+        assert again.wait(PATIENCE_S) == 0
+    assert run.poll() is None
+
+
+@pytest.mark.parametrize("name", ["a b", "", "x/y", "0123abcd", "n" * 41])
+def test_a_name_that_is_none_is_refused(env: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", str(env), "--name", name]) == 30
+    assert "--name" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("run")
+def test_topics_and_streams_are_listed_with_their_givers_and_rates(capsys: pytest.CaptureFixture[str]) -> None:
+    def told() -> Any:
+        return ctl(capsys, "topics")
+
+    eventually(lambda: len(told()["streams"]) == 2 and all(one["rate_hz"] for one in told()["streams"]))
+    (topic,) = told()["topics"]
+    assert (topic["topic"], topic["target"], topic["stream"]) == ("/result", "ball", "detector(piff).1/ball")
+    assert topic["rate_hz"] > 0 and topic["silent_s"] is not None
+    assert [one["stream"] for one in told()["streams"]] == ["camera(piff).1/image", "detector(piff).1/ball"]
+    assert main(["ctl", "topics"]) == 0
+    out = capsys.readouterr().out
+    assert re.search(r"/result +detector\(piff\)\.1/ball +\d+ Hz +.* ago", out)
+
+
+@pytest.mark.usefixtures("run")
+def test_the_rate_of_a_topic_and_of_a_unit_is_measured(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["ctl", "hz", "/result", "--for", "2500ms", "--json"]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert lines and all(one["least_s"] <= 1 / one["rate_hz"] <= one["most_s"] for one in lines)
+    assert lines[-1]["intervals"] > lines[0]["intervals"] > 0 or len(lines) == 1
+    eventually(lambda: any("steps" in unit for unit in state_now(capsys)["units"]))
+    assert main(["ctl", "hz", "camera(piff).1", "--for", "2500ms"]) == 0
+    assert re.search(r"Hz: \d+ steps in ", capsys.readouterr().out)
+    assert main(["ctl", "hz", "/resul"]) == 30
+    assert "did you mean `/result`" in capsys.readouterr().err
+
+
+def test_what_has_happened_can_be_asked_for_later(
+    run: subprocess.Popen[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    def past(*arguments: str) -> list[dict[str, Any]]:
+        capsys.readouterr()
+        assert main(["ctl", "events", "--json", *arguments]) == 0
+        return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+
+    ctl(capsys, "kill", "camera(piff).1")
+    whole = past("--since", "1h")
+    assert [event["number"] for event in whole] == sorted({event["number"] for event in whole})
+    assert {"ReviewBegan", "Reviewed", "UnitDied"} <= {event["kind"] for event in whole}
+    assert "Observed" not in {event["kind"] for event in whole}
+    assert past("--last", "2")[-1]["number"] >= whole[-1]["number"]
+    assert len(past("--last", "2")) == 2
+    following = command("ctl", "events", "--json", "--last", "1", "--follow")
+    with subprocess.Popen(following, stdout=subprocess.PIPE, text=True) as follower:
+        assert follower.stdout is not None
+        first = json.loads(follower.stdout.readline())
+        ctl(capsys, "stop")
+        rest = [json.loads(line)["number"] for line in follower.stdout]
+        assert rest == list(range(first["number"] + 1, first["number"] + 1 + len(rest)))
+    assert run.wait(PATIENCE_S) == 0
 
 
 def test_editing_the_file_changes_what_runs(run: subprocess.Popen[str], env: Path) -> None:
@@ -466,9 +551,40 @@ def test_lines_are_printed_where_no_terminal_is(env: Path) -> None:
     arguments = command("run", env, "--for", "200ms", "--no-estimates")
     done = subprocess.run(arguments, capture_output=True, text=True, timeout=PATIENCE_S, check=True)
     lines = done.stdout.splitlines()
-    assert lines[0].startswith("Running 2 units as run ")
+    assert any(line.startswith("Running 2 units as run ") for line in lines)
     assert any(line.startswith("Review 1: started camera(piff).1, detector(piff).1; ") for line in lines)
     assert "\x1b" not in done.stdout
+
+
+PLANNER = """
+from cfgplan.planners import PLANNERS
+
+def plan(problem, **more):
+    with open("plans", "a") as file:
+        file.write("planned\\n")
+    return PLANNERS["cpsat"](problem, **more)
+"""
+
+
+def test_a_run_shows_what_solve_shows_before_anything_starts_and_carries_that_out(env: Path) -> None:
+    (env.parent / "own.py").write_text(PLANNER)
+    arguments = command("run", env, "--for", "200ms", "--no-estimates", "--planner", "own:plan")
+    ran = subprocess.run(
+        arguments, capture_output=True, text=True, timeout=PATIENCE_S, check=True, cwd=env.parent
+    ).stdout
+    assert (env.parent / "plans").read_text() == "planned\n"
+    solved = subprocess.run(command("solve", env), capture_output=True, text=True, timeout=PATIENCE_S, check=True)
+    assert ran.startswith(solved.stdout.replace("cpsat", "own:plan").partition("Optimal")[0])
+    assert ran.index("Optimal: ") < ran.index("Running 2 units")
+
+
+def test_the_plan_of_a_run_is_an_event_of_its_own_before_all_others(env: Path) -> None:
+    with running(env, "--for", "200ms") as process:
+        assert process.stdout is not None
+        told = [json.loads(line) for line in process.stdout]
+    assert [one["event"] for one in told[:2]] == ["Planned", "Running"]
+    assert [unit["id"] for unit in told[0]["plan"]["change_set"]["started"]] == ["camera(piff).1", "detector(piff).1"]
+    assert told[0]["ended"] == []
 
 
 @pytest.mark.usefixtures("run")

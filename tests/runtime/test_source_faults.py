@@ -67,32 +67,32 @@ def told(folder: Path, of: Transformation) -> str:
         (
             GOOD,
             transformation("units:Detector", "image", treshold=5),
-            "units.py:2: Detector() takes no param `treshold` (did you mean `threshold`?)",
+            "units.py:2:9: Detector() takes no param `treshold` (did you mean `threshold`?)",
         ),
         (
             GOOD,
             transformation("units.py:Detector", "image"),
-            "units.py:2: Detector() needs `threshold`, which `params` lacks",
+            "units.py:2:24: Detector() needs `threshold`, which `params` lacks",
         ),
         (
             GOOD,
             transformation("units.py:Detector", "img", threshold=5),
-            "units.py:5: Detector.__call__ takes no input `img` (did you mean `image`?)",
+            "units.py:5:9: Detector.__call__ takes no input `img` (did you mean `image`?)",
         ),
         (
             GOOD,
             transformation("units.py:Detector", threshold=5),
-            "units.py:5: Detector.__call__ needs `image`, and there is no such input",
+            "units.py:5:24: Detector.__call__ needs `image`, and there is no such input",
         ),
         (
             GOOD,
             transformation("units.py:camera", "image"),
-            "units.py:9: camera takes no input `image` (remove it there: the code takes none)",
+            "units.py:9:5: camera takes no input `image` (remove it there: the code takes none)",
         ),
         (
             "import nosuchmodule\n" + GOOD,
             transformation("units.py:camera"),
-            "units.py:1: it imports nosuchmodule, which is not there",
+            "units.py:1:8: it imports nosuchmodule, which is not there",
         ),
         (
             "try:\n    import nosuchmodule\nexcept ImportError:\n    pass\n" + GOOD,
@@ -109,22 +109,22 @@ def told(folder: Path, of: Transformation) -> str:
         (
             "class Lamp:\n    pass\n",
             transformation("units.py:Lamp", "on"),
-            "units.py:1: Lamp can't be called (give it a __call__ method)",
+            "units.py:1:7: Lamp can't be called (give it a __call__ method)",
         ),
         (
             "class Lamp:\n    pass\n",
             transformation("units.py:Lamp"),
-            "units.py:1: Lamp has no inputs, so it needs __iter__ or __call__ (give it a __call__ method)",
+            "units.py:1:7: Lamp has no inputs, so it needs __iter__ or __call__ (give it a __call__ method)",
         ),
         (
             "def lamp(on, *, level):\n    return on\n",
             transformation("units.py:lamp", "on"),
-            "units.py:1: lamp needs `level`, which is neither a param nor an input",
+            "units.py:1:17: lamp needs `level`, which is neither a param nor an input",
         ),
         (
             "def lamp(on):\n    box = object()\n    box.level = on\n    return box\n",
             transformation("units.py:lamp", "off"),
-            "units.py:1: lamp takes no input `off`",
+            "units.py:1:5: lamp takes no input `off`",
         ),
         (
             "x = 3\n",

@@ -9,7 +9,7 @@ from __future__ import annotations
 import ast
 import importlib.util
 import sys
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -113,10 +113,22 @@ class _Module:
     """Every name that a statement outside of functions and classes binds."""
     is_dynamic: bool
     """Whether it may define other names at run time."""
+    lines: tuple[str, ...] = ()
 
     def fault(self, message: str, node: ast.AST | None, mend: str | None = None) -> InputError:
         line = getattr(node, "lineno", None)
-        return InputError([Fault(message, str(self.path), line, mend=mend)])
+        return InputError([Fault(message, str(self.path), line, self._column(node), mend=mend)])
+
+    def _column(self, node: ast.AST | None) -> int | None:
+        """The column, from 1, where a node stands; of a function or class that of its name."""
+        number, offset = getattr(node, "lineno", 0), getattr(node, "col_offset", 0)
+        if not 0 < number <= len(self.lines):
+            return None
+        line = self.lines[number - 1]
+        column = len(line.encode()[:offset].decode(errors="replace"))
+        if isinstance(node, _Definition):
+            column = max(column, line.find(node.name, column + len("def")))
+        return column + 1
 
     def named(self, name: str, place: str) -> _Definition | None:
         """The one definition of a name; None if it is made in another way. Raises InputError if there is none."""
@@ -140,7 +152,8 @@ def _read(path: Path, stamp: tuple[int, int] | None) -> _Module:
 @lru_cache(maxsize=512)
 def _parsed(path: Path, stamp: tuple[int, int] | None) -> _Module | Fault:  # noqa: ARG001
     try:
-        tree = ast.parse(path.read_bytes(), str(path))
+        data = path.read_bytes()
+        tree = ast.parse(data, str(path))
     except SyntaxError as error:
         return Fault(f"{type(error).__name__}: {error.msg}", str(path), error.lineno, error.offset, mend="correct it")
     except OSError as error:
@@ -149,8 +162,11 @@ def _parsed(path: Path, stamp: tuple[int, int] | None) -> _Module | Fault:  # no
         return Fault(f"can't be parsed: {error}", str(path), mend="correct it")
     names = frozenset(_bound(tree.body))
     used = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
+    lines = tuple(data.decode(errors="replace").splitlines())
     stars = (alias.name for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) for alias in node.names)
-    return _Module(path, tree, names, bool(_DYNAMIC & (names | used)) or "*" in stars or _changes_things(tree, names))
+    return _Module(
+        path, tree, names, bool(_DYNAMIC & (names | used)) or "*" in stars or _changes_things(tree, names), lines
+    )
 
 
 def _stamp(path: Path) -> tuple[int, int] | None:
@@ -200,16 +216,16 @@ def _check_imports(module: _Module, folders: Sequence[Path]) -> None:
     if module.is_dynamic:
         return
     for statement in module.tree.body:
-        names: list[str] = []
+        names: list[tuple[str, ast.AST]] = []
         if isinstance(statement, ast.Import):
-            names = [alias.name for alias in statement.names]
+            names = [(alias.name, alias) for alias in statement.names]
         elif isinstance(statement, ast.ImportFrom) and statement.module and not statement.level:
-            names = [statement.module]
-        for name in names:
+            names = [(statement.module, statement)]
+        for name, at in names:
             top = name.partition(".")[0]
             if not _is_importable(top, folders):
                 mend = "install it into the Python that runs cfgplan, or correct its name"
-                raise module.fault(f"it imports {top}, which is not there", statement, mend)
+                raise module.fault(f"it imports {top}, which is not there", at, mend)
 
 
 def _is_importable(top: str, folders: Sequence[Path]) -> bool:
@@ -243,7 +259,8 @@ class _Signature:
     """The arguments that a function takes by name."""
 
     takes: frozenset[str]
-    needs: tuple[str, ...]
+    needs: Mapping[str, ast.AST]
+    """With where each is written."""
     takes_any: bool
 
     @classmethod
@@ -251,16 +268,16 @@ class _Signature:
         plain = [*arguments.posonlyargs, *arguments.args]
         first = 1 if is_method and plain else 0
         filled = len(plain) - len(arguments.defaults)
-        needed = [one.arg for one in plain[first:filled]]
+        needed = plain[first:filled]
         needed += [
-            one.arg for one, default in zip(arguments.kwonlyargs, arguments.kw_defaults, strict=True) if default is None
+            one for one, default in zip(arguments.kwonlyargs, arguments.kw_defaults, strict=True) if default is None
         ]
         by_name = [*arguments.args, *arguments.kwonlyargs]
         taken = {one.arg for one in by_name} - {one.arg for one in plain[:first]}
-        return cls(frozenset(taken), tuple(needed), arguments.kwarg is not None)
+        return cls(frozenset(taken), {one.arg: one for one in needed}, arguments.kwarg is not None)
 
 
-_NOTHING = _Signature(frozenset(), (), takes_any=False)
+_NOTHING = _Signature(frozenset(), {}, takes_any=False)
 
 
 @dataclass(frozen=True)
@@ -280,7 +297,7 @@ class _Unit:
         self._check_names(signature, params, f"{self.name} takes no param `{{}}`", definition)
         self._check_names(signature, inputs, f"{self.name} takes no input `{{}}`", definition)
         lacking = f"{self.name} needs `{{}}`, which is neither a param nor an input"
-        self._check_needs(signature, [*params, *inputs], lacking, definition)
+        self._check_needs(signature, [*params, *inputs], lacking)
 
     def _check_class(self, definition: ast.ClassDef, params: Sequence[str], inputs: Sequence[str]) -> None:
         if self._is_unknown(definition):
@@ -290,7 +307,7 @@ class _Unit:
             signature = _NOTHING if made is _ABSENT else _Signature.of(made.args, is_method=True)
             at = definition if made is _ABSENT else made
             self._check_names(signature, params, f"{self.name}() takes no param `{{}}`", at)
-            self._check_needs(signature, params, f"{self.name}() needs `{{}}`, which `params` lacks", at)
+            self._check_needs(signature, params, f"{self.name}() needs `{{}}`, which `params` lacks")
         if not inputs and self._method(definition, "__iter__") is not _ABSENT:
             return
         called = self._method(definition, "__call__")
@@ -301,7 +318,7 @@ class _Unit:
             signature = _Signature.of(called.args, is_method=True)
             self._check_names(signature, inputs, f"{self.name}.__call__ takes no input `{{}}`", called)
             lacking = f"{self.name}.__call__ needs `{{}}`, and there is no such input"
-            self._check_needs(signature, inputs, lacking, called)
+            self._check_needs(signature, inputs, lacking)
 
     def _check_names(self, signature: _Signature, names: Collection[str], message: str, at: ast.AST) -> None:
         for name in names:
@@ -310,8 +327,8 @@ class _Unit:
                 there = f"it takes {some(taken, _MOST_NAMED)}" if taken else "remove it there: the code takes none"
                 raise self.module.fault(message.format(name), at, did_you_mean(name, taken, there))
 
-    def _check_needs(self, signature: _Signature, names: Collection[str], message: str, at: ast.AST) -> None:
-        for name in signature.needs:
+    def _check_needs(self, signature: _Signature, names: Collection[str], message: str) -> None:
+        for name, at in signature.needs.items():
             if name not in names:
                 mend = did_you_mean(name, names, "name it in the file, or give it a default")
                 raise self.module.fault(message.format(name), at, mend)

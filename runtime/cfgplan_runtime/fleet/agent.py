@@ -150,6 +150,7 @@ class Agent:
         offset_ns = self._backend.clock_offset_ns
         self._link.answer(clock_key(self.name), HostClock(lambda: time.monotonic_ns() + offset_ns).told)
         self._link.answer(orders.topics_key(self.name), self._topics_told)
+        self._link.answer(orders.held_key(self.name), lambda: msgspec.json.encode(self._held))
         self._link.watch(f"{alive_key(MANAGER)}/*", self._note_manager)
         self._link.hear(f"{alive_key(MANAGER)}/*", lambda key, *_: self._note_manager(key, is_alive=True))
         for kind in (orders.SAY, orders.HEARD):

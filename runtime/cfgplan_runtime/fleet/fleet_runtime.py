@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from cfgplan.domain import Environment
 from cfgplan.errors import InputError
 from cfgplan_runtime.errors import RuntimeFaultError
+from cfgplan_runtime.fleet.adoption import adopt
 from cfgplan_runtime.fleet.fleet_backend import WAIT_S, FleetBackend
 from cfgplan_runtime.fleet.links import config
 from cfgplan_runtime.fleet.local import LocalAgents
+from cfgplan_runtime.fleet.orders import KillOrder
+from cfgplan_runtime.fleet.reached import ReachedFleet
 from cfgplan_runtime.processes.cpu_group import CpuGroup, cpu_groups
 from cfgplan_runtime.runtime import Runtime
 from cfgplan_runtime.streams.run_folder import RunFolder
@@ -30,6 +33,32 @@ class Fleet:
     certificates: Path | None = None
     is_local: bool = False
     takes_over: bool = False
+
+
+@dataclass(frozen=True)
+class LeftUnits:
+    """The units that an earlier run has left on a fleet's hosts: those that a new run adopts, as `running`, and the ids
+    of those that it ends, since the file would not start them as they were started.
+    """
+
+    running: Environment = field(default_factory=Environment)
+    ended: tuple[str, ...] = ()
+
+
+def left_units(fleet: Fleet, environment: Environment) -> LeftUnits:
+    """Look at what runs on the hosts of an environment, and change nothing. Hosts that do not answer have nothing."""
+    if fleet.is_local:
+        return LeftUnits()
+    try:
+        with ReachedFleet(fleet.connect, fleet.certificates) as reached:
+            held = {host: one for host, one in reached.held().items() if host in environment.host}
+    except InputError:  # the run says so, when it waits for its hosts
+        return LeftUnits()
+    adoption = adopt("", held, environment.transformation)
+    ended = sorted({order.unit for _, order in adoption.orders if isinstance(order, KillOrder)})
+    found = adoption.found
+    running = Environment() if found is None else Environment(found.units, found.library, hosts=found.hosts)
+    return LeftUnits(running, tuple(ended))
 
 
 @contextmanager

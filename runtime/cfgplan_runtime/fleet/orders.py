@@ -256,6 +256,11 @@ class TopicsTold(msgspec.Struct):
     ahead_ns: int = 0
 
 
+def held_key(host: str | None) -> str:
+    """The key at which an agent, or any (None), answers with Held."""
+    return f"{crossing.host_key(host)}/held"
+
+
 FromAgent: TypeAlias = Welcome | EventTold | UsageTold | ImportUnused
 
 _EVENTS = {kind.__name__: kind for kind in events.Event.__subclasses__()}

@@ -16,7 +16,7 @@ from cfgplan.domain import MANAGER
 from cfgplan_runtime.errors import NoSuchRunError, NoSuchTopicError
 from cfgplan_runtime.fleet.clocks import CALLS, CALLS_AGAIN, CLOCK_S, HostClock, corrected
 from cfgplan_runtime.fleet.links import config
-from cfgplan_runtime.fleet.orders import TopicsTold, topics_key
+from cfgplan_runtime.fleet.orders import Held, TopicsTold, held_key, topics_key
 from cfgplan_runtime.fleet.tunnels import CONTROL, TunnelClient
 from cfgplan_runtime.fleet.ways import alive_key, host_of
 from cfgplan_runtime.streams.closable import Closable
@@ -98,6 +98,13 @@ class ReachedFleet(Closable):
             if time.monotonic() > (end_s if is_whole else end_s + patience_s):
                 raise NoSuchTopicError(_why_not(topic, found, told))
             time.sleep(_REACH_LOOK_S)
+
+    def held(self) -> dict[str, Held]:
+        """What each host that answers holds; nothing is changed by asking."""
+        return {
+            host_of(key): msgspec.json.decode(answer, type=Held)
+            for key, answer in self._link.ask(held_key(None), _ANSWER_S)
+        }
 
     def places(self, topic: str, run: str | None) -> list[tuple[str, str]]:
         """Where a topic is, as runs and hosts."""

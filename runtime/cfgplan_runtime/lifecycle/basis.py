@@ -15,7 +15,7 @@ from cfgplan.domain import ChangeSet, Environment
 from cfgplan.errors import Fault
 from cfgplan.formats.plan_file import dump_plan
 from cfgplan.planning import Plan, Problem, Status
-from cfgplan_runtime.lifecycle.configuration import Scene
+from cfgplan_runtime.lifecycle.configuration import Scene, avoided_now
 from cfgplan_runtime.lifecycle.deliberation import Deliberation, Thought
 from cfgplan_runtime.lifecycle.reports import Decision
 
@@ -43,6 +43,15 @@ class Preview:
     thought: Thought
     problem: Problem
     basis: Basis
+
+    def holds_for(self, scene: Scene) -> bool:
+        """Whether a review of this scene would plan the same: basis, facts and avoided transformations are equal."""
+        return (
+            not staleness(self.basis, basis_of(scene.world, scene.running))
+            and scene.world.environment.facts == self.thought.planned.facts
+            and avoided_now(scene) == self.thought.avoided
+            and self.thought.change_set is not None
+        )
 
 
 def preview_of(deliberation: Deliberation, scene: Scene, stop: threading.Event) -> Preview:

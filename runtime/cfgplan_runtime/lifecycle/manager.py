@@ -57,9 +57,9 @@ class Manager:
     """Reviews the configuration of a middleware whenever it is perturbed; every part can be replaced.
 
     By default `planner` remembers from plan to plan, `estimator` believes declared costs, and `clock` is the
-    computer's. `report` is the first listener, see `listen`. Raises InputError for a world whose tags can't be
-    matched. As a context manager it works in a thread of its own, and stops all units at the end; or call `step` or
-    `run`.
+    computer's. `report` is the first listener, see `listen`. The first review carries the plan of `first` out, unless
+    it is stale by then. Raises InputError for a world whose tags can't be matched. As a context manager it works in a
+    thread of its own, and stops all units at the end; or call `step` or `run`.
     """
 
     def __init__(
@@ -72,6 +72,7 @@ class Manager:
         clock: TimeSource | None = None,
         policy: Policy | None = None,
         report: Callable[[Report], None] | None = None,
+        first: Preview | None = None,
     ) -> None:
         self._middleware = middleware
         self._clock = clock or SystemClock()
@@ -91,6 +92,7 @@ class Manager:
             self._matching,
             lambda: self._interrupt.is_set() or self._ending.is_set(),
         )
+        self._first = first
         self._is_busy = False
         self._thread: threading.Thread | None = None
         self._quiet = threading.Condition()
@@ -314,7 +316,11 @@ class Manager:
 
     def _plan(self, order: turns.MakePlan) -> None:
         stop = self._ending if order.is_last else self._interrupt
-        thought = self._deliberation.think(order.scene, optimises=order.optimises, stop=stop)
+        first, self._first = self._first, None
+        if first is not None and first.holds_for(order.scene):
+            thought = first.thought
+        else:
+            thought = self._deliberation.think(order.scene, optimises=order.optimises, stop=stop)
         was_interrupted = self._interrupt.is_set()
         self._interrupt.clear()
         self._decide_arrivals()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import suppress
@@ -15,21 +16,23 @@ import msgspec
 from cfgplan_runtime.errors import ControlError, NoSuchRunError
 from cfgplan_runtime.operating.protocol import VERSION, Record, line, refused
 from cfgplan_runtime.streams.closable import Closable
-from cfgplan_runtime.streams.run_folder import base_folder, control_address, live_runs
+from cfgplan_runtime.streams.run_folder import base_folder, control_address, is_called, live_runs, said
 
 if TYPE_CHECKING:
     from cfgplan_runtime.fleet.reached import ReachedFleet
 
 _GREETING_S = 5.0
+_RUN_LOOK_S = 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class RunningSystem:
-    """A run that can be controlled: its id, its environment file, and the process that supervises it."""
+    """A run that can be controlled: its id, its environment file, the process that supervises it, and its name."""
 
     run: str
     environment: str
     pid: int
+    name: str | None = None
 
 
 class Control(Closable):
@@ -56,7 +59,7 @@ class Control(Closable):
         if hello.get("cfgplan_control") != VERSION:
             self.close()
             raise ControlError(f"run {run} speaks another version of the control protocol than {VERSION}")
-        self.system = RunningSystem(hello["run"], hello["environment"], hello["pid"])
+        self.system = RunningSystem(hello["run"], hello["environment"], hello["pid"], hello.get("name"))
 
     def call(self, method: str, *, timeout_s: float | None = None, **params: Any) -> Record:
         """Call a method of the run. Raises RefusedError if the run refuses, ControlError if it does not answer."""
@@ -110,21 +113,39 @@ class Control(Closable):
 
 
 def connect(run: str | None = None, fleet: ReachedFleet | None = None) -> Control:
-    """Connect to a run of this user on this machine, or of a fleet; the id is needed only if there are several.
+    """Connect to a run of this user on this machine, or of a fleet. `run` is its id or name, needed only if there are
+    several.
 
     Raises NoSuchRunError, which names the live runs, and ControlError if the run does not answer.
     """
     if fleet is not None:
-        return Control(*fleet.control(run))
+        return _connect_in(fleet, run)
     folders = [folder for folder in live_runs(base_folder()) if control_address(folder).exists()]
-    found = [folder for folder in folders if run is None or folder.name == run]
+    found = [folder for folder in folders if run is None or is_called(folder, run)]
     if len(found) == 1:
         return connect_to(found[0])
     if found:
-        raise NoSuchRunError(f"several runs are live: name one by --run: {_listed(found)}")
+        raise NoSuchRunError(f"several runs are live: name one by --name: {_listed(found)}")
     if folders:
         raise NoSuchRunError(f"no run {run!r} is live; there is {_listed(folders)}")
     raise NoSuchRunError("no run is live: start one with `cfgplan run ENV`")
+
+
+def _connect_in(fleet: ReachedFleet, run: str | None) -> Control:
+    """Connect to a run of a fleet. Each run that is alive is asked for its name, until one has it or all are known."""
+    end_s = time.monotonic() + _GREETING_S
+    while run is not None and run not in fleet.runs:
+        runs = fleet.runs
+        for one in runs:
+            with suppress(ControlError):
+                control = Control(*fleet.control(one))
+                if control.system.name == run:
+                    return control
+                control.close()
+        if runs or time.monotonic() > end_s:
+            break
+        time.sleep(_RUN_LOOK_S)
+    return Control(*fleet.control(run))
 
 
 def connect_to(folder: Path) -> Control:
@@ -144,7 +165,9 @@ def _listed(folders: list[Path]) -> str:
     for folder in folders:
         try:
             with connect_to(folder) as control:
-                parts.append(f"{folder.name} ({Path(control.system.environment).name}, pid {control.system.pid})")
+                system = control.system
+                about = f"{Path(system.environment).name}, pid {system.pid}"
+                parts.append(f"{said(folder)} of {about}" if system.name else f"{folder.name} ({about})")
         except ControlError:
-            parts.append(folder.name)
+            parts.append(said(folder))
     return ", ".join(parts)

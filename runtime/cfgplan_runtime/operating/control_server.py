@@ -25,7 +25,7 @@ from cfgplan_runtime.operating.protocol import (
     result,
 )
 from cfgplan_runtime.streams.closable import Closable
-from cfgplan_runtime.streams.run_folder import control_address
+from cfgplan_runtime.streams.run_folder import control_address, name_of
 
 Method = Callable[[Mapping[str, Any]], Record]
 """Carries out a request with these params and returns the result; raises RefusedError."""
@@ -46,7 +46,7 @@ class ControlServer(Closable):
 
     def __init__(self, folder: Path, methods: Mapping[str, Method], environment: str) -> None:
         self._methods = methods
-        self._greeting = line(greeting(folder.name, environment, os.getpid()))
+        self._greeting = line(greeting(folder.name, environment, os.getpid(), name_of(folder)))
         self._path = control_address(folder)
         self._clients: set[_Client] = set()
         self._lock = threading.Lock()

@@ -50,7 +50,7 @@ _LOG = _form(
     file=_TEXT_FORM,
     line=_COUNT,
 )
-_ENCODINGS = {
+ENCODINGS = {
     ("u1", None): "mono8",
     ("u1", 3): "rgb8",
     ("u1", 4): "rgba8",
@@ -114,7 +114,7 @@ def _image(topic: str, value: Any, time_ns: int) -> Message | None:
         return Message(topic, "foxglove.CompressedImage", _COMPRESSED_IMAGE, body)
     if not _is_array(value) or value.ndim not in (2, 3) or min(value.shape[:2]) < SMALLEST_SIDE:
         return None
-    encoding = _ENCODINGS.get((value.dtype.str[1:], value.shape[2] if value.ndim == 3 else None))
+    encoding = ENCODINGS.get((value.dtype.str[1:], value.shape[2] if value.ndim == 3 else None))
     if encoding is None:
         return None
     height, width = value.shape[:2]

@@ -9,20 +9,25 @@ from concurrent.futures import CancelledError, Future
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from typing import Any, Protocol, TypeVar
 
+import msgspec
+
 from cfgplan import answers
 from cfgplan.errors import CfgplanError, InputError
 from cfgplan.explaining.why_words import why_lines
 from cfgplan.formats.plan_file import read_run_plan
+from cfgplan_runtime.children.messages import Flow
 from cfgplan_runtime.lifecycle import changes
 from cfgplan_runtime.lifecycle.basis import Preview, plan_text, previewed
 from cfgplan_runtime.lifecycle.reports import Review, Snapshot
 from cfgplan_runtime.operating.control_server import Method
 from cfgplan_runtime.operating.declaration import declaration
 from cfgplan_runtime.operating.flows import Flows
+from cfgplan_runtime.operating.past import Past
 from cfgplan_runtime.operating.printed import Printed
 from cfgplan_runtime.operating.protocol import Record, RefusedError
 from cfgplan_runtime.operating.records import review_record, snapshot_record, wired
 from cfgplan_runtime.operating.sentences import preview_sentence
+from cfgplan_runtime.operating.stream_rates import StreamRates
 
 REQUEST_PATIENCE_S = 60.0
 """Seconds that a reply waits for the review of a change."""
@@ -44,12 +49,25 @@ class Controlled(Protocol):
 
 
 class Methods:
-    """The methods of a manager by name. `flows` gives rate and latency by topic, `printed` what units have printed."""
+    """The methods of a manager by name.
 
-    def __init__(self, manager: Controlled, flows: Flows | None = None, printed: Printed | None = None) -> None:
+    `flows` gives rate and latency by topic, `rates` the rate of each output of a unit, `printed` what units have
+    printed, and `past` the last events.
+    """
+
+    def __init__(
+        self,
+        manager: Controlled,
+        flows: Flows | None = None,
+        printed: Printed | None = None,
+        past: Past | None = None,
+        rates: StreamRates | None = None,
+    ) -> None:
         self._manager = manager
         self._flows = flows or Flows()
         self._printed = printed or Printed()
+        self._past = past or Past()
+        self._rates = rates or StreamRates()
 
     def by_name(self) -> dict[str, Method]:
         """The methods for the control server; `cfgplan/manual/control.md` has their params and results."""
@@ -73,6 +91,8 @@ class Methods:
             "apply": self._apply,
             "why": self._why,
             "logs": self._logs,
+            "events": self._events,
+            "topics": self._topics,
             "stop": self._stop,
             **{name: self._changing(key, change) for name, (key, change) in one_name.items()},
         }
@@ -80,7 +100,9 @@ class Methods:
     def _state(self, params: Mapping[str, Any]) -> Record:
         _only(params)
         crossings = self._flows.crossing_records()
-        return {**snapshot_record(self._manager.snapshot(), self._flows.records()), "crossings": crossings}
+        snapshot = self._manager.snapshot()
+        flows = self._rates.of_topics(self._flows, snapshot.targets)
+        return {**snapshot_record(snapshot, flows), "crossings": crossings}
 
     def _add(self, params: Mapping[str, Any]) -> Record:
         _only(params, "name", "text", "wait_s", "while_connected")
@@ -155,6 +177,31 @@ class Methods:
                 listed = f"there is {', '.join(known)}" if known else "none runs"
                 raise RefusedError("refused", f"no unit {name!r} runs, and none has printed anything", listed)
         return {"lines": [line.record() for line in lines]}
+
+    def _events(self, params: Mapping[str, Any]) -> Record:
+        _only(params, "last", "since_s")
+        last, since_s = params.get("last"), params.get("since_s")
+        if last is not None and (isinstance(last, bool) or not isinstance(last, int) or last < 0):
+            raise RefusedError("bad_params", "`last` is no number of events", "give a whole number, or none")
+        if since_s is not None and (isinstance(since_s, bool) or not isinstance(since_s, int | float) or since_s < 0):
+            raise RefusedError("bad_params", "`since_s` is no number of seconds", "give a number from 0 on, or none")
+        return {"events": self._past.events(last, since_s)}
+
+    def _topics(self, params: Mapping[str, Any]) -> Record:
+        _only(params)
+        targets = self._manager.snapshot().targets
+        flows = self._rates.of_topics(self._flows, targets)
+        by_topic = {target.topic: target for target in targets if target.topic}
+        topics = [
+            {
+                "topic": topic,
+                "target": target.label,
+                "stream": None if target.stream is None else str(target.stream),
+                **flows.get(topic, msgspec.structs.asdict(Flow())),
+            }
+            for topic, target in sorted(by_topic.items())
+        ]
+        return {"topics": topics, "streams": self._rates.records()}
 
     def _apply(self, params: Mapping[str, Any]) -> Record:
         _only(params, "text", "name", "wait_s")

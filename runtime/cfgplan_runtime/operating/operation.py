@@ -24,6 +24,7 @@ from cfgplan_runtime.children.source_faults import source_fault
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.estimating.estimates_file import EstimatesError, load, save
 from cfgplan_runtime.estimating.estimator import make_estimator
+from cfgplan_runtime.lifecycle.basis import Preview
 from cfgplan_runtime.lifecycle.changes import ReplaceWorld
 from cfgplan_runtime.lifecycle.file_watch import WorldWatch
 from cfgplan_runtime.lifecycle.manager import Manager
@@ -34,14 +35,16 @@ from cfgplan_runtime.operating.crowded_links import CrowdedLinks
 from cfgplan_runtime.operating.flows import Flows, Following
 from cfgplan_runtime.operating.methods import Methods
 from cfgplan_runtime.operating.observed_facts import ObservedFacts
+from cfgplan_runtime.operating.past import Past
 from cfgplan_runtime.operating.printed import Printed
+from cfgplan_runtime.operating.recorded_world import world_files
 from cfgplan_runtime.operating.recording import Recorder
-from cfgplan_runtime.operating.records import logging_to, report_record
-from cfgplan_runtime.operating.sentences import sentence
+from cfgplan_runtime.operating.records import logging_to
 from cfgplan_runtime.operating.sources import SourceCheck, Sources
+from cfgplan_runtime.operating.stream_rates import StreamRates
 from cfgplan_runtime.runtime import Runtime
 from cfgplan_runtime.streams.closable import Closable
-from cfgplan_runtime.streams.run_folder import base_folder
+from cfgplan_runtime.streams.run_folder import base_folder, claim_name
 from cfgplan_runtime.supervision.observation import Ledger, Observation
 from cfgplan_runtime.supervision.run_log import RunLog
 
@@ -88,6 +91,10 @@ class Settings:
     """Finds what keeps the code of a transformation from being started. None: the code is on other computers."""
     reloads: bool = False
     """Whether units are restarted when their code changes."""
+    name: str | None = None
+    """A name by which `cfgplan ctl` and others find the run, besides its id."""
+    first: Preview | None = None
+    """The plan that was shown before the run: it is carried out first, unless it is stale by then."""
 
 
 class Operation(Closable):
@@ -187,9 +194,16 @@ class Operation(Closable):
             self.runtime = stack.enter_context(Runtime(folder=folder, preload=settings.preload))
         else:
             self.runtime = stack.enter_context(settings.runtime(world.environment, folder))
+        if settings.name is not None:
+            try:
+                claim_name(base_folder() / self.id, settings.name)
+            except RuntimeFaultError as error:
+                raise InputError.of(str(error)) from None
         if self.recorder is not None:
             facts = {"run": self.id, "environment": str(self._path.resolve()), "version": __version__}
             self.recorder.recording.describe(facts)
+            for name, text in world_files(world, folder):
+                self.recorder.recording.attach(name, text)
         self._estimator = make_estimator(settings.estimator, settings.guess)
         self._load_estimates()
         self.flows = Flows()
@@ -203,14 +217,16 @@ class Operation(Closable):
             planner=settings.planner,
             estimator=self._estimator,
             policy=settings.policy,
+            first=settings.first,
         )
         if self.log is not None:
             self.manager.listen(logging_to(self.log))
         if self.recorder is not None:
             self.manager.listen(self.recorder.report)
-        printed = Printed()
+        printed, self.rates, self._past = Printed(), StreamRates(), Past()
         self.manager.listen(printed.hear)
-        methods = Methods(self.manager, self.flows, printed).by_name()
+        self.manager.listen(self.rates.hear)
+        methods = Methods(self.manager, self.flows, printed, self._past, self.rates).by_name()
         self._observed = ObservedFacts(self.id, self.manager, self.show)
         stack.callback(self._observed.close)
         self._server = ControlServer(base_folder() / self.id, methods, str(self._path.resolve()))
@@ -264,8 +280,9 @@ class Operation(Closable):
             case Ended(cause):
                 self.failure = "" if self._is_closed_at_once else cause
                 self.begun.set()
-        if self._server.has_subscribers:
-            self._server.publish({**report_record(report), "says": sentence(report)})
+        event = self._past.take(report)
+        if event is not None and self._server.has_subscribers:
+            self._server.publish(event)
         self.show(report)
 
     def _tell_of_full_disks(self) -> None:

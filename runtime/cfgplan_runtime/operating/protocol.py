@@ -43,9 +43,9 @@ def line(record: Mapping[str, Any]) -> bytes:
     return msgspec.json.encode(record) + b"\n"
 
 
-def greeting(run: str, environment: str, pid: int) -> Record:
-    """The first line that a server says: the run, its environment file, and its process."""
-    return {"cfgplan_control": VERSION, "run": run, "environment": environment, "pid": pid}
+def greeting(run: str, environment: str, pid: int, name: str | None) -> Record:
+    """The first line that a server says: the run's id, environment file and process, and its name if it has one."""
+    return {"cfgplan_control": VERSION, "run": run, "environment": environment, "pid": pid, "name": name}
 
 
 def result(request_id: int | str | None, given: Mapping[str, Any]) -> Record:

@@ -74,6 +74,13 @@ class Recording:
             if not self._is_closed and self.failure is None:
                 self._do(lambda: self._writer.add_metadata("cfgplan", dict(facts)))
 
+    def attach(self, name: str, text: str) -> None:
+        """Attach a text as a file."""
+        with self._lock:
+            if not self._is_closed and self.failure is None:
+                now_ns = time.time_ns()
+                self._do(lambda: self._writer.add_attachment(now_ns, now_ns, name, "text/plain", text.encode()))
+
     def write(self, message: Message, time_ns: int) -> None:
         """Record a message that was made at `time_ns` since the epoch."""
         data = msgspec.json.encode(message.body)

@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cfgplan.amounts import span
 from cfgplan.domain import ChangeSet
 from cfgplan.summary import counted, some
 from cfgplan_runtime.errors import RuntimeFaultError
@@ -56,13 +57,13 @@ def sentence(report: Report) -> str | None:
             # The cause was reported when it happened.
             times = _times(backing_off.failures)
             where, there = ("", "") if backing_off.host is None else (f" on {backing_off.host}", " there")
-            return f"{label} has failed {times}{where} and is not started{there} for {backing_off.left_s:.0f} s"
+            return f"{label} has failed {times}{where} and is not started{there} for {span(backing_off.left_s)}"
         case WorldRefused(_, faults) if faults:
             return f"the environment file can't be used, what it said before holds: {faults[0]}"
         case WorldRefused():
             return "the environment file is well again"
         case FactSilent(fact, silent_s, declared):
-            return f"nothing has observed {fact} for {silent_s:.0f} s: it counts as {declared}, as declared"
+            return f"nothing has observed {fact} for {span(silent_s)}: it counts as {declared}, as declared"
         case Ended(cause) if cause:
             return f"the manager has ended: {cause}"
     return None
@@ -127,13 +128,8 @@ def review_sentence(review: Review) -> str:
     took = {phase: seconds for phase, seconds in review.seconds.items() if seconds >= 0.0005}
     if took:
         total = sum(took.values())
-        parts.append(f"{milliseconds(total)} ({', '.join(f'{phase} {milliseconds(s)}' for phase, s in took.items())})")
+        parts.append(f"{span(total)} ({', '.join(f'{phase} {span(s)}' for phase, s in took.items())})")
     return "; ".join(parts)
-
-
-def milliseconds(seconds: float) -> str:
-    """A short time: `12 ms`, `1.25 s`."""
-    return f"{seconds:.2f} s" if seconds >= 1 else f"{seconds * 1e3:.0f} ms"
 
 
 def _because(review: Review) -> str:
@@ -151,8 +147,8 @@ def decision(review: Review) -> str:
         case Decision.KEPT:
             return "nothing to change"
         case Decision.DEFERRED:
-            saving = (review.cost_before_us - (review.cost_us or 0)) / 1e6
-            return f"all is well; {saving:.3g} s of CPU could be saved at the horizon"
+            saving = span((review.cost_before_us - (review.cost_us or 0)) / 1e6)
+            return f"all is well; {saving} of CPU could be saved at the horizon"
         case Decision.FAILED:
             return f"the update failed: {short(review.cause)}"
     return f"no decision: {short(review.cause)}"
@@ -233,7 +229,7 @@ def _perturbation(perturbation: kinds.Perturbation) -> str | None:
             return f"{unit} failed {_times(failures)} in a row and is given up: {short(text)}"
         case kinds.TargetSilent(target, topic, silent_s, units):
             reasons = f"; {named(units)} {'gives' if len(units) == 1 else 'give'} nothing" if units else ""
-            return f"{target} counts as unmet: nothing has come on {topic} for {silent_s:.0f} s{reasons}"
+            return f"{target} counts as unmet: nothing has come on {topic} for {span(silent_s)}{reasons}"
         case kinds.WorldChanged(by, difference):
             return f"{'a request' if _is_request(by) else by} changed the world: {_difference(difference)}"
         case kinds.HostGone(host, cause):
@@ -290,7 +286,7 @@ def _event(event: events.Event) -> str | None:
                 return f"{unit} failed {_times(suppressed)} more, up to step {step}, such as ({kind}): {short(text)}"
             return f"{unit} failed in step {step} ({kind}): {short(text)}"
         case events.UnitHung(unit, silent_s):
-            return f"{unit} gave no sign of life for {silent_s:.1f} s and is killed"
+            return f"{unit} gave no sign of life for {span(silent_s)} and is killed"
         case events.UnitCutShort(unit, after_s, waiting):
             lost = f"; {counted(waiting, 'element')} that waited are lost" if waiting else ""
             return f"{unit} was told to end, has not within {after_s:g} s and is killed (`run: {{stop: ...}}`){lost}"
@@ -305,7 +301,7 @@ def _event(event: events.Event) -> str | None:
         case events.SourceExhausted(unit):
             return f"{unit} has no more to give"
         case events.HelperHung(helper, silent_s):
-            return f"the {helper} gave no sign of life for {silent_s:.1f} s and is made anew"
+            return f"the {helper} gave no sign of life for {span(silent_s)} and is made anew"
         case events.OutOfDescriptors(cause):
             return cause
         case events.CertificateEnds():
@@ -315,7 +311,7 @@ def _event(event: events.Event) -> str | None:
         case events.OutletsLost(cause):
             return f"the topics' addresses were lost and are made anew: {cause}"
         case events.ClockMoved(host, ahead_us):
-            return f"the clock of {host} is {ahead_us / 1e6:+.3f} s from this one now; times of elements are not moved"
+            return f"the clock of {host} is {span(ahead_us / 1e6)} from this one now; times of elements are not moved"
         case events.ElementsLost(host, elements):
             return f"{host} is back; of what it had given to other hosts, {elements} elements were lost on the way"
     return None

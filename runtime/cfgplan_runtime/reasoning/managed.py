@@ -8,11 +8,12 @@ from concurrent.futures import TimeoutError as FutureTimeoutError
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Protocol
 
+from cfgplan.amounts import span
 from cfgplan.domain import Target
 from cfgplan.errors import Fault, InputError
 from cfgplan_runtime.lifecycle.changes import Add, Change, Remove
 from cfgplan_runtime.lifecycle.reports import Decision, Report, Review, Reviewed, Snapshot, UnitEvent
-from cfgplan_runtime.operating.sentences import decision, milliseconds, sentence
+from cfgplan_runtime.operating.sentences import decision, sentence
 from cfgplan_runtime.reasoning.features import DeclaredFeatures, Feature
 from cfgplan_runtime.streams.subscription import SubscriptionToTopic, subscribe
 from cfgplan_runtime.supervision.events import UnitDied, UnitFailed, UnitHung
@@ -124,7 +125,7 @@ def _told(report: Report) -> str | None:
         case UnitEvent(UnitDied() | UnitHung() | UnitFailed()):
             return sentence(report)
         case Reviewed(review) if review.decision is Decision.APPLIED and review.change_set:
-            return f"{decision(review)} ({milliseconds(sum(review.seconds.values()))})"
+            return f"{decision(review)} ({span(sum(review.seconds.values()))})"
         case Reviewed(review) if review.decision is Decision.FAILED:
             return decision(review)
     return None

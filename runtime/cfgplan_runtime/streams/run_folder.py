@@ -119,6 +119,34 @@ def live_runs(base: Path) -> Iterator[Path]:
             yield path
 
 
+def claim_name(run: Path, name: str) -> None:
+    """Give a run a name by which it is found, besides its id. Raises RuntimeFaultError if a live run has it already."""
+    with _alone(run.parent):
+        for other in live_runs(run.parent):
+            if other != run and is_called(other, name):
+                raise RuntimeFaultError(f"a live run is called {name!r} already ({other.name}): choose another name")
+        (run / "name").write_text(name, encoding="utf-8")
+
+
+def name_of(run: Path) -> str | None:
+    """The name of a run; None if it has none. No topic's socket has this file's name."""
+    try:
+        return (run / "name").read_text(encoding="utf-8")
+    except OSError:
+        return None
+
+
+def is_called(run: Path, wanted: str) -> bool:
+    """Whether a run has this id or name."""
+    return wanted in (run.name, name_of(run))
+
+
+def said(run: Path) -> str:
+    """A run's id, with its name if it has one."""
+    name = name_of(run)
+    return run.name if name is None else f"{name} ({run.name})"
+
+
 def is_alive(run: Path) -> bool:
     """Whether the process that made a run's folder still runs."""
     try:

@@ -15,7 +15,16 @@ from cfgplan_runtime.streams.channel import Receiver
 from cfgplan_runtime.streams.closable import Closable
 from cfgplan_runtime.streams.element import Element, Moment
 from cfgplan_runtime.streams.payload import decode
-from cfgplan_runtime.streams.run_folder import address, base_folder, clock_offset_ns, is_alive, live_runs, topics_of
+from cfgplan_runtime.streams.run_folder import (
+    address,
+    base_folder,
+    clock_offset_ns,
+    is_alive,
+    is_called,
+    live_runs,
+    said,
+    topics_of,
+)
 
 _RETRY_S = 0.02
 
@@ -155,7 +164,7 @@ def subscribe(
 ) -> SubscriptionToTopic:
     """Subscribe to a topic of a runtime of this user on this machine.
 
-    `run` is the run's id, needed only if several runs have the topic. `wait_s` is how long to wait for
+    `run` is the run's id or name, needed only if several runs have the topic. `wait_s` is how long to wait for
     the topic to be there, `timeout_s` how long to wait for each value. Raises NoSuchTopicError.
     """
     deadline = time.monotonic() + wait_s
@@ -174,17 +183,23 @@ def subscribe(
 
 def _runs_with(topic: str, run: str | None) -> list[Path]:
     """Each address once, as a run may show a topic of another one."""
-    runs = [path for path in live_runs(base_folder()) if run in (None, path.name) and address(path, topic).exists()]
+    runs = [path for path in _live(run) if address(path, topic).exists()]
     return list({address(path, topic).resolve(): path for path in runs}.values())
+
+
+def _live(run: str | None) -> list[Path]:
+    """The live runs, or that of this id or name."""
+    return [path for path in live_runs(base_folder()) if run is None or is_called(path, run)]
 
 
 def _why_not(topic: str, run: str | None, found: list[Path]) -> str:
     if found:
-        return f"several runs have topic {topic!r}: name one of {', '.join(path.name for path in found)} (--run)"
-    live = live_runs(base_folder())
+        return f"several runs have topic {topic!r}: name one of {', '.join(map(said, found))} (--run)"
+    live = list(live_runs(base_folder()))
     if not live:
         return f"nothing publishes topic {topic!r}: no run is live; start one with `cfgplan run ENV`"
-    if run is not None and run not in {path.name for path in live}:
-        return f"no run {run!r} is live; there is {', '.join(path.name for path in live)}"
-    there = sorted({name for path in live if run in (None, path.name) for name in topics_of(path)})
+    meant = _live(run)
+    if not meant:
+        return f"no run {run!r} is live; there is {', '.join(map(said, live))}"
+    there = sorted({name for path in meant for name in topics_of(path)})
     return f"nothing publishes topic {topic!r}; there is {', '.join(there) or 'no topic at all'}"

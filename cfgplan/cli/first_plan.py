@@ -1,0 +1,141 @@
+"""The first plan of a run: made as its first review makes it, shown, and confirmed where units would be stopped."""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cfgplan.cli.screen import OUTPUT_VERSION, Screen, counted
+from cfgplan.domain import Environment
+from cfgplan.errors import InputError
+from cfgplan.summary import some
+
+if TYPE_CHECKING:
+    from cfgplan_runtime.lifecycle.basis import Preview
+    from cfgplan_runtime.operating.operation import Settings
+
+    from cfgplan.api import World
+    from cfgplan.explaining.best_effort import BestEffort
+    from cfgplan.matching import Matches
+
+_MOST_LISTED = 4
+_NO_UNITS = Environment()
+
+
+@dataclass(frozen=True)
+class FirstPlan:
+    """A first plan of a world. `ended` are the ids of units of an earlier run that it does not adopt."""
+
+    world: World
+    preview: Preview
+    ended: tuple[str, ...] = ()
+
+    @property
+    def found(self) -> BestEffort | None:
+        """The planner's answer; None if there is none that may be carried out."""
+        thought = self.preview.thought
+        found = thought.found
+        return None if found is None or (thought.change_set is None and found.plan.change_set is not None) else found
+
+    @property
+    def stopped(self) -> tuple[str, ...]:
+        """The ids of the units of an earlier run that would be stopped."""
+        changes = self.preview.thought.change_set
+        return tuple(sorted({*self.ended, *(() if changes is None else changes.stopped)}))
+
+    def document(self) -> str:
+        """The plan file (JSON)."""
+        from cfgplan.formats.plan_file import dump_plan
+
+        assert self.found is not None
+        return dump_plan(self.found.plan, self.found.problem, self.world.digest)
+
+    def show(self, screen: Screen, difference: Callable[[Environment], str] | None = None) -> None:
+        """Show the plan as text, as `solve` does; `difference` compares the units that it leaves with others."""
+        from cfgplan.cli.plan_text import update_text
+
+        found = self.found
+        assert found is not None
+        screen.show_at_once(update_text(found.problem, found.plan, found.given_up))
+        for line in self._notes(found):
+            screen.warn(line)
+        if difference is not None and found.plan.change_set is not None:
+            screen.note(difference(found.problem.after(found.plan)), style="")
+
+    def _notes(self, found: BestEffort) -> Iterator[str]:
+        if self.ended:
+            ended = ", ".join(self.ended)
+            yield f"{ended}: left by an earlier run, and ended, since the file starts them otherwise now"
+        if found.plan.change_set is None:
+            return
+        library = self.world.environment.transformation
+        started = {unit.transformation for unit in found.plan.change_set.started}
+        lacking = sorted(label for label in started if not library[label].source)
+        if lacking:
+            labels = some(lacking, _MOST_LISTED)
+            yield f"{labels}: no unit code (`source:`) is named; a run can't start it, and plans again without it"
+
+    def tell(self, screen: Screen) -> None:
+        """Print the plan as a line of JSON, as one of the run's events."""
+        document = json.loads(self.document())
+        told = {"format_version": OUTPUT_VERSION, "event": "Planned", "plan": document, "ended": list(self.ended)}
+        screen.tell(json.dumps(told))
+
+    def confirm(self, screen: Screen) -> bool:
+        """Ask whether to go on where units of an earlier run would be stopped. Returns whether to.
+
+        Raises InputError without a terminal.
+        """
+        if not self.stopped:
+            return True
+        count, named = counted(len(self.stopped), "unit"), some(self.stopped, _MOST_LISTED)
+        if screen.json or not (sys.stdin.isatty() and sys.stderr.isatty()):
+            mend = "add --yes, or start the run at a terminal, which asks"
+            raise InputError.of(f"{count} of an earlier run would be stopped: {named}", mend=mend)
+        screen.note(f"{count} of an earlier run will be stopped: {named}. Go on? [y/N]", style="bold yellow")
+        if sys.stdin.readline().strip().lower() in ("y", "yes"):
+            return True
+        screen.note("Nothing was changed; the units of the earlier run go on.")
+        return False
+
+
+def first_review(
+    world: World,
+    settings: Settings,
+    matches: Matches,
+    folder: Path,
+    running: Environment = _NO_UNITS,
+    warn: Callable[[str], None] = lambda _: None,
+) -> Preview:
+    """Plan as the first review of a run would, with the estimates that earlier runs have kept.
+
+    Code is in `folder`; `running` are the units of an earlier run that this one adopts. `warn` is told if the estimates
+    can't be used.
+    """
+    from cfgplan_runtime.estimating.estimates_file import EstimatesError, load
+    from cfgplan_runtime.estimating.estimator import make_estimator
+    from cfgplan_runtime.lifecycle.basis import preview_of
+    from cfgplan_runtime.lifecycle.decisions import first_state
+    from cfgplan_runtime.lifecycle.deliberation import Deliberation
+    from cfgplan_runtime.lifecycle.guarded_estimator import GuardedEstimator
+    from cfgplan_runtime.operating.sources import faults_of
+
+    estimator = make_estimator(settings.estimator, settings.guess)
+    if settings.estimates is not None:
+        try:
+            load(estimator, settings.estimates, time.monotonic())
+        except EstimatesError as error:
+            warn(str(error))
+    policy = replace(settings.policy, hosts_s=None, refuses_hosts=False)  # no host is asked whether it is there
+    deliberation = Deliberation(settings.planner, GuardedEstimator(estimator), policy, matches)
+    scene = first_state(world, policy).scene
+    situation = scene.situation.with_started(running.units, running, time.monotonic())
+    faults = faults_of(world.environment.library, folder, settings.check)
+    scene = replace(scene, running=running, situation=replace(situation, code_faults=faults))
+    return preview_of(deliberation, scene, threading.Event())

@@ -1,0 +1,222 @@
+"""`cfgplan replay`: the topics of a recording as sources, alone or for the units of an environment."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import tempfile
+import time
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cfgplan.cli import options as shared
+from cfgplan.cli.exits import Exit
+from cfgplan.cli.screen import Screen, counted
+from cfgplan.domain import OutputPort, Target, Transformation
+from cfgplan.errors import InputError, did_you_mean
+
+if TYPE_CHECKING:
+    from cfgplan_runtime.operating.recorded import Recorded
+
+    from cfgplan.api import World
+
+_REPLAY_EXAMPLE = """\
+example:
+  cfgplan replay run.mcap                           (its topics again; `cfgplan listen` hears them)
+  cfgplan replay run.mcap detector.yaml --speed 4   (what it has recorded feeds the units of detector.yaml)
+  cfgplan replay run.mcap --out recorded.yaml       (sources to include, or for `cfgplan ctl add`)
+  cfgplan replay run.mcap --extract again           (the run's environment: plan it, run it again)
+
+Exit codes: as of run."""
+_BEGINS_S = 3.0
+"""Seconds that sources are given to start before the recording begins."""
+_LABOR_US, _UPKEEP_US = 1_000, 100
+
+
+def add_to(parser: argparse.ArgumentParser) -> None:
+    parser.epilog = _REPLAY_EXAMPLE
+    parser.add_argument("path", metavar="FILE", help="a recording of `cfgplan run --record` (MCAP)")
+    fed = "an environment whose units the recorded topics feed; without it the topics are given again alone"
+    parser.add_argument("env", metavar="ENV", nargs="?", help=fed)
+    parser.add_argument("--speed", type=shared.positive, default=1.0, metavar="X", help="play X times as fast (1)")
+    parser.add_argument("--loop", action="store_true", help="begin again when the recording is over")
+    shared.add_several(parser, "--topic", "TOPIC", "only this topic (repeat)")
+    written = parser.add_mutually_exclusive_group()
+    part = "write the sources as a file to include in an environment, and run nothing"
+    written.add_argument("--out", type=shared.out_file, metavar="FILE", help=part)
+    again = "write the environment of the recorded run, with its ontology, into this folder, and run nothing"
+    written.add_argument("--extract", type=Path, metavar="FOLDER", help=again)
+    shared.add_span(parser)
+    parser.add_argument("--name", type=shared.run_name, metavar="NAME", help="call the run so")
+    parser.add_argument("--dry-run", action="store_true", help="say what would be started, and start nothing")
+    parser.add_argument("--record", metavar="FILE", help="record what comes out to FILE (MCAP)")
+    parser.add_argument("--plain", action="store_true", help="print lines instead of the live view, as when piped")
+    shared.add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace, screen: Screen) -> Exit:
+    from cfgplan_runtime.operating.recorded import recorded
+
+    from cfgplan import api
+
+    with screen.phase("read"):
+        found = recorded(Path(options.path).resolve())
+    if options.extract is not None:
+        return _extract(found, options.extract, screen)
+    if not found.topics:
+        raise InputError.of(
+            "nothing was recorded on any topic", file=options.path, mend="record a run that lasts longer"
+        )
+    for topic in options.topic:
+        if topic not in found.topics:
+            mend = did_you_mean(topic, found.topics, f"it has {', '.join(found.topics)}")
+            raise InputError.of(f"the recording has no topic {topic!r}", file=options.path, mend=mend)
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="cfgplan-replay-")))
+        before = _recorded_world(found, folder)
+        env = None if options.env is None else api.load(options.env)
+        begin_ns = None if options.out else time.time_ns() + int(_BEGINS_S * 1e9)
+        targets = _targets(found, options.topic, env or before)
+        sources = tuple(_source(found, target, options, begin_ns) for target in targets)
+        if options.out:
+            return _write_part(sources, options, screen)
+        path = _write_world(_fed(env, sources) if env else _alone(before, sources, targets), env or before, folder)
+        return _play(path, found, options, screen)
+
+
+def _recorded_world(found: Recorded, folder: Path) -> World | None:
+    """The environment of the recorded run, without its code; None if the recording has none."""
+    from cfgplan_runtime.operating.recorded import ENVIRONMENT
+
+    from cfgplan import api
+
+    if ENVIRONMENT not in found.attached:
+        return None
+    inside = folder / "recorded"
+    inside.mkdir()
+    _write_attached(found, inside)
+    return api.load(inside / ENVIRONMENT)
+
+
+def _write_attached(found: Recorded, folder: Path) -> None:
+    from cfgplan_runtime.operating.recorded import ENVIRONMENT, ONTOLOGY
+
+    for name in (ENVIRONMENT, ONTOLOGY):
+        if name in found.attached:
+            (folder / name).write_bytes(found.attached[name])
+
+
+def _extract(found: Recorded, folder: Path, screen: Screen) -> Exit:
+    from cfgplan_runtime.operating.recorded import ENVIRONMENT
+
+    if ENVIRONMENT not in found.attached:
+        mend = "record the run with this version of cfgplan"
+        raise InputError.of("the recording does not hold its run's environment", file=str(found.path), mend=mend)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if (folder / ENVIRONMENT).exists():
+            raise InputError.of("the file exists already", file=str(folder / ENVIRONMENT), mend="name another folder")
+        _write_attached(found, folder)
+    except OSError as error:
+        raise InputError.of(f"can't be written: {error.strerror}", file=str(folder)) from None
+    screen.note(f"Wrote {folder / ENVIRONMENT}. Next: cfgplan solve, or cfgplan run, with that file.")
+    return Exit.OK
+
+
+def _targets(found: Recorded, wanted: list[str], world: World | None) -> list[Target]:
+    """A target for each recorded topic, with the tag that an environment gives it, or else one named as the topic."""
+    known: Mapping[str, Target] = {} if world is None else {one.topic: one for one in world.environment.stream_targets}
+    targets = []
+    for topic in found.topics:
+        if wanted and topic not in wanted:
+            continue
+        target = known.get(topic)
+        if target is None and world is not None and not world.ontology.is_open:
+            if wanted:
+                mend = "leave ENV out, or add a target of this topic to it: its tag says what the stream is"
+                raise InputError.of(f"no target of the environment has the topic {topic!r}", mend=mend)
+            continue
+        tag = (re.sub(r"\W+", "_", topic).strip("_") or "topic") if target is None else target.tag
+        targets.append(Target(topic if target is None else target.label, tag, topic))
+    if not targets:
+        topics = ", ".join(found.topics)
+        mend = "its tag says what the stream is; or leave ENV out"
+        raise InputError.of(f"no target of the environment has one of the recorded topics ({topics})", mend=mend)
+    return targets
+
+
+def _source(found: Recorded, target: Target, options: argparse.Namespace, begin_ns: int | None) -> Transformation:
+    params: dict[str, object] = {"file": str(found.path), "topic": target.topic}
+    params |= {"speed": options.speed} if options.speed != 1 else {}
+    params |= {"begin_ns": begin_ns} if begin_ns is not None else {}
+    params |= {"loop": True} if options.loop else {}
+    return Transformation(
+        f"recorded({target.topic})",
+        outputs=(OutputPort("value", target.tag),),
+        labor_us=_LABOR_US,
+        upkeep_us=_UPKEEP_US,
+        source="cfgplan_runtime.replay:Source",
+        params=params,
+    )
+
+
+def _fed(world: World, sources: tuple[Transformation, ...]) -> World:
+    """Add the sources to an environment."""
+    environment = world.environment
+    return replace(world, environment=replace(environment, units=(), library=(*environment.library, *sources)))
+
+
+def _alone(before: World | None, sources: tuple[Transformation, ...], targets: list[Target]) -> World:
+    """The sources, and nothing but their topics wanted."""
+    from cfgplan.api import World
+    from cfgplan.domain import Environment
+    from cfgplan.matching import Ontology
+
+    environment = Environment(library=sources, targets=tuple(targets))
+    if before is None:
+        return World(environment, Ontology(is_open=True), 3600)
+    return World(environment, before.ontology, before.horizon_s, file=before.file)
+
+
+def _write_world(world: World, of: World | None, folder: Path) -> Path:
+    """Write an environment file; unit code is that of the file `of`."""
+    from cfgplan_runtime.operating.recorded import ENVIRONMENT
+    from cfgplan_runtime.operating.recorded_world import world_files
+
+    code = folder
+    if of is not None and of.file is not None:
+        path = of.file.path.resolve()
+        code = path if path.is_dir() else path.parent
+    for name, text in world_files(world, code):
+        (folder / name).write_text(text, encoding="utf-8")
+    return folder / ENVIRONMENT
+
+
+def _write_part(sources: tuple[Transformation, ...], options: argparse.Namespace, screen: Screen) -> Exit:
+    from cfgplan.domain import Environment
+    from cfgplan.formats.dump import dump_yaml, plain_environment
+
+    plain = plain_environment(Environment(library=sources), horizon_s=3600)
+    shared.put(dump_yaml({"transformations": plain["transformations"]}), options.out, screen)
+    return Exit.OK
+
+
+def _play(path: Path, found: Recorded, options: argparse.Namespace, screen: Screen) -> Exit:
+    """Run the environment until the recording is over, or as long as was asked for."""
+    from cfgplan.cli import run as run_verb
+
+    span_s = (found.end_ns - found.begin_ns) / 1e9 / options.speed
+    lasts_s = options.span if options.span is not None else None if options.loop else span_s + 2 * _BEGINS_S
+    words = [str(path), "--no-estimates"]
+    words += [] if lasts_s is None else ["--for", f"{lasts_s:.3f}s"]
+    words += [f"--{word.replace('_', '-')}" for word in ("plain", "json", "dry_run") if getattr(options, word)]
+    for word in ("name", "record"):
+        words += [f"--{word}", value] if (value := getattr(options, word)) is not None else []
+    parser = argparse.ArgumentParser()
+    run_verb.add_to(parser)
+    screen.note(f"Playing {counted(len(found.topics), 'topic')} of {found.path.name}.")
+    return run_verb.run(parser.parse_args(words), screen)
