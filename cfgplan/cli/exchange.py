@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cfgplan.cli import options as shared
+from cfgplan.cli.broker import add_connection, connection
 from cfgplan.cli.exits import OF_STATUS, Exit
 from cfgplan.cli.screen import Screen
 from cfgplan.errors import InputError
@@ -17,15 +18,6 @@ if TYPE_CHECKING:
     from cfgplan.ros.graph import RosGraph
 
 _LISTEN_S = 10.0
-_CONNECTION = (
-    ("username", "NAME", "the name that the broker knows; it stands in the file too, as all that follows"),
-    ("password_env", "VARIABLE", "the variable of the environment that holds the password"),
-    ("password_file", "FILE", "the file that holds the password"),
-    ("ca", "FILE", "who is trusted (TLS)"),
-    ("certificate", "FILE", "who this client is (TLS)"),
-    ("key", "FILE", "the key of the certificate"),
-)
-"""Options of `import mqtt` that go on to each source."""
 
 
 def add_import(parser: argparse.ArgumentParser) -> None:
@@ -108,32 +100,32 @@ def _import(options: argparse.Namespace, screen: Screen) -> Exit:
 
 
 def _add_mqtt(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("mqtt")
+    group = parser.add_argument_group("mqtt", "what says how the broker is reached stands in the file too")
     shared.add_span(group, f"listen so long ({_LISTEN_S:g}s)")
     shared.add_several(group, "--topic", "FILTER", "listen to these topics only, such as house/# (all)")
-    for name, metavar, means in _CONNECTION:
-        group.add_argument(f"--{name.replace('_', '-')}", metavar=metavar, help=means)
+    add_connection(group)
 
 
 def _of_mqtt(options: argparse.Namespace) -> list[tuple[str, object]]:
     """What is said of the options of `import mqtt`."""
-    connection = [(name, getattr(options, name)) for name, _, _ in _CONNECTION]
-    return [(name, value) for name, value in [("for", options.span), ("topic", options.topic), *connection] if value]
+    given = [("for", options.span), ("topic", options.topic), *connection(options).items()]
+    return [(name, value) for name, value in given if value]
 
 
 def _import_mqtt(broker: str, options: argparse.Namespace, screen: Screen) -> Exit:
-    from cfgplan_runtime.mqtt_listening import listen
+    from cfgplan_runtime.mqtt.listening import Listening
     from rich.table import Table
 
     from cfgplan.mqtt.environments import mqtt_imported
 
     ontology = _beside(options.out, "a broker becomes two files, the environment and its ontology", ".ttl")
-    connection = {name: value for name, _, _ in _CONNECTION if (value := getattr(options, name)) is not None}
+    params = connection(options)
     span_s = _LISTEN_S if options.span is None else options.span
+    listening = Listening(broker, options.topic or ("#",), **params)
     screen.note(f"Listening for {span_s:g} s.")
     with screen.phase("listen"):
-        traffic = listen(broker, span_s, options.topic or ("#",), **connection)
-    found = mqtt_imported(traffic, {"broker": broker, **connection})
+        traffic = listening.traffic(span_s)
+    found = mqtt_imported(traffic, {"broker": broker, **params})
     shared.put(found.ontology, str(ontology), screen)
     shared.put(found.text(ontology.name), options.out, screen)
     shown = Table("topic", "field", "payload", "every", "retained", "tag", box=None, pad_edge=False)

@@ -12,8 +12,8 @@ from cfgplan.domain import Environment, OutputPort, Transformation
 from cfgplan.errors import InputError
 from cfgplan.formats.dump import dump_yaml, plain_environment
 from cfgplan.formats.fields import DEFAULT_HORIZON_S
-from cfgplan.mqtt.discovery import Entity, Path, discovered
-from cfgplan.mqtt.traffic import HeardTopic, Traffic, fits
+from cfgplan.mqtt.discovery import Entity, Path
+from cfgplan.mqtt.traffic import HeardTopic, Traffic
 from cfgplan.mqtt.vocabulary import MqttVocabulary
 from cfgplan.qualities import MICRO
 from cfgplan.summary import counted, some
@@ -81,10 +81,9 @@ def mqtt_imported(traffic: Traffic, params: Mapping[str, Any]) -> MqttImported:
 
     A topic whose messages discovery describes becomes a source for each value that is described, any other topic one.
     """
-    told = discovered(traffic.discovery)
+    told = traffic.discovered
     heard = {topic.name: topic for topic in traffic.topics}
-    asked = [entity for entity in told.entities if fits(entity.topic, traffic.asked)]
-    described = [entity for entity in asked if entity.path is not None]
+    described = [entity for entity in told.entities if entity.path is not None]
     words = MqttVocabulary(described)
     taken: set[str] = set()
     sources: list[MqttSource] = []
@@ -107,7 +106,7 @@ def mqtt_imported(traffic: Traffic, params: Mapping[str, Any]) -> MqttImported:
     environment = Environment(
         units=(), library=tuple(_transformation(source, params) for source in sources), targets=()
     )
-    notes = (*traffic.notes, *_notes(traffic, asked, told.unread, commands))
+    notes = (*traffic.notes, *_notes(traffic, commands))
     if not sources:
         mend = "listen longer (--for 60s), or name other topics (--topic)"
         raise InputError.of(f"nothing that came from {traffic.broker} can be a source: {'; '.join(notes)}", mend=mend)
@@ -131,14 +130,12 @@ def _transformation(source: MqttSource, params: Mapping[str, Any]) -> Transforma
     return Transformation(source.label, outputs=(output,), source=_SUBSCRIBER, params={**params, **own})
 
 
-def _notes(
-    traffic: Traffic, entities: Iterable[Entity], unread: Iterable[str], commands: Iterable[str]
-) -> Iterator[str]:
+def _notes(traffic: Traffic, commands: Iterable[str]) -> Iterator[str]:
     if traffic.sparkplug:
         yield f"{counted(traffic.sparkplug, 'topic')} of Sparkplug (spBv1.0/...), whose messages are not read"
-    if unread := list(unread):
+    if unread := traffic.discovered.unread:
         yield f"{some(unread)}: no message that describes an entity"
-    if untold := sorted({entity.topic for entity in entities if entity.path is None}):
+    if untold := sorted({entity.topic for entity in traffic.discovered.entities if entity.path is None}):
         yield f"the descriptions of values on {some(untold)}: their templates do more than look up a field"
     if commands := list(commands):
         yield f"{some(commands)}: commands to devices, for which `cfgplan_runtime.mqtt:Publisher` is there"
