@@ -10,13 +10,13 @@ import sys
 import threading
 import uuid
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import urlsplit
 
-from cfgplan.errors import CfgplanError, InputError, did_you_mean
+from cfgplan.errors import CfgplanError, InputError
 from cfgplan.extras import needed
 from cfgplan_runtime.children.unit_code import UNIT_VARIABLE
+from cfgplan_runtime.outside.credentials import check_names, read_password
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client
@@ -94,7 +94,7 @@ class Connection:
         self._say = say
         self.changed = threading.Condition()
         self._id, self._will = client_id, will
-        self._login = None if username is None else (username, _password(password_env, password_file))
+        self._login = None if username is None else (username, read_password(password_env, password_file))
         self._tls = _context(ca, certificate, key) if address.scheme == "mqtts" or ca is not None else None
         self._client: Client | None = None
 
@@ -285,20 +285,6 @@ def _address(broker: str) -> Any:
     return found._replace(netloc=f"{found.hostname}:{_PORTS[found.scheme]}")
 
 
-def _password(variable: str | None, file: str | None) -> str | None:
-    """The password that a variable of the environment or a file holds. Raises InputError."""
-    if variable is not None:
-        if variable not in os.environ:
-            raise InputError.of(f"the variable {variable} is not set", mend="export it before the run")
-        return os.environ[variable]
-    if file is None:
-        return None
-    try:
-        return Path(file).read_text(encoding="utf-8").strip()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError.of(f"the password can't be read: {error}", file=file) from None
-
-
 def _context(ca: str | None, certificate: str | None, key: str | None) -> ssl.SSLContext:
     """What TLS is spoken by. Raises InputError."""
     try:
@@ -312,16 +298,8 @@ def _context(ca: str | None, certificate: str | None, key: str | None) -> ssl.SS
 
 
 def check_parameters(connection: Mapping[str, Any]) -> None:
-    """Raises InputError for parameters that no unit of MQTT can have."""
-    if "password" in connection:
-        mend = "write `password_env: VARIABLE` or `password_file: FILE`"
-        raise InputError.of("a password does not belong into an environment file", mend=mend)
+    """Raises InputError for parameters that no connection can have."""
     known = [name for name in inspect.signature(Connection).parameters if name not in ("broker", "say", "will")]
-    for name in connection:
-        if name not in known:
-            there = did_you_mean(name, known, f"there are {', '.join(known)}")
-            raise InputError.of(f"MQTT has no parameter `{name}`", mend=there)
-    if connection.get("username") is None and {"password_env", "password_file"} & connection.keys():
-        raise InputError.of("there is a password without a name", mend="write `username` too")
+    check_names("MQTT", known, connection)
     if "keepalive" in connection and not 1 <= connection["keepalive"] <= _LONGEST_S:
         raise InputError.of(f"`{connection['keepalive']}` is no keepalive", mend=f"it is from 1 to {_LONGEST_S} s")

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import re
-import threading
 import time
-from collections import deque
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -18,6 +16,7 @@ from cfgplan.ros import MessageType
 from cfgplan.ros.qos import ServiceQuality
 from cfgplan_runtime.children.unit_code import At
 from cfgplan_runtime.errors import EncodingError
+from cfgplan_runtime.outside.mailbox import Mailbox
 from cfgplan_runtime.outside.once import Once
 from cfgplan_runtime.outside.units import ORDERS_LOOK_S, only_value, say
 from cfgplan_runtime.ros2.definitions import Definitions
@@ -83,15 +82,16 @@ class Subscriber:
         self._form = self._params.form()
 
     def __iter__(self) -> Iterator[Any]:
-        mailbox = _Mailbox(self._params.depth)
+        mailbox: Mailbox[tuple[bytes, int]] = Mailbox(self._params.depth)
         topics = self._params.open()
         try:
-            topics.read(self._params.topic, self._form, self._params.quality, self._params.depth, mailbox.put)
+            quality, depth = self._params.quality, self._params.depth
+            topics.read(self._params.topic, self._form, quality, depth, lambda *letter: mailbox.put(letter))
             yield from self._values(mailbox)
         finally:
             topics.close()
 
-    def _values(self, mailbox: _Mailbox) -> Iterator[Any]:
+    def _values(self, mailbox: Mailbox[tuple[bytes, int]]) -> Iterator[Any]:
         topic, once = self._params.topic, Once(say)
         while True:
             letter = mailbox.take(ORDERS_LOOK_S)
@@ -163,27 +163,3 @@ def _read(params: Mapping[str, object], kind: type[Any]) -> Any:
         raise InputError.of(f"params of a ROS 2 topic: {error}", mend=f"they are {there}") from None
     read.check()
     return read
-
-
-class _Mailbox:
-    """Messages that wait. If there are too many the oldest is dropped. Thread-safe."""
-
-    def __init__(self, depth: int) -> None:
-        self.dropped = 0
-        self._depth = depth
-        self._waiting: deque[tuple[bytes, int]] = deque()
-        self._changed = threading.Condition()
-
-    def put(self, data: bytes, time_ns: int) -> None:
-        with self._changed:
-            if len(self._waiting) == self._depth:
-                self._waiting.popleft()
-                self.dropped += 1
-            self._waiting.append((data, time_ns))
-            self._changed.notify()
-
-    def take(self, timeout_s: float) -> tuple[bytes, int] | None:
-        """The oldest message; None if none comes in time."""
-        with self._changed:
-            self._changed.wait_for(lambda: bool(self._waiting), timeout_s)
-            return self._waiting.popleft() if self._waiting else None
