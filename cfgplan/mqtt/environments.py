@@ -10,8 +10,7 @@ from typing import Any, Final
 
 from cfgplan.domain import Environment, OutputPort, Transformation
 from cfgplan.errors import InputError
-from cfgplan.formats.dump import dump_yaml, plain_environment
-from cfgplan.formats.fields import DEFAULT_HORIZON_S
+from cfgplan.formats.dump import imported_text
 from cfgplan.mqtt.discovery import Entity, Path
 from cfgplan.mqtt.traffic import HeardTopic, Traffic
 from cfgplan.mqtt.vocabulary import MqttVocabulary
@@ -19,7 +18,6 @@ from cfgplan.qualities import MICRO
 from cfgplan.summary import counted, some
 
 _SUBSCRIBER: Final = "cfgplan_runtime.mqtt:Subscriber"
-_COSTS: Final = ("labor", "upkeep")
 _ALIKE: Final = 3
 """So many topics that differ in one level are told."""
 _PATIENCE: Final = 5
@@ -57,11 +55,7 @@ class MqttImported:
 
     def text(self, ontology: str) -> str:
         """The environment file (YAML), which names its ontology file so; comments above tell the rest."""
-        plain = plain_environment(self.environment, horizon_s=DEFAULT_HORIZON_S, ontology=[ontology])
-        for transformation in plain.get("transformations", ()):
-            for cost in _COSTS:
-                transformation.pop(cost, None)
-        return "".join(f"# {_on_one_line(line)}\n" for line in self._heading()) + dump_yaml(plain)
+        return imported_text(self.environment, ontology, self._heading())
 
     def _heading(self) -> Iterator[str]:
         yield f"Imported from the broker {self.traffic.broker} in {self.traffic.span_s:g} s: {self.size}."
@@ -159,11 +153,6 @@ def _hints(sources: Iterable[MqttSource]) -> Iterator[str]:
         yield f"messages with fields: {some(mappings)}; with `field` in its `params` a source gives one of them"
     if silent := sorted({source.topic.name for source in sources if source.is_silent}):
         yield f"{some(silent)}: described, but nothing came; the form of the payload is guessed"
-
-
-def _on_one_line(text: str) -> str:
-    """A text with escapes in place of what would end a comment, or can't stand in one."""
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def _silent_s(period_s: float) -> int:
