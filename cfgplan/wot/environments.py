@@ -1,4 +1,4 @@
-"""From Thing Descriptions to an environment: its file and its ontology's, and what can't be taken over."""
+"""Making an environment file and its ontology from Thing Descriptions."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _LOGIN: Final = {"basic": "`username` with `password_env`", "bearer": "`token_en
 
 @dataclass(frozen=True)
 class WotImported:
-    """The environment of things, its ontology (Turtle), and what was not taken over, or is worth a look."""
+    """The environment of things, its ontology (Turtle), and notes and hints for the user."""
 
     things: tuple[Thing, ...]
     environment: Environment
@@ -140,7 +140,7 @@ class _Making:
             self._security[thing.title] = thing.security
 
     def hints(self) -> Iterator[str]:
-        """What is worth a look."""
+        """Return the hints for the user."""
         if self._undefined:
             yield f"no context defines {some(sorted(self._undefined))}: names of their own in the ontology"
         if self._polled:

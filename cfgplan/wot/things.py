@@ -28,7 +28,7 @@ _JSON: Final = "application/json"
 
 @dataclass(frozen=True)
 class Form:
-    """A way to reach a property or an event: a whole URL, what can be done there, and the form's other keys."""
+    """A way to reach a property or an event: an absolute URL, its operations, and the form's other keys."""
 
     href: str
     ops: tuple[str, ...]
@@ -55,7 +55,7 @@ class Affordance:
 
 @dataclass(frozen=True)
 class Thing:
-    """A thing, what it offers, and the contexts and schemes of security that hold for it."""
+    """A thing with its properties and events, its contexts, and its schemes of security."""
 
     file: str
     title: str

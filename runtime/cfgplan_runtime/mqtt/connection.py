@@ -43,7 +43,7 @@ _TAKEN_OVER: Final = 142
 
 
 class MqttRefusedError(CfgplanError):
-    """A broker that lets nobody in with this name, password or certificate."""
+    """The broker refuses this name, password or certificate."""
 
 
 class Connection:
@@ -77,7 +77,7 @@ class Connection:
         address = _address(broker)
         self.name = f"{address.hostname}:{address.port}"
         self.refusal = ""
-        """Why the broker lets nobody in; empty if it does, or was not reached yet."""
+        """Why the broker refuses this client; empty if it accepts it, or was not reached yet."""
         self.away = ""
         """Why the broker is away, and is tried again; empty if it is there, or was not tried yet."""
         self.is_taken_over = False
@@ -158,7 +158,7 @@ class Connection:
         self._client = None
 
     def check(self) -> None:
-        """Raises MqttRefusedError if the broker lets nobody in."""
+        """Raises MqttRefusedError if the broker refuses this client."""
         if self.refusal:
             raise MqttRefusedError(f"{self.name}: {self.refusal}")
 
@@ -286,7 +286,7 @@ def _address(broker: str) -> Any:
 
 
 def _context(ca: str | None, certificate: str | None, key: str | None) -> ssl.SSLContext:
-    """What TLS is spoken by. Raises InputError."""
+    """Return the context of TLS. Raises InputError."""
     try:
         context = ssl.create_default_context(cafile=ca)
         if certificate is not None:

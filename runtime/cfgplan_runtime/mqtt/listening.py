@@ -1,4 +1,4 @@
-"""Listening to a broker for a while: what comes on its topics, kept ones included."""
+"""Listening to a broker for a while, retained messages included."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _LOOK_S: Final = 0.05
 
 
 class Listening:
-    """Gives what comes on topics of a broker, and the discovery messages that it keeps.
+    """Collects the messages on topics of a broker, and the discovery messages that it keeps.
 
     Nothing is published, and nothing is confirmed: whoever listens besides misses nothing. For the other parameters see
     `Connection`. Raises InputError.
@@ -43,7 +43,7 @@ class Listening:
         self._connection.on_message, self._connection.on_subscribe = self._hear, self._subscribed
 
     def traffic(self, span_s: float) -> Traffic:
-        """What comes within `span_s` seconds. Raises InputError if there is no such broker, or if nothing comes."""
+        """Listen for `span_s` seconds. Raises InputError if the broker can't be reached, or sends nothing."""
         name = self._connection.name
         self._connection.open(keeps_session=False)
         try:

@@ -1,4 +1,4 @@
-"""The targets of a run as topics of a broker: values in JSON, and a topic that tells whether the run is there."""
+"""The targets of a run as topics of a broker, in JSON, and a topic with the status of the run."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ _ONLINE, _OFFLINE = b"online", "offline"
 class MqttTargets:
     """Publishes the stream of each target under the target's topic; with `retain` the broker keeps each last value.
 
-    The topic `status` says `online` while the run is there, else `offline`, which is the last will too; the broker
-    keeps it. For the other parameters see `Connection`. Raises InputError; `tell` is called with what is wrong later,
-    also if the broker is away.
+    The topic `status` holds `online` during the run and `offline` after it, by the last will too; the broker keeps it.
+    For the other parameters see `Connection`. Raises InputError; `tell` is called with later faults, such as a broker
+    that is away.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class MqttTargets:
             self._once.tell(topic, f"{topic}: a value is not published at the broker: {error}")
 
     def close(self) -> None:
-        """Wait a moment for what is under way, and have the broker say that the run is gone."""
+        """Wait up to 1.5 s for unconfirmed messages, then disconnect; the broker publishes the last will."""
         if not (self._connection.away or self._connection.refusal):
             self._outbox.flush()
         self._connection.close(with_will=True)

@@ -1,4 +1,4 @@
-"""Unit code for MQTT: a source that subscribes to topics of a broker, and a sink that publishes what comes to it."""
+"""Unit code for MQTT: a source that subscribes to topics of a broker, and a sink that publishes its input."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _FIRST_S: Final = 2.0
 class Subscriber:
     """A source: gives the messages of `topic`, which may have the wildcards `+` and `#`.
 
-    An element is the value that a message holds by `payload` (json, text, number or bytes), or what is in it at
-    `field`: a key, or a list of those that lead to it. With wildcards, or if
-    `with_topic` is true, a mapping with its `topic` and `value`. Messages that the broker has retained come first,
-    unless `retained` is false. For the other parameters see `Connection`. Raises InputError, and MqttRefusedError when
+    `payload` is the form of messages (json, text, number or bytes). An element is the value of a message, or of its
+    `field`: a key of JSON, or a list of keys that lead further in. With wildcards, or if `with_topic` is true, an
+    element is a mapping with `topic` and `value`. Messages that the broker has retained come first, unless `retained`
+    is false. For the other parameters see `Connection`. Raises InputError, and MqttRefusedError when
     it runs.
     """
 
@@ -136,7 +136,7 @@ class Publisher:
         self._outbox.put(self._topic, encoded(only_value(inputs), self._payload), self._qos, retain=self._retain)
 
     def close(self) -> None:
-        """Wait a moment for what is under way, then take leave of the broker."""
+        """Wait up to 1.5 s for unconfirmed messages, then disconnect."""
         self._outbox.flush()
         self._connection.close()
 

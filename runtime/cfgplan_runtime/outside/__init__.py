@@ -1,1 +1,1 @@
-"""Units and targets that speak with programs outside of a run, by whatever protocol: what they share."""
+"""Shared code of units and targets that speak with programs outside of a run."""

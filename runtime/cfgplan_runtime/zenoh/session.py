@@ -31,7 +31,7 @@ class ZenohUnitSession:
     An endpoint is `tcp/HOST:PORT`, `tls/HOST:PORT`, or of another protocol of Zenoh; one or a list. A session that only
     connects is linked with the first of its endpoints that answers, and with another one if that dies. `ca`,
     `certificate` and `key` are files of TLS, relative to the working folder. `say` is called with lines for the user:
-    once if nobody is linked with a session that connects, and once if somebody is again. Raises InputError.
+    once if a session that connects has no link, and once if it has one again. Raises InputError.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class ZenohUnitSession:
             self._first.start()
 
     def wait(self, timeout_s: float) -> None:
-        """Wait until somebody is linked, at most so long. Raises InputError if the endpoints can't be used."""
+        """Wait for a link, at most `timeout_s` seconds. Raises InputError if the endpoints can't be used."""
         with self._changed:
             self._changed.wait_for(lambda: self._linked or self._fault, timeout_s)
         self.check()
@@ -142,7 +142,7 @@ class ZenohUnitSession:
             self._tell_away("does not answer, or does not let this session in")
 
     def _tell_away(self, what: str) -> None:
-        """Tell once that nobody is linked."""
+        """Tell once that there is no link."""
         if not self._connect or self._is_away or self._is_closed:
             return
         self._is_away = True
@@ -169,7 +169,7 @@ def key_expression(text: str, *, is_plain: bool = False) -> str:
 
 
 def plain(error: Exception) -> str:
-    """What an error says, without the place in Zenoh's source."""
+    """Return an error's text without the place in Zenoh's source."""
     with suppress(ValueError):
         return str(error)[: str(error).index(" at /")]
     return str(error).strip().partition("\n")[0].rstrip(".")

@@ -1,4 +1,4 @@
-"""Unit code for Zenoh: a source that subscribes to key expressions, and a sink that puts what comes to it."""
+"""Unit code for Zenoh: a source that subscribes to key expressions, and a sink that puts its input."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ _MOST_WAITING: Final = 10_000
 
 
 class Subscriber:
-    """A source: gives what is put at `key_expr`, a key expression, which may have the wildcards `*` and `**`.
+    """A source: gives the values put at `key_expr`, which may have the wildcards `*` and `**`.
 
-    An element is the value that a payload holds by `payload` (json, text, number or bytes), or what is in it at
-    `field`: a key of JSON, or a list of those that lead to it. With wildcards, or if `with_key` is true, a mapping with
-    its `key` and `value`. Deletions are passed over. For the other parameters see `ZenohUnitSession`. Raises
+    `payload` is the form of values (json, text, number or bytes). An element is a value, or its `field`: a key of JSON,
+    or a list of keys that lead further in. With wildcards, or if `with_key` is true, an element is a mapping with `key`
+    and `value`. Deletions are passed over. For the other parameters see `ZenohUnitSession`. Raises
     InputError.
     """
 
@@ -82,7 +82,7 @@ class Publisher:
     """A sink: puts each value that comes at its one input at `key_expr`, in the form that `payload` says.
 
     Where the link has no room a value is dropped, or, if `when_full` is `block`, waits for room. A value is lost while
-    nobody is linked. For the other parameters see `ZenohUnitSession`. Raises InputError.
+    there is no link. For the other parameters see `ZenohUnitSession`. Raises InputError.
     """
 
     def __init__(
