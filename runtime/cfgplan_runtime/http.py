@@ -29,9 +29,9 @@ class Poller:
 
     `payload` is the form of answers (json, text, number or bytes). An element is the value of an answer, or of its
     `field`: a key of JSON, or a list of keys that lead further in. A resource that can't be had is told once with the
-    reason, and once when it is there again; it gives nothing meanwhile. `username` goes with a password in a variable of the environment
-    or in a file; `token_env` and `token_file` hold a bearer's token. `ca` is a file of TLS, relative to the working
-    folder. Raises InputError.
+    reason, and once when it is there again; it gives nothing meanwhile. `username` goes with a password in a variable
+    of the environment or in a file; `token_env` and `token_file` hold a bearer's token. `ca` is a file of TLS, relative
+    to the working folder. Raises InputError.
     """
 
     def __init__(
