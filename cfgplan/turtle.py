@@ -17,6 +17,7 @@ def heading(names: str) -> tuple[str, ...]:
     )
 
 
-def class_line(word: str, above: str, label: str) -> str:
-    """A class below another one, with its label."""
-    return f":{word} a owl:Class ; rdfs:subClassOf :{above} ; rdfs:label {json.dumps(label, ensure_ascii=False)} ."
+def class_line(word: str, above: str, label: str, iri: str | None = None) -> str:
+    """A class below another one, with its label; it is named by the word, or by an IRI of its own."""
+    name = f":{word}" if iri is None else f"<{iri}>"
+    return f"{name} a owl:Class ; rdfs:subClassOf :{above} ; rdfs:label {json.dumps(label, ensure_ascii=False)} ."

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from cfgplan.amounts import span
 from cfgplan.cli import options as shared
+from cfgplan.cli.broker import add_connection, connection
 from cfgplan.cli.exits import OF_STATUS, Exit
 from cfgplan.cli.screen import Screen
 from cfgplan.errors import InputError
@@ -18,15 +19,6 @@ if TYPE_CHECKING:
     from cfgplan.ros.graph import RosGraph
 
 _LISTEN_S = 10.0
-_CONNECTION = (
-    ("username", "NAME", "the name that the broker knows; it stands in the file too, as all that follows"),
-    ("password_env", "VARIABLE", "the variable of the environment that holds the password"),
-    ("password_file", "FILE", "the file that holds the password"),
-    ("ca", "FILE", "who is trusted (TLS)"),
-    ("certificate", "FILE", "who this client is (TLS)"),
-    ("key", "FILE", "the key of the certificate"),
-)
-"""Options of `import mqtt` that are passed to each source."""
 
 
 def add_import(parser: argparse.ArgumentParser) -> None:
@@ -38,9 +30,10 @@ def add_import(parser: argparse.ArgumentParser) -> None:
         "  cfgplan import ros2 live --out robot.yaml\n"
         "  ros2 node info /camera | cfgplan import ros2 - --out robot.yaml\n"
         "  cfgplan import ros1 robot.launch sim:=true drive.bag --out robot.yaml\n"
-        "  cfgplan import mqtt localhost --for 1m --out house.yaml"
+        "  cfgplan import mqtt localhost --for 1m --out house.yaml\n"
+        "  cfgplan import wot lamp.td.json thermostat.td.json --out house.yaml"
     )
-    parser.add_argument("what", choices=("xml", "wsc", "ros1", "ros2", "mqtt"), help="what to read")
+    parser.add_argument("what", choices=("xml", "wsc", "ros1", "ros2", "mqtt", "wot"), help="what to read")
     parser.add_argument(
         "path",
         metavar="PATH",
@@ -49,7 +42,8 @@ def add_import(parser: argparse.ArgumentParser) -> None:
         "a master's address, or a launch file and its arguments (NAME:=VALUE). ros2: `live`, a launch file in XML or "
         "YAML and its arguments, or what `ros2 node info` and `ros2 topic info -v` "
         "print (FILE.txt, or `-` for standard input; ros1: `rosnode info`). Both: recordings (bags, MCAP); several are "
-        "put together. mqtt: a broker (HOST, HOST:PORT, mqtt://HOST:PORT, or mqtts://HOST:PORT for TLS)",
+        "put together. mqtt: a broker (HOST, HOST:PORT, mqtt://HOST:PORT, or mqtts://HOST:PORT for TLS). wot: "
+        "Thing Descriptions of the W3C (JSON)",
     )
     parser.add_argument(
         "--objective",
@@ -70,6 +64,8 @@ def add_import(parser: argparse.ArgumentParser) -> None:
     python = "ros2 live: the Python that has rclpy (CFGPLAN_ROS_PYTHON, or that of a sourced setup.bash, or python3)"
     parser.add_argument("--ros-python", metavar="PYTHON", help=python)
     _add_mqtt(parser)
+    context = "wot: the file that stands for a context; none is ever fetched"
+    shared.add_several(parser, "--context", "URL=FILE", context, kind=_context)
     shared.add_out(parser)
     parser.set_defaults(run=_import)
 
@@ -81,12 +77,15 @@ def _import(options: argparse.Namespace, screen: Screen) -> Exit:
     given = {"--objective": options.objective and options.what != "wsc"}
     given |= {"--ros-python": options.ros_python and options.what != "ros2"}
     given |= {"--guesses": options.guesses and not is_ros, "--works": options.works and not is_ros}
+    given |= {"--context": options.context and options.what != "wot"}
     given |= {f"--{name.replace('_', '-')}": value for name, value in _of_mqtt(options) if options.what != "mqtt"}
     if foreign := [name for name, is_foreign in given.items() if is_foreign]:
         raise InputError.of(f"{', '.join(foreign)}: not for `import {options.what}`", mend="leave it out")
     _refuse_ending(options.out, "yaml")
     if is_ros:
         return _import_ros(options, screen)
+    if options.what == "wot":
+        return _import_wot(options, screen)
     path, *more = options.path
     if more:
         one = "broker" if options.what == "mqtt" else "file or folder"
@@ -109,32 +108,32 @@ def _import(options: argparse.Namespace, screen: Screen) -> Exit:
 
 
 def _add_mqtt(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("mqtt")
+    group = parser.add_argument_group("mqtt", "what says how the broker is reached stands in the file too")
     shared.add_span(group, f"listen so long ({_LISTEN_S:g}s)")
     shared.add_several(group, "--topic", "FILTER", "listen to these topics only, such as house/# (all)")
-    for name, metavar, means in _CONNECTION:
-        group.add_argument(f"--{name.replace('_', '-')}", metavar=metavar, help=means)
+    add_connection(group)
 
 
 def _of_mqtt(options: argparse.Namespace) -> list[tuple[str, object]]:
     """Return the options given to `import mqtt`, as names and values."""
-    connection = [(name, getattr(options, name)) for name, _, _ in _CONNECTION]
-    return [(name, value) for name, value in [("for", options.span), ("topic", options.topic), *connection] if value]
+    given = [("for", options.span), ("topic", options.topic), *connection(options).items()]
+    return [(name, value) for name, value in given if value]
 
 
 def _import_mqtt(broker: str, options: argparse.Namespace, screen: Screen) -> Exit:
-    from cfgplan_runtime.mqtt_listening import listen
+    from cfgplan_runtime.mqtt.listening import Listening
     from rich.table import Table
 
     from cfgplan.mqtt.environments import mqtt_imported
 
     ontology = _beside(options.out, "a broker becomes two files, the environment and its ontology", ".ttl")
-    connection = {name: value for name, _, _ in _CONNECTION if (value := getattr(options, name)) is not None}
+    params = connection(options)
     span_s = _LISTEN_S if options.span is None else options.span
+    listening = Listening(broker, options.topic or ("#",), **params)
     screen.note(f"Listening for {span_s:g} s.")
     with screen.phase("listen"):
-        traffic = listen(broker, span_s, options.topic or ("#",), **connection)
-    found = mqtt_imported(traffic, {"broker": broker, **connection})
+        traffic = listening.traffic(span_s)
+    found = mqtt_imported(traffic, {"broker": broker, **params})
     shared.put(found.ontology, str(ontology), screen)
     shared.put(found.text(ontology.name), options.out, screen)
     shown = Table("topic", "field", "payload", "every", "retained", "tag", box=None, pad_edge=False)
@@ -144,6 +143,29 @@ def _import_mqtt(broker: str, options: argparse.Namespace, screen: Screen) -> Ex
         kept = "yes" if source.topic.is_retained else "no"
         shown.add_row(source.topic.name, path, source.topic.form, every, kept, source.tag)
     screen.show(shown)
+    for note in found.notes:
+        screen.warn(f"not taken over: {note}")
+    for hint in found.hints:
+        screen.note(f"hint: {hint}")
+    screen.note(f"{found.size}. Nothing is wanted yet: the head of {options.out} shows how to say it.")
+    return Exit.OK
+
+
+def _context(text: str) -> tuple[str, Path]:
+    """A context's URL and the file that stands for it."""
+    url, sign, file = text.rpartition("=")
+    if not (url and sign and file):
+        raise argparse.ArgumentTypeError(f"{text!r} is no URL=FILE")
+    return url, Path(file)
+
+
+def _import_wot(options: argparse.Namespace, screen: Screen) -> Exit:
+    from cfgplan.wot.environments import wot_imported
+
+    ontology = _beside(options.out, "things become two files, the environment and its ontology", ".ttl")
+    found = wot_imported(map(Path, options.path), dict(options.context))
+    shared.put(found.ontology, str(ontology), screen)
+    shared.put(found.text(ontology.name), options.out, screen)
     for note in found.notes:
         screen.warn(f"not taken over: {note}")
     for hint in found.hints:

@@ -7,7 +7,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from functools import partial
 from importlib.machinery import PathFinder
@@ -16,6 +16,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from cfgplan.cli import options as shared
+from cfgplan.cli import run_targets
 from cfgplan.cli.agent import add_links
 from cfgplan.cli.exits import Exit, exit_of
 from cfgplan.cli.interrupts import Interrupts
@@ -95,9 +96,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     )
     shared.add_page(parser, "the run")
     shared.add_allow_code(parser)
-    parser.add_argument(
-        "--ros2", action="store_true", help="publish targets that say their message type as ROS 2 topics"
-    )
+    run_targets.add_to(parser)
     parser.add_argument("--local", action="store_true", help="run all of the file's hosts on this computer")
     runs = "what units are: processes of ours, or nodes of ROS 1 or ROS 2 (processes)"
     parser.add_argument("--middleware", choices=("processes", *_ROS), default="processes", help=runs)
@@ -121,10 +120,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
     if options.page is not None:
         shared.needed_for_pages()
-    if options.ros2:
-        from cfgplan_runtime.ros2.topics import check_installed
-
-        check_installed()
+    run_targets.check_options(options)
     for name in options.preload:
         top = name.partition(".")[0]
         if top not in sys.builtin_module_names and PathFinder.find_spec(top, ["", *sys.path]) is None:
@@ -148,6 +144,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         if not options.dry_run:
             _refuse_nodes(options, loaded)
         _check_ros2(options, loaded)
+        if (check := run_targets.mqtt_check(options, loaded.environment)) is not None:
+            _tell_faults([check], options.env)
     said = loaded.environment if options.compared else None
     if loaded.environment.units and said is None:
         count = counted(len(loaded.environment.units), "running unit")
@@ -248,6 +246,8 @@ def _check_nodes(options: argparse.Namespace, world: World) -> None:
     if options.ros2:
         mend = "leave it out" if options.middleware == ROS2 else "leave it out, and use a bridge"
         raise InputError.of(f"--ros2 does not know what nodes of {ros} publish", mend=mend)
+    if options.mqtt is not None:
+        raise InputError.of(f"--mqtt does not know what nodes of {ros} publish", mend="leave it out, and use a bridge")
     if _fleet(options) is not None:
         raise InputError.of(f"{ros} nodes are started on this computer only", mend="leave out --local and --connect")
     if observed := [fact.name for fact in world.environment.facts if fact.observed_on is not None]:
@@ -300,7 +300,7 @@ def _operate(
     with Interrupts() as interrupts:
         with screen.phase("start"):
             operation = Operation(world, Path(options.env), settings)
-        with operation, _published(options, operation):
+        with operation, run_targets.published(options, operation, _folder(options)):
             interrupts.only_count()
             with screen.phase("plan"):
                 while not interrupts.count and not operation.begun.wait(_LIVE_LOOK_S):
@@ -319,15 +319,6 @@ def _operate(
     if operation.failure:
         return Exit.INTERNAL
     return Exit.OK if operation.all_met else Exit.UNMET
-
-
-def _published(options: argparse.Namespace, operation: Operation) -> AbstractContextManager[object]:
-    """Publish targets as ROS 2 topics if an option says so. Raises InputError."""
-    if not options.ros2:
-        return nullcontext()
-    from cfgplan_runtime.ros2.targets import PublishedTargets
-
-    return PublishedTargets(operation, _folder(options))
 
 
 @contextmanager

@@ -22,6 +22,7 @@ from cfgplan.planning import Failures
 from cfgplan.qualities import Better, Contribution, Over, QualityAttribute, Wish
 
 _LISTS = ("transformations", "units", "targets")
+_COSTS = ("labor", "upkeep")
 _DUMPER: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
@@ -29,6 +30,23 @@ def dump_yaml(data: object) -> str:
     """Return plain data as YAML text; Decimal is written exactly, and a text that looks like another type is quoted."""
     text: str = yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=2**20)
     return text
+
+
+def imported_text(environment: domain.Environment, ontology: str, heading: Iterable[str]) -> str:
+    """The file (YAML) of an environment that was imported, and whose costs nobody knows, with comments above.
+
+    It names its ontology file so.
+    """
+    plain = plain_environment(environment, horizon_s=fields.DEFAULT_HORIZON_S, ontology=[ontology])
+    for transformation in plain.get("transformations", ()):
+        for cost in _COSTS:
+            transformation.pop(cost, None)
+    return "".join(f"# {_on_one_line(line)}".rstrip() + "\n" for line in heading) + dump_yaml(plain)
+
+
+def _on_one_line(text: str) -> str:
+    """A text with escapes in place of what would end a comment, or can't stand in one."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def as_yaml(document: Document) -> str:

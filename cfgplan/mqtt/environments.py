@@ -10,16 +10,14 @@ from typing import Any, Final
 
 from cfgplan.domain import Environment, OutputPort, Transformation
 from cfgplan.errors import InputError
-from cfgplan.formats.dump import dump_yaml, plain_environment
-from cfgplan.formats.fields import DEFAULT_HORIZON_S
-from cfgplan.mqtt.discovery import Entity, Path, discovered
-from cfgplan.mqtt.traffic import HeardTopic, Traffic, fits
+from cfgplan.formats.dump import imported_text
+from cfgplan.mqtt.discovery import Entity, Path
+from cfgplan.mqtt.traffic import HeardTopic, Traffic
 from cfgplan.mqtt.vocabulary import MqttVocabulary
 from cfgplan.qualities import MICRO
 from cfgplan.summary import counted, some
 
 _SUBSCRIBER: Final = "cfgplan_runtime.mqtt:Subscriber"
-_COSTS: Final = ("labor", "upkeep")
 _ALIKE: Final = 3
 """The least number of topics differing in one level for a hint."""
 _PATIENCE: Final = 5
@@ -60,11 +58,7 @@ class MqttImported:
 
     def text(self, ontology: str) -> str:
         """Return the environment file (YAML), which imports `ontology`; comments at its top list notes and hints."""
-        plain = plain_environment(self.environment, horizon_s=DEFAULT_HORIZON_S, ontology=[ontology])
-        for transformation in plain.get("transformations", ()):
-            for cost in _COSTS:
-                transformation.pop(cost, None)
-        return "".join(f"# {_on_one_line(line)}\n" for line in self._heading()) + dump_yaml(plain)
+        return imported_text(self.environment, ontology, self._heading())
 
     def _heading(self) -> Iterator[str]:
         yield f"Imported from the broker {self.traffic.broker} in {self.traffic.span_s:g} s: {self.size}."
@@ -84,10 +78,9 @@ def mqtt_imported(traffic: Traffic, params: Mapping[str, Any]) -> MqttImported:
     A topic that discovery describes becomes one source for each described value, any other topic becomes one source.
     Raises InputError if no source is found.
     """
-    told = discovered(traffic.discovery)
+    told = traffic.discovered
     heard = {topic.name: topic for topic in traffic.topics}
-    asked = [entity for entity in told.entities if fits(entity.topic, traffic.asked)]
-    described = [entity for entity in asked if entity.path is not None]
+    described = [entity for entity in told.entities if entity.path is not None]
     words = MqttVocabulary(described)
     taken: set[str] = set()
     sources: list[MqttSource] = []
@@ -110,7 +103,7 @@ def mqtt_imported(traffic: Traffic, params: Mapping[str, Any]) -> MqttImported:
     environment = Environment(
         units=(), library=tuple(_transformation(source, params) for source in sources), targets=()
     )
-    notes = (*traffic.notes, *_notes(traffic, asked, told.unread, commands))
+    notes = (*traffic.notes, *_notes(traffic, commands))
     if not sources:
         mend = "listen longer (--for 60s), or name other topics (--topic)"
         raise InputError.of(f"nothing that came from {traffic.broker} can be a source: {'; '.join(notes)}", mend=mend)
@@ -134,14 +127,12 @@ def _transformation(source: MqttSource, params: Mapping[str, Any]) -> Transforma
     return Transformation(source.label, outputs=(output,), source=_SUBSCRIBER, params={**params, **own})
 
 
-def _notes(
-    traffic: Traffic, entities: Iterable[Entity], unread: Iterable[str], commands: Iterable[str]
-) -> Iterator[str]:
+def _notes(traffic: Traffic, commands: Iterable[str]) -> Iterator[str]:
     if traffic.sparkplug:
         yield f"{counted(traffic.sparkplug, 'topic')} of Sparkplug (spBv1.0/...), whose messages are not read"
-    if unread := list(unread):
+    if unread := traffic.discovered.unread:
         yield f"{some(unread)}: no message that describes an entity"
-    if untold := sorted({entity.topic for entity in entities if entity.path is None}):
+    if untold := sorted({entity.topic for entity in traffic.discovered.entities if entity.path is None}):
         yield f"the descriptions of values on {some(untold)}: their templates do more than look up a field"
     if commands := list(commands):
         yield f"{some(commands)}: commands to devices, for which `cfgplan_runtime.mqtt:Publisher` is there"
@@ -165,13 +156,6 @@ def _hints(sources: Iterable[MqttSource]) -> Iterator[str]:
         yield f"messages with fields: {some(mappings)}; with `field` in its `params` a source gives one of them"
     if silent := sorted({source.topic.name for source in sources if source.is_silent}):
         yield f"{some(silent)}: described, but nothing came; the form of the payload is guessed"
-
-
-def _on_one_line(text: str) -> str:
-    """Return a text in which unprintable characters, such as ends of lines, are escaped, so that it fits into a
-    comment.
-    """
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def _silent_s(period_s: float) -> int:

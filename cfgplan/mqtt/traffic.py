@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Literal
 
-from cfgplan.mqtt.discovery import DISCOVERY
+from cfgplan.mqtt.discovery import DISCOVERY, Discovered, discovered
 
 TopicForm = Literal["number", "json", "text", "bytes"]
 """The form of the values in a topic's messages."""
@@ -35,30 +35,23 @@ class HeardTopic:
 
 @dataclass(frozen=True)
 class Traffic:
-    """The topics of a broker by name, discovery messages by topic, and the number of Sparkplug topics.
+    """The topics of a broker by name, the content of its discovery messages, and the number of Sparkplug topics.
 
-    `asked` are the topic filters subscribed to, `span_s` is for how long; `notes` name messages that were missed.
+    `span_s` is for how long the broker was listened to; `notes` name messages that were missed.
     """
 
     broker: str
     span_s: float
     topics: tuple[HeardTopic, ...]
-    asked: tuple[str, ...] = ("#",)
-    discovery: Mapping[str, bytes] = field(default_factory=dict)
+    discovered: Discovered
     sparkplug: int = 0
     notes: tuple[str, ...] = ()
 
-
-def fits(topic: str, filters: Iterable[str]) -> bool:
-    """Return whether a filter matches a topic: `+` stands for one level, `#` for all further ones."""
-    levels = topic.split("/")
-    return any(_fits(levels, asked.split("/")) for asked in filters)
-
-
-def _fits(levels: Sequence[str], asked: Sequence[str]) -> bool:
-    if asked and asked[-1] == "#":
-        asked, levels = asked[:-1], levels[: len(asked) - 1]
-    return len(levels) == len(asked) and all(want in ("+", is_) for want, is_ in zip(asked, levels, strict=True))
+    @property
+    def is_empty(self) -> bool:
+        """Return whether nothing came."""
+        told = self.discovered
+        return not (self.topics or told.entities or told.commands or told.unread or self.sparkplug)
 
 
 class Ear:
@@ -78,11 +71,14 @@ class Ear:
         elif payload:
             self._topics.setdefault(topic, _Topic()).take(payload, is_retained=is_retained, time_s=time_s)
 
-    def traffic(self, broker: str, span_s: float, asked: tuple[str, ...], notes: tuple[str, ...] = ()) -> Traffic:
-        """Return the traffic of all messages taken."""
+    def traffic(
+        self, broker: str, span_s: float, is_asked: Callable[[str], bool] = lambda _: True, notes: tuple[str, ...] = ()
+    ) -> Traffic:
+        """Return the traffic of all messages taken, with the described topics that `is_asked` accepts."""
         topics = tuple(each.heard(name) for name, each in sorted(self._topics.items()))
-        discovery = {topic: payload for topic, payload in sorted(self._discovery.items()) if payload}
-        return Traffic(broker, span_s, topics, asked, discovery, len(self._sparkplug), notes)
+        told = discovered({topic: payload for topic, payload in self._discovery.items() if payload})
+        told = replace(told, entities=tuple(entity for entity in told.entities if is_asked(entity.topic)))
+        return Traffic(broker, span_s, topics, told, len(self._sparkplug), notes)
 
 
 class _Topic:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator
 from typing import Final
 from unicodedata import normalize
 
 from cfgplan.mqtt.discovery import Entity, Path
-from cfgplan.selectors import KEYWORDS
-from cfgplan.turtle import class_line, heading
+from cfgplan.small_ontology import SmallOntology, plain_word
 
 MQTT_NAMES: Final = "urn:cfgplan:mqtt#"
 """The prefix of the IRIs of kinds of values, units, areas and topics."""
@@ -21,7 +19,6 @@ _ROOTS: Final = {
     "Topic": "Messages by their topics: those below `house/kitchen` are `house-kitchen` too.",
 }
 _ROLES: Final = ("inUnit", "inArea")
-_NO_CONCEPTS: Final = KEYWORDS | {"thing", "nothing"}
 _ABOVE: Final = {
     "AtmosphericPressure": "Pressure",
     "GarageDoorState": "DoorState",
@@ -89,10 +86,7 @@ class MqttVocabulary:
     """
 
     def __init__(self, entities: Iterable[Entity]) -> None:
-        self._words: dict[tuple[str, ...], str] = {}
-        self._taken = {*_ROOTS, *_ROLES}
-        self._lines: dict[str, list[tuple[str, str, str]]] = {root: [] for root in _ROOTS}
-        """By root: each concept, the one above it, and what it stands for."""
+        self._ontology = SmallOntology(MQTT_NAMES, _ROOTS, _ROLES)
         self._kinds = {entity: [*self._parts(entity)] for entity in entities}
 
     def tag(self, topic: str, path: Path = (), entity: Entity | None = None) -> str:
@@ -102,18 +96,19 @@ class MqttVocabulary:
         return " and ".join([*(self._kinds[entity] if entity is not None else ()), self._topic(topic, path)])
 
     def _parts(self, entity: Entity) -> Iterator[str]:
+        concept = self._ontology.concept
         if entity.kind is not None:
             root = "Quantity" if entity.is_measured else "State"
             yield self._kind(_camel(entity.kind) + ("" if entity.is_measured else root), root, entity.kind)
         if entity.unit is not None:
             sign = normalize("NFKC", entity.unit)
-            yield f"inUnit some {self._concept(('Unit', sign), _UNITS.get(sign, _plain(sign)), 'Unit', entity.unit)}"
+            yield f"inUnit some {concept(('Unit', sign), _UNITS.get(sign, plain_word(sign)), 'Unit', entity.unit)}"
         if entity.area is not None:
-            yield f"inArea some {self._concept(('Area', entity.area), _camel(entity.area), 'Area', entity.area)}"
+            yield f"inArea some {concept(('Area', entity.area), _camel(entity.area), 'Area', entity.area)}"
 
     def _kind(self, word: str, root: str, label: str) -> str:
         above = self._kind(_ABOVE[word], root, _ABOVE[word]) if word in _ABOVE else root
-        return self._concept((root, word), word, above, label)
+        return self._ontology.concept((root, word), word, above, label)
 
     def _topic(self, name: str, path: Path) -> str:
         levels, steps = name.split("/"), [*map(str, path)]
@@ -121,46 +116,16 @@ class MqttVocabulary:
         above, words = "Topic", [""]
         for number, part in enumerate([*levels, *steps]):
             key = (*key, part) if number < len(levels) else (*key, "", part)  # no topic but a field has such a key
-            words.append(_plain(part))
+            words.append(plain_word(part))
             label = " ".join(["/".join(levels[: number + 1]), *steps[: max(number + 1 - len(levels), 0)]])
-            above = self._concept(key, "-".join(filter(None, words)) or "_", above, label)
+            above = self._ontology.concept(key, "-".join(filter(None, words)) or "_", above, label)
         return above
-
-    def _concept(self, key: tuple[str, ...], word: str, above: str, label: str) -> str:
-        """Return the concept of a key, whose first element is its root; a new concept is named by `word`,
-        made unique.
-        """
-        if key in self._words:
-            return self._words[key]
-        if word.casefold() in _NO_CONCEPTS or not word[:1].isalpha():
-            word = f"{key[0].casefold()}-{word or '_'}"
-        while word in self._taken:
-            word += "_"
-        self._taken.add(word)
-        self._words[key] = word
-        self._lines[key[0]].append((word, above, label))
-        return word
 
     @property
     def text(self) -> str:
         """The ontology in Turtle."""
-        return "\n".join([*self._turtle(), ""])
-
-    def _turtle(self) -> Iterator[str]:
-        yield from heading(MQTT_NAMES)
-        yield from (f":{role} a owl:ObjectProperty ." for role in _ROLES)
-        for root, about in _ROOTS.items():
-            yield ""
-            yield f"# {about}"
-            yield f":{root} a owl:Class ."
-            for word, above, label in sorted(self._lines[root]):
-                yield class_line(word, above, label)
+        return self._ontology.text
 
 
 def _camel(text: str) -> str:
-    return "".join(part[:1].upper() + part[1:] for part in _plain(text).split("_"))
-
-
-def _plain(text: str) -> str:
-    """A text in letters, digits and underscores without accents."""
-    return re.sub(r"[^A-Za-z0-9_]", "_", "".join(c for c in normalize("NFKD", text) if not "̀" <= c <= "ͯ"))
+    return "".join(part[:1].upper() + part[1:] for part in plain_word(text).split("_"))

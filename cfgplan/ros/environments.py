@@ -23,8 +23,7 @@ from cfgplan.domain import (
     Target,
     Transformation,
 )
-from cfgplan.formats.dump import dump_yaml, plain_environment
-from cfgplan.formats.fields import DEFAULT_HORIZON_S
+from cfgplan.formats.dump import imported_text
 from cfgplan.qualities import MICRO
 from cfgplan.ros.code.package_sources import SourcePorts, ports_of_sources
 from cfgplan.ros.graph import RosGraph, RosNode, RosPort
@@ -36,7 +35,6 @@ from cfgplan.summary import counted, some
 
 LOCAL = "local"
 """The host of nodes that run where the launch file is started, as roslaunch calls it."""
-_COSTS = ("labor", "upkeep")
 _APART: tuple[Callable[[RosPort], str], ...] = (
     lambda port: ".out" if port.role.gives else "",
     lambda port: ".service" if port.role.is_service else "",
@@ -65,11 +63,7 @@ class Imported:
 
     def text(self, ontology: str) -> str:
         """Return the environment file (YAML), which imports `ontology`; comments at its top list the guesses."""
-        plain = plain_environment(self.environment, horizon_s=DEFAULT_HORIZON_S, ontology=[ontology])
-        for transformation in plain.get("transformations", ()):
-            for cost in _COSTS:
-                transformation.pop(cost, None)
-        return "".join(f"# {line}".rstrip() + "\n" for line in self._heading()) + dump_yaml(plain)
+        return imported_text(self.environment, ontology, self._heading())
 
     def _heading(self) -> Iterator[str]:
         yield f"Imported from {', '.join(self.graph.sources)}: {self.size}."

@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 import cfgplan
 from cfgplan.errors import InputError
 from cfgplan.mqtt.environments import MqttImported, mqtt_imported
-from cfgplan.mqtt.traffic import Ear, Traffic, fits
+from cfgplan.mqtt.traffic import Ear, Traffic
 
 Messages = Mapping[str, list[bytes]]
 
 
-def heard(messages: Messages, discovery: Mapping[str, Any] | None = None, asked: tuple[str, ...] = ("#",)) -> Traffic:
+def heard(messages: Messages, discovery: Mapping[str, Any] | None = None) -> Traffic:
     """What is known after messages that come once a second."""
     ear = Ear()
     for topic, said in (discovery or {}).items():
@@ -28,7 +28,7 @@ def heard(messages: Messages, discovery: Mapping[str, Any] | None = None, asked:
     for topic, payloads in messages.items():
         for second, payload in enumerate(payloads):
             ear.take(topic, payload, is_retained=False, time_s=second)
-    return ear.traffic("house:1883", 10, asked)
+    return ear.traffic("house:1883", 10)
 
 
 def made(messages: Messages, discovery: Mapping[str, Any] | None = None) -> MqttImported:
@@ -67,21 +67,13 @@ def test_a_period_is_measured_between_live_messages_alone() -> None:
     ear.take("once", b"1", is_retained=False, time_s=1)
     for time_s in (7, 9, 11):
         ear.take("x", b"333", is_retained=True, time_s=time_s)
-    once, x = ear.traffic("b", 12, ("#",)).topics
+    once, x = ear.traffic("b", 12).topics
     assert (x.period_s, x.is_retained, x.size) == (2, True, 2)
     assert (once.period_s, once.is_retained) == (None, False)
 
 
 def test_a_retained_message_that_is_taken_back_is_no_topic() -> None:
     assert heard({"x": [b""]}).topics == ()
-
-
-@pytest.mark.parametrize(
-    ("asked", "is_so"),
-    [("#", True), ("a/#", True), ("a/b/#", True), ("a/+", True), ("+/+", True), ("a", False), ("+", False)],
-)
-def test_filters_fit_as_those_of_mqtt_do(asked: str, is_so: bool) -> None:
-    assert fits("a/b", [asked]) is is_so
 
 
 def test_a_source_subscribes_to_its_topic(tmp_path: Path) -> None:
@@ -196,11 +188,6 @@ def test_topics_that_differ_in_one_level_and_open_mappings_are_hints() -> None:
     pattern, fields = made({**rooms, "house/attic/light": [b"ON"], "air": [b'{"co2": 1, "t": 2}']}).hints
     assert pattern.startswith("house/+/t: 3 topics differ only there (attic, bath, cellar)")
     assert fields == "messages with fields: air (co2, t); with `field` in its `params` a source gives one of them"
-
-
-def test_only_what_was_asked_for_is_described() -> None:
-    found = mqtt_imported(heard({"window": [b"68"]}, HOUSE, ("window", "a/#")), {"broker": "b"})
-    assert [source.label for source in found.sources] == ["window"]
 
 
 TOPICS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0+#"), min_size=1, max_size=8)

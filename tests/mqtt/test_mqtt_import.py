@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
-from mosquitto import NEEDS_MOSQUITTO, Broker, running
+from mosquitto import NEEDS_MOSQUITTO, Broker, make_certificate, running
 
 import cfgplan
 from cfgplan.cli import main
@@ -96,9 +96,12 @@ def test_only_topics_that_are_asked_for_are_taken(
     keep("homeassistant/sensor/u/config", {**TEMPERATURE, "stat_t": "garden/t"})
     for topic in ("house/t", "garden/t"):
         keep(topic, "20")
-    assert imported(broker.name, "--topic", "garden/#").code == 0
-    (garden,) = cfgplan.load(tmp_path / "env.yaml").environment.library
-    assert (garden.label, "Temperature" in garden.outputs[0].tag) == ("garden-t", True)
+    for asked in ("garden/#", "+/t/#", "garden/+"):
+        found = imported(broker.name, "--topic", asked)
+        assert found.code == 0
+        garden, *rest = cfgplan.load(tmp_path / "env.yaml").environment.library
+        assert (garden.label, "Temperature" in garden.outputs[0].tag) == ("garden-t", True)
+        assert [each.label for each in rest] == (["house-t"] if asked == "+/t/#" else [])
 
 
 def test_a_broker_with_names_is_read_by_a_name_which_stands_in_the_file_without_its_password(
@@ -120,6 +123,23 @@ def test_a_broker_with_names_is_read_by_a_name_which_stands_in_the_file_without_
         assert imported(broker.name, "--username", "bob", "--password-env", "MQTT_PASSWORD").code == 0
     text = (tmp_path / "env.yaml").read_text()
     assert ("username: bob" in text, "password_env: MQTT_PASSWORD" in text, "sesame" in text) == (True, True, False)
+
+
+def test_a_broker_is_read_by_tls_and_its_authority_stands_in_the_file(imported: Import, tmp_path: Path) -> None:
+    from paho.mqtt.publish import single
+
+    make_certificate(tmp_path)
+    files = (f"certfile {tmp_path}/cert.pem", f"keyfile {tmp_path}/key.pem")
+    ca = str(tmp_path / "cert.pem")
+    with running(tmp_path, "allow_anonymous true", *files) as broker:
+        single("x", "1", qos=1, retain=True, hostname="127.0.0.1", port=broker.port, tls={"ca_certs": ca})
+        unsafe = imported(broker.name)
+        assert (unsafe.code, "is no broker of MQTT 5, or speaks TLS" in unsafe.err) == (30, True)
+        untrusted = imported(f"mqtts://{broker.name}")
+        assert (untrusted.code, "certificate verify failed" in untrusted.err) == (30, True)
+        assert imported(f"mqtts://{broker.name}", "--ca", ca).code == 0
+    (x,) = cfgplan.load(tmp_path / "env.yaml").environment.library
+    assert (x.params["broker"], x.params["ca"]) == (f"mqtts://{broker.name}", ca)
 
 
 def test_a_broker_on_which_nothing_comes_is_told(broker: Broker, imported: Import, tmp_path: Path) -> None:
@@ -202,4 +222,5 @@ def test_without_paho_the_extra_is_named(tmp_path: Path) -> None:
     said = subprocess.run([sys.executable, "-c", code, tmp_path / "env.yaml"], capture_output=True, text=True)
     assert said.returncode == 30
     assert "pip install 'cfgplan[mqtt]'" in said.stderr
+    assert "Listening" not in said.stderr
     assert "Traceback" not in said.stderr

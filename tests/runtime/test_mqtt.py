@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
 import queue
 import socket
 import subprocess
@@ -10,14 +9,14 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
 
 import pytest
 from cfgplan_runtime import mqtt
-from cfgplan_runtime.mqtt import MqttRefusedError, Publisher, Subscriber
-from mosquitto import NEEDS_MOSQUITTO, PATIENCE_S, Broker, running
+from cfgplan_runtime.mqtt import Publisher, Subscriber
+from cfgplan_runtime.mqtt.connection import MqttRefusedError
+from mosquitto import NEEDS_MOSQUITTO, PATIENCE_S, Broker, make_certificate, running
 from watching import StartRuntime
 from world import eventually, start, unit
 
@@ -46,7 +45,7 @@ class Heard:
         self.raised: list[Exception] = []
         self._over = threading.Event()
         self.begun = threading.Event()
-        subscriber._connection.client.on_subscribe = lambda *_: self.begun.set()
+        subscriber._connection.on_subscribe = lambda *_: self.begun.set()
         self._thread = threading.Thread(target=self._take, args=[subscriber])
         self._thread.start()
 
@@ -167,8 +166,8 @@ def test_confirmations_that_come_while_a_message_is_published_block_nothing(brok
     thread.start()
     thread.join(PATIENCE_S)
     assert not thread.is_alive()
-    eventually(lambda: not publisher._unsent)
-    assert not publisher._sent_early
+    eventually(lambda: not publisher._outbox._unsent)
+    assert not publisher._outbox._sent_early
 
 
 def test_a_message_counts_as_taken_once_the_next_is_asked_for(broker: Broker, publish: Publish) -> None:
@@ -184,6 +183,57 @@ def test_a_message_counts_as_taken_once_the_next_is_asked_for(broker: Broker, pu
     mqtt_again = [next(again_taken), next(again_taken)]
     again.close()
     assert mqtt_again == ["a", "b"]
+
+
+def test_a_unit_whose_session_another_one_has_taken_up_is_silent_and_does_not_take_it_back(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """mosquitto 2.0.11 ends such a connection without a word; MQTT 5 has one (142) for it."""
+    connections: list[socket.socket] = []
+
+    def answer() -> None:
+        with suppress(OSError):
+            while True:
+                client, _ = server.accept()
+                connections.append(client)
+                client.recv(4096)
+                client.sendall(bytes.fromhex("2003000000") + bytes.fromhex("e0028e00"))
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        threading.Thread(target=answer, daemon=True).start()
+        elements = iter(Subscriber(f"127.0.0.1:{server.getsockname()[1]}", "x", client_id="reader"))
+        told = ""
+
+        def is_told() -> bool:
+            nonlocal told
+            assert next(elements) is None
+            told += capsys.readouterr().out
+            return "another client of this id has taken up the session; this one is silent" in told
+
+        eventually(is_told)
+        eventually(lambda: not any("paho" in thread.name for thread in threading.enumerate()))
+        assert (next(elements), len(connections)) == (None, 1)
+        elements.close()
+        server.shutdown(socket.SHUT_RDWR)
+    for connection in connections:
+        connection.close()
+
+
+def test_the_session_of_a_unit_ends_with_it(
+    broker: Broker, hear: Hear, publish: Publish, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CFGPLAN_UNIT", "run/reader.1")
+    first = hear(broker.name, "x")
+    monkeypatch.delenv("CFGPLAN_UNIT")
+    publisher = publish(broker.name, "x")
+    publisher(x=1)
+    assert first.next() == 1
+    first.close()
+    publisher(x=2)
+    monkeypatch.setenv("CFGPLAN_UNIT", "run/reader.1")
+    again = hear(broker.name, "x")
+    publisher(x=3)
+    assert again.next() == 3, "who was stopped wants nothing of the time between"
 
 
 def test_a_link_that_is_half_open_is_noticed_and_made_anew(
@@ -357,33 +407,6 @@ def test_a_broker_is_spoken_to_by_tls(tmp_path: Path, hear: Hear, publish: Publi
         heard = hear(address, "x", ca=ca)
         publish(address, "x", ca=ca)(x="safe")
         assert heard.next() == "safe"
-
-
-def make_certificate(folder: Path) -> None:
-    """A certificate for this computer that is its own authority."""
-    x509 = pytest.importorskip("cryptography.x509", reason="cryptography is not installed (extra fleet)")
-    from cryptography.hazmat.primitives import hashes, serialization
-    from cryptography.hazmat.primitives.asymmetric import ec
-
-    key = ec.generate_private_key(ec.SECP256R1())
-    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "localhost")])
-    now = datetime.datetime.now(datetime.UTC)
-    made = (
-        x509.CertificateBuilder()
-        .subject_name(name)
-        .issuer_name(name)
-        .public_key(key.public_key())
-        .serial_number(x509.random_serial_number())
-        .not_valid_before(now - datetime.timedelta(days=1))
-        .not_valid_after(now + datetime.timedelta(days=1))
-        .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
-        .add_extension(x509.SubjectAlternativeName([x509.IPAddress(ip_address("127.0.0.1"))]), critical=False)
-        .sign(key, hashes.SHA256())
-    )
-    plain = serialization.NoEncryption()
-    pem = key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, plain)
-    (folder / "key.pem").write_bytes(pem)
-    (folder / "cert.pem").write_bytes(made.public_bytes(serialization.Encoding.PEM))
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,9 @@ from typing import Any
 
 from cfgplan_runtime.errors import BadSourceError, WrongPortsError
 
+UNIT_VARIABLE = "CFGPLAN_UNIT"
+"""The variable of a unit's environment that holds its run and its id, with a slash between."""
+
 
 @dataclass(frozen=True, slots=True)
 class At:

@@ -29,6 +29,7 @@ from cfgplan_runtime.children import messages
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.outlet_child import NO_DESCRIPTOR, OutletChild
 from cfgplan_runtime.children.unit_child import UnitChild
+from cfgplan_runtime.children.unit_code import UNIT_VARIABLE
 from cfgplan_runtime.errors import ProgramEndedError
 from cfgplan_runtime.processes.child_process import kill_group
 
@@ -159,6 +160,7 @@ def be_child(order: messages.ChildOrder, control_end: socket.socket, printed: so
             sys.modules["numpy.random"].seed()
         of_unit, title = (order.order, "spare ") if isinstance(order, messages.SpareOrder) else (order, "")
         setproctitle(f"cfgplan {run} {title}{of_unit.unit}")
+        os.environ[UNIT_VARIABLE] = f"{run}/{of_unit.unit}"
         _limit_memory(of_unit.memory_bytes)
         signal.signal(INTERRUPT_SIGNAL, signal.SIG_IGN)
         unit = UnitChild(of_unit, control, is_spare=isinstance(order, messages.SpareOrder))
@@ -168,6 +170,7 @@ def be_child(order: messages.ChildOrder, control_end: socket.socket, printed: so
             if begun is None:
                 return 0
             setproctitle(f"cfgplan {run} {begun}")
+            os.environ[UNIT_VARIABLE] = f"{run}/{begun}"
         unit.run()
         is_well = True
     except SystemExit as error:

@@ -3,67 +3,44 @@
 from __future__ import annotations
 
 import re
-import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from cfgplan.domain import Environment, Target
 from cfgplan.errors import Fault, InputError
-from cfgplan_runtime.lifecycle.reports import Report, Reviewed
-from cfgplan_runtime.operating.flows import Following
-from cfgplan_runtime.operating.operation import Operation
+from cfgplan_runtime.outside.once import Once
 from cfgplan_runtime.ros2.message_form import MessageForm, MisfitError
-from cfgplan_runtime.ros2.once import Once
 from cfgplan_runtime.ros2.topics import RosPublisher, RosTopics, check_installed
 from cfgplan_runtime.ros2.units import PublisherParams
-from cfgplan_runtime.streams.closable import Closable
 from cfgplan_runtime.streams.element import Element
 from cfgplan_runtime.streams.payload import decode
 
 
 @dataclass(frozen=True)
 class _Topic:
-    type: str
     form: MessageForm
     publisher: RosPublisher
 
 
-class PublishedTargets(Closable):
-    """Publishes each target that says its message `type` under its topic, as long as the run has it.
+class RosTargets:
+    """Publishes each target that says its message `type` under its topic, as a node of its own.
 
-    A context manager. `folder` is that of the environment file. Raises InputError; what is wrong later is shown.
+    `folder` is that of the environment file. Raises InputError; `tell` is called with what is wrong later.
     """
 
-    def __init__(self, operation: Operation, folder: Path) -> None:
-        self._operation = operation
+    def __init__(self, run: str, folder: Path, tell: Callable[[str], None]) -> None:
         self._folder = folder
-        self._once = Once(operation.show)
-        self._lock = threading.Lock()
+        self._once = Once(tell)
         self._topics: dict[str, _Topic] = {}
-        self._node = RosTopics(f"cfgplan_{re.sub('[^A-Za-z0-9]', '_', operation.id)}", operation.show)
-        self._following = Following(operation.id, self._publish)
-        operation.manager.listen(self._hear)
-        self._take_targets()
+        self._node = RosTopics(f"cfgplan_{re.sub('[^A-Za-z0-9]', '_', run)}", tell)
 
-    def close(self) -> None:
-        self._following.close()
-        self._node.close()
+    def wanted(self, environment: Environment) -> list[Target]:
+        """The targets that say their message type."""
+        return _typed(environment)
 
-    def _hear(self, report: Report) -> None:
-        if isinstance(report, Reviewed):
-            self._take_targets()
-
-    def _take_targets(self) -> None:
-        wanted = {target.topic: target for target in _typed(self._operation.manager.world.environment)}
-        with self._lock:
-            for topic, published in list(self._topics.items()):
-                if topic not in wanted or wanted[topic].type != published.type:
-                    self._topics.pop(topic).publisher.close()
-            for topic in sorted(wanted.keys() - self._topics.keys()):
-                self._begin(wanted[topic])
-            self._following.follow(self._topics)
-
-    def _begin(self, target: Target) -> None:
+    def begin(self, target: Target) -> bool:
+        """Be ready to publish a target. Returns whether it can be published."""
         try:
             params = _params(target)
             form = params.form(self._folder)
@@ -71,10 +48,16 @@ class PublishedTargets(Closable):
         except InputError as error:
             for fault in error.faults:
                 self._once.tell(fault.message, f"{target.topic} is not published in ROS 2: {fault.message}")
-        else:
-            self._topics[target.topic] = _Topic(params.type, form, publisher)
+            return False
+        self._topics[target.topic] = _Topic(form, publisher)
+        return True
 
-    def _publish(self, topic: str, element: Element) -> None:
+    def end(self, target: Target) -> None:
+        """Publish a target no more."""
+        self._topics.pop(target.topic).publisher.close()
+
+    def put(self, topic: str, element: Element) -> None:
+        """Publish an element."""
         published = self._topics.get(topic)
         if published is None:
             return
@@ -82,6 +65,10 @@ class PublishedTargets(Closable):
             published.publisher.put(published.form.encode(decode(element.payload), element.time_ns))
         except MisfitError as error:
             self._once.tell(topic + error.path, f"{topic}: a value is not published in ROS 2: {error}")
+
+    def close(self) -> None:
+        """End the node."""
+        self._node.close()
 
 
 def check_targets(environment: Environment, folder: Path) -> None:

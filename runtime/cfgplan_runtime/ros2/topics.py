@@ -19,10 +19,10 @@ import msgspec
 from cfgplan.errors import InputError
 from cfgplan.extras import needed
 from cfgplan.ros.qos import ServiceQuality
+from cfgplan_runtime.outside.once import Once
 from cfgplan_runtime.ros2.host_link import HostLink, WithData
 from cfgplan_runtime.ros2.host_messages import FromHost
 from cfgplan_runtime.ros2.message_form import MessageForm
-from cfgplan_runtime.ros2.once import Once
 from cfgplan_runtime.ros2.ros_python import VARIABLE, RosPython, ros_python
 
 LARGEST_DOMAIN = 232

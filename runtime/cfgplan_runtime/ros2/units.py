@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import re
-import threading
 import time
-from collections import deque
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -17,15 +15,15 @@ from cfgplan.errors import Fault, InputError
 from cfgplan.ros import MessageType
 from cfgplan.ros.qos import ServiceQuality
 from cfgplan_runtime.children.unit_code import At
-from cfgplan_runtime.errors import EncodingError, WrongPortsError
+from cfgplan_runtime.errors import EncodingError
+from cfgplan_runtime.outside.mailbox import Mailbox
+from cfgplan_runtime.outside.once import Once
+from cfgplan_runtime.outside.units import ORDERS_LOOK_S, only_value, say
 from cfgplan_runtime.ros2.definitions import Definitions
 from cfgplan_runtime.ros2.message_form import MessageForm, MisfitError
-from cfgplan_runtime.ros2.once import Once
 from cfgplan_runtime.ros2.topics import RosTopics, check_installed, checked_domain, checked_name
 
 SUBSCRIBER, PUBLISHER = "cfgplan_runtime.ros2:Subscriber", "cfgplan_runtime.ros2:Publisher"
-_ORDERS_LOOK_S = 0.05
-"""A source that gets no messages looks for orders so often."""
 _MOST_DEPTH = 100_000
 
 
@@ -66,7 +64,7 @@ class PublisherParams(msgspec.Struct, forbid_unknown_fields=True):
 
     def open(self) -> RosTopics:
         """Begin a node, which prints what goes wrong. Raises InputError."""
-        return RosTopics(self.node or f"cfgplan_{re.sub('/+', '_', self.topic.strip('/'))}", _say, domain=self.domain)
+        return RosTopics(self.node or f"cfgplan_{re.sub('/+', '_', self.topic.strip('/'))}", say, domain=self.domain)
 
 
 class SubscriberParams(PublisherParams):
@@ -84,18 +82,19 @@ class Subscriber:
         self._form = self._params.form()
 
     def __iter__(self) -> Iterator[Any]:
-        mailbox = _Mailbox(self._params.depth)
+        mailbox: Mailbox[tuple[bytes, int]] = Mailbox(self._params.depth)
         topics = self._params.open()
         try:
-            topics.read(self._params.topic, self._form, self._params.quality, self._params.depth, mailbox.put)
+            quality, depth = self._params.quality, self._params.depth
+            topics.read(self._params.topic, self._form, quality, depth, lambda *letter: mailbox.put(letter))
             yield from self._values(mailbox)
         finally:
             topics.close()
 
-    def _values(self, mailbox: _Mailbox) -> Iterator[Any]:
-        topic, once = self._params.topic, Once(_say)
+    def _values(self, mailbox: Mailbox[tuple[bytes, int]]) -> Iterator[Any]:
+        topic, once = self._params.topic, Once(say)
         while True:
-            letter = mailbox.take(_ORDERS_LOOK_S)
+            letter = mailbox.take(ORDERS_LOOK_S)
             if mailbox.dropped:
                 once.tell("dropped", f"{topic}: messages come faster than they are taken, and the oldest are dropped")
             if letter is None:
@@ -121,14 +120,12 @@ class Publisher:
     def __init__(self, **params: object) -> None:
         self._params = _read(params, PublisherParams)
         self._form = self._params.form()
-        self._once = Once(_say)
+        self._once = Once(say)
         self._topics = self._params.open()
         self._topic = self._topics.publisher(self._params.topic, self._form, self._params.quality, self._params.depth)
 
     def __call__(self, **inputs: object) -> None:
-        if len(inputs) != 1:
-            raise WrongPortsError(f"a publisher has one input, not {len(inputs)}")
-        (value,) = inputs.values()
+        value = only_value(inputs)
         try:
             self._topic.put(self._form.encode(value, time.time_ns()))
         except MisfitError as error:
@@ -166,32 +163,3 @@ def _read(params: Mapping[str, object], kind: type[Any]) -> Any:
         raise InputError.of(f"params of a ROS 2 topic: {error}", mend=f"they are {there}") from None
     read.check()
     return read
-
-
-class _Mailbox:
-    """Messages that wait. If there are too many the oldest is dropped. Thread-safe."""
-
-    def __init__(self, depth: int) -> None:
-        self.dropped = 0
-        self._depth = depth
-        self._waiting: deque[tuple[bytes, int]] = deque()
-        self._changed = threading.Condition()
-
-    def put(self, data: bytes, time_ns: int) -> None:
-        with self._changed:
-            if len(self._waiting) == self._depth:
-                self._waiting.popleft()
-                self.dropped += 1
-            self._waiting.append((data, time_ns))
-            self._changed.notify()
-
-    def take(self, timeout_s: float) -> tuple[bytes, int] | None:
-        """The oldest message; None if none comes in time."""
-        with self._changed:
-            self._changed.wait_for(lambda: bool(self._waiting), timeout_s)
-            return self._waiting.popleft() if self._waiting else None
-
-
-def _say(text: str) -> None:
-    """Report a line: the run shows each line that a unit prints."""
-    print(text, flush=True)  # noqa: T201

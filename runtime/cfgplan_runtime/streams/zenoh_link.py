@@ -1,4 +1,4 @@
-"""A computer's connection to the others of its fleet, over Zenoh. No other module imports it.
+"""A computer's connection to the others of its fleet, over Zenoh.
 
 What is put may be lost on the way: `crossing` sends it again.
 """

@@ -1,4 +1,4 @@
-"""Listening to a broker for a while: what comes on its topics, kept ones included."""
+"""Listening to a broker for a while, retained messages included."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from cfgplan.errors import InputError
 from cfgplan.mqtt.discovery import DISCOVERY
 from cfgplan.mqtt.traffic import Ear, Traffic
 from cfgplan.summary import some
-from cfgplan_runtime.mqtt import Connection, check_parameters, topic_filter
+from cfgplan_runtime.mqtt.connection import Connection, check_parameters
+from cfgplan_runtime.mqtt.topics import topic_filter
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, MQTTMessage
@@ -21,20 +22,17 @@ _ANSWER_S: Final = 10.0
 _LOOK_S: Final = 0.05
 
 
-def listen(broker: str, span_s: float, topics: Sequence[str] = ("#",), **connection: Any) -> Traffic:
-    """What comes on topics of a broker within `span_s` seconds, and the discovery messages that it keeps.
+class Listening:
+    """Collects the messages on topics of a broker, and the discovery messages that it keeps.
 
     Nothing is published, and nothing is confirmed: whoever listens besides misses nothing. For the other parameters see
-    `Connection`. Raises InputError if there is no such broker, or if nothing comes.
+    `Connection`. Raises InputError.
     """
-    check_parameters(0, "bytes", connection)
-    return _Listening(broker, [*map(topic_filter, topics)], connection).traffic(span_s)
 
-
-class _Listening:
-    def __init__(self, broker: str, topics: Sequence[str], connection: dict[str, Any]) -> None:
-        self._asked = tuple(topics)
-        self._topics = self._asked if "#" in topics else (*topics, f"{DISCOVERY}#")
+    def __init__(self, broker: str, topics: Sequence[str] = ("#",), **connection: Any) -> None:
+        check_parameters(connection)
+        self._asked = tuple(map(topic_filter, topics))
+        self._topics = self._asked if "#" in self._asked else (*self._asked, f"{DISCOVERY}#")
         self._ear = Ear()
         self._refused: list[str] = []
         self._is_subscribed = self._was_there = False
@@ -42,10 +40,10 @@ class _Listening:
         """Set once something is known: the broker is away, or has answered."""
         self._connection = Connection(broker, lambda _: self._woken.set(), **connection)
         self._connection.on_begin = self._subscribe
-        client = self._connection.client
-        client.on_message, client.on_subscribe = self._hear, self._subscribed
+        self._connection.on_message, self._connection.on_subscribe = self._hear, self._subscribed
 
     def traffic(self, span_s: float) -> Traffic:
+        """Listen for `span_s` seconds. Raises InputError if the broker can't be reached, or sends nothing."""
         name = self._connection.name
         self._connection.open(keeps_session=False)
         try:
@@ -60,13 +58,18 @@ class _Listening:
                 notes = [f"what came after the broker {away}"] if away else []
                 if refused:
                     notes.append(f"{some(refused)}: the broker lets this client read nothing of it")
-                found = self._ear.traffic(name, span_s, self._asked, tuple(notes))
+                found = self._ear.traffic(name, span_s, self._is_asked, tuple(notes))
         finally:
             self._connection.close()
-        if not found.topics and not found.discovery and not found.sparkplug:
+        if found.is_empty:
             mend = "listen longer (--for 60s), or name other topics (--topic)"
             raise InputError.of(f"nothing came from {name} in {span_s:g} s", mend=mend)
         return found
+
+    def _is_asked(self, topic: str) -> bool:
+        from paho.mqtt.client import topic_matches_sub
+
+        return any(topic_matches_sub(asked, topic) for asked in self._asked)
 
     def _refuse(self) -> None:
         """Raises InputError if this client can't listen."""

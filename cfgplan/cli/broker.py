@@ -1,0 +1,26 @@
+"""Options that say how a broker of MQTT is reached, for the commands that speak with one."""
+
+from __future__ import annotations
+
+import argparse
+
+_CONNECTION = (
+    ("username", "NAME", "the name that the broker knows"),
+    ("password_env", "VARIABLE", "the variable of the environment that holds the password"),
+    ("password_file", "FILE", "the file that holds the password"),
+    ("ca", "FILE", "who is trusted (TLS)"),
+    ("certificate", "FILE", "who this client is (TLS)"),
+    ("key", "FILE", "the key of the certificate"),
+)
+
+
+def add_connection(group: argparse._ActionsContainer, before: str = "") -> None:
+    """Add an option for each parameter of a connection, its name with `before` in front."""
+    for name, metavar, means in _CONNECTION:
+        group.add_argument(f"--{before}{name.replace('_', '-')}", metavar=metavar, help=means)
+
+
+def connection(options: argparse.Namespace, before: str = "") -> dict[str, str]:
+    """The parameters of a connection that are given."""
+    given = {name: getattr(options, f"{before}{name}".replace("-", "_")) for name, _, _ in _CONNECTION}
+    return {name: value for name, value in given.items() if value is not None}

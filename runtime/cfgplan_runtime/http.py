@@ -1,0 +1,112 @@
+"""Unit code for HTTP: a source that asks for a resource again and again.
+
+`source: cfgplan_runtime.http:Poller`, with `run: {rate: 1}` for how often; the parameters are those of the class.
+"""
+
+from __future__ import annotations
+
+import ssl
+from base64 import b64encode
+from http.client import HTTPException
+from typing import Any, Final
+from urllib.error import HTTPError
+from urllib.parse import urlsplit
+from urllib.request import HTTPSHandler, OpenerDirector, Request, build_opener
+
+from cfgplan.errors import InputError
+from cfgplan_runtime.outside.credentials import check_names, read_password
+from cfgplan_runtime.outside.payload_forms import PayloadForm, PayloadReader
+from cfgplan_runtime.outside.units import say
+
+_TIMEOUT_S: Final = 5.0
+_LOGIN: Final = ("username", "password_env", "password_file", "token_env", "token_file")
+_LONGEST: Final = 1 << 26
+"""Bytes of an answer; a longer one is none."""
+
+
+class Poller:
+    """A source: gives the value of the resource at `url` (http or https) each time that it is called.
+
+    `payload` is the form of answers (json, text, number or bytes). An element is the value of an answer, or of its
+    `field`: a key of JSON, or a list of keys that lead further in. A resource that can't be had is told once with the
+    reason, and once when it is there again; it gives nothing meanwhile. `username` goes with a password in a variable
+    of the environment or in a file; `token_env` and `token_file` hold a bearer's token. `ca` is a file of TLS, relative
+    to the working folder. Raises InputError.
+    """
+
+    def __init__(
+        self,
+        url: str,
+        payload: PayloadForm = "json",
+        field: str | list[str | int] | None = None,
+        ca: str | None = None,
+        **login: Any,
+    ) -> None:
+        check_names("HTTP", _LOGIN, login)
+        self._reader = PayloadReader(payload, field, say)
+        # A header that is not redirected: who is asked further on learns no password.
+        self._request = Request(_checked(url))
+        if (authorization := _authorization(**login)) is not None:
+            self._request.add_unredirected_header("Authorization", authorization)
+        self._url = url
+        self._opener = _opener(ca)
+        self._is_away = False
+
+    def __call__(self) -> object:
+        try:
+            with self._opener.open(self._request, timeout=_TIMEOUT_S) as answer:
+                payload: bytes = answer.read(_LONGEST + 1)
+        except HTTPError as error:
+            error.close()
+            return self._away(f"answers {error.code} {error.reason}")
+        except (OSError, HTTPException) as error:
+            return self._away(f"does not answer ({getattr(error, 'reason', error)})")
+        if len(payload) > _LONGEST:
+            return self._away(f"answers more than {_LONGEST} bytes")
+        if self._is_away:
+            say(f"{self._url} is there again")
+        self._is_away = False
+        values = self._reader.values(self._url, payload)
+        return values[0] if values else None
+
+    def _away(self, what: str) -> object:
+        """Tell once that the resource can't be had. Returns None: no element."""
+        if not self._is_away:
+            say(f"{self._url} {what}; it is tried again")
+        self._is_away = True
+        return None
+
+
+def _authorization(
+    username: str | None = None,
+    password_env: str | None = None,
+    password_file: str | None = None,
+    token_env: str | None = None,
+    token_file: str | None = None,
+) -> str | None:
+    """The header of that name; None if nobody asks for it. Raises InputError."""
+    if username is not None:
+        word = f"{username}:{read_password(password_env, password_file) or ''}"
+        return f"Basic {b64encode(word.encode()).decode()}"
+    token = read_password(token_env, token_file)
+    return None if token is None else f"Bearer {token}"
+
+
+def _checked(url: str) -> str:
+    """The URL of a resource. Raises InputError."""
+    address = urlsplit(url)
+    if address.scheme not in ("http", "https") or not address.hostname:
+        raise InputError.of(f"`{url}` is no URL of a resource", mend="write http://HOST/PATH or https://HOST/PATH")
+    if "@" in address.netloc:
+        mend = "remove it, and write `username` with `password_env` or `password_file`"
+        raise InputError.of("the name and password do not belong into a URL", mend=mend)
+    return url
+
+
+def _opener(ca: str | None) -> OpenerDirector:
+    """Raises InputError."""
+    try:
+        return build_opener(HTTPSHandler(context=ssl.create_default_context(cafile=ca)))
+    except OSError as error:
+        mend = "name a file in PEM"
+        raise InputError.of(f"the authority of TLS can't be read: {error}", file=ca, mend=mend) from None

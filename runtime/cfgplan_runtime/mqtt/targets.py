@@ -1,0 +1,94 @@
+"""The targets of a run as topics of a broker, in JSON, and a topic with the status of the run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final
+
+from cfgplan.domain import Environment, Target
+from cfgplan.errors import Fault, InputError
+from cfgplan_runtime.mqtt.connection import Connection, MqttRefusedError, Outbox, check_parameters
+from cfgplan_runtime.mqtt.topics import plain_topic
+from cfgplan_runtime.outside.once import Once
+from cfgplan_runtime.outside.payload_forms import encoded
+from cfgplan_runtime.streams.element import Element
+from cfgplan_runtime.streams.payload import decode
+
+_QOS: Final = 1
+_ONLINE, _OFFLINE = b"online", "offline"
+
+
+class MqttTargets:
+    """Publishes the stream of each target under the target's topic; with `retain` the broker keeps each last value.
+
+    The topic `status` holds `online` during the run and `offline` after it, by the last will too; the broker keeps it.
+    For the other parameters see `Connection`. Raises InputError; `tell` is called with later faults, such as a broker
+    that is away.
+    """
+
+    def __init__(
+        self, broker: str, tell: Callable[[str], None], *, status: str, retain: bool = False, **connection: Any
+    ) -> None:
+        check_parameters(connection)
+        self._status, self._retain = plain_topic(status), retain
+        self._once = Once(tell)
+        will = {"topic": status, "payload": _OFFLINE, "qos": _QOS, "retain": True}
+        self._connection = Connection(broker, tell, will=will, **connection)
+        self._connection.on_begin = self._say_online
+        self._connection.on_refused = self._tell_refused
+        self._outbox = Outbox(self._connection, tell)
+
+    def open(self) -> None:
+        """Begin to connect. Nothing waits for the broker."""
+        self._connection.open(keeps_session=True)
+
+    def wanted(self, environment: Environment) -> tuple[Target, ...]:
+        """All targets that have a topic."""
+        return environment.stream_targets
+
+    def begin(self, target: Target) -> bool:
+        """Tell if a target can't be published. Returns whether it can."""
+        try:
+            plain_topic(target.topic)
+        except InputError as error:
+            self._once.tell(target.topic, f"{target.label} is not published at the broker: {error.faults[0].message}")
+            return False
+        return True
+
+    def end(self, target: Target) -> None:
+        """Do nothing: MQTT's topics are not announced."""
+
+    def put(self, topic: str, element: Element) -> None:
+        """Publish an element."""
+        try:
+            self._outbox.put(topic, encoded(decode(element.payload)), _QOS, retain=self._retain)
+        except MqttRefusedError:
+            pass  # it is told when it happens
+        except (TypeError, ValueError, RecursionError) as error:
+            self._once.tell(topic, f"{topic}: a value is not published at the broker: {error}")
+
+    def close(self) -> None:
+        """Wait up to 1.5 s for unconfirmed messages, then disconnect; the broker publishes the last will."""
+        if not (self._connection.away or self._connection.refusal):
+            self._outbox.flush()
+        self._connection.close(with_will=True)
+
+    def _say_online(self) -> None:
+        # Of quality 0, since it then goes out before all that has waited.
+        self._outbox.put(self._status, _ONLINE, 0, retain=True)
+
+    def _tell_refused(self) -> None:
+        name, refusal = self._connection.name, self._connection.refusal
+        self._once.tell("refused", f"{name}: {refusal}; targets are not published there")
+
+
+def check_targets(environment: Environment) -> None:
+    """Raises InputError for targets whose topics MQTT does not allow."""
+    faults = list[Fault]()
+    for target in environment.stream_targets:
+        try:
+            plain_topic(target.topic)
+        except InputError as error:
+            faults += (Fault(f"target {target.label}: {fault.message}", mend=fault.mend) for fault in error.faults)
+    if faults:
+        raise InputError(faults)

@@ -1,0 +1,37 @@
+"""Parameters of connections: their names, and passwords that stand outside of environment files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from cfgplan.errors import InputError, did_you_mean
+
+
+def check_names(protocol: str, known: Iterable[str], given: Mapping[str, object]) -> None:
+    """Raises InputError for a parameter that is not known, and for a password that stands there or has no name."""
+    known = tuple(known)
+    if "password" in given:
+        mend = "write `password_env: VARIABLE` or `password_file: FILE`"
+        raise InputError.of("a password does not belong into an environment file", mend=mend)
+    for name in given:
+        if name not in known:
+            there = did_you_mean(name, known, f"there are {', '.join(known)}")
+            raise InputError.of(f"{protocol} has no parameter `{name}`", mend=there)
+    if given.get("username") is None and {"password_env", "password_file"} & given.keys():
+        raise InputError.of("there is a password without a name", mend="write `username` too")
+
+
+def read_password(variable: str | None, file: str | None) -> str | None:
+    """The password that a variable of the environment or a file holds; None without either. Raises InputError."""
+    if variable is not None:
+        if variable not in os.environ:
+            raise InputError.of(f"the variable {variable} is not set", mend="export it before the run")
+        return os.environ[variable]
+    if file is None:
+        return None
+    try:
+        return Path(file).read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError.of(f"the password can't be read: {error}", file=file) from None

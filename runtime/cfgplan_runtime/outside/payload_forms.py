@@ -1,0 +1,93 @@
+"""Values in the payloads of messages: JSON, a field of it, a text, a number, or bytes as they are."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Any, Literal, get_args
+
+from cfgplan.errors import InputError
+from cfgplan_runtime.outside.once import Once
+
+PayloadForm = Literal["json", "text", "number", "bytes"]
+
+
+class PayloadReader:
+    """Reads the values in payloads of one form. `field` is a key in JSON, or a list of keys that lead further in.
+
+    A payload that can't be read is told by `say`, once for each place. Raises InputError.
+    """
+
+    def __init__(self, form: str, field: str | list[str | int] | None, say: Callable[[str], None]) -> None:
+        check_form(form)
+        self._form, self._keys = form, _keys(field, form)
+        self._once = Once(say)
+
+    def values(self, place: str, payload: bytes) -> tuple[object, ...]:
+        """The value in a payload that came at a place, such as a topic; empty if it can't be read."""
+        try:
+            return (_within(_decoded(payload, self._form), self._keys),)
+        except (ValueError, LookupError, RecursionError) as error:
+            fault = "has no such field" if isinstance(error, LookupError) else f"is no {self._form}"
+            self._once.tell(place, f"{place}: a message {fault}, and is left out: {error}")
+            return ()
+
+
+def check_form(form: str) -> None:
+    """Raises InputError for an unknown form."""
+    if form not in get_args(PayloadForm):
+        mend = f"write one of {', '.join(get_args(PayloadForm))}"
+        raise InputError.of(f"`{form}` is no form of a payload", mend=mend)
+
+
+def encoded(value: object, form: str = "json") -> bytes:
+    """The payload of a value. Raises TypeError or ValueError for what JSON has no form for."""
+    match form:
+        case "json":
+            return json.dumps(value, default=_plain).encode()
+        case "bytes" if isinstance(value, bytes | bytearray | memoryview):
+            return bytes(value)
+        case _:
+            return str(value).encode()
+
+
+def _decoded(payload: bytes, form: str) -> object:
+    """The value that a payload holds. Raises ValueError."""
+    match form:
+        case "json":
+            return json.loads(payload)
+        case "number":
+            return float(payload)
+        case "text":
+            return payload.decode()
+        case _:
+            return payload
+
+
+def _keys(field: object, form: str) -> tuple[str | int, ...]:
+    """The keys that lead to a field. Raises InputError."""
+    if field is None:
+        return ()
+    keys = tuple(field) if isinstance(field, list) else (field,)
+    if not keys or not all(isinstance(key, str | int) for key in keys):
+        raise InputError.of(f"`{field}` is no field", mend="write a key, or a list of those that lead to it")
+    if form != "json":
+        raise InputError.of(f"a message that is a {form} has no fields", mend="write `payload: json`")
+    return keys
+
+
+def _within(value: Any, keys: tuple[str | int, ...]) -> object:
+    """The value at the end of a path of keys. Raises LookupError."""
+    for key in keys:
+        try:
+            value = value[key]
+        except (LookupError, TypeError):
+            raise LookupError(key) from None
+    return value
+
+
+def _plain(value: Any) -> object:
+    """The JSON value in place of an array or a number of numpy."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} has no form in JSON")
