@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from operator import attrgetter
 from types import MappingProxyType
-from typing import Annotated
+from typing import Annotated, Literal, TypeAlias
 
 from cfgplan.arguments import AtLeast, Natural, checked
 from cfgplan.canonical import fields_of, refuse_duplicates, store_resources, store_sorted
@@ -20,6 +20,9 @@ from cfgplan.selectors import check_selector
 ALL = 0
 """The `count` of an input that takes every stream there is for it."""
 
+
+ProgramFormat: TypeAlias = Literal["json", "msgpack"]
+"""How a program that is a unit reads and writes messages."""
 
 DEFAULT_LABOR_US = 1_000_000
 """What a start costs where nobody has said it: it is not for nothing."""
@@ -132,7 +135,7 @@ class RunOptions:
     `tolerance_us`, or a port's name. `rate_hz` is a source's. `queue` elements wait at each input; when full,
     the oldest is dropped, or the producer waits if it `blocks`. A unit that is silent for `hang_us` (0: it
     may be silent) or takes more than `memory_mb` megabytes is killed; so is one that was told to end and has not within
-    `stop_us` (None: as long as the runtime usually allows, 2 s). With `state`, a new unit goes on with the state of the
+    `stop_us` (None: as long as the runtime usually allows, 2 s). `format` is that of a program's messages. With `state`, a new unit goes on with the state of the
     last; transformations whose `state` is the same name share it. A `lifecycle` node of ROS 2 is configured as a cold
     spare, and activated as a unit.
     Raises InvalidValueError for a `hang_us` of less than 2 s.
@@ -148,6 +151,7 @@ class RunOptions:
     state: bool | str = False
     lifecycle: bool = False
     stop_us: Natural | None = None
+    format: ProgramFormat = "json"
 
     def __post_init__(self) -> None:
         if isinstance(self.state, str) and not re.fullmatch(STATE_NAME, self.state):

@@ -59,6 +59,7 @@ from cfgplan.formats.schema_values import (
     list_or_mapping,
 )
 from cfgplan.planning import MOST_INSTANCES
+from cfgplan.transformations import ProgramFormat
 from cfgplan.qualities import QualityRule
 
 FORMAT: Final = "cfgplan/1"
@@ -309,6 +310,7 @@ class RunPart(Part):
     stop: TimeSpan | None = row(
         "how long a unit that is told to end may take, such as 500ms; then it is killed; 2s if absent", to="stop_us"
     )
+    format: ProgramFormat = row("how a program reads and writes: lines of JSON, or frames of msgpack", "json")
     memory: Whole | None = row(
         "the most memory that a unit may take, in megabytes", None, "memory_mb", Use.BOTH, ge=1, le=LONGEST_QUEUE
     )

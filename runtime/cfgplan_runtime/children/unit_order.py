@@ -25,5 +25,6 @@ def unit_order(unit: str, transformation: Transformation, state: bytes | None) -
         blocks=run.blocks,
         keeps_state=bool(run.state),
         state=state,
+        format=run.format,
         memory_bytes=None if run.memory_mb is None else run.memory_mb << 20,
     )
