@@ -135,9 +135,9 @@ class RunOptions:
     `tolerance_us`, or a port's name. `rate_hz` is a source's. `queue` elements wait at each input; when full,
     the oldest is dropped, or the producer waits if it `blocks`. A unit that is silent for `hang_us` (0: it
     may be silent) or takes more than `memory_mb` megabytes is killed; so is one that was told to end and has not within
-    `stop_us` (None: as long as the runtime usually allows, 2 s). `format` is that of a program's messages. With `state`, a new unit goes on with the state of the
+    `stop_us` (None: as long as the runtime usually allows, 2 s). With `state`, a new unit goes on with the state of the
     last; transformations whose `state` is the same name share it. A `lifecycle` node of ROS 2 is configured as a cold
-    spare, and activated as a unit.
+    spare, and activated as a unit. A unit that is a program reads and writes messages in `format`.
     Raises InvalidValueError for a `hang_us` of less than 2 s.
     """
 

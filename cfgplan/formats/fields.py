@@ -59,8 +59,8 @@ from cfgplan.formats.schema_values import (
     list_or_mapping,
 )
 from cfgplan.planning import MOST_INSTANCES
-from cfgplan.transformations import ProgramFormat
 from cfgplan.qualities import QualityRule
+from cfgplan.transformations import ProgramFormat
 
 FORMAT: Final = "cfgplan/1"
 LONGEST_QUEUE = 1_000_000

@@ -50,7 +50,7 @@ PYTHON = "measured_units.py:same"
 
 def compiled(folder: Path) -> None:
     for source in (MASK, HERE / "same.c"):
-        subprocess.run(["cc", "-O2", "-o", folder / source.stem, source], check=True)
+        subprocess.run(["cc", "-O3", "-o", folder / source.stem, source], check=True)
 
 
 def rate(source: str, size: int, form: ProgramFormat, seconds: float) -> float:
@@ -67,9 +67,7 @@ def rate(source: str, size: int, form: ProgramFormat, seconds: float) -> float:
     chain = (
         ComputationUnit("source.1", "source"),
         ComputationUnit("work.1", "work", (Subscription("x", Stream("source.1", "n")),)),
-        ComputationUnit(
-            "ages.1", "ages", (Subscription("x", Stream("work.1", "y")),), (Publication("y", "/result"),)
-        ),
+        ComputationUnit("ages.1", "ages", (Subscription("x", Stream("work.1", "y")),), (Publication("y", "/result"),)),
     )
     with Runtime(library, [TARGET], folder=UNITS) as runtime:
         runtime.apply(ChangeSet(started=chain))

@@ -1,6 +1,6 @@
 /* A unit of cfgplan in C, without a library: an image comes, and one goes whose pixels are 255 where it was bright, else 0.
 
-       cc -O2 -o mask mask.c
+       cc -O3 -o mask mask.c
        source: program:./mask LEVEL OUTPUT [COUNT]     with     run: {format: msgpack}
 
    OUTPUT is the output port of the image, COUNT that of the number of its bright pixels. Anything but an array of bytes

@@ -11,6 +11,7 @@ import signal
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +71,9 @@ def wrong(deed: str, step: int, number: int) -> None:
         "chatter": [b"loading the model\n", right],
         "broken": [framed(b"\x02\0\0\0\x92\xc1") if IS_MSGPACK else b"{'outputs': {}}\n"],
         "no utf-8": [b"\xff\xfe\n", right] if IS_MSGPACK else [b"{\xff\xfe}\n"],
-        "deep": [framed(b"\xff\xff\0\0" + b"\x91" * 65535) if IS_MSGPACK else b'{"outputs": {"y": ' + b"[" * 65535 + b"\n"],
+        "deep": [
+            framed(b"\xff\xff\0\0" + b"\x91" * 65535) if IS_MSGPACK else b'{"outputs": {"y": ' + b"[" * 9999 + b"\n"
+        ],
         "no answer": [{"step": step, "output": {PORT: number}}],
         "no step": [{"outputs": {PORT: number}}],
         "two steps": [[right, right | {"step": step - 1}]],
@@ -90,7 +93,7 @@ def wrong(deed: str, step: int, number: int) -> None:
 def answer(deed: str, request: dict[str, Any]) -> None:
     step = request["step"]
     value = next(iter(request["inputs"].values()), step)
-    if deed == "same":
+    if deed in ("same", "ignores stops", "writes into foreign descriptors"):
         say({"step": step, "outputs": {PORT: value}})
     elif deed == "request":
         say({"step": step, "outputs": {PORT: request}})
@@ -116,10 +119,57 @@ def answer(deed: str, request: dict[str, Any]) -> None:
         wrong(deed, step, value)
 
 
+def flood(piece: bytes) -> None:
+    """Write without end, as fast as it is read, until the reader is gone."""
+    with suppress(OSError):
+        while True:
+            sys.stdout.buffer.write(piece)
+
+
+def misbehave(deed: str) -> None:
+    """Be hostile before any step, or for ever."""
+    if deed == "not ready":
+        time.sleep(3600)
+    elif deed == "floods before it is ready":
+        flood(b"loading the model\n")
+    elif deed == "floods with lines":
+        say({"ready": True})
+        flood(b"y\n")
+    elif deed == "floods with a line":
+        say({"ready": True})
+        flood(b"y" * 4096)
+    elif deed == "floods with answers":
+        say({"ready": True})
+        flood(message({"step": 1, "outputs": {PORT: -1}}))
+    elif deed == "floods its log":
+        say({"ready": True})
+        os.dup2(2, 1)
+        flood(b"y\n")
+    elif deed == "promises":
+        say({"ready": True})
+        write(b"\xc1CFG" + (1 << 26).to_bytes(4, "little") if IS_MSGPACK else b'{"step": 1, ')
+        time.sleep(3600)
+    elif deed == "writes into foreign descriptors":
+        for number in range(3, 64):
+            with suppress(OSError):
+                os.write(number, b"\x05\0\0\0\0\0\0\0hello" * 3)
+    elif deed == "ignores stops":
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    elif deed == "closes its input":
+        say({"ready": True})
+        os.close(0)
+        time.sleep(3600)
+    elif deed == "closes its output":
+        say({"ready": True})
+        os.close(1)
+        time.sleep(3600)
+
+
 def main(deed: str) -> None:
     sys.stderr.write(f"log: {os.environ['CFGPLAN_PARAMS']}\n")
     if deed == "never ready":
         sys.exit(4)
+    misbehave(deed)
     write(b"a banner\n")
     say({"ready": True})
     if deed in ("own pace", "ends", "fails"):
@@ -131,7 +181,7 @@ def main(deed: str) -> None:
     for request in requests():
         answer(deed, request)
     note("ended")
-    while deed == "stubborn":
+    while deed in ("stubborn", "ignores stops"):
         time.sleep(3600)
 
 

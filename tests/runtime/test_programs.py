@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import sys
 from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
@@ -22,40 +21,17 @@ from cfgplan_runtime.supervision.events import (
     UnitHung,
     UnitPrinted,
 )
+from program_units import giver, program
 from watching import Listener, StartRuntime, seen
-from world import eventually, source, start, unit, worker
+from world import eventually, source, start, unit
 
-from cfgplan.domain import ChangeSet, OutputPort, RunOptions, Transformation
+from cfgplan.domain import ChangeSet, RunOptions, Transformation
 from cfgplan.transformations import ProgramFormat
 
 COUNT, WORK = unit("count.1"), unit("work.1", topic="/result", x="count.1/n")
 
 
 pytestmark = pytest.mark.parametrize("form", get_args(ProgramFormat))
-
-
-def command(deed: str, form: ProgramFormat) -> str:
-    return f"program:{sys.executable} running_program.py {deed!r} {form}"
-
-
-def program(
-    form: ProgramFormat,
-    deed: str = "same",
-    *,
-    label: str = "work",
-    run: RunOptions = RunOptions(),
-    **params: object,
-) -> Transformation:
-    made = worker(label, **params)
-    run = replace(run, format=form)
-    return Transformation(label, made.inputs, made.outputs, source=command(deed, form), params=made.params, run=run)
-
-
-def giver(form: ProgramFormat, deed: str, *, rate_hz: float | None = None, **params: object) -> Transformation:
-    run = RunOptions(rate_hz=rate_hz, format=form)
-    return Transformation(
-        "give", outputs=(OutputPort("n", "N"),), source=command(deed, form), params=params, run=run
-    )
 
 
 def process_of(pid: int | None) -> psutil.Process:
@@ -146,7 +122,9 @@ def test_wrong_output_is_told_once_with_the_line_and_counted_and_the_unit_goes_o
 @pytest.mark.parametrize(
     ("deed", "cause"), [("exit", "the program: ended with exit status 3"), ("crash", "the program: killed by SIGSEGV")]
 )
-def test_a_program_that_ends_in_a_step_has_died(run_units: StartRuntime, form: ProgramFormat, deed: str, cause: str) -> None:
+def test_a_program_that_ends_in_a_step_has_died(
+    run_units: StartRuntime, form: ProgramFormat, deed: str, cause: str
+) -> None:
     runtime = run_units(source(), program(form, deed))
     with suppress(ApplyError):  # on a slow machine it dies before the update is over
         runtime.apply(start(COUNT, WORK))
@@ -154,7 +132,9 @@ def test_a_program_that_ends_in_a_step_has_died(run_units: StartRuntime, form: P
     assert seen(runtime, UnitDied)[0].cause.startswith(cause)
 
 
-def test_a_program_that_is_killed_while_nothing_is_asked_of_it_has_died(run_units: StartRuntime, form: ProgramFormat) -> None:
+def test_a_program_that_is_killed_while_nothing_is_asked_of_it_has_died(
+    run_units: StartRuntime, form: ProgramFormat
+) -> None:
     runtime = run_units(program(form))
     runtime.apply(start(unit("work.1")))
     process_of(runtime.pid("work.1")).kill()
@@ -190,13 +170,15 @@ def test_a_program_that_hangs_is_killed(run_units: StartRuntime, form: ProgramFo
 def test_a_program_that_can_not_be_started_undoes_the_update_and_says_why(
     run_units: StartRuntime, form: ProgramFormat, made: Transformation, cause: str
 ) -> None:
-    runtime = run_units(made)
+    runtime = run_units(replace(made, run=RunOptions(format=form)))
     with pytest.raises(ApplyError, match=cause) as told:
         runtime.apply(start(unit("work.1")))
     assert "Traceback" not in str(told.value)
 
 
-def test_an_update_from_program_to_program_loses_repeats_and_reorders_nothing(run_units: StartRuntime, form: ProgramFormat) -> None:
+def test_an_update_from_program_to_program_loses_repeats_and_reorders_nothing(
+    run_units: StartRuntime, form: ProgramFormat
+) -> None:
     runtime = run_units(source(rate_hz=500), program(form))
     runtime.apply(start(COUNT, WORK))
     listener = Listener("/result")
@@ -246,7 +228,9 @@ def test_a_source_of_its_own_pace_gives_its_own_times_and_gets_sigterm_at_its_st
     listener.join()
 
 
-def test_a_source_that_ends_well_has_no_more_to_give_and_its_unit_stays(run_units: StartRuntime, form: ProgramFormat) -> None:
+def test_a_source_that_ends_well_has_no_more_to_give_and_its_unit_stays(
+    run_units: StartRuntime, form: ProgramFormat
+) -> None:
     runtime = run_units(giver(form, "ends"))
     runtime.apply(start(unit("give.1")))
     eventually(lambda: bool(seen(runtime, SourceExhausted)))
@@ -262,7 +246,9 @@ def test_a_source_that_ends_badly_has_died(run_units: StartRuntime, form: Progra
     assert seen(runtime, UnitDied)[0].cause.startswith("the program: ended with exit status 1")
 
 
-def test_at_its_stop_a_program_gets_the_end_of_its_input_and_may_end(run_units: StartRuntime, form: ProgramFormat, tmp_path: Path) -> None:
+def test_at_its_stop_a_program_gets_the_end_of_its_input_and_may_end(
+    run_units: StartRuntime, form: ProgramFormat, tmp_path: Path
+) -> None:
     runtime = run_units(source(), program(form, notes=str(tmp_path)))
     runtime.apply(start(unit("count.1"), unit("work.1", x="count.1/n")))
     runtime.stop()

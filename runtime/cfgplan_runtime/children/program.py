@@ -28,6 +28,7 @@ from cfgplan_runtime.children.program_source import ProgramSource
 from cfgplan_runtime.children.started_usage import started_usage
 from cfgplan_runtime.children.unit_code import Given
 from cfgplan_runtime.errors import ProgramEndedError, ProgramFaultError
+from cfgplan_runtime.streams.channel import socket_pair
 from cfgplan_runtime.streams.element import Buffer, Moment
 
 MOST_IN_FLIGHT = 32
@@ -83,14 +84,8 @@ class ProgramCode:
         self._is_deaf = False
         self.replies: deque[Reply] = deque()
         """The results that the unit has not taken yet, in order."""
-        self._file, self._process = _start(order)
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self.input, self.end = self._process.stdin.fileno(), self._process.stdout.fileno()
+        self._file, self._process, self.input, self.end = _start(order)
         """`end` can be read when the program has said something."""
-        for end in (self.input, self.end):
-            os.set_blocking(end, False)
-            _enlarge(end)
         self._await_readiness()
 
     @property
@@ -152,6 +147,7 @@ class ProgramCode:
                 sent -= len(self._unsent.popleft())
             if sent:
                 self._unsent[0] = self._unsent[0][sent:]
+                return
 
     def hear(self) -> None:
         """Read what the program has said, and sort it into replies."""
@@ -171,17 +167,14 @@ class ProgramCode:
 
     def close(self) -> None:
         """Close the program's standard input and wait for its end; one that would not notice gets SIGTERM."""
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        with suppress(OSError):
-            self._process.stdin.close()
+        os.close(self.input)
         if self.sets_its_pace or self._asked:
             self.interrupt()
         while self._process.poll() is None and not self._output.has_ended:
             select.select([self.end], [], [], _LOOK_S)
             self._output.read(self.end)
             self._output.complete.clear()
-        self._process.stdout.close()
+        os.close(self.end)
         status = self._process.wait()
         if status not in (0, -signal.SIGTERM, -signal.SIGPIPE):
             raise ProgramFaultError("exit status", f"at its stop the program: {end_of_process(status)}")
@@ -300,27 +293,47 @@ def _given(answers: list[Answer]) -> Iterator[Given]:
                 yield Given(port, value, answer.time_ns)
 
 
-def _start(order: UnitOrder) -> tuple[Path, subprocess.Popen[bytes]]:
-    """Start a program in its folder. Raises ProgramEndedError."""
+def _start(order: UnitOrder) -> tuple[Path, subprocess.Popen[bytes], int, int]:
+    """Start a program in its folder. Returns its file, its process, and our ends of its standard input and output.
+
+    Raises ProgramEndedError.
+    """
     folder = Path(order.folder)
     told = {"PARAMS": order.params, "INPUTS": order.inputs, "OUTPUTS": order.outputs}
     try:
         source = ProgramSource.read(order.source)
         assert source is not None
         file = source.file(folder)
+    except InputError as error:
+        raise ProgramEndedError(str(error)) from None
+    make = _sockets if order.format == "msgpack" else os.pipe
+    (stdin, input_end), (end, stdout) = make(), make()
+    try:
         process = subprocess.Popen(
             [str(file), *source.arguments],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            bufsize=0,
+            stdin=stdin,
+            stdout=stdout,
             cwd=folder,
             env=os.environ | {f"CFGPLAN_{key}": msgspec.json.encode(value).decode() for key, value in told.items()},
         )
-    except InputError as error:
-        raise ProgramEndedError(str(error)) from None
     except OSError as error:
         raise ProgramEndedError(f"{file} can't be started: {error.strerror}") from None
-    return file, process
+    finally:
+        os.close(stdin)
+        os.close(stdout)
+    for ours in (input_end, end):
+        os.set_blocking(ours, False)
+        _enlarge(ours)
+    return file, process, input_end, end
+
+
+def _sockets() -> tuple[int, int]:
+    """The ends to read and to write of a connection, through which large messages go with less work than by a pipe.
+
+    Others get pipes: shells may open these by the name /dev/stdin.
+    """
+    writer, reader = socket_pair()
+    return reader.detach(), writer.detach()
 
 
 def _enlarge(end: int) -> None:

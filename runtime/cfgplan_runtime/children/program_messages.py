@@ -1,4 +1,4 @@
-"""What programs and their units write to each other: lines of JSON, or frames of msgpack (the manual's page `programs`).
+"""Messages between a program and its unit: lines of JSON, or frames of msgpack (the manual's page `programs`).
 
 A frame is `MARK`, the length of its payload as 4 bytes (little-endian), and a payload as streams have it: 4 bytes with
 the length of the msgpack, the msgpack, padding, and the bytes of the arrays. No UTF-8 text and no msgpack has the byte
@@ -17,6 +17,7 @@ from typing import Annotated, Any, Protocol
 import msgspec
 
 from cfgplan_runtime.errors import EncodingError, ProgramFaultError
+from cfgplan_runtime.streams.channel import Buffers
 from cfgplan_runtime.streams.element import Buffer
 from cfgplan_runtime.streams.payload import PayloadEncoder, decode
 
@@ -170,27 +171,31 @@ class Frames:
         self.has_ended = False
         self._rest = bytearray()
         """What was read and belongs to no frame yet."""
-        self._frame: bytearray | None = None
+        self._frame: memoryview | None = None
         """The payload of the frame that is being read, of which there are so many bytes:"""
         self._filled = 0
+        self._buffers = Buffers()
+        self._wanted = _PER_READ
+        """How many bytes to read at once: after a large frame only a head, so that the next one is not copied."""
         self._encoder = PayloadEncoder()
 
     def read(self, end: int) -> bool:
         if self.has_ended:
             return True
-        more = bytearray(_PER_READ)
-        frame = memoryview(self._frame)[self._filled :] if self._frame is not None else memoryview(b"")
         try:
-            count = os.readv(end, [frame, more]) if frame else os.readv(end, [more])
+            if self._frame is not None:
+                count = os.readv(end, [self._frame[self._filled :]])
+                self._filled += count
+                if self._filled == len(self._frame):
+                    self.complete.append(Message(self._frame, is_stray=False))
+                    self._frame, self._wanted = None, _HEAD
+            else:
+                data = os.read(end, self._wanted)
+                count, self._wanted = len(data), _PER_READ
+                self._rest += data
+                self._split()
         except BlockingIOError:
             return False
-        self._filled += min(count, len(frame))
-        if count >= len(frame):
-            if self._frame is not None:
-                self._complete(self._frame)
-                self._frame = None
-            self._rest += memoryview(more)[: count - len(frame)]
-            self._split()
         if not count:
             self.has_ended = True
             self._add_stray(self._rest)
@@ -240,17 +245,15 @@ class Frames:
                 at += _HEAD
                 continue
             at += _HEAD
-            body = rest[at : at + length]
-            at += len(body)
-            if len(body) < length:
-                self._filled = len(body)
-                self._frame = body + bytearray(length - len(body))
+            if len(rest) - at < length:
+                self._filled = len(rest) - at
+                self._frame = self._buffers.take(length)
+                self._frame[: self._filled] = rest[at:]
+                at = len(rest)
                 break
-            self._complete(body)
+            self.complete.append(Message(rest[at : at + length], is_stray=False))
+            at += length
         del rest[:at]
-
-    def _complete(self, payload: bytearray) -> None:
-        self.complete.append(Message(memoryview(payload), is_stray=False))
 
     def _add_stray(self, text: bytearray) -> None:
         if text.strip():
