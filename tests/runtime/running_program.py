@@ -112,8 +112,12 @@ def answer(deed: str, request: dict[str, Any]) -> None:
         os.kill(os.getpid(), signal.SIGSEGV)
     elif deed == "hang":
         time.sleep(3600)
+    elif deed == "memory of two":
+        hoard = [b"x" * (n + (1 << 20)) for n in range(150)]
+        os.fork()
+        time.sleep(3600 * len(hoard))
     elif deed == "memory":
-        hoard = [bytearray(1 << 20) for _ in range(300)]
+        hoard = [b"x" * (n + (1 << 20)) for n in range(300)]
         time.sleep(3600 * len(hoard))
     else:
         wrong(deed, step, value)
