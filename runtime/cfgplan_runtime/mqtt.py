@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import math
 import os
 import ssl
 import sys
@@ -17,6 +18,7 @@ import threading
 import uuid
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 from urllib.parse import urlsplit
@@ -430,13 +432,21 @@ def _decoded(payload: bytes, form: str) -> object:
     """The value that a payload holds. Raises ValueError."""
     match form:
         case "json":
-            return json.loads(payload)
+            return json.loads(payload, parse_constant=_finite)
         case "number":
-            return float(payload)
+            return _finite(payload.decode())
         case "text":
             return payload.decode()
         case _:
             return payload
+
+
+def _finite(text: str) -> float:
+    """The number that a text is. Raises ValueError, also for NaN and infinite ones, which JSON does not have."""
+    number = float(text)
+    if not math.isfinite(number) or "_" in text:
+        raise ValueError(f"{text} is no number")
+    return number
 
 
 def _path(field: object, payload: str) -> tuple[str | int, ...]:
@@ -464,7 +474,9 @@ def _within(value: Any, keys: tuple[str | int, ...]) -> object:
 def _encoded(value: object, form: str) -> bytes:
     match form:
         case "json":
-            return json.dumps(value, default=_plain).encode()
+            return json.dumps(value, default=_plain, allow_nan=False).encode()
+        case "number" if isinstance(value, Real) and not math.isfinite(value):
+            raise ValueError(f"{value} is no number, and is not published")
         case "bytes" if isinstance(value, bytes | bytearray | memoryview):
             return bytes(value)
         case _:

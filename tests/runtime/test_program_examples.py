@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import subprocess
 import sys
@@ -20,6 +21,7 @@ from cfgplan.domain import InputPort, OutputPort, RunOptions, Transformation
 
 EXAMPLES = Path(__file__).parents[2] / "models" / "programs"
 USUAL = RunOptions()
+THROUGHPUT = Path(__file__).parents[2] / "experiments" / "programs" / "throughput.py"
 NEEDS_CC = pytest.mark.skipif(shutil.which("cc") is None, reason="cc is not installed")
 NEEDS_NODE = pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed")
 NEEDS_JQ = pytest.mark.skipif(shutil.which("jq") is None, reason="jq is not installed")
@@ -102,3 +104,13 @@ def test_the_camera_gives_images_of_a_lamp_that_is_on_or_off(run_units: StartRun
         image = next(iter(subscription)).value
     assert (image.dtype, image.shape) == (numpy.uint8, (480, 960))
     assert (image > 128).sum() in (0, 160 * 160)
+
+
+@NEEDS_CC
+def test_small_elements_and_images_go_through_one_c_program_and_are_compared_with_a_python_unit(tmp_path: Path) -> None:
+    file = tmp_path / "rates.json"
+    line = [sys.executable, str(THROUGHPUT), "--rounds", "1", "--seconds", "0.1", "--json", str(file)]
+    subprocess.run(line, check=True)
+    rates = {row["what"]: row for row in json.loads(file.read_text())}
+    assert set(rates) == {"small elements, msgpack", "small elements, JSON", "images of 460 kB, msgpack"}
+    assert all(row["ratio"] == row["program"] / row["python"] > 0 for row in rates.values())
