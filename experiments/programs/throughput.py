@@ -1,4 +1,4 @@
-"""Elements per second through one C program, against a Python unit that passes on what comes, in one run.
+"""Elements per second through one C program and through a Python unit, compared in one run.
 
 python experiments/programs/throughput.py [--seconds 2] [--rounds 5] [--json FILE]
 

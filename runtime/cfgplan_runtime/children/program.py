@@ -99,17 +99,17 @@ class ProgramCode:
 
     @property
     def owes(self) -> bool:
-        """Whether there is a step that it has not answered."""
+        """Whether the program has steps to answer."""
         return bool(self._asked)
 
     @property
     def is_sending(self) -> bool:
-        """Whether it has not taken all that it was sent, so that `flush` is due when `input` can be written."""
+        """Whether messages wait for `flush`, which is due when `input` can be written."""
         return bool(self._unsent)
 
     @property
     def is_heard(self) -> bool:
-        """Whether more of what the program says is to be read; not while results wait to be taken."""
+        """Whether to read more of the output: not while results wait in `replies`."""
         return not self._output.has_ended and not self.replies
 
     def silent_ns(self) -> int:
@@ -155,9 +155,9 @@ class ProgramCode:
         self._sort()
 
     def has_ended(self) -> bool:
-        """Whether a source has ended well and has no more to give.
+        """Return whether a source has ended with exit status 0 and its results were taken.
 
-        Raises ProgramEndedError if the program has ended otherwise, once what it has said was taken.
+        Raises ProgramEndedError if a program has ended in another way and its results were taken.
         """
         if not self._is_over or self.replies:
             return False
@@ -196,7 +196,7 @@ class ProgramCode:
         return self._output.has_ended or self._is_deaf
 
     def _await_readiness(self) -> None:
-        """Wait until the program is ready; sort what it has said after that. Raises ProgramEndedError."""
+        """Wait for the message that says that the program is ready. Raises ProgramEndedError."""
         said = self._output.complete
         while True:
             while said:

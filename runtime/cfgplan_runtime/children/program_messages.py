@@ -227,7 +227,7 @@ class Frames:
         return False
 
     def _split(self) -> None:
-        """Take the frames out of what was read; what lies between them is stray."""
+        """Take complete frames out of the bytes that were read. Bytes between frames are stray."""
         at = 0
         rest = self._rest
         while True:

@@ -147,7 +147,7 @@ class UnitChild:
         return time.process_time_ns() + (self._program.cpu_ns() if self._program else 0)
 
     def _watch_program(self) -> None:
-        """Hear what a program says as long as nothing of it waits, and send what it has room for.
+        """Watch the ends of a program: read its output while no result waits, write while messages wait.
 
         Raises ProgramEndedError if it has ended unasked.
         """
