@@ -182,6 +182,11 @@ def main(deed: str) -> None:
             say({"outputs": {PORT: number}, "time_ns": time.time_ns()})
             time.sleep(0.005)
         sys.exit(1 if deed == "fails" else 0)
+    if deed == "pairs":
+        arriving = requests()
+        for first, second in zip(arriving, arriving, strict=False):
+            answer("same", first)
+            answer("same", second)
     for request in requests():
         answer(deed, request)
     note("ended")

@@ -23,7 +23,7 @@ from cfgplan_runtime.supervision.events import (
 )
 from program_units import giver, program
 from watching import Listener, StartRuntime, seen
-from world import eventually, source, start, unit
+from world import eventually, source, start, unit, worker
 
 from cfgplan.domain import ChangeSet, RunOptions, Transformation
 from cfgplan.transformations import ProgramFormat
@@ -201,6 +201,39 @@ def test_a_program_that_ends_before_it_is_ready_undoes_the_update_and_says_why(
     runtime = run_units(program(form, "never ready"))
     with pytest.raises(ApplyError, match="ended with exit status 4"):
         runtime.apply(start(unit("work.1")))
+
+
+def test_a_program_gets_more_steps_before_it_has_answered_the_last(
+    run_units: StartRuntime, form: ProgramFormat
+) -> None:
+    runtime = run_units(source(), program(form, "pairs"))
+    runtime.apply(start(COUNT, WORK))
+    listener = Listener("/result")
+    eventually(lambda: len(listener.received) > 20)
+    assert rises(listener.values)
+    runtime.close()
+    listener.join()
+
+
+def test_with_a_queue_of_one_a_step_is_sent_after_the_last_answer(run_units: StartRuntime, form: ProgramFormat) -> None:
+    run = RunOptions(queue=1, hang_us=2_000_000)
+    runtime = run_units(source(), program(form, "pairs", run=run))
+    runtime.apply(start(unit("count.1"), unit("work.1", x="count.1/n")))
+    eventually(lambda: bool(seen(runtime, UnitHung)))
+
+
+def test_a_program_whose_results_have_to_wait_is_not_taken_for_hung(
+    run_units: StartRuntime, form: ProgramFormat
+) -> None:
+    slow = worker("slow", "Slow", run=RunOptions(queue=1, blocks=True), seconds=2.5)
+    runtime = run_units(source(), program(form, run=RunOptions(hang_us=2_000_000)), slow)
+    units = unit("count.1"), unit("work.1", x="count.1/n"), unit("slow.1", topic="/result", x="work.1/y")
+    runtime.apply(start(*units))
+    listener = Listener("/result")
+    eventually(lambda: len(listener.received) > 3)
+    assert seen(runtime, UnitHung) == seen(runtime, UnitDied) == []
+    runtime.close()
+    listener.join()
 
 
 def test_a_source_with_a_rate_is_asked_at_its_rate(run_units: StartRuntime, form: ProgramFormat) -> None:
