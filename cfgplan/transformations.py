@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import attrgetter
 from types import MappingProxyType
-from typing import Annotated, NamedTuple
+from typing import Annotated, Literal, NamedTuple, TypeAlias
 
 from cfgplan.arguments import AtLeast, Natural, checked
 from cfgplan.canonical import fields_of, refuse_duplicates, store_resources, store_sorted
@@ -20,6 +20,9 @@ from cfgplan.selectors import check_selector
 ALL = 0
 """The `count` of an input that takes every matching stream."""
 
+
+ProgramFormat: TypeAlias = Literal["json", "msgpack"]
+"""How a program that is a unit reads and writes messages."""
 
 DEFAULT_LABOR_US = 1_000_000
 """The labor of a transformation that declares none, in microseconds: a start is never free."""
@@ -133,6 +136,7 @@ class RunOptions:
     more than `memory_mb` megabytes is killed; so is one that does not end within `stop_us` of being told to (None: the
     runtime's default, 2 s). With `state`, a new unit continues with the last unit's state; transformations with the
     same name as `state` share it. A `lifecycle` node of ROS 2 is configured as a cold spare, and activated as a unit.
+    A unit that is a program reads and writes messages in `format`.
     Raises InvalidValueError for a `hang_us` of less than 2 s.
     """
 
@@ -146,6 +150,7 @@ class RunOptions:
     state: bool | str = False
     lifecycle: bool = False
     stop_us: Natural | None = None
+    format: ProgramFormat = "json"
 
     def __post_init__(self) -> None:
         if isinstance(self.state, str) and not re.fullmatch(STATE_NAME, self.state):

@@ -60,6 +60,7 @@ from cfgplan.formats.schema_values import (
 )
 from cfgplan.planning import MOST_INSTANCES
 from cfgplan.qualities import QualityRule
+from cfgplan.transformations import ProgramFormat
 
 FORMAT: Final = "cfgplan/1"
 LONGEST_QUEUE = 1_000_000
@@ -310,6 +311,7 @@ class RunPart(Part):
     stop: TimeSpan | None = row(
         "how long a unit that is told to end may take, such as 500ms; then it is killed; 2s if absent", to="stop_us"
     )
+    format: ProgramFormat = row("how a program reads and writes: lines of JSON, or frames of msgpack", "json")
     memory: Whole | None = row(
         "the most memory that a unit may take, in megabytes", None, "memory_mb", Use.BOTH, ge=1, le=LONGEST_QUEUE
     )

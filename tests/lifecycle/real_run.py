@@ -52,19 +52,41 @@ class Worker:
 '''
 
 PROGRAM = '''
-"""The worker as a program, which knows nothing of cfgplan."""
+"""The worker as a program, which knows nothing of cfgplan. It writes lines of JSON, or frames of msgpack if told so."""
 
 import json, os, sys
 
+import msgspec
+
 params = json.loads(os.environ["CFGPLAN_PARAMS"])
+standard_input, is_msgpack = sys.stdin.buffer, sys.argv[1:] == ["msgpack"]
+
+
+def say(message):
+    written = json.dumps(message).encode() + b"\\n"
+    if is_msgpack:
+        body = msgspec.msgpack.encode(message)
+        written = b"\\xc1CFG" + (len(body) + 4).to_bytes(4, "little") + len(body).to_bytes(4, "little") + body
+    sys.stdout.buffer.write(written)
+    sys.stdout.buffer.flush()
+
+
+def requests():
+    while not is_msgpack and (line := standard_input.readline()):
+        yield json.loads(line)
+    while is_msgpack and (head := standard_input.read(8)):
+        yield msgspec.msgpack.decode(standard_input.read(int.from_bytes(head[4:], "little"))[4:])
+
+
 if params.get("deed") == "die at start":
     sys.exit("no such device")
-print('{"ready": true}', flush=True)
-for line in sys.stdin:
-    x = json.loads(line)["inputs"]["x"]
-    print(json.dumps({"outputs": {"y": [params["name"], x if isinstance(x, int) else x[1]]}}), flush=True)
+say({"ready": True})
+for request in requests():
+    x = request["inputs"]["x"]
+    say({"step": request["step"], "outputs": {"y": [params["name"], x if isinstance(x, int) else x[1]]}})
 '''
-PROGRAM_SOURCE = f"program:{sys.executable} worker_program.py"
+PROGRAMS = {form: f"program:{sys.executable} worker_program.py {form}" for form in ("json", "msgpack")}
+"""The source of the program in each format."""
 
 Transformations = dict[str, dict[str, Any]]
 

@@ -9,7 +9,7 @@ from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 from cfgplan_runtime import Manager, NoSuchTopicError, Policy, Runtime, SimulatedRuntime, UnitDied, subscribe
@@ -20,14 +20,16 @@ from cfgplan_runtime.streams.run_folder import base_folder, topics_of
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
 from cfgplan_runtime.testing import FIRST, LAST, Bench, Hosts, check_middleware
 from living import RESULT, source, worker
-from real_run import PROGRAM, PROGRAM_SOURCE, UNITS
+from real_run import PROGRAM, PROGRAMS, UNITS
 from unit_signals import signal_unit
 
 from cfgplan import api
 from cfgplan.domain import ChangeSet, Environment, RunOptions, Target, Transformation
 from cfgplan.planners import PLANNERS
+from cfgplan.transformations import ProgramFormat
 
 MIDDLEWARE = (Path(__file__).parents[2] / "cfgplan" / "manual" / "middleware.md").read_text(encoding="utf-8")
+FORMATS: tuple[ProgramFormat, ...] = get_args(ProgramFormat)
 WORLD = api.world(Environment((), (source(), worker()), (RESULT,)), horizon_s=60)
 
 
@@ -380,7 +382,7 @@ def gives(topic: str, run: str) -> bool:
 
 
 @contextmanager
-def real_bench(folder: Path, code: str) -> Iterator[Bench]:
+def real_bench(folder: Path, code: str, run: RunOptions) -> Iterator[Bench]:
     (folder / "units.py").write_text(UNITS)
     (folder / "worker_program.py").write_text(PROGRAM)
     params = {"name": "x"}
@@ -388,8 +390,8 @@ def real_bench(folder: Path, code: str) -> Iterator[Bench]:
         yield Bench(
             runtime,
             source(source="units.py:count", run=RunOptions(rate_hz=100)),
-            worker(source=code, params=params),
-            worker("broken", source=code, params={**params, "deed": "die at start"}),
+            worker(source=code, params=params, run=run),
+            worker("broken", source=code, params={**params, "deed": "die at start"}, run=run),
             lambda unit: signal_unit(runtime, unit),
             lambda: [
                 name
@@ -406,12 +408,20 @@ def test_a_middleware_keeps_its_promises(make: Callable[[], AbstractContextManag
     check_middleware(make)
 
 
-@pytest.mark.parametrize("code", ["units.py:Worker", PROGRAM_SOURCE], ids=["Python", "program"])
+@pytest.mark.parametrize(
+    ("code", "run"),
+    [("units.py:Worker", RunOptions()), *((PROGRAMS[form], RunOptions(format=form)) for form in FORMATS)],
+    ids=["Python", *FORMATS],
+)
 def test_the_runtime_keeps_its_promises(
-    code: str, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+    code: str,
+    run: RunOptions,
+    tmp_path: Path,
+    tmp_path_factory: pytest.TempPathFactory,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))
-    check_middleware(lambda: real_bench(tmp_path, code))
+    check_middleware(lambda: real_bench(tmp_path, code, run))
 
 
 def test_without_wires_a_middleware_is_checked_by_its_elements() -> None:

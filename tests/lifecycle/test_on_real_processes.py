@@ -24,7 +24,7 @@ from cfgplan_runtime.lifecycle.reports import Decision, Review, UnitEvent
 from cfgplan_runtime.processes import process_backend
 from cfgplan_runtime.processes.process_backend import OUTLETS
 from cfgplan_runtime.supervision.events import OutOfDescriptors, SpareUsed
-from real_run import PROGRAM_SOURCE, UNITS, RealRun, eventually, source, worker
+from real_run import PROGRAMS, UNITS, RealRun, eventually, source, worker
 
 RESULT, SLOW, DYING = {"/result": "Y"}, {"/slow": "S"}, {"/dying": "D"}
 CHAIN = (source(), worker("first", gives="Z"), worker("last", needs="Z"))
@@ -41,9 +41,10 @@ def test_the_stream_goes_on_after_the_death_of_each_unit(run_for_real: RealRun) 
     assert Decision.FAILED not in {review.decision for review in run_for_real.reviews}
 
 
-def test_a_killed_program_is_replaced_by_its_spare_and_its_unit_by_a_new_one(run_for_real: RealRun) -> None:
+@pytest.mark.parametrize("form", PROGRAMS)
+def test_a_killed_program_is_replaced_by_its_spare_and_its_unit_by_a_new_one(run_for_real: RealRun, form: str) -> None:
     run = run_for_real
-    run.start(source(), worker(source=PROGRAM_SOURCE, standby=0.0001), survive=1)
+    run.start(source(), worker(source=PROGRAMS[form], run={"format": form}, standby=0.0001), survive=1)
     for number in (1, 2):
         eventually(lambda: bool(prepared(run)))
         unit = next(name for name in run.runtime.environment.unit if name.startswith("work") and run.runtime.pid(name))

@@ -34,6 +34,24 @@ def images() -> Iterator[NDArray[numpy.uint8]]:
         number += 1
 
 
+def shades() -> Iterator[NDArray[numpy.uint8]]:
+    """Pictures of 460 kB whose columns rise from 0 to 255, again and again."""
+    while True:
+        yield numpy.tile(numpy.arange(960).astype(numpy.uint8), (480, 1))
+
+
+VARIOUS: list[Any] = [
+    *(1, -1, 127, 128, -128, 70_000, -70_000, 1 << 40, 0.5, True, False, "", "x" * 40, "ü" * 300, b"bytes" * 20),
+    *([], list(range(20)), {}, {"a": [{"b": 1.5}]}, {str(n): n for n in range(20)}, "x" * 70_000, list(range(70_000))),
+]
+"""Values of each kind that msgpack writes in another way."""
+
+
+def various() -> Iterator[Any]:
+    while True:
+        yield from VARIOUS
+
+
 def image_number(x: NDArray[numpy.uint8]) -> int:
     return int.from_bytes(x.reshape(-1)[:8].tobytes(), "little")
 

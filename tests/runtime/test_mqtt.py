@@ -128,6 +128,26 @@ def test_a_payload_has_the_form_that_is_said(
     assert heard.next() == told
 
 
+@pytest.mark.parametrize(
+    ("payload", "wrong"),
+    [("number", "nan"), ("number", "inf"), ("number", "1_000"), ("json", "NaN"), ("json", '{"x": -Infinity}')],
+)
+def test_a_message_that_is_no_number_is_left_out(
+    payload: str, wrong: str, broker: Broker, hear: Hear, publish: Publish
+) -> None:
+    heard = hear(broker.name, "x", payload=payload)
+    texts = publish(broker.name, "x", payload="text")
+    for text in (wrong, "20.5"):
+        texts(value=text)
+    assert heard.next() == 20.5
+
+
+@pytest.mark.parametrize("payload", ["number", "json"])
+def test_what_is_no_number_is_not_published(payload: str, broker: Broker, publish: Publish) -> None:
+    with pytest.raises(ValueError, match=r"no number|JSON"):
+        publish(broker.name, "x", payload=payload)(value=float("nan"))
+
+
 def test_a_retained_value_comes_first_unless_it_is_not_wanted(broker: Broker, hear: Hear, publish: Publish) -> None:
     publisher = publish(broker.name, "door", retain=True)
     before = hear(broker.name, "door")

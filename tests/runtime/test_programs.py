@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import os
 import signal
-import sys
 from contextlib import suppress
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import psutil
 import pytest
@@ -21,28 +21,17 @@ from cfgplan_runtime.supervision.events import (
     UnitHung,
     UnitPrinted,
 )
+from program_units import giver, program
 from watching import Listener, StartRuntime, seen
 from world import eventually, source, start, unit, worker
 
-from cfgplan.domain import ChangeSet, OutputPort, RunOptions, Transformation
+from cfgplan.domain import ChangeSet, RunOptions, Transformation
+from cfgplan.transformations import ProgramFormat
 
 COUNT, WORK = unit("count.1"), unit("work.1", topic="/result", x="count.1/n")
 
 
-def command(deed: str) -> str:
-    return f"program:{sys.executable} running_program.py {deed!r}"
-
-
-def program(
-    deed: str = "same", *, label: str = "work", run: RunOptions | None = None, **params: object
-) -> Transformation:
-    made = worker(label, run=run, **params)
-    return Transformation(label, made.inputs, made.outputs, source=command(deed), params=made.params, run=made.run)
-
-
-def giver(deed: str, *, rate_hz: float | None = None, **params: object) -> Transformation:
-    run = RunOptions(rate_hz=rate_hz)
-    return Transformation("give", outputs=(OutputPort("n", "N"),), source=command(deed), params=params, run=run)
+pytestmark = pytest.mark.parametrize("form", get_args(ProgramFormat))
 
 
 def process_of(pid: int | None) -> psutil.Process:
@@ -55,8 +44,8 @@ def rises(values: list[Any]) -> bool:
     return values == list(range(values[0], values[0] + len(values)))
 
 
-def test_each_step_is_a_line_with_number_time_and_inputs(run_units: StartRuntime) -> None:
-    runtime = run_units(source(), program("request"))
+def test_each_step_is_a_line_with_number_time_and_inputs(run_units: StartRuntime, form: ProgramFormat) -> None:
+    runtime = run_units(source(), program(form, "request"))
     runtime.apply(start(COUNT, WORK))
     listener = Listener("/result")
     eventually(lambda: len(listener.received) > 5)
@@ -70,14 +59,14 @@ def test_each_step_is_a_line_with_number_time_and_inputs(run_units: StartRuntime
     listener.join()
 
 
-def test_a_program_gets_params_and_logs_on_standard_error(run_units: StartRuntime) -> None:
-    runtime = run_units(program(level=5))
+def test_a_program_gets_params_and_logs_on_standard_error(run_units: StartRuntime, form: ProgramFormat) -> None:
+    runtime = run_units(program(form, level=5))
     runtime.apply(start(unit("work.1")))
     eventually(lambda: any('{"level":5}' in event.line for event in seen(runtime, UnitPrinted)))
 
 
-def test_an_answer_may_have_several_results_or_none(run_units: StartRuntime) -> None:
-    runtime = run_units(source(), program("several"), program("nothing", label="quiet"))
+def test_an_answer_may_have_several_results_or_none(run_units: StartRuntime, form: ProgramFormat) -> None:
+    runtime = run_units(source(), program(form, "several"), program(form, "nothing", label="quiet"))
     runtime.apply(start(COUNT, WORK, unit("quiet.1", x="count.1/n")))
     listener = Listener("/result")
     eventually(lambda: len(listener.received) > 20)
@@ -92,54 +81,69 @@ def test_an_answer_may_have_several_results_or_none(run_units: StartRuntime) -> 
 @pytest.mark.parametrize(
     ("deed", "what", "part"),
     [
-        ("chatter", "no JSON", "loading the model"),
-        ("broken", "no JSON", "{'outputs': {}}"),
-        ("no utf-8", "no JSON", "{\\xff\\xfe}"),
-        ("no answer", "no answer", '{"output": {"y":'),
+        ("chatter", "no {form}", "loading the model"),
+        ("broken", "no {form}", ""),
+        ("no utf-8", "no {form}", "\\xff\\xfe"),
+        ("deep", "no {form}", "recursion"),
+        ("no answer", "no answer", "`output`"),
+        ("no step", "no answer", "it lacks the `step`"),
+        ("two steps", "no answer", "a list answers one step"),
+        ("skips", "no answer", "has none before that of step"),
         ("port", "unknown port", "there is no output port 'z', only y"),
         ("time", "time going back", "1 comes after 2 at y"),
-        ("large", "too large", "more than 64 MB in one line"),
-        ("twice", "not asked for", "a line that answers no step"),
+        ("no time", "no answer", "`int` <="),
+        ("large", "too large", "more than 64 MB in one message"),
+        ("twice", "not asked for", ""),
+        ("late", "not asked for", ""),
+        ("early", "not asked for", ""),
     ],
 )
 def test_wrong_output_is_told_once_with_the_line_and_counted_and_the_unit_goes_on(
-    run_units: StartRuntime, deed: str, what: str, part: str
+    run_units: StartRuntime, form: ProgramFormat, deed: str, what: str, part: str
 ) -> None:
-    runtime = run_units(source(rate_hz=20 if deed == "large" else 200), program(deed))
+    what = what.format(form={"json": "JSON", "msgpack": "msgpack"}[form])
+    runtime = run_units(source(rate_hz=20 if deed == "large" else 200), program(form, deed))
     runtime.apply(start(COUNT, WORK))
     listener = Listener("/result")
     eventually(lambda: any(o.errors > 3 for o in runtime.observe()))
     got = len(listener.received)
-    eventually(lambda: len(listener.received) > got)
+    eventually(lambda: len(listener.received) > got + 10)
     told = [event for event in seen(runtime, UnitFailed) if event.what == what]
     assert len(told) == 1
     assert part in told[0].text
     assert seen(runtime, UnitDied) == []
     runtime.close()
     listener.join()
+    values = listener.values
+    assert all(one % 5 for one in values) or deed in ("chatter", "no utf-8", "twice", "late", "early", "time")
+    assert sorted(set(values)) == values, "each answer is that of its own step"
 
 
 @pytest.mark.parametrize(
     ("deed", "cause"), [("exit", "the program: ended with exit status 3"), ("crash", "the program: killed by SIGSEGV")]
 )
-def test_a_program_that_ends_in_a_step_has_died(run_units: StartRuntime, deed: str, cause: str) -> None:
-    runtime = run_units(source(), program(deed))
+def test_a_program_that_ends_in_a_step_has_died(
+    run_units: StartRuntime, form: ProgramFormat, deed: str, cause: str
+) -> None:
+    runtime = run_units(source(), program(form, deed))
     with suppress(ApplyError):  # on a slow machine it dies before the update is over
         runtime.apply(start(COUNT, WORK))
     eventually(lambda: bool(seen(runtime, UnitDied)))
     assert seen(runtime, UnitDied)[0].cause.startswith(cause)
 
 
-def test_a_program_that_is_killed_while_nothing_is_asked_of_it_has_died(run_units: StartRuntime) -> None:
-    runtime = run_units(program())
+def test_a_program_that_is_killed_while_nothing_is_asked_of_it_has_died(
+    run_units: StartRuntime, form: ProgramFormat
+) -> None:
+    runtime = run_units(program(form))
     runtime.apply(start(unit("work.1")))
     process_of(runtime.pid("work.1")).kill()
     eventually(lambda: bool(seen(runtime, UnitDied)))
     assert seen(runtime, UnitDied)[0].cause == "the program: killed by SIGKILL"
 
 
-def test_a_program_dies_with_its_unit(run_units: StartRuntime) -> None:
-    runtime = run_units(program())
+def test_a_program_dies_with_its_unit(run_units: StartRuntime, form: ProgramFormat) -> None:
+    runtime = run_units(program(form))
     runtime.apply(start(unit("work.1")))
     hosted = process_of(runtime.pid("work.1"))
     os.kill(runtime.pid("work.1") or 0, signal.SIGKILL)
@@ -147,8 +151,8 @@ def test_a_program_dies_with_its_unit(run_units: StartRuntime) -> None:
     eventually(lambda: not hosted.is_running() or hosted.status() == psutil.STATUS_ZOMBIE)
 
 
-def test_a_program_that_hangs_is_killed(run_units: StartRuntime) -> None:
-    runtime = run_units(source(), program("hang", run=RunOptions(hang_us=2_000_000)))
+def test_a_program_that_hangs_is_killed(run_units: StartRuntime, form: ProgramFormat) -> None:
+    runtime = run_units(source(), program(form, "hang", run=RunOptions(hang_us=2_000_000)))
     runtime.apply(start(unit("count.1"), unit("work.1", x="count.1/n")))
     eventually(lambda: bool(seen(runtime, UnitHung)) and bool(seen(runtime, UnitDied)))
 
@@ -156,7 +160,6 @@ def test_a_program_that_hangs_is_killed(run_units: StartRuntime) -> None:
 @pytest.mark.parametrize(
     ("made", "cause"),
     [
-        (program("never ready"), "ended with exit status 4"),
         (Transformation("work", source="program:./absent"), "there is no file ./absent"),
         (Transformation("work", source="program:no-such-command-1"), "there is no program no-such-command-1"),
         (Transformation("work", source="program:./world.py"), "chmod \\+x world.py"),
@@ -165,16 +168,18 @@ def test_a_program_that_hangs_is_killed(run_units: StartRuntime) -> None:
     ],
 )
 def test_a_program_that_can_not_be_started_undoes_the_update_and_says_why(
-    run_units: StartRuntime, made: Transformation, cause: str
+    run_units: StartRuntime, form: ProgramFormat, made: Transformation, cause: str
 ) -> None:
-    runtime = run_units(made)
+    runtime = run_units(replace(made, run=RunOptions(format=form)))
     with pytest.raises(ApplyError, match=cause) as told:
         runtime.apply(start(unit("work.1")))
     assert "Traceback" not in str(told.value)
 
 
-def test_an_update_from_program_to_program_loses_repeats_and_reorders_nothing(run_units: StartRuntime) -> None:
-    runtime = run_units(source(rate_hz=500), program())
+def test_an_update_from_program_to_program_loses_repeats_and_reorders_nothing(
+    run_units: StartRuntime, form: ProgramFormat
+) -> None:
+    runtime = run_units(source(rate_hz=500), program(form))
     runtime.apply(start(COUNT, WORK))
     listener = Listener("/result")
     for number in range(2, 8):
@@ -190,8 +195,49 @@ def test_an_update_from_program_to_program_loses_repeats_and_reorders_nothing(ru
     assert seen(runtime, UnitDied) == seen(runtime, UnitCutShort) == []
 
 
-def test_a_source_with_a_rate_is_asked_at_its_rate(run_units: StartRuntime) -> None:
-    runtime = run_units(giver("same", rate_hz=100))
+def test_a_program_that_ends_before_it_is_ready_undoes_the_update_and_says_why(
+    run_units: StartRuntime, form: ProgramFormat
+) -> None:
+    runtime = run_units(program(form, "never ready"))
+    with pytest.raises(ApplyError, match="ended with exit status 4"):
+        runtime.apply(start(unit("work.1")))
+
+
+def test_a_program_gets_more_steps_before_it_has_answered_the_last(
+    run_units: StartRuntime, form: ProgramFormat
+) -> None:
+    runtime = run_units(source(), program(form, "pairs"))
+    runtime.apply(start(COUNT, WORK))
+    listener = Listener("/result")
+    eventually(lambda: len(listener.received) > 20)
+    assert rises(listener.values)
+    runtime.close()
+    listener.join()
+
+
+def test_with_a_queue_of_one_a_step_is_sent_after_the_last_answer(run_units: StartRuntime, form: ProgramFormat) -> None:
+    run = RunOptions(queue=1, hang_us=2_000_000)
+    runtime = run_units(source(), program(form, "pairs", run=run))
+    runtime.apply(start(unit("count.1"), unit("work.1", x="count.1/n")))
+    eventually(lambda: bool(seen(runtime, UnitHung)))
+
+
+def test_a_program_whose_results_have_to_wait_is_not_taken_for_hung(
+    run_units: StartRuntime, form: ProgramFormat
+) -> None:
+    slow = worker("slow", "Slow", run=RunOptions(queue=1, blocks=True), seconds=2.5)
+    runtime = run_units(source(), program(form, run=RunOptions(hang_us=2_000_000)), slow)
+    units = unit("count.1"), unit("work.1", x="count.1/n"), unit("slow.1", topic="/result", x="work.1/y")
+    runtime.apply(start(*units))
+    listener = Listener("/result")
+    eventually(lambda: len(listener.received) > 3)
+    assert seen(runtime, UnitHung) == seen(runtime, UnitDied) == []
+    runtime.close()
+    listener.join()
+
+
+def test_a_source_with_a_rate_is_asked_at_its_rate(run_units: StartRuntime, form: ProgramFormat) -> None:
+    runtime = run_units(giver(form, "same", rate_hz=100))
     runtime.apply(start(unit("give.1", topic="/result", port="n")))
     listener = Listener("/result")
     eventually(lambda: len(listener.received) > 20)
@@ -201,9 +247,9 @@ def test_a_source_with_a_rate_is_asked_at_its_rate(run_units: StartRuntime) -> N
 
 
 def test_a_source_of_its_own_pace_gives_its_own_times_and_gets_sigterm_at_its_stop(
-    run_units: StartRuntime, tmp_path: Path
+    run_units: StartRuntime, form: ProgramFormat, tmp_path: Path
 ) -> None:
-    runtime = run_units(giver("own pace", notes=str(tmp_path)))
+    runtime = run_units(giver(form, "own pace", notes=str(tmp_path)))
     runtime.apply(start(unit("give.1", topic="/result", port="n")))
     listener = Listener("/result")
     eventually(lambda: len(listener.received) > 20)
@@ -215,24 +261,28 @@ def test_a_source_of_its_own_pace_gives_its_own_times_and_gets_sigterm_at_its_st
     listener.join()
 
 
-def test_a_source_that_ends_well_has_no_more_to_give_and_its_unit_stays(run_units: StartRuntime) -> None:
-    runtime = run_units(giver("ends"))
+def test_a_source_that_ends_well_has_no_more_to_give_and_its_unit_stays(
+    run_units: StartRuntime, form: ProgramFormat
+) -> None:
+    runtime = run_units(giver(form, "ends"))
     runtime.apply(start(unit("give.1")))
     eventually(lambda: bool(seen(runtime, SourceExhausted)))
     assert set(runtime.environment.unit) == {"give.1"}
     eventually(lambda: any(o.outputs["n"].elements == 3 for o in runtime.observe()))
 
 
-def test_a_source_that_ends_badly_has_died(run_units: StartRuntime) -> None:
-    runtime = run_units(giver("fails"))
+def test_a_source_that_ends_badly_has_died(run_units: StartRuntime, form: ProgramFormat) -> None:
+    runtime = run_units(giver(form, "fails"))
     with suppress(ApplyError):
         runtime.apply(start(unit("give.1")))
     eventually(lambda: bool(seen(runtime, UnitDied)))
     assert seen(runtime, UnitDied)[0].cause.startswith("the program: ended with exit status 1")
 
 
-def test_at_its_stop_a_program_gets_the_end_of_its_input_and_may_end(run_units: StartRuntime, tmp_path: Path) -> None:
-    runtime = run_units(source(), program(notes=str(tmp_path)))
+def test_at_its_stop_a_program_gets_the_end_of_its_input_and_may_end(
+    run_units: StartRuntime, form: ProgramFormat, tmp_path: Path
+) -> None:
+    runtime = run_units(source(), program(form, notes=str(tmp_path)))
     runtime.apply(start(unit("count.1"), unit("work.1", x="count.1/n")))
     runtime.stop()
     assert (tmp_path / "ended").exists()
@@ -240,17 +290,17 @@ def test_at_its_stop_a_program_gets_the_end_of_its_input_and_may_end(run_units: 
 
 
 def test_a_program_that_does_not_end_at_its_stop_gets_sigterm_after_half_of_its_time(
-    run_units: StartRuntime, tmp_path: Path
+    run_units: StartRuntime, form: ProgramFormat, tmp_path: Path
 ) -> None:
-    runtime = run_units(program("stubborn", notes=str(tmp_path)))
+    runtime = run_units(program(form, "stubborn", notes=str(tmp_path)))
     runtime.apply(start(unit("work.1")))
     runtime.stop()
     assert (tmp_path / "ended").exists()
     assert seen(runtime, UnitCutShort) == []
 
 
-def test_the_cpu_time_and_memory_of_a_program_are_its_units(run_units: StartRuntime) -> None:
-    runtime = run_units(source(), program("burn"))
+def test_the_cpu_time_and_memory_of_a_program_are_its_units(run_units: StartRuntime, form: ProgramFormat) -> None:
+    runtime = run_units(source(), program(form, "burn"))
     runtime.apply(start(unit("count.1"), unit("work.1", x="count.1/n")))
     eventually(lambda: process_of(runtime.pid("work.1")).cpu_times().user > 1)
     (work,) = [each for each in runtime.observe() if each.unit == "work.1"]

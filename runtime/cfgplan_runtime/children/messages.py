@@ -26,6 +26,8 @@ class UnitOrder(msgspec.Struct, frozen=True, tag=True):
     keeps_state: bool
     state: bytes | None
     memory_bytes: int | None
+    format: str = "json"
+    """How a program reads and writes."""
     folder: str = ""
     clock_offset_ns: int = 0
     optional: list[str] = []

@@ -1,7 +1,7 @@
-"""Unit code that is a program: lines of JSON on its standard input and output (the manual's page `programs`).
+"""Unit code that is a program, which reads and writes messages on its standard streams (the manual's page `programs`).
 
-The program gets a line for each step and answers each by one line. It runs in the process group of the unit that hosts
-it, and its standard error is the unit's.
+The program gets a message for each step, several before it has answered the first, and answers each in turn. It runs
+in the process group of the unit that hosts it, and its standard error is the unit's.
 """
 
 from __future__ import annotations
@@ -11,22 +11,34 @@ import select
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import msgspec
 
 from cfgplan.errors import InputError
 from cfgplan_runtime.children.exit_status import end_of_process
 from cfgplan_runtime.children.messages import UnitOrder
-from cfgplan_runtime.children.program_lines import LONGEST_LINE, PIPE_BYTES, Line, Lines
+from cfgplan_runtime.children.program_messages import Answer, Message, Request, program_output
 from cfgplan_runtime.children.program_source import ProgramSource
 from cfgplan_runtime.children.started_usage import started_usage
 from cfgplan_runtime.children.unit_code import Given
-from cfgplan_runtime.errors import EncodingError, ProgramEndedError, ProgramFaultError
+from cfgplan_runtime.errors import ProgramEndedError, ProgramFaultError
+from cfgplan_runtime.streams.channel import socket_pair
+from cfgplan_runtime.streams.element import Buffer, Moment
 
+MOST_IN_FLIGHT = 32
+"""Steps that wait for the answers of a program at most; `queue` may say fewer."""
+_PIPE_BYTES = 1 << 20
+"""The most that the system allows a pipe of most users to hold."""
+_MOST_PARTS = 64
+"""Parts of messages that are written at once."""
+_LARGE = 1 << 16
+"""Bytes of messages that are written before others join them."""
 _END_S = 1.0
 """Seconds within which a program whose output has ended is to end itself."""
 _LOOK_S = 0.02
@@ -34,120 +46,135 @@ _LOOK_S = 0.02
 _SET_PIPE_SIZE = 1031
 
 
-class Answer(msgspec.Struct, forbid_unknown_fields=True):
-    """The results of a step or of a source, one for each port at most."""
+class _Asked(NamedTuple):
+    """A step without an answer; its moment is None if its results have the time at which they come."""
 
-    outputs: dict[str, Any] = {}
-    time_ns: int | None = None
-
-
-class Readiness(msgspec.Struct, forbid_unknown_fields=True):
-    """The first line: the program is ready for steps."""
-
-    ready: bool
+    step: int
+    moment: Moment | None
 
 
-_ANSWERS = msgspec.json.Decoder(Answer | list[Answer])
+class Reply(NamedTuple):
+    """The results of a step, or of a source; `moment` is that of the step."""
+
+    moment: Moment | None
+    results: Iterator[Given]
 
 
 class ProgramCode:
     """A program that was started and is ready. Raises ProgramEndedError.
 
-    `time_ns` gives the time of the present step, and what is wrong with the program's output goes to `fault`.
+    Faults of the program's output go to `fault`.
     """
 
-    can_not_go_on = False
-
-    def __init__(self, order: UnitOrder, time_ns: Callable[[], int], fault: Callable[[Exception], None]) -> None:
+    def __init__(self, order: UnitOrder, fault: Callable[[Exception], None]) -> None:
         self._outputs = tuple(order.outputs)
         self._is_source = not order.inputs
-        self._sets_its_pace = self._is_source and order.period_ns is None
-        self._time_ns = time_ns
+        self.sets_its_pace = self._is_source and order.period_ns is None
+        # A source answers when it is asked: what it says of later steps would be old by then.
+        self._most_in_flight = 1 if self._is_source else min(MOST_IN_FLIGHT, order.queue)
         self._fault = fault
-        self._encoder = msgspec.json.Encoder(enc_hook=_plain)
-        self._lines = Lines()
+        self._output = program_output(order.format)
         self._last_ns: dict[str, int] = {}
         self._step = 0
-        self._is_asked = False
-        self._file, self._process = _start(order)
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._in, self.end = self._process.stdin.fileno(), self._process.stdout.fileno()
+        self._asked: deque[_Asked] = deque()
+        self._since_ns = 0
+        """When the program answered last, or was asked last while it owed nothing; monotonic."""
+        self._unsent: deque[memoryview] = deque()
+        self._unsent_bytes = 0
+        self._is_deaf = False
+        self.replies: deque[Reply] = deque()
+        """The results that the unit has not taken yet, in order."""
+        self._file, self._process, self.input, self.end = _start(order)
         """`end` can be read when the program has said something."""
-        for end in (self._in, self.end):
-            os.set_blocking(end, False)
-            _enlarge(end)
-        while (line := self._next_line()) is not None and not self._is_readiness(line):
-            pass
-        if line is None:
-            raise self._cause_of_end()
+        self._await_readiness()
 
     @property
-    def has_more(self) -> bool:
-        """Whether a source has something to give, or its end to tell; one that gives when asked always has."""
-        return not self._sets_its_pace or bool(self._lines.complete) or self._lines.has_ended
+    def has_room(self) -> bool:
+        """Whether it may be asked for one more step. A source that sets its own pace is never asked."""
+        return (
+            len(self._asked) < self._most_in_flight
+            and self._unsent_bytes < _LARGE
+            and not (self.sets_its_pace or self._is_over)
+        )
+
+    @property
+    def owes(self) -> bool:
+        """Whether the program has steps to answer."""
+        return bool(self._asked)
+
+    @property
+    def is_sending(self) -> bool:
+        """Whether messages wait for `flush`, which is due when `input` can be written."""
+        return bool(self._unsent)
 
     @property
     def is_heard(self) -> bool:
-        """Whether more of what the program says is to be read while nothing is asked of it."""
-        return not self._lines.has_ended and not (self._sets_its_pace and self._lines.complete)
+        """Whether to read more of the output: not while results wait in `replies`."""
+        return not self._output.has_ended and not self.replies
 
-    def hear(self, *, is_spare: bool) -> None:
-        """Read what the program has said without being asked; a spare's is thrown away.
+    def silent_ns(self) -> int:
+        """Nanoseconds for which the program has owed an answer, and given none; 0 while its last ones wait here."""
+        return 0 if self.replies or not self._asked else time.monotonic_ns() - self._since_ns
 
-        Raises ProgramEndedError if it has ended, unless it is a source that had no more.
-        """
-        self._lines.read(self.end)
-        if is_spare:
-            self._lines.complete.clear()
-        elif not self._sets_its_pace:
-            self._refuse_unasked()
-        if self._lines.has_ended and not (self._is_source and self._has_ended_well()):
-            raise self._cause_of_end()
-
-    def step(self, values: Mapping[str, object]) -> Iterator[Given]:
-        """The results of one step. Raises EncodingError and ProgramEndedError."""
+    def ask(self, values: dict[str, object], time_ns: int, moment: Moment | None) -> None:
+        """Ask for a step; it is sent by `flush`, or now if it is large. Raises EncodingError."""
         self._step += 1
-        self._lines.read(self.end)
-        self._refuse_unasked()
-        request = {"step": self._step, "time_ns": self._time_ns(), "inputs": values}
-        try:
-            line = self._encoder.encode(request) + b"\n"
-        except (TypeError, ValueError, OverflowError, RecursionError, msgspec.MsgspecError) as error:
-            raise EncodingError(f"step {self._step} can't be a line of JSON: {error}") from None
-        self._is_asked = True
-        self._write(line)
-        answer = self._answer()
-        self._is_asked = False
-        return self._given(answer)
+        parts = self._output.encode(Request(self._step, time_ns, values))
+        if not self._asked:
+            self._since_ns = time.monotonic_ns()
+        self._asked.append(_Asked(self._step, moment))
+        for part in parts:
+            self._unsent.append(memoryview(part))
+            self._unsent_bytes += len(part)
+        if self._unsent_bytes >= _LARGE:
+            self.flush()
 
-    def produce(self) -> Iterator[Given]:
-        """A source's next results. Raises StopIteration when the program has ended well, else ProgramEndedError."""
-        if not self._sets_its_pace and not self._lines.has_ended:
+    def flush(self) -> None:
+        """Write what the program takes of the messages to it."""
+        while self._unsent:
+            parts: list[Buffer] = [self._unsent[n] for n in range(min(len(self._unsent), _MOST_PARTS))]
             try:
-                return self.step({})
-            except ProgramEndedError:
-                pass
-        answer = self._answer_in(self._lines.complete.popleft()) if self._lines.complete else None
-        if answer is None and self._lines.has_ended and not self._lines.complete:
-            if self._has_ended_well():
-                raise StopIteration
-            raise self._cause_of_end()
-        return self._given(answer or [])
+                sent = os.writev(self.input, parts)
+            except BlockingIOError:
+                return
+            except OSError:
+                self._is_deaf = True
+                self._unsent.clear()
+                self._unsent_bytes = 0
+                return
+            self._unsent_bytes -= sent
+            while self._unsent and sent >= len(self._unsent[0]):
+                sent -= len(self._unsent.popleft())
+            if sent:
+                self._unsent[0] = self._unsent[0][sent:]
+                return
+
+    def hear(self) -> None:
+        """Read what the program has said, and sort it into replies."""
+        self._output.read(self.end)
+        self._sort()
+
+    def has_ended(self) -> bool:
+        """Return whether a source has ended with exit status 0 and its results were taken.
+
+        Raises ProgramEndedError if a program has ended in another way and its results were taken.
+        """
+        if not self._is_over or self.replies:
+            return False
+        if self._is_source and self._has_ended_well():
+            return True
+        raise self._cause_of_end()
 
     def close(self) -> None:
         """Close the program's standard input and wait for its end; one that would not notice gets SIGTERM."""
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        with suppress(OSError):
-            self._process.stdin.close()
-        if self._sets_its_pace or self._is_asked:
+        os.close(self.input)
+        if self.sets_its_pace or self._asked:
             self.interrupt()
-        while self._process.poll() is None and not self._lines.has_ended:
+        while self._process.poll() is None and not self._output.has_ended:
             select.select([self.end], [], [], _LOOK_S)
-            self._lines.read(self.end)
-            self._lines.complete.clear()
-        self._process.stdout.close()
+            self._output.read(self.end)
+            self._output.complete.clear()
+        os.close(self.end)
         status = self._process.wait()
         if status not in (0, -signal.SIGTERM, -signal.SIGPIPE):
             raise ProgramFaultError("exit status", f"at its stop the program: {end_of_process(status)}")
@@ -164,83 +191,85 @@ class ProgramCode:
         """The program's file, and when it was changed (nanoseconds)."""
         return {str(self._file): self._file.stat().st_mtime_ns}
 
-    def _is_readiness(self, line: Line) -> bool:
-        with suppress(msgspec.MsgspecError):
-            if msgspec.json.decode(line.text, type=Readiness).ready:
-                return True
-        self._fault(ProgramFaultError("not ready yet", 'before `{"ready": true}`', line.shown))
-        return False
+    @property
+    def _is_over(self) -> bool:
+        return self._output.has_ended or self._is_deaf
 
-    def _answer(self) -> list[Answer]:
-        """The answer to a step; lines that are none are told."""
-        while (line := self._next_line()) is not None:
-            if (answer := self._answer_in(line)) is not None:
-                return answer
-        raise self._cause_of_end()
+    def _await_readiness(self) -> None:
+        """Wait for the message that says that the program is ready. Raises ProgramEndedError."""
+        said = self._output.complete
+        while True:
+            while said:
+                message = said.popleft()
+                if self._output.is_readiness(message):
+                    self._sort()
+                    return
+                self._fault(ProgramFaultError("not ready yet", 'before `{"ready": true}`', message.shown))
+            if self._output.has_ended:
+                raise self._cause_of_end()
+            if not self._output.read(self.end):
+                select.select([self.end], [], [])
 
-    def _answer_in(self, line: Line) -> list[Answer] | None:
-        """The answer that a line has, empty if it is a wrong one; None if it can't have been meant as one."""
+    def _sort(self) -> None:
+        while self._output.complete:
+            self._take(self._output.complete.popleft())
+
+    def _take(self, message: Message) -> None:
+        """Settle the step that a message answers; a wrong answer settles the first one, and gives nothing.
+
+        Only an answer with the number of a step that waits gives results, so that none is taken for another step's.
+        """
+        if not self.sets_its_pace and not self._asked:
+            self._fault(ProgramFaultError(_NOT_ASKED, "it answers no step", message.shown))
+            return
         try:
-            if line.is_too_large:
-                raise ProgramFaultError("too large", f"more than {LONGEST_LINE >> 20} MB in one line", line.shown)
-            answer = _ANSWERS.decode(line.text)
-        except msgspec.ValidationError as error:
-            self._fault(ProgramFaultError("no answer", str(error), line.shown))
-        except msgspec.MsgspecError as error:
-            self._fault(ProgramFaultError("no JSON", str(error), line.shown))
+            answers = self._output.answers(message)
+            moment = None if self.sets_its_pace else self._settle(answers, message)
         except ProgramFaultError as error:
             self._fault(error)
-        else:
-            answers = answer if isinstance(answer, list) else [answer]
-            return [one for one in answers if self._is_right(one, line)]
-        return [] if line.text.startswith((b"{", b"[")) else None
+            if self._asked and not message.is_stray and error.what != _NOT_ASKED:
+                self._settled()
+            return
+        right = [answer for answer in answers if self._is_right(answer, message)]
+        if any(answer.outputs for answer in right):
+            self.replies.append(Reply(moment, _given(right)))
 
-    def _is_right(self, answer: Answer, line: Line) -> bool:
+    def _settle(self, answers: list[Answer], message: Message) -> Moment | None:
+        """The moment of the step that is answered. Raises ProgramFaultError."""
+        step = answers[0].step if answers else None
+        if step is None:
+            told = f"it lacks the `step` of what it answers, now {self._asked[0].step}"
+            raise ProgramFaultError("no answer", told, message.shown)
+        if any(answer.step not in (None, step) for answer in answers):
+            raise ProgramFaultError("no answer", "a list answers one step", message.shown)
+        if not self._asked[0].step <= step <= self._asked[-1].step:
+            raise ProgramFaultError(_NOT_ASKED, f"step {step} does not wait for an answer", message.shown)
+        while self._asked[0].step < step:
+            told = f"step {self._asked[0].step} has none before that of step {step}"
+            self._fault(ProgramFaultError("no answer", told, message.shown))
+            self._settled()
+        return self._settled().moment
+
+    def _settled(self) -> _Asked:
+        self._since_ns = time.monotonic_ns()
+        return self._asked.popleft()
+
+    def _is_right(self, answer: Answer, message: Message) -> bool:
         """Whether ports and time of an answer are right; if not, that is told, and the answer does not count."""
         fault: ProgramFaultError | None = None
         for port in answer.outputs:
             if port not in self._outputs:
                 known = ", ".join(self._outputs) or "none"
-                fault = ProgramFaultError("unknown port", f"there is no output port {port!r}, only {known}", line.shown)
+                told = f"there is no output port {port!r}, only {known}"
+                fault = ProgramFaultError("unknown port", told, message.shown)
             elif answer.time_ns is not None and answer.time_ns < self._last_ns.get(port, answer.time_ns):
                 told = f"{answer.time_ns} comes after {self._last_ns[port]} at {port}"
-                fault = ProgramFaultError("time going back", told, line.shown)
+                fault = ProgramFaultError("time going back", told, message.shown)
         if fault is not None:
             self._fault(fault)
         elif answer.time_ns is not None:
             self._last_ns |= dict.fromkeys(answer.outputs, answer.time_ns)
         return fault is None
-
-    def _given(self, answers: list[Answer]) -> Iterator[Given]:
-        for answer in answers:
-            for port, value in answer.outputs.items():
-                if value is not None:
-                    yield Given(port, value, answer.time_ns)
-
-    def _refuse_unasked(self) -> None:
-        while self._lines.complete:
-            line = self._lines.complete.popleft()
-            self._fault(ProgramFaultError("not asked for", "a line that answers no step", line.shown))
-
-    def _next_line(self) -> Line | None:
-        """The next line, waited for; None if the output has ended."""
-        while not self._lines.complete:
-            if self._lines.has_ended:
-                return None
-            if not self._lines.read(self.end):
-                select.select([self.end], [], [])
-        return self._lines.complete.popleft()
-
-    def _write(self, line: bytes) -> None:
-        left = memoryview(line)
-        while left:
-            try:
-                left = left[os.write(self._in, left) :]
-            except BlockingIOError:
-                select.select([self.end] * (not self._lines.has_ended), [self._in], [])
-                self._lines.read(self.end)
-            except OSError:
-                raise self._cause_of_end() from None
 
     def _has_ended_well(self) -> bool:
         with suppress(subprocess.TimeoutExpired):
@@ -254,27 +283,57 @@ class ProgramCode:
             return ProgramEndedError("the program has closed its standard input or output, and goes on")
 
 
-def _start(order: UnitOrder) -> tuple[Path, subprocess.Popen[bytes]]:
-    """Start a program in its folder. Raises ProgramEndedError."""
+_NOT_ASKED = "not asked for"
+
+
+def _given(answers: list[Answer]) -> Iterator[Given]:
+    for answer in answers:
+        for port, value in answer.outputs.items():
+            if value is not None:
+                yield Given(port, value, answer.time_ns)
+
+
+def _start(order: UnitOrder) -> tuple[Path, subprocess.Popen[bytes], int, int]:
+    """Start a program in its folder. Returns its file, its process, and our ends of its standard input and output.
+
+    Raises ProgramEndedError.
+    """
     folder = Path(order.folder)
     told = {"PARAMS": order.params, "INPUTS": order.inputs, "OUTPUTS": order.outputs}
     try:
         source = ProgramSource.read(order.source)
         assert source is not None
         file = source.file(folder)
+    except InputError as error:
+        raise ProgramEndedError(str(error)) from None
+    make = _sockets if order.format == "msgpack" else os.pipe
+    (stdin, input_end), (end, stdout) = make(), make()
+    try:
         process = subprocess.Popen(
             [str(file), *source.arguments],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            bufsize=0,
+            stdin=stdin,
+            stdout=stdout,
             cwd=folder,
             env=os.environ | {f"CFGPLAN_{key}": msgspec.json.encode(value).decode() for key, value in told.items()},
         )
-    except InputError as error:
-        raise ProgramEndedError(str(error)) from None
     except OSError as error:
         raise ProgramEndedError(f"{file} can't be started: {error.strerror}") from None
-    return file, process
+    finally:
+        os.close(stdin)
+        os.close(stdout)
+    for ours in (input_end, end):
+        os.set_blocking(ours, False)
+        _enlarge(ours)
+    return file, process, input_end, end
+
+
+def _sockets() -> tuple[int, int]:
+    """The ends to read and to write of a connection, through which large messages go with less work than by a pipe.
+
+    Others get pipes: shells may open these by the name /dev/stdin.
+    """
+    writer, reader = socket_pair()
+    return reader.detach(), writer.detach()
 
 
 def _enlarge(end: int) -> None:
@@ -283,12 +342,4 @@ def _enlarge(end: int) -> None:
         import fcntl
 
         with suppress(OSError):
-            fcntl.fcntl(end, _SET_PIPE_SIZE, PIPE_BYTES)
-
-
-def _plain(value: Any) -> object:
-    """The JSON value in place of an array or a number of numpy."""
-    numpy = sys.modules.get("numpy")
-    if numpy is not None and isinstance(value, (numpy.ndarray, numpy.generic)):
-        return value.tolist()
-    raise TypeError(f"JSON has no {type(value).__name__}")
+            fcntl.fcntl(end, _SET_PIPE_SIZE, _PIPE_BYTES)

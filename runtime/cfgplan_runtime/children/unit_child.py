@@ -66,11 +66,12 @@ class UnitChild:
         self._moment: Moment | None = None
         self._begun: str | None = None if is_spare else order.unit
         self._program: ProgramCode | None = None
+        self._code: UnitCode | None
         self._stateful: UnitCode | None = None
         """The unit code whose state is kept."""
         if names_program(order.source):
-            self._code: ProgramCode | UnitCode = ProgramCode(order, self._time_of_step, self._fail)
-            self._program = self._code
+            self._program = ProgramCode(order, self._fail)
+            self._code = None
         else:
             self._code = code = UnitCode(
                 order.source, order.params, order.outputs, folder=order.folder, is_source=self._is_source
@@ -101,6 +102,8 @@ class UnitChild:
         while self._begun is None and not self._ports.has_ended:
             self._watch_program()
             self._ports.ends.wait(None)
+            if self._program is not None and self._begun is None:
+                self._program.replies.clear()
         return self._begun
 
     def run(self) -> None:
@@ -123,9 +126,10 @@ class UnitChild:
 
         Code that goes from step to step works off what the unit has taken in, and is let alone.
         """
+        silent_ns = self._program.silent_ns() if self._program else time.monotonic_ns() - self._since_ns
         if self._is_closing and self._program is not None:
             self._program.interrupt()
-        elif not self._is_interrupted and time.monotonic_ns() - self._since_ns > _BLOCKED_NS:
+        elif not self._is_interrupted and silent_ns > _BLOCKED_NS:
             self._is_interrupted = True
             raise SystemExit(0)
 
@@ -135,7 +139,7 @@ class UnitChild:
             self._ports.ends.wait(self._patience_s())
             self._work()
             if time.monotonic_ns() >= self._status_ns:
-                self._say_status()
+                self._give_sign()
             if self._is_finishing and not self._has_work and self._ports.is_flushed:
                 self._close_code()
                 self._say_status()
@@ -144,28 +148,35 @@ class UnitChild:
     def _cpu_ns(self) -> int:
         return time.process_time_ns() + (self._program.cpu_ns() if self._program else 0)
 
-    def _time_of_step(self) -> int:
-        return self._ports.now_ns() if self._moment is None else self._moment[0]
-
     def _watch_program(self) -> None:
-        """Hear what a program says, but a source only as long as nothing of it waits."""
-        if self._program is None:
-            return
-        if self._program.is_heard:
-            self._ports.ends.watch(self._program.end, self._hear_program)
-        else:
-            self._ports.ends.unwatch(self._program.end)
+        """Watch the ends of a program: read its output while no result waits, write while messages wait.
 
-    def _hear_program(self) -> None:
-        assert self._program is not None
-        self._program.hear(is_spare=self._begun is None)
+        Raises ProgramEndedError if it has ended unasked.
+        """
+        program = self._program
+        if program is None:
+            return
+        ends = self._ports.ends
+        if program.is_heard and not (self._is_finishing and program.sets_its_pace):
+            ends.watch(program.end, program.hear)
+        else:
+            ends.unwatch(program.end)
+        if program.is_sending:
+            ends.watch(program.input, program.flush, to_write=True)
+        else:
+            ends.unwatch(program.input)
+        if not self._is_exhausted and self._results is None and program.has_ended() and self._begun is not None:
+            self._exhaust()
 
     def _close_code(self) -> None:
         self._since_ns, self._is_closing = _NEVER_NS, True
         if self._program is not None:
             self._ports.ends.unwatch(self._program.end)
+            self._ports.ends.unwatch(self._program.input)
+        code = self._program or self._code
+        assert code is not None
         try:
-            self._code.close()
+            code.close()
         except Exception as error:
             self._fail(error)
 
@@ -184,7 +195,21 @@ class UnitChild:
 
     @property
     def _has_work(self) -> bool:
-        return self._results is not None or self._pending is not None
+        """Whether a step has begun and not ended, or waits."""
+        return self._results is not None or self._has_replies or self._owes or self._pending is not None
+
+    @property
+    def _has_replies(self) -> bool:
+        return self._program is not None and bool(self._program.replies)
+
+    @property
+    def _owes(self) -> bool:
+        return self._program is not None and self._program.owes
+
+    @property
+    def _has_room(self) -> bool:
+        """Whether one more step may begin."""
+        return self._program is None or self._program.has_room
 
     @property
     def _pending(self) -> Step | None:
@@ -194,13 +219,13 @@ class UnitChild:
 
     @property
     def _may_tick(self) -> bool:
-        return self._is_source and not self._is_exhausted and not self._is_finishing and self._code.has_more
+        return self._is_source and not self._is_exhausted and not self._is_finishing and self._has_room
 
     def _patience_s(self) -> float:
         now = time.monotonic_ns()
         until = self._status_ns
         if not self._ports.must_wait:
-            if self._has_work:
+            if self._results is not None or self._has_replies or (self._has_room and self._pending is not None):
                 return 0.0
             if self._may_tick:
                 until = min(until, self._tick_ns)
@@ -212,7 +237,11 @@ class UnitChild:
             self._since_ns = now
             if self._results is not None:
                 self._give_next()
-            elif self._pending is not None:
+            elif self._program is not None and self._program.replies:
+                self.step += self._program.sets_its_pace
+                self._moment, self._results = self._program.replies.popleft()
+                self._give_next()
+            elif self._has_room and self._pending is not None:
                 self._begin(self._pending)
             elif self._may_tick:
                 if not self._tick():
@@ -220,16 +249,22 @@ class UnitChild:
             else:
                 break
         self._since_ns = _NEVER_NS
+        if self._program is not None:
+            self._program.flush()
         self._ports.resume()
 
     def _begin(self, step: Step) -> None:
         self._next_step = None
         self.step += 1
-        self._moment = step.moment
         try:
             values: dict[str, object] = dict.fromkeys(self._order.inputs)
             for port, found in step.elements.items():
                 values[port] = list(map(_value, found)) if isinstance(found, list) else _value(found)
+            if self._program is not None:
+                self._program.ask(values, step.moment[0], step.moment)
+                return
+            assert self._code is not None
+            self._moment = step.moment
             self._results = self._code.step(values)
             self._give_next()
         except Exception as error:
@@ -246,6 +281,10 @@ class UnitChild:
             if now - self._tick_ns > _LATEST_TICK_NS:
                 self._tick_ns = now
         self.step += 1
+        if self._program is not None:
+            self._program.ask({}, self._ports.now_ns(), None)
+            return True
+        assert self._code is not None
         self._moment = None
         try:
             self._results = self._code.produce()
@@ -253,14 +292,17 @@ class UnitChild:
         except StopIteration:
             if self._raised is not None:
                 raise self._raised from None
-            self._is_exhausted = True
-            self._ports.say(messages.Exhausted())
+            self._exhaust()
         except Exception as error:
             if self._code.can_not_go_on:
                 raise
             self._raised = error
             self._fail(error)
         return True
+
+    def _exhaust(self) -> None:
+        self._is_exhausted = True
+        self._ports.say(messages.Exhausted())
 
     def _give_next(self) -> None:
         assert self._results is not None
@@ -310,6 +352,13 @@ class UnitChild:
             self._suppressed = kind, text
         else:
             self._ports.say(messages.Trouble(kind, self.step, text))
+
+    def _give_sign(self) -> None:
+        """Give a sign of life, unless a program is silent though it has been asked."""
+        if self._program is not None and self._program.silent_ns() > STATUS_PERIOD_S * 1e9:
+            self._status_ns = time.monotonic_ns() + int(STATUS_PERIOD_S * 1e9)
+        else:
+            self._say_status()
 
     def _say_status(self) -> None:
         self._status_ns = time.monotonic_ns() + int(STATUS_PERIOD_S * 1e9)

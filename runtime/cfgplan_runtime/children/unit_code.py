@@ -62,9 +62,6 @@ class Given:
 class UnitCode:
     """Unit code that was found and constructed. Raises BadSourceError, or what the constructor raises."""
 
-    has_more = True
-    """Whether a source may be asked for its next results."""
-
     def __init__(
         self, source: str, params: Mapping[str, object], outputs: Sequence[str], *, folder: str, is_source: bool
     ) -> None:

@@ -30,5 +30,6 @@ def unit_order(unit: str, transformation: Transformation, state: bytes | None) -
             for port in transformation.outputs
             if port.quality
         },
+        format=run.format,
         memory_bytes=None if run.memory_mb is None else run.memory_mb << 20,
     )

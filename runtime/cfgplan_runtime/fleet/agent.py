@@ -18,6 +18,7 @@ import msgspec
 from cfgplan.domain import MANAGER
 from cfgplan.errors import InputError
 from cfgplan_runtime.children.messages import Export, Import, Marked, Release, TellMark
+from cfgplan_runtime.children.program_source import ProgramSource
 from cfgplan_runtime.fleet import orders
 from cfgplan_runtime.fleet.certificates import Validity, ending
 from cfgplan_runtime.fleet.clocks import HostClock, clock_key
@@ -376,24 +377,33 @@ class Agent:
         unit = start.order.unit
         if start.spare is not None:
             self._held.spares.pop(start.spare, None)
-        other = self._other_version(start)
-        if other:
+        fault = self._fault_of_code(start)
+        if fault:
             self._backend.discard(start.spare or "")
-            self._say(orders.told(events.UnitDied(unit, other)))
+            self._say(orders.told(events.UnitDied(unit, fault)))
             return
         self._held.units[unit] = orders.HeldUnit(start.label, msgspec.structs.replace(start.order, state=None))
         self._backend.start_unit(start.order, start.spare)
 
     def _prepare(self, prepare: orders.PrepareOrder) -> None:
-        spare, other = prepare.order.unit, self._other_version(prepare)
-        if other:
-            self._say(orders.told(events.SpareLost(spare, other)))
+        spare, fault = prepare.order.unit, self._fault_of_code(prepare)
+        if fault:
+            self._say(orders.told(events.SpareLost(spare, fault)))
             return
         self._held.spares[spare] = orders.HeldUnit(prepare.label, prepare.order)
         self._backend.prepare_unit(prepare.order)
 
-    def _other_version(self, order: orders.StartOrder | orders.PrepareOrder) -> str:
-        """Why the code on this host does not do for an order; empty if it does."""
+    def _fault_of_code(self, order: orders.StartOrder | orders.PrepareOrder) -> str:
+        """Why the code on this host does not do for an order; empty if it does.
+
+        Programs are not compared with the manager's: hosts with other processors need other ones.
+        """
+        try:
+            program = ProgramSource.read(order.order.source)
+            if program is not None:
+                program.file(self._backend.code_folder)
+        except InputError as error:
+            return f"can't be started on {self.name}: {error}"
         file = source_file(order.order.source, self._backend.code_folder)
         if order.digest is None or file is None or digest_of(file) == order.digest:
             return ""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
+from numbers import Real
 from typing import Any, Literal, get_args
 
 from cfgplan.errors import InputError
@@ -44,7 +46,9 @@ def encoded(value: object, form: str = "json") -> bytes:
     """The payload of a value. Raises TypeError or ValueError for what JSON has no form for."""
     match form:
         case "json":
-            return json.dumps(value, default=_plain).encode()
+            return json.dumps(value, default=_plain, allow_nan=False).encode()
+        case "number" if isinstance(value, Real) and not math.isfinite(value):
+            raise ValueError(f"{value} is no number, and is not published")
         case "bytes" if isinstance(value, bytes | bytearray | memoryview):
             return bytes(value)
         case _:
@@ -55,13 +59,21 @@ def _decoded(payload: bytes, form: str) -> object:
     """The value that a payload holds. Raises ValueError."""
     match form:
         case "json":
-            return json.loads(payload)
+            return json.loads(payload, parse_constant=_finite)
         case "number":
-            return float(payload)
+            return _finite(payload.decode())
         case "text":
             return payload.decode()
         case _:
             return payload
+
+
+def _finite(text: str) -> float:
+    """Return the number that a text spells. Raises ValueError, also for NaN and infinite ones, which JSON lacks."""
+    number = float(text)
+    if not math.isfinite(number) or "_" in text:
+        raise ValueError(f"{text} is no number")
+    return number
 
 
 def _keys(field: object, form: str) -> tuple[str | int, ...]:

@@ -470,7 +470,8 @@ class ProcessBackend:
                 child.labor_us = cpu_ns // 1000
                 self._tell_ready(child)
             case messages.Prepared(cpu_ns, changed):
-                child.due_s, child.changed_ns = inf, child.changed_ns | changed
+                # A file may have changed after it was read: the time from before that wins.
+                child.due_s, child.changed_ns = inf, changed | child.changed_ns
                 if self._spares.get(name) is child:
                     self._events.append(events.SparePrepared(name, cpu_ns // 1000))
             case messages.Switched(_, wire):

@@ -16,11 +16,11 @@ class Ends:
         self._selector = selectors.DefaultSelector()
         self._calls: dict[object, Callable[[], object]] = {}
 
-    def watch(self, end: socket.socket | int, call: Callable[[], object]) -> None:
-        """Call whenever `end` can be read, if it is not watched already."""
+    def watch(self, end: socket.socket | int, call: Callable[[], object], *, to_write: bool = False) -> None:
+        """Call whenever `end` can be read, or written, if it is not watched already."""
         if end in self._calls:
             return
-        self._selector.register(end, selectors.EVENT_READ)
+        self._selector.register(end, selectors.EVENT_WRITE if to_write else selectors.EVENT_READ)
         self._calls[end] = call
 
     def write(self, end: socket.socket, *, is_waiting: bool) -> None:

@@ -6,6 +6,7 @@ of a decoded value are writable views of the received bytes; nothing is unpickle
 
 from __future__ import annotations
 
+import re
 import struct
 import sys
 from typing import Any
@@ -18,6 +19,8 @@ from cfgplan_runtime.streams.element import Buffer
 _PAYLOAD_HEAD = struct.Struct("<I")
 _ARRAY = 1
 _ALIGNMENT = 16
+_PLAIN = re.compile(r"[<>|=]?[biufcmMSUV]\d{1,9}(\[\w{1,9}\])?")
+"""The types of arrays, as numpy writes them; it would parse others as Python."""
 
 
 class PayloadEncoder:
@@ -72,7 +75,7 @@ def decode(payload: Buffer) -> Any:
         view = memoryview(bytearray(payload) if isinstance(payload, bytes) and end < len(payload) else payload)
         body, arrays = view[_PAYLOAD_HEAD.size : end], view[end + -end % _ALIGNMENT :]
         return msgspec.msgpack.Decoder(ext_hook=lambda code, data: _array(code, data, arrays)).decode(body)
-    except (struct.error, ValueError, TypeError, msgspec.MsgspecError) as error:
+    except (struct.error, ValueError, TypeError, RecursionError, msgspec.MsgspecError) as error:
         raise EncodingError(f"a received value can't be read: {error}") from None
 
 
@@ -81,7 +84,9 @@ def _array(code: int, meta: memoryview, arrays: memoryview) -> Any:
         raise ValueError(f"extension {code} is unknown")
     import numpy
 
-    kind, shape, offset = msgspec.msgpack.decode(meta)
+    kind, shape, offset = msgspec.msgpack.decode(meta, type=tuple[str, list[int], int])
+    if not _PLAIN.fullmatch(kind) or min(shape, default=0) < 0:
+        raise ValueError(f"there is no array of type {kind} and shape {shape}")
     dtype = numpy.dtype(kind)
     count = 1
     for length in shape:
