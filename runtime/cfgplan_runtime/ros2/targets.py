@@ -29,9 +29,9 @@ class _Topic:
 
 
 class PublishedTargets(Closable):
-    """Publishes each target that says its message `type` under its topic, as long as the run has it.
+    """Publishes each target that has a message `type` under its topic, as long as the run has the target.
 
-    A context manager. `folder` is that of the environment file. Raises InputError; what is wrong later is shown.
+    A context manager. `folder` is that of the environment file. Raises InputError at the start; later faults are shown.
     """
 
     def __init__(self, operation: Operation, folder: Path) -> None:

@@ -1,4 +1,6 @@
-"""Unit code for ROS 2 topics: a source that subscribes to one, and a sink that publishes what comes at its input."""
+"""Unit code for ROS 2 topics: a source that subscribes to a topic, and a sink that publishes the elements
+of its input.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,7 @@ from cfgplan_runtime.ros2.topics import RosTopics, check_installed, checked_doma
 
 SUBSCRIBER, PUBLISHER = "cfgplan_runtime.ros2:Subscriber", "cfgplan_runtime.ros2:Publisher"
 _ORDERS_LOOK_S = 0.05
-"""A source that gets no messages looks for orders so often."""
+"""Seconds between two checks for orders while no messages come."""
 _MOST_DEPTH = 100_000
 
 
@@ -37,7 +39,9 @@ class PublisherParams(msgspec.Struct, forbid_unknown_fields=True):
     reliability: Literal["reliable", "best_effort"] = "reliable"
     durability: Literal["volatile", "transient_local"] = "volatile"
     depth: int = 10
-    """How many messages a subscriber keeps until they are taken; with transient local, how many late ones get."""
+    """The number of messages that a subscriber keeps until they are processed; with transient local, the number that
+    late subscribers get.
+    """
     node: str | None = None
     """The name of the node; by the topic's if None."""
     domain: int | None = None
@@ -51,7 +55,7 @@ class PublisherParams(msgspec.Struct, forbid_unknown_fields=True):
         return ServiceQuality(self.reliability == "reliable", self.durability == "transient_local")
 
     def check(self) -> None:
-        """Raises InputError for names and numbers that ROS 2 does not allow."""
+        """Raise InputError for names and numbers that ROS 2 does not allow."""
         checked_name(self.topic, "topic")
         if self.node is not None:
             checked_name(self.node, "node")
@@ -73,7 +77,7 @@ class SubscriberParams(PublisherParams):
     """The params of a `Subscriber`."""
 
     stamp: Literal["received", "source", "header"] = "received"
-    """Which time an element has: when it came, when it was published, or what its header says."""
+    """The time of an element: its arrival, its publication, or the stamp of its header."""
 
 
 class Subscriber:
@@ -135,7 +139,7 @@ class Publisher:
             self._once.tell(error.path, f"{self._params.topic}: {error}")
 
     def close(self) -> None:
-        """Publish what still waits, and end the node."""
+        """Publish waiting messages, and end the node."""
         self._topics.close()
 
 
@@ -169,7 +173,7 @@ def _read(params: Mapping[str, object], kind: type[Any]) -> Any:
 
 
 class _Mailbox:
-    """Messages that wait. If there are too many the oldest is dropped. Thread-safe."""
+    """A bounded queue of messages; the oldest is dropped if it is full. Thread-safe."""
 
     def __init__(self, depth: int) -> None:
         self.dropped = 0
