@@ -22,7 +22,7 @@ _LONGEST_MESSAGE = 1 << 28
 
 
 class ControlConnection(Generic[Incoming]):
-    """One end of a connection. Sending never blocks: what the socket does not take waits for `flush`."""
+    """One end of a connection. Sending never blocks: messages wait for `flush` until the socket takes them."""
 
     def __init__(self, end: socket.socket, incoming: object) -> None:
         end.setblocking(False)
@@ -75,11 +75,11 @@ class ControlConnection(Generic[Incoming]):
         return True
 
     def receive(self) -> Iterator[tuple[Incoming, list[socket.socket]]]:
-        """The messages that have come, with their sockets. If `has_ended` is set, there will be no more.
+        """Yield the messages that have come, with their sockets. Once `has_ended` is set, no more will come.
 
-        The other end may be a process with foreign code, which may write into any of its descriptors: what is no
-        message ends the connection.
-        A message has fewer sockets than were sent if this process has no descriptor left for them.
+        The other end may be a process with foreign code, which may write into any of its descriptors: bytes that are no
+        message end the connection. A message has fewer sockets than were sent if this process has no descriptor left
+        for them.
         """
         while not self.has_ended:
             try:

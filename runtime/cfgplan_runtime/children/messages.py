@@ -79,7 +79,9 @@ class Cut(OfWire, tag=True):
 
 
 class End(OfWire, tag=True):
-    """An input's source has died: take what it has sent, then detach, even if another process holds its socket open."""
+    """An input's source has died: take the elements that it has sent, then detach, even if another process holds its
+    socket open.
+    """
 
 
 class Unserve(OfWire, tag=True):
@@ -242,11 +244,12 @@ class UnitSign(msgspec.Struct, tag=True):
 
 
 class Flow(msgspec.Struct, frozen=True):
-    """What comes on a topic: elements per second, the median age at arrival in milliseconds, and counts.
+    """The traffic of a topic: elements per second, the median age at arrival in milliseconds, and counts.
 
     An element's age is counted from when its source element was made. Rate and age are over the last 3 seconds:
     `rate_hz` is 0 and `latency_ms` None if nothing came. `silent_s` is the time since the last element, None if none
-    ever came; `dropped` counts what had no room on its way to the topic, and what subscribers have not fetched in time.
+    ever came; `dropped` counts elements without room on the way to the topic, and elements that subscribers have not
+    fetched in time.
     """
 
     rate_hz: float = 0.0
@@ -284,10 +287,10 @@ class Marked(msgspec.Struct, tag=True):
 
 
 class CrossingCounts(msgspec.Struct, frozen=True):
-    """Of a stream to another host: what there was to send, what had no room, and what has not arrived yet.
+    """The counts of a stream to another host: offered elements, dropped ones, and those that have not arrived yet.
 
-    `crowded` of those that were dropped had no room in the link, the others none at the receiver. `offered_bytes` were
-    there to be sent, `arrived_bytes` are known to have arrived.
+    `crowded` of the dropped ones had no room in the link, the others none at the receiver. `offered_bytes` were
+    offered, `arrived_bytes` are known to have arrived.
     """
 
     elements: int = 0
@@ -313,14 +316,14 @@ FromChild: TypeAlias = (
 
 
 class Fork(msgspec.Struct, tag=True):
-    """Make a child. Comes with its end of the control connection and of the pipe for what it prints."""
+    """Make a child. The message carries the child's ends of the control connection and of the pipe for its output."""
 
     serial: int
     order: ChildOrder
 
 
 class Kill(msgspec.Struct, tag=True):
-    """Kill a child and what it has started; `dump` first asks it for its stack."""
+    """Kill a child and the processes that it has started; with `dump` it first prints its stack."""
 
     serial: int
     dump: bool = False

@@ -78,9 +78,9 @@ class Ports:
         make_input: Callable[[str], UnitInput | None] = _no_input,
         clock_offset_ns: int = 0,
     ) -> None:
-        """`make_input` gives an input that is to be fed and is not there yet; None if there is none of that name.
+        """`make_input` makes an input when it is first connected; it returns None for an unknown name.
 
-        The run's clock, by which elements have their times, is the monotonic clock plus `clock_offset_ns`.
+        The run's clock, on which elements have their times, is the monotonic clock plus `clock_offset_ns`.
         """
         self.inputs: dict[str, UnitInput] = {}
         self.outputs: dict[str, UnitOutput] = {}
@@ -285,7 +285,9 @@ class Ports:
         receiver.close()
 
     def _peer_spoke(self, output: UnitOutput, sender: Sender) -> None:
-        """A receiver's socket is ready: discard what it sent, then send what waits. If it is gone, close the sender."""
+        """A receiver's socket is ready: discard its data, then send waiting elements. If it is gone, close
+        the sender.
+        """
         try:
             gone = not sender.socket.recv(_MOST_SAID, socket.MSG_DONTWAIT)
         except BlockingIOError:

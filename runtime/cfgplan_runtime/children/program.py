@@ -53,7 +53,7 @@ _ANSWERS = msgspec.json.Decoder(Answer | list[Answer])
 class ProgramCode:
     """A program that was started and is ready. Raises ProgramEndedError.
 
-    `time_ns` gives the time of the present step, and what is wrong with the program's output goes to `fault`.
+    `time_ns` returns the time of the present step; `fault` is called with faults of the program's output.
     """
 
     can_not_go_on = False
@@ -89,7 +89,7 @@ class ProgramCode:
 
     @property
     def is_heard(self) -> bool:
-        """Whether more of what the program says is to be read while nothing is asked of it."""
+        """Whether to read the program's output while no step is under way."""
         return not self._lines.has_ended and not (self._sets_its_pace and self._lines.complete)
 
     def hear(self, *, is_spare: bool) -> None:
@@ -153,7 +153,7 @@ class ProgramCode:
             raise ProgramFaultError("exit status", f"at its stop the program: {end_of_process(status)}")
 
     def interrupt(self) -> None:
-        """End a program that goes on after its standard input was closed."""
+        """End a program that still runs after its standard input was closed."""
         self._process.terminate()
 
     def cpu_ns(self) -> int:

@@ -97,7 +97,7 @@ class StepQueue:
                 self._waiting.pop(inlet, None)
 
     def put(self, inlet: str, element: Element, *, may_drop: bool) -> None:
-        """Add an element; the oldest of its inlet is dropped if there is no room and `may_drop`."""
+        """Add an element. Without room the oldest of its inlet is dropped, if it `may_drop`."""
         waiting = self._waiting.get(inlet)
         if waiting is None:
             port = port_of(inlet)

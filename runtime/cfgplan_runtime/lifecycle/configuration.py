@@ -49,7 +49,7 @@ class Situation:
     presence: Mapping[str, bool] = field(default_factory=dict)
     """By host: whether it has joined, by the middleware's last report."""
     clocks_ahead_us: Mapping[str, int] = field(default_factory=dict)
-    """By host that is there: how far its clock is ahead of the manager's, in microseconds."""
+    """By joined host: the microseconds by which its clock is ahead of the manager's."""
     awaits_hosts: bool = False
     """Whether hosts without a report of the middleware count as not joined yet."""
     facts: Mapping[str, FactValue] = field(default_factory=dict)

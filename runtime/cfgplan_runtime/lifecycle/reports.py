@@ -152,7 +152,7 @@ class Snapshot:
     removed: tuple[str, ...] = ()
     """Labels and names that were removed on request."""
     clocks_ahead_us: Mapping[str, int] = field(default_factory=dict)
-    """By host that is there: how far its clock is ahead of the manager's, in microseconds."""
+    """By joined host: the microseconds by which its clock is ahead of the manager's."""
     facts: tuple[Fact, ...] = ()
     """The facts of the world as they are now."""
     left_out: Mapping[str, str] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""What comes on the topics: rates and ages as the outlets count them, and the elements for a listener."""
+"""The traffic of topics: rates and ages as the outlets measure them, and the elements for a listener."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A manager's metrics for Prometheus (extra `metrics`): counters of what happened, gauges of what there is."""
+"""A manager's metrics for Prometheus (extra `metrics`): counters of events, gauges of the present state."""
 
 from __future__ import annotations
 

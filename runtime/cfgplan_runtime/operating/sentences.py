@@ -318,7 +318,7 @@ def _times(number: int) -> str:
 
 
 def short(text: str) -> str:
-    """A cause on one line; of a traceback only what was raised."""
+    """A cause on one line; a traceback becomes the message of its exception."""
     before, mark, trace = text.partition(_TRACEBACK)
     if mark:
         text = before + trace.strip().splitlines()[-1]
