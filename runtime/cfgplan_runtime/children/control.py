@@ -18,7 +18,7 @@ _MESSAGE_HEAD = struct.Struct("<II")
 _MOST_SOCKETS = 64
 _MESSAGE_CHUNK = 1 << 16
 _LONGEST_MESSAGE = 1 << 28
-"""Bytes; the longest messages have the state of a unit."""
+"""The most bytes of a message; the longest ones have the state of a unit."""
 
 
 class ControlConnection(Generic[Incoming]):
@@ -29,7 +29,7 @@ class ControlConnection(Generic[Incoming]):
         self.socket = end
         self.has_ended = False
         self.is_garbled = False
-        """Whether it has ended because what came was no message."""
+        """Whether it has ended because of bytes that were no message."""
         self._decoder: msgspec.msgpack.Decoder[Incoming] = msgspec.msgpack.Decoder(incoming)
         self._received = bytearray()
         self._descriptors: deque[int] = deque()
@@ -37,7 +37,7 @@ class ControlConnection(Generic[Incoming]):
 
     @property
     def is_waiting(self) -> bool:
-        """Whether something waits for `flush`."""
+        """Whether messages wait for `flush`."""
         return bool(self._waiting)
 
     def send(self, message: msgspec.Struct, sockets: Sequence[socket.socket] = ()) -> None:
@@ -51,7 +51,7 @@ class ControlConnection(Generic[Incoming]):
         self.flush()
 
     def flush(self) -> bool:
-        """Send what waits. Returns whether nothing is left."""
+        """Send waiting messages. Returns whether none is left."""
         while self._waiting and not self.has_ended:
             data, sockets = self._waiting[0]
             try:

@@ -33,7 +33,7 @@ class UnitOrder(msgspec.Struct, frozen=True, tag=True):
     services: list[str] = []
     """The inputs that neither start a step nor hold one back."""
     counts: dict[str, int] = {}
-    """How many streams the inputs take that take several; ALL: as many as there are."""
+    """The number of streams of each input that takes several; ALL: every matching one."""
 
 
 class SpareOrder(msgspec.Struct, frozen=True, tag=True):
@@ -95,7 +95,7 @@ class SwitchNow(msgspec.Struct, tag=True):
 
 
 class OpenOutlet(msgspec.Struct, tag=True):
-    """Own a topic's address and relay to whoever connects. Comes with the listening socket."""
+    """Own a topic's address and send its elements to all that connect. The message carries the listening socket."""
 
     topic: str
 
@@ -105,13 +105,13 @@ class CloseOutlet(msgspec.Struct, tag=True):
 
 
 class SetClock(msgspec.Struct, tag=True):
-    """The times of elements are the monotonic clock plus this offset from now on."""
+    """From now on the times of elements are the monotonic clock plus this offset."""
 
     offset_ns: int
 
 
 class Export(msgspec.Struct, tag=True):
-    """Have an input, the crossing, whose elements go to another host; at most `queue` wait if it `blocks`."""
+    """Make an input, the crossing, whose elements go to another host; at most `queue` wait if it `blocks`."""
 
     crossing: str
     host: str
@@ -120,7 +120,7 @@ class Export(msgspec.Struct, tag=True):
 
 
 class Import(msgspec.Struct, tag=True):
-    """Have an output, the crossing, with what another host exports."""
+    """Make an output, the crossing, with the elements that another host exports."""
 
     crossing: str
     host: str
@@ -144,7 +144,7 @@ class TellState(msgspec.Struct, tag=True):
 
 
 class TakeState(msgspec.Struct, tag=True):
-    """Go on with the state of an earlier unit."""
+    """Take the state of an earlier unit."""
 
     state: bytes
 
@@ -154,7 +154,7 @@ class Finish(msgspec.Struct, tag=True):
 
 
 class TellMark(msgspec.Struct, tag=True):
-    """Have the other host told, for a unit there, once everything has come that was given to an export until now."""
+    """Tell the other host, for a unit there, once it has received everything that an export has got until now."""
 
     crossing: str
     unit: str
@@ -183,7 +183,7 @@ ToChild: TypeAlias = (
 
 
 class Ready(msgspec.Struct, tag=True):
-    """The unit code is constructed; `cpu_ns` is the CPU time that took."""
+    """The unit code is constructed; `cpu_ns` is the CPU time of this, in nanoseconds."""
 
     cpu_ns: int
 
@@ -273,14 +273,14 @@ class Unserved(msgspec.Struct, tag=True):
 
 
 class ImportUnused(msgspec.Struct, tag=True):
-    """Nobody takes from an import any more; it has served so many inputs up to now."""
+    """An import is no longer used; it has served so many inputs so far."""
 
     crossing: str
     served: int
 
 
 class Marked(msgspec.Struct, tag=True):
-    """Everything that was given before the mark for a unit has been handed on to it."""
+    """Everything that came before the mark for a unit has been delivered to it."""
 
     crossing: str
     unit: str
@@ -330,7 +330,7 @@ class Kill(msgspec.Struct, tag=True):
 
 
 class Interrupt(msgspec.Struct, tag=True):
-    """Have SystemExit raised in the code of a child that was told to finish."""
+    """Raise SystemExit in the code of a child that was told to finish."""
 
     serial: int
 

@@ -26,7 +26,7 @@ class OutletChild:
         self._listeners: dict[str, socket.socket] = {}
         self._meters: dict[str, Meter] = {}
         self._paused: dict[str, socket.socket] = {}
-        """Listeners that are not accepted from for want of a descriptor, by topic: who connects to them waits."""
+        """Listeners without accepts for lack of a descriptor, by topic: new subscribers wait."""
         self._is_short = False
         self._is_finishing = False
 

@@ -45,7 +45,7 @@ class UnitInput:
     name: str
     inlet: InputQueue
     take: Callable[[Element], None]
-    """Called with each element that the inlet hands on."""
+    """Called with each element that the inlet delivers."""
     has_room: Callable[[], bool]
     """False if the producers have to wait."""
     lose: Callable[[], None] = _nothing
@@ -65,11 +65,11 @@ class UnitOutput:
     elements: int = 0
     dropped_before: int = 0
     served: int = 0
-    """The number of subscriptions that there were."""
+    """The number of subscriptions so far."""
 
 
 class Ports:
-    """All ports of this process; `wait` is the one place where it waits."""
+    """All ports of this process. The process waits only in `wait`."""
 
     def __init__(
         self,
@@ -93,7 +93,7 @@ class Ports:
         self.ends.watch(control.socket, self._hear)
 
     def now_ns(self) -> int:
-        """The time by the run's clock."""
+        """The present time on the run's clock, in nanoseconds."""
         return time.monotonic_ns() + self._clock_offset_ns
 
     def say(self, message: FromChild) -> None:
@@ -130,13 +130,13 @@ class Ports:
         return not any(sender.depth for output in self.outputs.values() for sender in output.senders)
 
     def drain(self) -> None:
-        """Hand on the elements that have arrived, then discard later ones."""
+        """Deliver the elements that have arrived, then discard later ones."""
         for name, port in self.inputs.items():
             self.take_in(name)
             port.take = _ignore
 
     def take_in(self, port: str) -> None:
-        """Hand on the elements that have arrived at an input."""
+        """Deliver the elements that have arrived at an input."""
         for wire in list(self.inputs[port].receivers):
             self._read(self.inputs[port], wire)
 
@@ -152,7 +152,7 @@ class Ports:
         del self.outputs[port]
 
     def end_output(self, port: str) -> bool:
-        """Close the subscriptions of an output that have been sent everything. Returns whether none is left."""
+        """Close the subscriptions of an output to which everything was sent. Returns whether none is left."""
         output = self.outputs[port]
         for sender in [sender for sender in output.senders if not sender.depth]:
             self._remove_sender(output, sender)
@@ -268,7 +268,7 @@ class Ports:
                 self.ends.unwatch(other.socket)
 
     def _settle(self, port: UnitInput, elements: list[Element]) -> None:
-        """Hand elements on, close the receivers that the inlet no longer needs, and report a switch."""
+        """Deliver elements, close the receivers that the inlet no longer needs, and report a switch."""
         port.elements += len(elements)
         for element in elements:
             port.take(element)

@@ -177,7 +177,7 @@ class Present(Collector):
 class Metrics:
     """Counts a manager's reports, and reads its snapshot at each scrape.
 
-    Pass `listen` to `Manager.listen`. `snapshot` is `Manager.snapshot`; `flows` knows rates and counts of streams.
+    Pass `listen` to `Manager.listen`. `snapshot` is `Manager.snapshot`; `flows` has the rates and counts of streams.
     Units that have ended are left out.
     """
 

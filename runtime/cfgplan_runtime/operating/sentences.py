@@ -1,4 +1,4 @@
-"""Sentences for people about what happens: one line each."""
+"""Sentences for people about events: one line each."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _LONGEST_CAUSE = 300
 
 
 def sentence(report: Report) -> str | None:
-    """A report as a sentence; None if people need not hear of it."""
+    """A report as a sentence; None if it does not concern people."""
     match report:
         case Perturbed(perturbation):
             return _perturbation(perturbation)
