@@ -1,4 +1,4 @@
-"""Carries out what cfgplan plans: units as processes, change sets applied without a gap in the streams.
+"""Carries out cfgplan's plans: units are processes, and change sets are applied without a gap in the streams.
 
 import cfgplan_runtime
 

@@ -1,4 +1,4 @@
-"""What can go wrong when a plan is carried out."""
+"""The errors of carrying out a plan."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from cfgplan.errors import CfgplanError
 
 
 class RuntimeFaultError(CfgplanError):
-    """Base of the errors of carrying plans out."""
+    """Base class of the errors of carrying out plans."""
 
 
 class UnsupportedPlatformError(RuntimeFaultError):
@@ -16,13 +16,13 @@ class UnsupportedPlatformError(RuntimeFaultError):
 
 
 class StaleChangeSetError(RuntimeFaultError):
-    """A change set that does not fit what is running now; nothing was changed."""
+    """A change set that does not fit the running configuration; nothing was changed."""
 
 
 class NoSourceError(RuntimeFaultError):
     """A unit that can't be started because its transformation names no unit code; nothing was changed.
 
-    `transformations` are the labels of those that it is about, `cause` is what is wrong with each.
+    `transformations` are the labels of the transformations at fault, `cause` is the fault of each.
     """
 
     def __init__(self, message: str, transformations: Iterable[str] = (), cause: str | None = None) -> None:
@@ -32,7 +32,7 @@ class NoSourceError(RuntimeFaultError):
 
 
 class ApplyError(RuntimeFaultError):
-    """A change set that failed half way; every step of it was undone and the old configuration runs on.
+    """A change set that failed half way; every step of it was undone, and the old configuration keeps running.
 
     `units` are the new units that did not start.
     """
@@ -47,7 +47,7 @@ class AbandonedError(ApplyError):
 
 
 class EncodingError(RuntimeFaultError):
-    """A value that can't travel between processes."""
+    """A value that can't be sent between processes."""
 
 
 class BadSourceError(RuntimeFaultError):
@@ -59,11 +59,13 @@ class WrongPortsError(RuntimeFaultError):
 
 
 class ProgramEndedError(RuntimeFaultError):
-    """A program that is a unit can't be started, or has ended unasked."""
+    """A unit's program can't be started, or has ended without being told to."""
 
 
 class ProgramFaultError(RuntimeFaultError):
-    """A program breaks its protocol, and goes on; `what` is the kind of fault, `line` what it has written."""
+    """A program has broken its protocol, and continues; `what` is the kind of fault, `line` the line that it has
+    written.
+    """
 
     def __init__(self, what: str, told: str, line: str = "") -> None:
         super().__init__(f"{told}: {line}" if line else told)
@@ -71,12 +73,12 @@ class ProgramFaultError(RuntimeFaultError):
 
 
 class NoSuchTopicError(RuntimeFaultError):
-    """Nothing that runs publishes the topic."""
+    """No running unit publishes the topic."""
 
 
 class NoSuchRunError(RuntimeFaultError):
-    """No run, or more than one, is meant."""
+    """The name of a run fits no run, or more than one."""
 
 
 class ControlError(RuntimeFaultError):
-    """A run that does not answer."""
+    """A run does not answer."""

@@ -1,4 +1,4 @@
-"""The runtime as its users see it: a supervisor with a backend, and where it works."""
+"""The runtime for its users: a supervisor with a backend, and the thread in which it works."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ _MOST_EVENTS = 10_000
 
 
 class Executor(Protocol):
-    """Where a supervisor works."""
+    """The thread in which a supervisor works."""
 
     def begin(self, make: Callable[[], Supervisor]) -> Supervisor:
-        """Have the supervisor made, and let it work from then on."""
+        """Make the supervisor in the executor's thread, and let it work from then on."""
 
     def call(self, work: Callable[[], T]) -> T:
-        """Do something where the supervisor works; raises what that raises, RuntimeFaultError after the end."""
+        """Call `work` in the executor's thread; raises its exceptions, and RuntimeFaultError after the end."""
 
     def close(self) -> None:
-        """End the supervisor's work and its backend, whatever is under way. Does nothing the second time."""
+        """End the supervisor's work and its backend, also during an update. A second call does nothing."""
 
 
 class OwnThread:
-    """A thread that makes the supervisor, and works as long as there is one."""
+    """A thread that makes the supervisor, and works until `close`."""
 
     def __init__(self) -> None:
         self._work: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
@@ -99,7 +99,7 @@ class OwnThread:
 
 
 class Inline:
-    """The calling thread, which is the clock too: time passes only while somebody waits."""
+    """The calling thread, which is the clock too: time passes only in `wait`."""
 
     def begin(self, make: Callable[[], Supervisor]) -> Supervisor:
         self._supervisor = make()
@@ -119,7 +119,7 @@ class Inline:
         return self._supervisor.backend.now()
 
     def wait(self, bell: threading.Event, timeout_s: float) -> None:
-        """Let what is due happen until the bell rings, or so much time is over."""
+        """Handle due events until the bell rings, or `timeout_s` seconds have passed."""
         end = self.now() + timeout_s
         while not bell.is_set() and self.now() < end:
             self._supervisor.pump(end - self.now())
@@ -128,10 +128,10 @@ class Inline:
 class Runtime(Closable):
     """Runs units of a library and changes them by change sets; a context manager that leaves nothing behind.
 
-    `backend` makes what runs the units where `executor` works: by default processes of this machine and a thread of
-    its own. For processes, `folder` is what `units.py:Class` is relative to, and `preload` names modules that units
-    import, so that they start faster. Every event but signs of life goes to the log, if any, and to `events`, which is
-    bounded: what nobody fetches is thrown away, oldest first.
+    `backend` makes the backend that runs the units, and `executor` gives the thread in which it works: by default
+    processes of this computer and a thread of its own. For processes, sources such as `units.py:Class` are relative to
+    `folder`, and `preload` names modules that units import, so that they start faster. Every event except signs of life
+    goes to the log, if any, and to `events`, a bounded queue from which the oldest are dropped.
     """
 
     def __init__(
@@ -149,7 +149,7 @@ class Runtime(Closable):
         self._log = None if log is None else RunLog(Path(log))
         self._listeners: Listeners[Event] = Listeners()
         self._abandons: list[threading.Event] = []
-        """For each update that was asked for and is not over: whether it is given up."""
+        """For each update that is not over: set if it is given up."""
         self._executor = executor or OwnThread()
         environment = Environment(library=tuple(library), targets=tuple(targets))
         make = backend or (lambda: _processes(None if folder is None else Path(folder), tuple(preload)))
@@ -157,12 +157,12 @@ class Runtime(Closable):
 
     @property
     def id(self) -> str:
-        """The run's id, which tells its topics from those of other runs."""
+        """The run's id, which distinguishes its topics from those of other runs."""
         return self.supervisor.backend.id
 
     @property
     def environment(self) -> Environment:
-        """What runs now."""
+        """The running configuration, with the library and the targets."""
         return self.supervisor.environment
 
     def apply(
@@ -184,14 +184,14 @@ class Runtime(Closable):
             self._abandons.remove(is_abandoned)
 
     def observe(self) -> tuple[Observation, ...]:
-        """Every running unit as it is now; upkeep is over the time since the last call."""
+        """The present figures of every running unit; upkeep is measured since the last call."""
         return self._executor.call(self.supervisor.observe)
 
     def listen(self, listener: Callable[[Event], None]) -> None:
-        """Have every event told, signs of life too, in order, from the supervisor's thread; it returns at once.
+        """Call `listener` with every event, signs of life too, in order, from the supervisor's thread; returns at once.
 
-        First it is told the last of each host that the backend has told of, whether it is there, and of the cold spares
-        that are prepared.
+        It first gets the last event of each host, whether the host is lost or has joined, and one for each prepared
+        cold spare.
         """
 
         def begin() -> None:
@@ -202,7 +202,7 @@ class Runtime(Closable):
         self._executor.call(begin)
 
     def abandon(self) -> None:
-        """Give up the updates under way that still wait for new units: they are undone. For any thread."""
+        """Give up the updates that still wait for new units; they are undone. Thread-safe."""
         for update in list(self._abandons):
             update.set()
         self.supervisor.backend.wake()
@@ -212,7 +212,7 @@ class Runtime(Closable):
         self._executor.call(lambda: self.supervisor.backend.kill(unit))
 
     def cut(self, unit: str | None, port: str) -> None:
-        """Take away what feeds an input, or a topic (`unit` is None), as if it had been lost. Raises KeyError."""
+        """Remove the stream of an input, or of a topic (`unit` is None), as if it had been lost. Raises KeyError."""
         self._executor.call(lambda: self.supervisor.cut(unit, port))
 
     def pid(self, unit: str) -> int | None:
@@ -220,13 +220,13 @@ class Runtime(Closable):
         return self._executor.call(lambda: self.supervisor.backend.pid(unit))
 
     def stop(self) -> None:
-        """Stop every unit, letting each give what it has taken in."""
+        """Stop every unit; each first sends the results of the elements that it has received."""
         stopped = tuple(unit.id for unit in self.environment.units)
         if stopped:
             self.apply(ChangeSet(stopped=stopped))
 
     def close(self) -> None:
-        """End every process of the run, and remove its folder, whatever is under way. Does nothing the second time."""
+        """End every process of the run, and remove its folder, also during an update. A second call does nothing."""
         self._executor.close()
         if self._log is not None:
             self._log.close()
@@ -245,9 +245,9 @@ class Runtime(Closable):
 
 
 class SimulatedRuntime(Runtime):
-    """A runtime whose units run only in thought. Give its `clock` to the manager, without a thread.
+    """A runtime with simulated units. Give its `clock` to the manager, without a thread.
 
-    `behaviours` are by transformation, or by `TRANSFORMATION on HOST` for those on one host.
+    `behaviours` are by transformation, or by `TRANSFORMATION on HOST` for one host.
     """
 
     def __init__(

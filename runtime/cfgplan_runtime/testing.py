@@ -1,4 +1,4 @@
-"""A conformance kit: whether a middleware keeps what `cfgplan_runtime.lifecycle.seams.Middleware` promises.
+"""A conformance kit: tests whether a middleware keeps the promises of `cfgplan_runtime.lifecycle.seams.Middleware`.
 
 from cfgplan_runtime.testing import Bench, check_middleware
 
@@ -40,12 +40,12 @@ __all__ = ["Bench", "Hosts", "check_middleware"]
 
 TOPIC = "/conformance"
 FIRST, LAST = "!broken", "~broken"
-"""Ids of units that can't be started, before and after all others."""
+"""Prefixes of ids of units that can't be started, sorted before and after all others."""
 
 
 @dataclass(frozen=True)
 class Hosts:
-    """Two hosts, how to cut one off with all that runs there, and how to let it come back with nothing on it."""
+    """Two hosts, a function that cuts one off with its units, and one that lets it come back without units."""
 
     near: str
     far: str
@@ -55,14 +55,14 @@ class Hosts:
 
 @dataclass
 class Bench:
-    """A middleware on which nothing runs yet, with what is needed to check it.
+    """A middleware without units, with the functions that test it.
 
     `source` has one output and no input, `worker` one input and one output; a unit of `broken`, which has the worker's
-    ports, can't be started. `crash` lets a unit end by itself. The other functions tell what is really so, whatever the
-    middleware believes: `units` which units run, `topics` which topics can be subscribed to, `gives` whether an element
-    comes on a topic now, and `wires` the streams (`unit/port`) that really feed each input (`unit/port`) and topic.
-    `wait` lets so many seconds pass; after `patience_s` a promise counts as broken. Without `hosts` it is not checked
-    that a lost one is, without `wires` only by elements that units are connected.
+    ports, can't be started. `crash` lets a unit end by itself. The other functions return the true state, whatever the
+    middleware believes: `units` the running units, `topics` the topics that can be subscribed to, `gives` whether an
+    element comes on a topic now, and `wires` the streams (`unit/port`) that feed each input (`unit/port`) and topic.
+    `wait` lets seconds pass; after `patience_s` a promise counts as broken. Without `hosts` the loss of hosts is not
+    tested; without `wires` connections are tested only by elements.
     """
 
     middleware: Middleware
@@ -82,14 +82,14 @@ class Bench:
     def unit(
         self, number: int, transformation: Transformation, *, topic: str | None = None, source: int = 1
     ) -> ComputationUnit:
-        """A unit that a source feeds, the first if not said otherwise, if it has an input."""
+        """A unit of a transformation, whose inputs are fed by source number `source`."""
         stream = Stream(f"{self.source.label}.{source}", self.source.outputs[0].name)
         feeds = tuple(Subscription(port.name, stream) for port in transformation.inputs)
         published = () if topic is None else (Publication(transformation.outputs[0].name, topic),)
         return ComputationUnit(f"{transformation.label}.{number}", transformation.label, feeds, published)
 
     def begin(self) -> Environment:
-        """Start a source and a worker that is published."""
+        """Start a source, and a worker that publishes on a topic."""
         self.middleware.listen(self.told.append)
         library = (self.source, self.worker, self.broken)
         target = Target("conformance", self.worker.outputs[0].tag, TOPIC)
@@ -97,7 +97,7 @@ class Bench:
         return self.apply(ChangeSet(started, added_transformations=library, added_targets=(target,)))
 
     def apply(self, change_set: ChangeSet) -> Environment:
-        """Apply a change set that can be carried out, and hold what is then so against what it says."""
+        """Apply a change set that can be carried out, and compare the true state with its result."""
         before = self.middleware.environment
         applied = self.middleware.apply(change_set, basis=before)
         assert isinstance(applied, Applied), f"apply() returned {applied!r:.60}, and not Applied"
@@ -107,7 +107,7 @@ class Bench:
         return after
 
     def await_event(self, kind: type[events.UnitDied | events.HostLost | events.HostJoined], name: str) -> None:
-        """Wait until an event of a unit or a host is told."""
+        """Wait until an event of a unit or a host is reported."""
 
         def is_told() -> bool:
             return any(isinstance(event, kind) and name == _who(event) for event in self.told)
@@ -118,7 +118,7 @@ class Bench:
         assert number == 1, f"{kind.__name__} of {name} is told {number} times"
 
     def _becomes(self, so: Callable[[], bool]) -> bool:
-        """Wait until something is so. Returns whether it is, within `patience_s`."""
+        """Wait until `so()` is true. Returns whether it is within `patience_s` seconds."""
         waited_s = 0.0
         while waited_s < self.patience_s:
             if so():
@@ -128,8 +128,8 @@ class Bench:
         return so()
 
     def expect(self, environment: Environment, what: str) -> None:
-        """The environment is the one that is said, and what really runs, is connected and gives elements agrees with
-        it; a new unit that is kept may still be on its way.
+        """Require that the middleware's environment is this one, and that running units, connections and elements agree
+        with it. A kept new unit may still be starting.
         """
         found = self.middleware.environment
         believed = {unit.id: unit for unit in found.units}
@@ -159,7 +159,7 @@ def _sets(wires: Mapping[str, Collection[str]]) -> dict[str, set[str]]:
 
 
 def _wires(environment: Environment) -> dict[str, set[str]]:
-    """The streams that are to feed each input and topic."""
+    """The streams that should feed each input and topic."""
     wanted: dict[str, set[str]] = {}
     for unit in environment.units:
         for wire in unit.subscriptions:
@@ -170,7 +170,7 @@ def _wires(environment: Environment) -> dict[str, set[str]]:
 
 
 def _flowing(environment: Environment) -> set[str]:
-    """The topics on which elements are to come: everything that they need is fed."""
+    """The topics on which elements should come: all their inputs are fed."""
     alive: set[str] = set()
     while True:
         more = {
@@ -190,7 +190,7 @@ def _who(event: events.UnitDied | events.HostLost | events.HostJoined) -> str:
 
 
 def check_middleware(make: Callable[[], AbstractContextManager[Bench]]) -> None:
-    """Check a middleware, each promise on a new one. Raises AssertionError with the promise that it does not keep."""
+    """Check a middleware, each promise on a new one. Raises AssertionError with the promise that it breaks."""
     for check in CHECKS:
         with make() as bench:
             try:

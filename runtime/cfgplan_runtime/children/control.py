@@ -18,18 +18,18 @@ _MESSAGE_HEAD = struct.Struct("<II")
 _MOST_SOCKETS = 64
 _MESSAGE_CHUNK = 1 << 16
 _LONGEST_MESSAGE = 1 << 28
-"""Bytes; the longest messages have the state of a unit."""
+"""The most bytes of a message; the longest ones have the state of a unit."""
 
 
 class ControlConnection(Generic[Incoming]):
-    """One end of a connection. Sending never blocks: what the socket does not take waits for `flush`."""
+    """One end of a connection. Sending never blocks: messages wait for `flush` until the socket takes them."""
 
     def __init__(self, end: socket.socket, incoming: object) -> None:
         end.setblocking(False)
         self.socket = end
         self.has_ended = False
         self.is_garbled = False
-        """Whether it has ended because what came was no message."""
+        """Whether it has ended because of bytes that were no message."""
         self._decoder: msgspec.msgpack.Decoder[Incoming] = msgspec.msgpack.Decoder(incoming)
         self._received = bytearray()
         self._descriptors: deque[int] = deque()
@@ -37,7 +37,7 @@ class ControlConnection(Generic[Incoming]):
 
     @property
     def is_waiting(self) -> bool:
-        """Whether something waits for `flush`."""
+        """Whether messages wait for `flush`."""
         return bool(self._waiting)
 
     def send(self, message: msgspec.Struct, sockets: Sequence[socket.socket] = ()) -> None:
@@ -51,7 +51,7 @@ class ControlConnection(Generic[Incoming]):
         self.flush()
 
     def flush(self) -> bool:
-        """Send what waits. Returns whether nothing is left."""
+        """Send waiting messages. Returns whether none is left."""
         while self._waiting and not self.has_ended:
             data, sockets = self._waiting[0]
             try:
@@ -75,11 +75,11 @@ class ControlConnection(Generic[Incoming]):
         return True
 
     def receive(self) -> Iterator[tuple[Incoming, list[socket.socket]]]:
-        """The messages that have come, with their sockets. If `has_ended` is set, there will be no more.
+        """Yield the messages that have come, with their sockets. Once `has_ended` is set, no more will come.
 
-        The other end may be a process with foreign code, which may write into any of its descriptors: what is no
-        message ends the connection.
-        A message has fewer sockets than were sent if this process has no descriptor left for them.
+        The other end may be a process with foreign code, which may write into any of its descriptors: bytes that are no
+        message end the connection. A message has fewer sockets than were sent if this process has no descriptor left
+        for them.
         """
         while not self.has_ended:
             try:

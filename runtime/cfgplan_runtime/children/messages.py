@@ -35,7 +35,7 @@ class UnitOrder(msgspec.Struct, frozen=True, tag=True):
     services: list[str] = []
     """The inputs that neither start a step nor hold one back."""
     counts: dict[str, int] = {}
-    """How many streams the inputs take that take several; ALL: as many as there are."""
+    """The number of streams of each input that takes several; ALL: every matching one."""
     qualities: dict[str, dict[str, str | None]] = {}
     """By output: the quality attributes that it states, each with the field of a value that says it, if one does."""
 
@@ -83,7 +83,9 @@ class Cut(OfWire, tag=True):
 
 
 class End(OfWire, tag=True):
-    """An input's source has died: take what it has sent, then detach, even if another process holds its socket open."""
+    """An input's source has died: take the elements that it has sent, then detach, even if another process holds its
+    socket open.
+    """
 
 
 class Unserve(OfWire, tag=True):
@@ -97,7 +99,7 @@ class SwitchNow(msgspec.Struct, tag=True):
 
 
 class OpenOutlet(msgspec.Struct, tag=True):
-    """Own a topic's address and relay to whoever connects. Comes with the listening socket."""
+    """Own a topic's address and send its elements to all that connect. The message carries the listening socket."""
 
     topic: str
 
@@ -107,13 +109,13 @@ class CloseOutlet(msgspec.Struct, tag=True):
 
 
 class SetClock(msgspec.Struct, tag=True):
-    """The times of elements are the monotonic clock plus this offset from now on."""
+    """From now on the times of elements are the monotonic clock plus this offset."""
 
     offset_ns: int
 
 
 class Export(msgspec.Struct, tag=True):
-    """Have an input, the crossing, whose elements go to another host; at most `queue` wait if it `blocks`."""
+    """Make an input, the crossing, whose elements go to another host; at most `queue` wait if it `blocks`."""
 
     crossing: str
     host: str
@@ -122,7 +124,7 @@ class Export(msgspec.Struct, tag=True):
 
 
 class Import(msgspec.Struct, tag=True):
-    """Have an output, the crossing, with what another host exports."""
+    """Make an output, the crossing, with the elements that another host exports."""
 
     crossing: str
     host: str
@@ -146,7 +148,7 @@ class TellState(msgspec.Struct, tag=True):
 
 
 class TakeState(msgspec.Struct, tag=True):
-    """Go on with the state of an earlier unit."""
+    """Take the state of an earlier unit."""
 
     state: bytes
 
@@ -156,7 +158,7 @@ class Finish(msgspec.Struct, tag=True):
 
 
 class TellMark(msgspec.Struct, tag=True):
-    """Have the other host told, for a unit there, once everything has come that was given to an export until now."""
+    """Tell the other host, for a unit there, once it has received everything that an export has got until now."""
 
     crossing: str
     unit: str
@@ -185,7 +187,7 @@ ToChild: TypeAlias = (
 
 
 class Ready(msgspec.Struct, tag=True):
-    """The unit code is constructed; `cpu_ns` is the CPU time that took."""
+    """The unit code is constructed; `cpu_ns` is the CPU time of this, in nanoseconds."""
 
     cpu_ns: int
 
@@ -262,11 +264,12 @@ class UnitSign(msgspec.Struct, tag=True):
 
 
 class Flow(msgspec.Struct, frozen=True):
-    """What comes on a topic: elements per second, the median age at arrival in milliseconds, and counts.
+    """The traffic of a topic: elements per second, the median age at arrival in milliseconds, and counts.
 
     An element's age is counted from when its source element was made. Rate and age are over the last 3 seconds:
     `rate_hz` is 0 and `latency_ms` None if nothing came. `silent_s` is the time since the last element, None if none
-    ever came; `dropped` counts what had no room on its way to the topic, and what subscribers have not fetched in time.
+    ever came; `dropped` counts elements without room on the way to the topic, and elements that subscribers have not
+    fetched in time.
     """
 
     rate_hz: float = 0.0
@@ -290,24 +293,24 @@ class Unserved(msgspec.Struct, tag=True):
 
 
 class ImportUnused(msgspec.Struct, tag=True):
-    """Nobody takes from an import any more; it has served so many inputs up to now."""
+    """An import is no longer used; it has served so many inputs so far."""
 
     crossing: str
     served: int
 
 
 class Marked(msgspec.Struct, tag=True):
-    """Everything that was given before the mark for a unit has been handed on to it."""
+    """Everything that came before the mark for a unit has been delivered to it."""
 
     crossing: str
     unit: str
 
 
 class CrossingCounts(msgspec.Struct, frozen=True):
-    """Of a stream to another host: what there was to send, what had no room, and what has not arrived yet.
+    """The counts of a stream to another host: offered elements, dropped ones, and those that have not arrived yet.
 
-    `crowded` of those that were dropped had no room in the link, the others none at the receiver. `offered_bytes` were
-    there to be sent, `arrived_bytes` are known to have arrived.
+    `crowded` of the dropped ones had no room in the link, the others none at the receiver. `offered_bytes` were
+    offered, `arrived_bytes` are known to have arrived.
     """
 
     elements: int = 0
@@ -333,21 +336,21 @@ FromChild: TypeAlias = (
 
 
 class Fork(msgspec.Struct, tag=True):
-    """Make a child. Comes with its end of the control connection and of the pipe for what it prints."""
+    """Make a child. The message carries the child's ends of the control connection and of the pipe for its output."""
 
     serial: int
     order: ChildOrder
 
 
 class Kill(msgspec.Struct, tag=True):
-    """Kill a child and what it has started; `dump` first asks it for its stack."""
+    """Kill a child and the processes that it has started; with `dump` it first prints its stack."""
 
     serial: int
     dump: bool = False
 
 
 class Interrupt(msgspec.Struct, tag=True):
-    """Have SystemExit raised in the code of a child that was told to finish."""
+    """Raise SystemExit in the code of a child that was told to finish."""
 
     serial: int
 

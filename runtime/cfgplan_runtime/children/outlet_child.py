@@ -1,4 +1,4 @@
-"""The process that owns the topics' addresses: relays what feeds a topic to whoever has connected to it."""
+"""The process that owns the topics' addresses: it sends the elements of each topic to all connected subscribers."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NO_DESCRIPTOR = "no file descriptor is left: raise the limit of open files (ulim
 
 
 class OutletChild:
-    """The outlets of one run. A slow consumer loses the oldest elements, and delays nobody."""
+    """The outlets of one run. A slow consumer loses the oldest elements, and delays no other."""
 
     def __init__(self, order: messages.OutletOrder, control: ControlConnection[messages.ToChild]) -> None:
         self._queue = order.queue
@@ -26,7 +26,7 @@ class OutletChild:
         self._listeners: dict[str, socket.socket] = {}
         self._meters: dict[str, Meter] = {}
         self._paused: dict[str, socket.socket] = {}
-        """Listeners that are not accepted from for want of a descriptor, by topic: who connects to them waits."""
+        """Listeners without accepts for lack of a descriptor, by topic: new subscribers wait."""
         self._is_short = False
         self._is_finishing = False
 

@@ -45,7 +45,7 @@ class UnitInput:
     name: str
     inlet: InputQueue
     take: Callable[[Element], None]
-    """Called with each element that the inlet hands on."""
+    """Called with each element that the inlet delivers."""
     has_room: Callable[[], bool]
     """False if the producers have to wait."""
     lose: Callable[[], None] = _nothing
@@ -65,11 +65,11 @@ class UnitOutput:
     elements: int = 0
     dropped_before: int = 0
     served: int = 0
-    """The number of subscriptions that there were."""
+    """The number of subscriptions so far."""
 
 
 class Ports:
-    """All ports of this process; `wait` is the one place where it waits."""
+    """All ports of this process. The process waits only in `wait`."""
 
     def __init__(
         self,
@@ -78,9 +78,9 @@ class Ports:
         make_input: Callable[[str], UnitInput | None] = _no_input,
         clock_offset_ns: int = 0,
     ) -> None:
-        """`make_input` gives an input that is to be fed and is not there yet; None if there is none of that name.
+        """`make_input` makes an input when it is first connected; it returns None for an unknown name.
 
-        The run's clock, by which elements have their times, is the monotonic clock plus `clock_offset_ns`.
+        The run's clock, on which elements have their times, is the monotonic clock plus `clock_offset_ns`.
         """
         self.inputs: dict[str, UnitInput] = {}
         self.outputs: dict[str, UnitOutput] = {}
@@ -93,7 +93,7 @@ class Ports:
         self.ends.watch(control.socket, self._hear)
 
     def now_ns(self) -> int:
-        """The time by the run's clock."""
+        """The present time on the run's clock, in nanoseconds."""
         return time.monotonic_ns() + self._clock_offset_ns
 
     def say(self, message: FromChild) -> None:
@@ -130,13 +130,13 @@ class Ports:
         return not any(sender.depth for output in self.outputs.values() for sender in output.senders)
 
     def drain(self) -> None:
-        """Hand on the elements that have arrived, then discard later ones."""
+        """Deliver the elements that have arrived, then discard later ones."""
         for name, port in self.inputs.items():
             self.take_in(name)
             port.take = _ignore
 
     def take_in(self, port: str) -> None:
-        """Hand on the elements that have arrived at an input."""
+        """Deliver the elements that have arrived at an input."""
         for wire in list(self.inputs[port].receivers):
             self._read(self.inputs[port], wire)
 
@@ -152,7 +152,7 @@ class Ports:
         del self.outputs[port]
 
     def end_output(self, port: str) -> bool:
-        """Close the subscriptions of an output that have been sent everything. Returns whether none is left."""
+        """Close the subscriptions of an output to which everything was sent. Returns whether none is left."""
         output = self.outputs[port]
         for sender in [sender for sender in output.senders if not sender.depth]:
             self._remove_sender(output, sender)
@@ -268,7 +268,7 @@ class Ports:
                 self.ends.unwatch(other.socket)
 
     def _settle(self, port: UnitInput, elements: list[Element]) -> None:
-        """Hand elements on, close the receivers that the inlet no longer needs, and report a switch."""
+        """Deliver elements, close the receivers that the inlet no longer needs, and report a switch."""
         port.elements += len(elements)
         for element in elements:
             port.take(element)
@@ -285,7 +285,9 @@ class Ports:
         receiver.close()
 
     def _peer_spoke(self, output: UnitOutput, sender: Sender) -> None:
-        """A receiver's socket is ready: discard what it sent, then send what waits. If it is gone, close the sender."""
+        """A receiver's socket is ready: discard its data, then send waiting elements. If it is gone, close
+        the sender.
+        """
         try:
             gone = not sender.socket.recv(_MOST_SAID, socket.MSG_DONTWAIT)
         except BlockingIOError:

@@ -63,7 +63,7 @@ class Reply(NamedTuple):
 class ProgramCode:
     """A program that was started and is ready. Raises ProgramEndedError.
 
-    Faults of the program's output go to `fault`.
+    `fault` is called with faults of the program's output.
     """
 
     def __init__(self, order: UnitOrder, fault: Callable[[Exception], None]) -> None:
@@ -180,7 +180,7 @@ class ProgramCode:
             raise ProgramFaultError("exit status", f"at its stop the program: {end_of_process(status)}")
 
     def interrupt(self) -> None:
-        """End a program that goes on after its standard input was closed."""
+        """End a program that still runs after its standard input was closed."""
         self._process.terminate()
 
     def cpu_ns(self) -> int:

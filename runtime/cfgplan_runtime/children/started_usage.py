@@ -1,4 +1,4 @@
-"""CPU time and memory of what a process has started."""
+"""CPU time and memory of the processes that a process has started."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from cfgplan.costs import MICROSECONDS
 
 
 def started_usage(pid: int) -> tuple[int, int]:
-    """CPU time in microseconds and resident memory in bytes of all that a process has started and their own processes.
+    """CPU time in microseconds and resident memory in bytes of all descendants of a process.
 
-    Processes that have ended count as soon as their parent knows.
+    Processes that have ended count once their parent has reaped them.
     """
     import psutil
 

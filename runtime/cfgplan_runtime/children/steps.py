@@ -26,14 +26,15 @@ class Step:
 class StepQueue:
     """Elements that wait for their step.
 
-    `start` is `all` (one fresh element of each port, oldest first), `any` (each element of any port, with
-    the latest of the others), `aligned` (elements of one time, give or take `tolerance_ns`; what finds
-    no partner is skipped), or a port's name (each element of that port, with the latest of the others).
-    No step starts before every port has had an element, but `optional` ones and `services`: a step has the latest of
-    these, if there is any. Services start none, and optional ports only with `any`, by name, or if there are no others.
+    `start` is `all` (a new element of each port, oldest first), `any` (each element of any port, with the latest of the
+    others), `aligned` (elements of equal time, give or take `tolerance_ns`; elements without partners are skipped), or
+    a port's name (each element of that port, with the latest of the others). The first step starts once every port has
+    had an element, except `optional` ones and `services`: a step has their latest element, if they had one. Services
+    start no step, and optional ports only with `any`, by name, or if all ports are optional.
 
-    `counts` has the ports that take several streams, each with an inlet for every stream. One that takes k is like k
-    ports. One that takes ALL is like those of its streams that have an element; `all` waits for one of them only.
+    `counts` has the ports that take several streams, each with an inlet for every stream. A port that takes k streams
+    acts as k ports. A port that takes ALL acts as a port for each of its streams that has an element; `all` waits for
+    only one of these.
     """
 
     def __init__(
@@ -56,7 +57,7 @@ class StepQueue:
             starting = {*ports}.difference(services) if start == "any" else {start}
         counts = counts or {}
         self._slots = {port: [slot(port, 1 + n) for n in range(count)] for port, count in counts.items()}
-        """The inlets of each port that takes several streams; those of one that takes all as they come."""
+        """The inlets of each port that takes several streams; a port that takes all gets them as streams come."""
         of_port = {port: self._slots.get(port, [port]) for port in ports}
         self._waiting: dict[str, deque[Element]] = {
             inlet: deque() for port in ports if port in starting for inlet in of_port[port]
@@ -73,11 +74,11 @@ class StepQueue:
         self._tolerance_ns = tolerance_ns
         self._limit = limit
         self.inlets = [inlet for inlets in of_port.values() for inlet in inlets]
-        """The inlets that there are from the beginning."""
+        """The inlets that exist from the beginning."""
         self.dropped = dict.fromkeys(ports, 0)
-        """How many elements were dropped for want of room, by port."""
+        """The number of elements dropped for lack of room, by port."""
         self.skipped = dict.fromkeys(ports, 0)
-        """How many elements found no partner of their time, by port."""
+        """The number of elements without a partner of their time, by port."""
 
     def waiting(self, port: str) -> int:
         """The number of elements that wait at a port."""
@@ -97,7 +98,7 @@ class StepQueue:
                 self._waiting.pop(inlet, None)
 
     def put(self, inlet: str, element: Element, *, may_drop: bool) -> None:
-        """Add an element; the oldest of its inlet is dropped if there is no room and `may_drop`."""
+        """Add an element. Without room the oldest of its inlet is dropped, if it `may_drop`."""
         waiting = self._waiting.get(inlet)
         if waiting is None:
             port = port_of(inlet)
@@ -123,7 +124,7 @@ class StepQueue:
         return self._with_latest(min(ready)[1]) if ready else None
 
     def _has_needed(self, found: Mapping[str, object]) -> bool:
-        """Whether there is something of each inlet that no step goes without."""
+        """Whether each inlet that a step needs has an element."""
         return all(map(found.get, self._needed)) and (
             not self._needed_open or all(any(map(found.get, inlets)) for inlets in self._needed_open)
         )

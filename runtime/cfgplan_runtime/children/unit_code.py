@@ -1,10 +1,9 @@
 """The user's class or function, and the rules for calling it.
 
-A class is constructed with the transformation's params as keyword arguments, then called with the
-values of one step, each under the name of its input port. What it returns is the value of its output
-port; with several output ports, a mapping from port to value. None is no value. A generator gives one
-result after the other. A unit without inputs is a source: a generator function, an iterable, or
-a callable that is called at the transformation's rate.
+A class is constructed with the transformation's params as keyword arguments, then called with the values of one step,
+each under the name of its input port. It returns the value of its output port; with several output ports, a mapping
+from port to value. None means no value. A generator yields one result after the other. A unit without inputs is a
+source: a generator function, an iterable, or a callable that is called at the transformation's rate.
 """
 
 from __future__ import annotations

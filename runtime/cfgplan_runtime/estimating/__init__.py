@@ -1,1 +1,1 @@
-"""What units are observed to cost, and what they are expected to cost (paper, section IV-C)."""
+"""Estimates of the costs of units, learned from observations (paper, section IV-C)."""

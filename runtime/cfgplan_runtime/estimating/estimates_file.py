@@ -1,4 +1,4 @@
-"""Estimates are kept in one file between runs. The time between runs does not count."""
+"""The file that keeps estimates between runs. Estimates do not fade between runs."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ ESTIMATES_FORMAT = "cfgplan-estimates/1"
 
 
 class EstimatesError(RuntimeFaultError):
-    """Estimates could not be read or written; the run goes on without them."""
+    """Estimates could not be read or written; the run continues without them."""
 
 
 class _Kept(msgspec.Struct):
-    """The file's content; times are seconds before it was written, and so at most 0."""
+    """The file's content. Times are in seconds relative to its writing, so at most 0."""
 
     format: str
     evidence: dict[str, Evidence]
@@ -29,9 +29,10 @@ class _Kept(msgspec.Struct):
 
 
 def default_file(environment_file: Path) -> Path:
-    """Where the estimates for an environment file are kept: in `$XDG_STATE_HOME/cfgplan/estimates`.
+    """The file for the estimates of an environment file, in `$XDG_STATE_HOME/cfgplan/estimates`.
 
-    `$XDG_STATE_HOME` is `~/.local/state` if absent. The name is the file's, and a hash of its full path.
+    Without `$XDG_STATE_HOME` it is in `~/.local/state`. The name is that of the environment file with a hash of its
+    full path.
     """
     given = os.environ.get("XDG_STATE_HOME")
     folder = Path(given) if given else Path.home() / ".local" / "state"
@@ -41,7 +42,7 @@ def default_file(environment_file: Path) -> Path:
 
 
 def save(estimator: LearningEstimator, path: Path, now_s: float) -> None:
-    """Write the estimates. The file is replaced as a whole or not at all, and is on the disk then. Raises
+    """Write the estimates and flush them to the disk. The file is replaced as a whole or not at all. Raises
     EstimatesError.
     """
     on_hosts = {host: _moved(there, -now_s) for host, there in sorted(estimator.on_hosts.items())}
@@ -64,9 +65,9 @@ def save(estimator: LearningEstimator, path: Path, now_s: float) -> None:
 
 
 def load(estimator: LearningEstimator, path: Path, now_s: float) -> None:
-    """Go on with what a file holds, if there is one.
+    """Continue with the estimates of a file, if it exists.
 
-    Raises EstimatesError if it can't be used. A damaged file is renamed to `….damaged` first, so that a new one can be
+    Raises EstimatesError if it can't be used. A damaged file is first renamed to `….damaged`, so that a new one can be
     saved.
     """
     _refuse_what_is_no_file(path)
@@ -103,12 +104,12 @@ def load(estimator: LearningEstimator, path: Path, now_s: float) -> None:
 
 
 def _moved(estimator: LearningEstimator, by: float) -> dict[str, Evidence]:
-    """What was learned, on a clock that shows `by` more."""
+    """The evidence of all transformations, on a clock that is ahead by `by` seconds."""
     return {label: one.moved(by) for label, one in sorted(estimator.evidence.items()) if not one.is_empty}
 
 
 def _refuse_what_is_no_file(path: Path) -> None:
-    """Refuse a device, a pipe or a folder: reading could block, writing would replace it."""
+    """Raise EstimatesError for a device, a pipe or a folder: reading could block, writing would replace it."""
     try:
         is_other = path.exists() and not path.is_file()
     except OSError:
@@ -118,7 +119,7 @@ def _refuse_what_is_no_file(path: Path) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Flush the folder, so that the renaming survives a crash; not every system can."""
+    """Flush the folder, so that the renaming survives a crash. Systems that can't flush a folder are ignored."""
     with suppress(OSError):
         descriptor = os.open(folder, os.O_RDONLY)
         try:

@@ -1,4 +1,4 @@
-"""Labor and upkeep as learned from what was observed, in the form that planners need (paper, section IV-C)."""
+"""Estimates of labor and upkeep, learned from observations, in the form that planners need (paper, section IV-C)."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from cfgplan_runtime.estimating.settings import Learning
 from cfgplan_runtime.supervision.observation import Observation
 
 _SHORTEST_RUN_S = 1e-3
-"""Two looks at a unit that are nearer than this are one."""
+"""Two observations of a unit within this time count as one."""
 
 _REFRESHES = 200
-"""How many times a half-life of trust an estimate is made anew although nothing was observed."""
+"""How often an estimate is updated without observations, per half-life `forget_s`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """What a unit of a transformation is expected to cost, in microseconds (upkeep and failing: per second).
+    """The expected cost of a unit of a transformation, in microseconds (upkeep and failing: per second).
 
-    `running_us` is the mean over the horizon, `failing_us` what failures are expected to cost.
+    `running_us` is the mean upkeep over the horizon, `failing_us` the expected cost of failures.
     """
 
     labor_us: int
@@ -45,7 +45,7 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class _Made:
-    """An estimate, with the evidence behind it."""
+    """An estimate, with the evidence that it was made from."""
 
     estimate: Estimate
     basis: tuple[object, ...]
@@ -55,7 +55,7 @@ class _Made:
 
 @dataclass(slots=True)
 class _Family:
-    """The transformations of one template; `changes` counts what was observed of any of them."""
+    """The transformations of one template; `changes` counts the observations of all of them."""
 
     members: dict[str, Evidence] = field(default_factory=dict)
     changes: int = 0
@@ -71,10 +71,10 @@ class _Family:
 
 
 class LearningEstimator:
-    """Learns what units of each transformation cost, and what their failures do.
+    """Learns the costs of each transformation's units, and the costs of their failures.
 
-    Costs are clustered by label, on each host by itself. `forecaster` is for upkeep; with None the costs are those of
-    `guess`, and only failures are learned. Times `now_s` are on any one clock that only rises.
+    Units of one transformation share an estimate, on each host by itself. `forecaster` forecasts upkeep; with None the
+    costs are those of `guess`, and only failures are learned. Times `now_s` are in seconds on any one monotonic clock.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class LearningEstimator:
         self.settings = settings or Learning()
         self.evidence: dict[str, Evidence] = {}
         self.on_hosts: dict[str, LearningEstimator] = {}
-        """By host: what was learned there."""
+        """The estimators of hosts, by name."""
         self._forecaster, self._guess = forecaster, guess
         self._scaled: dict[tuple[str, str], tuple[Transformation, Host, Transformation]] = {}
         self._expectations = Expectations(forecaster, guess, self.settings)
@@ -98,10 +98,10 @@ class LearningEstimator:
         self._now_s = 0.0
 
     def observe(self, observations: Sequence[Observation], now_s: float) -> None:
-        """Learn from the units that run now; upkeep is what each has used since the last call.
+        """Learn from the running units; upkeep is the CPU time that each has used since the last call.
 
-        Nothing is learned from a unit that gives nothing: what it uses counts once it gives its next element. Where a
-        middleware does not count a unit's CPU time (`cpu_us` is 0), its `upkeep_us` is taken.
+        The CPU time of a silent unit counts only once its next element comes. If a middleware does not count a unit's
+        CPU time (`cpu_us` is 0), the observation's `upkeep_us` is used.
         """
         before, self._units, self._now_s = self._units, {}, now_s
         here = [seen for seen in observations if seen.host is None]
@@ -128,7 +128,7 @@ class LearningEstimator:
             self.estimate(self._declared[label], self._made[label].horizon_s)
 
     def failed(self, transformation: str, now_s: float) -> None:
-        """Learn that a unit could not start, died, hung or kept failing, on whatever host; once per unit."""
+        """Learn that a unit could not start, died, hung or kept failing, on any host. Call it once per unit."""
         self._now_s = now_s
         for there in self.on_hosts.values():
             there.failed(transformation, now_s)
@@ -136,30 +136,32 @@ class LearningEstimator:
             evidence.failed(now_s)
 
     def at(self, host: str) -> LearningEstimator:
-        """The estimator of a host's own samples."""
+        """The estimator of a host."""
         if host not in self.on_hosts:
             self.on_hosts[host] = LearningEstimator(self._forecaster, self._guess, self.settings)
         return self.on_hosts[host]
 
     def labor_us(self, transformation: Transformation, horizon_s: int, host: Host | None = None) -> int:
-        """CPU time of one start, in microseconds."""
+        """The CPU time of one start, in microseconds."""
         return self._estimate_on(host, transformation, horizon_s).labor_us
 
     def upkeep_us(self, transformation: Transformation, horizon_s: int, host: Host | None = None) -> int:
-        """CPU time per second, in microseconds: the mean over the horizon with what failures cost, rounded half up."""
+        """The CPU time per second, in microseconds: the mean over the horizon plus the cost of failures, rounded half
+        up.
+        """
         return self._estimate_on(host, transformation, horizon_s).upkeep_us
 
     def estimated(self, library: Iterable[Transformation], horizon_s: int) -> tuple[Transformation, ...]:
-        """The library, given with its declared costs, with estimated ones."""
+        """The library with estimated instead of declared costs."""
         known = tuple(library)
         for transformation in known:
             self._declare(transformation)
         return tuple(_with_costs(one, self.estimate(one, horizon_s)) for one in known)
 
     def estimate(self, transformation: Transformation, horizon_s: int) -> Estimate:
-        """The expected cost of a unit of a transformation, which is given with its declared costs.
+        """The expected cost of a unit of a transformation that has its declared costs.
 
-        The estimate changes only when the costs have really moved, so that noise leads to no new plan.
+        The estimate changes only if the costs have moved by more than noise explains, so that noise causes no new plan.
         """
         own = self._declare(transformation)
         label = transformation.label
@@ -178,7 +180,9 @@ class LearningEstimator:
         return estimate
 
     def _estimate_on(self, host: Host | None, transformation: Transformation, horizon_s: int) -> Estimate:
-        """The cost of a unit on a host; without samples there the cost elsewhere, scaled by the hosts' speeds."""
+        """The cost of a unit on a host; without samples of this host the cost on other hosts, scaled by the hosts'
+        speeds.
+        """
         if host is None:
             return self.estimate(transformation, horizon_s)
         label, there = transformation.label, self.at(host.name)
@@ -197,7 +201,9 @@ class LearningEstimator:
         return replace(own, labor_us=round(labor), running_us=round(running))
 
     def _declared_on(self, host: Host, transformation: Transformation) -> Transformation:
-        """A transformation with what its declared costs are on a host; the same object while both stay the same."""
+        """A transformation with its declared costs scaled to a host; the same object while transformation and host stay
+        the same.
+        """
         key = host.name, transformation.label
         if key not in self._scaled or self._scaled[key][0] is not transformation or self._scaled[key][1] != host:
             there = transformation
@@ -207,7 +213,7 @@ class LearningEstimator:
         return self._scaled[key][2]
 
     def take_over(self, evidence: Mapping[str, Evidence]) -> None:
-        """Go on with what was learned before, its times on this estimator's clock."""
+        """Continue with earlier evidence, whose times are on this estimator's clock."""
         for label, one in evidence.items():
             self._keep(label, one)
         self._made.clear()
@@ -237,7 +243,7 @@ class LearningEstimator:
         )
 
     def _declare(self, transformation: Transformation) -> Evidence:
-        """The evidence about a transformation; it begins anew when it is declared otherwise than before."""
+        """The evidence about a transformation; it is empty if the declaration has changed."""
         own = self._evidence_of(transformation.label)
         if self._declared.get(transformation.label) is transformation:
             return own
@@ -267,7 +273,7 @@ class LearningEstimator:
 
     @contextmanager
     def _learning(self, label: str) -> Iterator[Evidence]:
-        """The evidence about a transformation, to be added to."""
+        """Give the evidence about a transformation, to be extended."""
         evidence = self._evidence_of(label)
         before = evidence.changes
         yield evidence
@@ -278,26 +284,28 @@ class LearningEstimator:
 
 
 ESTIMATORS: Mapping[str, Callable[[float], Forecaster] | None] = MappingProxyType({"declared": None, **FORECASTERS})
-"""By name: how upkeep is forecast. `declared` believes the environment file, and learns only from failures."""
+"""The forecasters of upkeep by name. With `declared`, upkeep is that of the environment file, and only failures are
+learned.
+"""
 
 
 def make_estimator(name: str = "trend", guess: str = "declared", settings: Learning | None = None) -> LearningEstimator:
-    """An estimator by one of the names of ESTIMATORS and GUESSES."""
+    """An estimator by one of the names of ESTIMATORS and one of GUESSES."""
     return LearningEstimator(ESTIMATORS[name], GUESSES[guess], settings)
 
 
 def _given(seen: Observation) -> int | None:
-    """How many elements a unit has given; None where nobody counts them, or it has no output."""
+    """The number of elements that a unit has sent; None if it has no output, or the middleware does not count them."""
     return sum(counts.elements for counts in seen.outputs.values()) if seen.outputs else None
 
 
 def _is_same_process(last: Observation, seen: Observation) -> bool:
-    """Whether two observations are of one process, not of two units of one name."""
+    """Whether two observations are of one process, not of two processes with one unit id."""
     return (last.transformation, last.labor_us) == (seen.transformation, seen.labor_us) and seen.cpu_us >= last.cpu_us
 
 
 def _with_costs(transformation: Transformation, estimate: Estimate) -> Transformation:
-    """The transformation with the estimated costs; the same object if those are the declared ones."""
+    """The transformation with the estimated costs; the same object if they equal the declared ones."""
     if (transformation.labor_us, transformation.upkeep_us) == (estimate.labor_us, estimate.upkeep_us):
         return transformation
     return replace(transformation, labor_us=estimate.labor_us, upkeep_us=estimate.upkeep_us)

@@ -1,4 +1,4 @@
-"""All that was observed of the units of one transformation."""
+"""The observations of the units of one transformation."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from cfgplan_runtime.estimating.history import CostSample, FailureHistory, Histo
 
 
 class Evidence(msgspec.Struct):
-    """What was observed of one transformation, and what was declared then; if something else is declared, it counts no
-    more.
+    """The observations of one transformation, with its declaration at that time. After a change of the declaration they
+    no longer count.
 
-    Labor has one sample per start, at 1, 2, 3, ...; upkeep is over time on the estimator's clock.
+    Labor has one sample per start, at 1, 2, 3, ...; upkeep is over time on the estimator's clock, in seconds.
     """
 
     declared: str
@@ -27,10 +27,11 @@ class Evidence(msgspec.Struct):
     failures: FailureHistory
     starts: int = 0
     seen_s: Second = 0.0
-    """When something was observed last."""
+    """The time of the last observation."""
     changes: int = 0
-    """Counts samples and failures, so that a forecast made earlier is known to be stale. What becomes part of a sample
-    that is there already, within its grain, makes none stale."""
+    """Counts samples and failures, so that earlier forecasts are known to be stale. An observation that becomes part of
+    an existing sample does not count.
+    """
 
     @property
     def declared_costs(self) -> Costs:
@@ -47,7 +48,7 @@ class Evidence(msgspec.Struct):
 
     @property
     def is_in_order(self) -> bool:
-        """Whether the samples can have come from observations; those of a file may not."""
+        """Whether the samples can have come from observations; samples from a file may not."""
         starts_fit = not self.labor.samples or self.labor.samples[-1].until <= self.starts
         times_fit = not self.upkeep.samples or self.upkeep.samples[-1].until <= self.seen_s + 1e-3
         return starts_fit and times_fit and self.labor.is_in_order and self.upkeep.is_in_order
@@ -70,7 +71,7 @@ class Evidence(msgspec.Struct):
         self.failures.failed(now_s)
 
     def moved(self, by: float) -> Evidence:
-        """The same on a clock that shows `by` more."""
+        """The same evidence on a clock that is ahead by `by` seconds."""
         upkeep, failures = self.upkeep.moved(by), self.failures.moved(by)
         return msgspec.structs.replace(self, upkeep=upkeep, failures=failures, seen_s=self.seen_s + by)
 
@@ -80,13 +81,15 @@ class Evidence(msgspec.Struct):
 
 
 def family(label: str) -> str:
-    """The name before the bracket: the transformations of one template, such as `segmenter(piff)`, are a family."""
+    """The name before the bracket: transformations of one template, such as `segmenter(piff)`, form a family."""
     name, bracket, _ = label.partition("(")
     return name.strip() if bracket and name.strip() else label
 
 
 def declaration(transformation: Transformation) -> str:
-    """A digest of what a transformation's costs depend on. Evidence counts only while it stays the same."""
+    """A digest of everything that a transformation's costs depend on. Evidence counts only while the digest stays the
+    same.
+    """
     params = {name: transformation.params[name] for name in sorted(transformation.params)}
     parts = (
         transformation.source,

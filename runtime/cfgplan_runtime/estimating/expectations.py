@@ -13,7 +13,7 @@ from cfgplan_runtime.estimating.settings import Learning
 
 
 class Origin(StrEnum):
-    """Where an expectation comes from."""
+    """The source of an expectation."""
 
     GUESS = "guess"
     FAMILY = "family"
@@ -22,15 +22,15 @@ class Origin(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Expectation:
-    """A forecast in microseconds (upkeep: per second) and where it comes from."""
+    """A forecast in microseconds (upkeep: per second), and its source."""
 
     forecast: Forecast
     origin: Origin
 
 
 class Expectations:
-    """Makes expectations of evidence. `forecaster` makes the forecaster of upkeep from its memory; with None, observed
-    costs don't count.
+    """Makes expectations from evidence. `forecaster` makes the forecaster of upkeep from its memory; with None,
+    observed costs do not count.
     """
 
     def __init__(self, forecaster: Callable[[float], Forecaster] | None, guess: Guess, settings: Learning) -> None:
@@ -63,9 +63,7 @@ class Expectations:
         return level
 
     def _observed(self, kind: CostKind, own: Evidence, dearest: Costs, now_s: float) -> Forecast:
-        """The forecast from observations. While nothing more is observed, it moves towards the guess, and its
-        trend ends.
-        """
+        """The forecast from observations. Without new observations it moves towards the guess, and its trend ends."""
         forecast = self._forecasters[kind](own.samples(kind))
         idle_s = max(0.0, now_s - own.seen_s)
         guess = self._guess(own.declared_costs, dearest).of(kind)
@@ -78,7 +76,7 @@ class Expectations:
         )
 
     def _familiar(self, kind: CostKind, own: Evidence, known: Sequence[Evidence]) -> float:
-        """The mean of what relatives cost. If all declare costs, it is scaled by the declared ones."""
+        """The mean cost of relatives. If all of them declare costs, it is scaled by the declared ones."""
         levels = [self._level(kind, one) for one in known]
         declared = [one.declared_costs.of(kind) for one in known]
         mean = sum(levels) / len(levels)

@@ -1,4 +1,4 @@
-"""From a history to a forecast: one forecaster per way of weighing what was observed."""
+"""Forecasters: functions from a history of samples to a forecast, each with its own weights of samples."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from cfgplan_runtime.estimating.history import CostSample
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
-    """What a quantity is expected to be: `level` now, changing by `slope` per second.
+    """The expected course of a quantity: `level` now, changing by `slope` per second.
 
-    The slope fades: the change is `slope * reach_s` in the end, about two thirds of it after `reach_s` seconds. The
-    forecast stays within `low` and `high`. `error` is the standard error of the level.
+    The slope fades: the total change tends to `slope * reach_s`, with about two thirds of it after `reach_s` seconds.
+    The forecast stays within `low` and `high`. `error` is the standard error of the level.
     """
 
     level: float
@@ -27,12 +27,12 @@ class Forecast:
     high: float = math.inf
 
     def value(self, ahead_s: float) -> float:
-        """The expected value in so many seconds."""
+        """The expected value in `ahead_s` seconds."""
         gone = self.slope * self.reach_s * -math.expm1(-ahead_s / self.reach_s)
         return min(max(self.level + gone, self.low), self.high)
 
     def mean(self, horizon_s: int) -> float:
-        """The mean of `value(t)` for t = 1, ..., `horizon_s`: Definition 8's sum over its length."""
+        """The mean of `value(t)` for t = 1, ..., `horizon_s`: the sum of Definition 8 divided by its length."""
         if horizon_s <= 0 or self.slope == 0.0:
             return self.value(0.0)
         free_s = self._free_s(horizon_s)
@@ -51,7 +51,7 @@ class Forecast:
 
 
 class Forecaster(Protocol):
-    """Makes a forecast from samples, of which there is at least one. Times are the samples' own."""
+    """Makes a forecast from one or more samples. Times are the samples' own."""
 
     def __call__(self, samples: Sequence[CostSample]) -> Forecast: ...
 
@@ -80,8 +80,8 @@ class Average:
 class Trend:
     """A line through the samples (weighted least squares, weights as in `Average`).
 
-    The slope counts as far as noise can't explain it: all of it when it is many standard errors, nothing of it below
-    two. A trend goes on for about `memory`, and leaves the samples' range by at most the width of that range.
+    Only the part of the slope counts that noise can't explain: nothing below two standard errors, and nearly all of it
+    at many. A trend lasts about `memory`, and leaves the samples' range by at most the width of that range.
     """
 
     memory: float
@@ -107,9 +107,9 @@ class Trend:
 
 @dataclass(frozen=True, slots=True)
 class Holt:
-    """Double exponential smoothing: a level and a trend, each drawn towards what was observed (Holt 1957).
+    """Double exponential smoothing: a level and a trend, each moved towards the observations (Holt 1957).
 
-    The level forgets twice as fast as `memory`, the trend as fast. Samples may be at any distance (Wright 1986).
+    The level forgets twice as fast as `memory`, the trend as fast as it. Samples may be at any distance (Wright 1986).
     """
 
     memory: float
@@ -136,7 +136,7 @@ class Holt:
 FORECASTERS: Mapping[str, Callable[[float], Forecaster]] = MappingProxyType(
     {"latest": lambda _: Latest(), "average": Average, "trend": Trend, "holt": Holt}
 )
-"""By name: what makes a forecaster of a memory, which is a half-life in seconds."""
+"""By name: a function from a memory, which is a half-life in seconds, to a forecaster."""
 
 _FEWEST_FOR_A_LINE = 4
 
@@ -152,7 +152,7 @@ def _weighted_mean(values: Sequence[float], weights: Sequence[float]) -> float:
 
 
 def _standard_error(misses: Sequence[float], weights: Sequence[float], level: float) -> float:
-    """The standard error of a weighted mean. Of one sample nothing is known: then it is the level itself."""
+    """The standard error of a weighted mean. With a single sample it is the level itself, as nothing is known."""
     number = math.fsum(weights) ** 2 / math.fsum(weight * weight for weight in weights)
     if number < 1.5:
         return abs(level)
@@ -160,7 +160,7 @@ def _standard_error(misses: Sequence[float], weights: Sequence[float], level: fl
 
 
 def _share_beyond_noise(slope: float, error: float) -> float:
-    """How much of a slope is believed, from 0 (two standard errors) towards 1."""
+    """The share of a slope that noise can't explain, from 0 (two standard errors) towards 1."""
     return 0.0 if slope == 0.0 else max(0.0, 1 - (2 * error / slope) ** 2)
 
 
@@ -168,18 +168,19 @@ _DEVIATIONS = 3.0
 _NORMAL = 1.4826
 """Times the median absolute deviation is the standard deviation of a normal distribution."""
 _NO_OUTLIER = 0.1
-"""Nothing within so much of the median is an outlier: a quiet history has no deviation at all."""
+"""A value within this share of the median is no outlier: a quiet history has no deviation at all."""
 _SHIFT = 0.25
-"""A step that is less of the larger level is left to the forecaster, and so is a drift."""
+"""A step by a smaller share of the larger level is left to the forecaster, as a drift is."""
 
 
 @dataclass(frozen=True, slots=True)
 class Damped:
     """Forecasts from the samples since the last step, without outliers.
 
-    Each sample is drawn in to three standard deviations from the median of the `width` samples around it. The deviation
-    is 1.4826 times the median absolute deviation (Hampel's filter, but drawing in instead of replacing). A step is
-    where the medians of half the width before and after differ by more than that, and by a quarter.
+    Each sample is clipped to three standard deviations from the median of the `width` samples around it. The standard
+    deviation is 1.4826 times the median absolute deviation (Hampel's filter, with clipping instead of replacement). A
+    step is a place where the medians of half the width before and after differ by more than three deviations, and by a
+    quarter of the larger.
     """
 
     inner: Forecaster
@@ -190,7 +191,7 @@ class Damped:
 
 
 def damped(samples: Sequence[CostSample], width: int) -> list[CostSample]:
-    """The samples with outliers drawn in. At either end the window lies to one side."""
+    """The samples with outliers clipped. At either end the window lies to one side."""
     spreads = _spreads([one.value for one in samples], width)
     drawn = []
     for place, one in enumerate(samples):
@@ -223,6 +224,6 @@ def _spreads(values: Sequence[float], width: int) -> list[tuple[float, float]]:
 
 
 def _median(values: Sequence[float]) -> float:
-    """The median: as `statistics.median`, several times as fast for a few values."""
+    """The median, as `statistics.median`, but several times as fast for a few values."""
     ordered, half = sorted(values), len(values) // 2
     return ordered[half] if len(ordered) % 2 else (ordered[half - 1] + ordered[half]) / 2

@@ -1,4 +1,4 @@
-"""What is expected of a transformation of which nothing was observed: exploit what is known, or explore."""
+"""Guesses of the costs of transformations without observations: exploit the known ones, or explore all."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Costs:
 
 
 class Guess(Protocol):
-    """Guesses costs from the declared ones, and from the dearest labor and upkeep that are known."""
+    """Guesses costs from the declared costs, and from the largest labor and upkeep known."""
 
     def __call__(self, declared: Costs, dearest: Costs) -> Costs: ...
 
@@ -33,12 +33,12 @@ def declared(declared: Costs, dearest: Costs) -> Costs:  # noqa: ARG001
 
 
 def optimistic(declared: Costs, dearest: Costs) -> Costs:  # noqa: ARG001
-    """No costs: so everything is tried once."""
+    """Zero costs, so that every transformation is tried once."""
     return Costs(0, 0)
 
 
 def pessimistic(declared: Costs, dearest: Costs) -> Costs:
-    """Twice the dearest costs: so only what is necessary is tried."""
+    """Twice the largest costs, so that only necessary transformations are tried."""
     labor_us = 2 * max(declared.labor_us, dearest.labor_us)
     return Costs(labor_us, 2 * max(declared.upkeep_us, dearest.upkeep_us))
 

@@ -1,4 +1,4 @@
-"""What was observed of a transformation: short lists of samples, and how often its units failed."""
+"""The history of a transformation: short lists of samples, and the rate of failures of its units."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Weight: TypeAlias = Annotated[float, msgspec.Meta(ge=1e-6, le=1e12)]
 
 
 class CostSample(msgspec.Struct, array_like=True):
-    """A mean `value` over the time from `since` to `until`; `weight` says how much was observed."""
+    """A mean `value` over the time from `since` to `until`; `weight` is the amount of observation."""
 
     since: Second
     until: Second
@@ -36,7 +36,7 @@ class History(msgspec.Struct):
     def add(self, since: float, until: float, value: float, weight: float) -> bool:
         """Add a mean over an interval. Returns whether it makes a new sample.
 
-        Intervals come in order of their ends; those of several units lie side by side.
+        Intervals are added in order of their ends; those of several units may overlap.
         """
         last = self.samples[-1] if self.samples else None
         if last is not None and until - last.since <= self.grain:
@@ -50,30 +50,30 @@ class History(msgspec.Struct):
 
     @property
     def is_in_order(self) -> bool:
-        """Whether the samples are as `add` would have left them; those of a file may not be."""
+        """Whether the samples are as `add` would have left them; samples from a file may not be."""
         ends = [one.until for one in self.samples]
         return ends == sorted(ends) and all(one.since <= one.until for one in self.samples)
 
     def take_limits(self, other: History) -> None:
-        """Take over the limits of `other`."""
+        """Use the limits of `other`."""
         self.grain, self.most = other.grain, other.most
         del self.samples[: -self.most]
 
     def moved(self, by: float) -> History:
-        """The same on a clock that is ahead by `by`."""
+        """The same history on a clock that is ahead by `by` seconds."""
         moved = [CostSample(one.since + by, one.until + by, one.value, one.weight) for one in self.samples]
         return History(self.grain, self.most, moved)
 
 
 PRIOR_S = 60.0
-"""Before anything is known, a transformation counts as having run so long without a failure."""
+"""A new transformation counts as having run for this many seconds without a failure."""
 
 
 class FailureHistory(msgspec.Struct):
-    """Failures, and the time that units ran; both fade with half-life `forget_s`.
+    """The number of failures, and the time that units ran; both fade with half-life `forget_s`.
 
     The rate is that of a Poisson process with a prior of `PRIOR_S` seconds without a failure: 0 before the first
-    failure, one per minute after a failure at the start. A unit that runs on without failing becomes trusted again.
+    failure, one per minute after a failure at the start. It falls while units run without failing.
     """
 
     forget_s: float
@@ -82,22 +82,22 @@ class FailureHistory(msgspec.Struct):
     at_s: Second = 0.0
 
     def ran(self, unit_s: float, now_s: float) -> None:
-        """Units have run without failing for `unit_s` seconds together."""
+        """Add a total of `unit_s` seconds in which units ran without failing."""
         self._fade(now_s)
         self.ran_s += unit_s
 
     def failed(self, now_s: float) -> None:
-        """A unit has died, hung, failed for good, or could not start."""
+        """Add a failure: a unit has died, hung, kept failing, or could not start."""
         self._fade(now_s)
         self.failures += 1
 
     def rate(self, now_s: float) -> float:
-        """Expected failures per second of one unit."""
+        """The expected failures per second of one unit."""
         share = self._share(now_s)
         return self.failures * share / (PRIOR_S + self.ran_s * share)
 
     def moved(self, by: float) -> FailureHistory:
-        """The same on a clock that shows `by` more."""
+        """The same history on a clock that is ahead by `by` seconds."""
         return FailureHistory(self.forget_s, self.failures, self.ran_s, self.at_s + by)
 
     def _share(self, now_s: float) -> float:

@@ -1,4 +1,4 @@
-"""How an estimator learns."""
+"""The settings of an estimator."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from cfgplan_runtime.estimating.history import FailureHistory, History
 
 _SAMPLES_PER_MEMORY = 12
 _MEMORIES = 4
-"""What is four half-lives old counts for 6 %, and is dropped."""
+"""The number of half-lives after which samples are dropped: they count for 6 % then."""
 _MOST_STARTS = 20
 
 
 @dataclass(frozen=True, slots=True)
 class Learning:
-    """How an estimator learns. Times in seconds.
+    """The settings of an estimator. Times in seconds.
 
-    `memory_s`: the age at which an upkeep counts half as much as a new one; `memory_starts`: the same for labor, in
-    starts. `forget_s`: the half-life of failures, and of the trust in observations while there are no new ones. A
-    failure costs a start, and `failure_us` for the interruption. An estimate changes only by more than `least_change`
-    of it, `least_change_us`, and `errors` standard errors.
+    `memory_s` is the age at which an upkeep counts half as much as a new one, `memory_starts` the same for labor, in
+    starts. `forget_s` is the half-life of failures, and of estimates without new observations. A failure costs a start,
+    and `failure_us` for the interruption. An estimate changes only by more than `least_change` of it,
+    `least_change_us`, and `errors` standard errors.
     """
 
     memory_s: float = 60.0
@@ -40,7 +40,9 @@ class Learning:
         return FailureHistory(self.forget_s)
 
     def settled(self, last_us: int | None, new_us: float, error_us: float) -> int:
-        """The estimate to hand out after `last_us`: that one again, or the new one, rounded half up."""
+        """The estimate to use after `last_us`: `last_us` while the new value is within the band, else the new one,
+        rounded half up.
+        """
         if last_us is not None:
             band = max(self.least_change * last_us, self.least_change_us, self.errors * error_us)
             if abs(new_us - last_us) <= band:

@@ -1,4 +1,4 @@
-"""What a manager keeps of what runs on its hosts already, and the orders that end the rest."""
+"""Adoption: the units and wires on the hosts that a new manager keeps, and the orders that end the others."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from cfgplan_runtime.supervision.backend import Found, FoundWire
 class Adoption:
     """The units and wires that a manager keeps.
 
-    `units` (with those that are stopping) and `spares` are hosts by id; `topics` has for each topic the host that was
-    asked for and the host where it is.
+    `units` (including stopping ones) and `spares` map ids to hosts; `topics` has for each topic the host that was asked
+    for and the host where it is.
     """
 
     found: Found | None
@@ -28,14 +28,14 @@ class Adoption:
     topics: Mapping[str, tuple[str | None, str]]
     routes: Routes
     orders: Sequence[OrderTo]
-    """They end what is not kept."""
+    """Orders that end all units, wires and topics that are not kept."""
 
 
 def adopt(run: str, held: Mapping[str, Held], library: Mapping[str, Transformation]) -> Adoption:
-    """Keep the units that `library` would start as they were started, and what goes between them.
+    """Keep the units that `library` would start in the same way, and the wires between them.
 
-    `held` has what each host holds. Hosts that were cut off from each other may have units, spares or topics of the
-    same name: those of the latest manager are kept. Crossings that are made later bear the name of `run`.
+    `held` has the state of each host. Hosts that were cut off from each other may have units, spares or topics of the
+    same name: those of the latest manager are kept. The names of later crossings begin with `run`.
     """
     held = dict(sorted(held.items(), key=lambda item: (-item[1].term, item[0])))
     stopping = _stopping(held)
@@ -66,9 +66,9 @@ def adopt(run: str, held: Mapping[str, Held], library: Mapping[str, Transformati
 
 
 def _stopping(held: Mapping[str, Held]) -> dict[str, str]:
-    """The host of each unit that was told to stop and has yet to work off its input; one that is not ready has none.
+    """The host of each unit that was told to stop and still processes its input; a unit that is not ready has no input.
 
-    Of several units with one id the first counts.
+    If several units have one id, the first counts.
     """
     return {
         unit: host
@@ -81,10 +81,10 @@ def _stopping(held: Mapping[str, Held]) -> dict[str, str]:
 def _kept(
     held: Mapping[str, Mapping[str, HeldUnit]], library: Mapping[str, Transformation], stopping: Mapping[str, str]
 ) -> tuple[dict[str, str], list[tuple[str, str]]]:
-    """The host of each unit that was started as `library` would start it now and was not told to stop; the hosts and
-    ids of units to end.
+    """The hosts of kept units by id, and (host, id) of the units to end. A unit is kept if `library` would start it in
+    the same way now, and it was not told to stop.
 
-    Of several units with one id the first is kept, unless one of them is `stopping`.
+    If several units have one id, the first is kept, unless one of them is `stopping`.
     """
     kept, ended = dict[str, str](), list[tuple[str, str]]()
     for host, units in held.items():
@@ -99,7 +99,9 @@ def _kept(
 
 
 def _topics(held: Mapping[str, Held]) -> tuple[dict[str, tuple[str | None, str]], list[OrderTo]]:
-    """For each topic the host that was asked for and the first host that has it; orders that close it elsewhere."""
+    """For each topic the host that was asked for and the first host that has it; and orders that close it on other
+    hosts.
+    """
     topics, orders = dict[str, tuple[str | None, str]](), list[OrderTo]()
     for host, one in held.items():
         for topic, asked in one.topics.items():
@@ -111,7 +113,7 @@ def _topics(held: Mapping[str, Held]) -> tuple[dict[str, tuple[str | None, str]]
 
 
 def _crossings(held: Mapping[str, Held]) -> tuple[dict[str, Crossing], list[OrderTo]]:
-    """The crossings of which both hosts hold their end, and orders that release all others."""
+    """The crossings with both ends held, and orders that release all others."""
     crossings, orders = dict[str, Crossing](), list[OrderTo]()
     for source, one in held.items():
         for name, export in one.exports.items():
@@ -173,7 +175,7 @@ def _found(
 
 
 def _as_wired(unit: str, label: str, host: str, routes: Sequence[Route]) -> ComputationUnit:
-    """A unit as its wires tell it."""
+    """A unit with the subscriptions and publications of its wires."""
     feeds = tuple(Subscription(one.inlet.input, one.stream) for one in routes if one.inlet.unit == unit)
     published = tuple(
         Publication(one.stream.port, one.inlet.port)

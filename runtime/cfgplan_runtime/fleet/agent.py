@@ -1,6 +1,6 @@
-"""The agent of a host: keeps the host's units, wires and topics, and does what the manager of the highest term says.
+"""The agent of a host: keeps the host's units, wires and topics, and obeys the manager with the highest term.
 
-It outlives managers: units run on while there is none.
+It outlives managers: units keep running without one.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from cfgplan_runtime.supervision.backend import Inlet
 USAGE_PERIOD_S = 0.5
 _MOST_SUPERSEDED = 16
 LINK_S = 2.0
-"""Seconds that an agent which starts waits for a first link."""
+"""Seconds that a starting agent waits for its first link."""
 
 
 def digest_of(path: Path) -> str | None:
@@ -55,11 +55,11 @@ def source_file(source: str, folder: Path) -> Path | None:
 
 
 class Agent:
-    """One host's part of a fleet. All methods are for the thread that made it.
+    """One host's part of a fleet. Call all methods from the thread that made it.
 
-    `folder` is what `units.py:Class` is relative to on this host. The folder of its topics is made in `base`. `cpu` is
-    the group that limits the CPU time of its units. Raises InputError if the agent can't listen, or if the fleet has
-    one of that name.
+    Sources such as `units.py:Class` are relative to `folder` on this host. The folder of its topics is made in `base`.
+    `cpu` is the group that limits the CPU time of its units. Raises InputError if the agent can't listen, or if the
+    fleet already has its name.
     """
 
     def __init__(
@@ -83,20 +83,20 @@ class Agent:
         self._talk: orders.Talk[orders.Order] | None = None
         self._held = orders.Held()
         self._stopping: dict[str, tuple[str, ...]] = {}
-        """Units that stop once a mark for them has come by each of these crossings that is still there."""
+        """Units that stop once each of these crossings that still exists has delivered a mark for them."""
         self._marked: set[tuple[str, str]] = set()
         """The marks that have come, as crossing and unit."""
         self._ending: set[str] = set()
-        """Units from before the last greeting that have not ended yet. Until they have, no order is carried out, and
-        nothing is said.
+        """Units from before the last greeting that have not ended yet. Until they have, orders wait, and the agent
+        sends nothing.
         """
         self._owes_welcome = False
         self._lost = 0
-        """Elements that had not reached other hosts when their crossings were ended. The manager does not know yet."""
+        """Elements that had not reached other hosts when their crossings ended, not yet reported to the manager."""
         self._orders: deque[orders.Order] = deque()
         self._managers = Lives()
         self._is_left = False
-        """Whether this talk's manager has said that its run is over. Its key may stay alive for a moment."""
+        """Whether the present manager has ended its run. Its key may stay alive for a moment."""
         self._superseded: dict[str, tuple[float, orders.Session]] = {}
         """For each manager that was obeyed before: when it is told next that its session is over, and the session. Told
         at once, it would plan anew with the hosts that have not heard of the new one yet. Told once, it might be
@@ -136,7 +136,7 @@ class Agent:
     def _refuse_twin(self, connect: Sequence[str]) -> None:
         """Raise InputError if the fleet has an agent of this name. One that was just killed seems alive for a while.
 
-        Nobody is seen without a link, so a first one to another computer is waited for.
+        Without a link no agent is visible, so the agent first waits for a link to another computer.
         """
         link_s, is_far = time.monotonic() + LINK_S, any(not one.startswith(f"{PRIVATE}/") for one in connect)
         while is_far and not self._link.linked and time.monotonic() < link_s:
@@ -256,7 +256,7 @@ class Agent:
         return self._talk is not None and not self._is_left and self._is_alive(self._talk.session.manager)
 
     def _tell_superseded(self, now_s: float) -> None:
-        """Tell the earlier managers that are alive, again and again, that a later one is obeyed as long as it is."""
+        """Tell earlier managers that are alive, repeatedly, that a later one is obeyed while that one is alive."""
         if self._talk is None:
             return
         for manager, (due_s, session) in self._superseded.items():
@@ -367,7 +367,7 @@ class Agent:
         self._marked.clear()
 
     def _stop_due(self) -> None:
-        """Stop the units that have taken in everything that was given before their order to stop."""
+        """Stop the units that have processed all elements sent before their order to stop."""
         for unit, after in list(self._stopping.items()):
             if all((crossing, unit) in self._marked or crossing not in self._held.imports for crossing in after):
                 del self._stopping[unit]
@@ -394,7 +394,7 @@ class Agent:
         self._backend.prepare_unit(prepare.order)
 
     def _fault_of_code(self, order: orders.StartOrder | orders.PrepareOrder) -> str:
-        """Why the code on this host does not do for an order; empty if it does.
+        """The reason why the code on this host can't carry out an order; empty if it can.
 
         Programs are not compared with the manager's: hosts with other processors need other ones.
         """
@@ -444,7 +444,7 @@ class Agent:
 
 
 def _supersedes(session: orders.Session, other: orders.Session) -> bool:
-    """Whether an agent leaves the `other` session for this one."""
+    """Whether an agent leaves the session `other` for this one."""
     if session.manager == other.manager and session.term == other.term:
         return session.greeting > other.greeting
     return session.term > other.term

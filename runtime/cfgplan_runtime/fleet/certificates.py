@@ -1,8 +1,8 @@
-"""A fleet's own authority, a certificate for each of its hosts, and what a link makes of them.
+"""A fleet's own certificate authority, a certificate for each of its hosts, and the resulting rights of links.
 
 All are made on one computer: a folder with the authority, and in it a folder for each host, which is copied there. The
-authority's key stays where it was made. Both sides of a link show their certificates (TLS). A host is who its
-certificate says, and may write only below keys of its own.
+authority's key stays where it was made. Both sides of a link verify certificates (TLS). A host's name is that of its
+certificate, and it may write only below its own keys.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ _AUTHORITY_DAYS = 3650
 
 
 _SOON = timedelta(days=30)
-"""So long before a certificate ends it is told, once a day."""
+"""The time before the end of a certificate from which a warning is given once a day."""
 _ANEW = "make a folder anew by `cfgplan certificates` where the authority is, copy it here, and start again"
 
 
 class _Access(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Who belongs to the fleet, and which of them may pass on what others write."""
+    """The hosts of the fleet, and those of them that may pass on messages of others."""
 
     hosts: tuple[str, ...]
     passing_on: tuple[str, ...] = ()
@@ -55,9 +55,10 @@ class _Authority:
 
 
 class Validity:
-    """The time for which a host's folder lets it in: until its certificate ends, or that of its authority.
+    """The time for which a host's folder gives it access: until its certificate ends, or that of its authority.
 
-    Links have what the folder had when they were made. `name` is that of the host. Raises InputError.
+    A link keeps the certificates that the folder had when the link was made. `name` is that of the host. Raises
+    InputError.
     """
 
     def __init__(self, folder: Path, name: str) -> None:
@@ -66,11 +67,13 @@ class Validity:
         self._due = datetime.now(UTC)
 
     def tell_again(self) -> None:
-        """Have the warning told again, to who has not heard it."""
+        """Repeat the warning, for a listener that has not got it."""
         self._due = datetime.now(UTC)
 
     def warning(self) -> CertificateEnds | None:
-        """The event to be told now, once a day; None if there is none. Raises InputError once it has ended."""
+        """The event to report now, at most once a day; None if none is due. Raises InputError once the certificate has
+        ended.
+        """
         now = datetime.now(UTC)
         if now < min(self._due, self._ends):
             return None
@@ -87,7 +90,7 @@ def ending(event: CertificateEnds) -> str:
 
 
 def refuse_ended(file: Path, ends: datetime) -> None:
-    """Raises InputError if a certificate has ended."""
+    """Raise InputError if a certificate has ended."""
     if ends <= datetime.now(UTC):
         raise InputError.of(f"this certificate was valid until {ends:%Y-%m-%d %H:%M} UTC", file=str(file), mend=_ANEW)
 
@@ -98,8 +101,7 @@ def make(folder: Path, hosts: Mapping[str, Sequence[str]], *, passing_on: Iterab
     The manager, which gives orders, has a certificate too, and may run on any host that has a copy of its folder.
 
     The authority is made if the folder has none. Otherwise the hosts are added to its fleet: the list of hosts in every
-    host's folder is written anew, and nothing else is written over. Only their owner can read the files.
-    Raises InputError.
+    host's folder is replaced, and no other file is overwritten. Only their owner can read the files. Raises InputError.
     """
     _refuse_names([*hosts, *passing_on, *(one for each in hosts.values() for one in each if not _is_address(one))])
     if not 1 <= days <= _AUTHORITY_DAYS:
@@ -126,7 +128,7 @@ def make(folder: Path, hosts: Mapping[str, Sequence[str]], *, passing_on: Iterab
 
 
 def keys_of(host: str) -> str:
-    """The keys below which only this host may put, answer or be alive. Every host of the fleet may listen there."""
+    """The keys below which only this host may put, answer or be alive. Every host of the fleet may listen to them."""
     return f"{host_key(host)}/**"
 
 
@@ -150,13 +152,14 @@ def tls(folder: Path) -> dict[str, Any]:
 
 
 def shown(folder: Path) -> tuple[Path, Path]:
-    """The certificate of the host whose folder it is, and its private key. Raises InputError."""
+    """The certificate of the folder's host, and its private key. Raises InputError."""
     options = tls(folder)
     return Path(options["listen_certificate"]), Path(options["listen_private_key"])
 
 
 def access_control(folder: Path) -> dict[str, Any]:
-    """Zenoh's `access_control`: listed hosts may listen to the fleet and write their own keys; others may do nothing.
+    """Zenoh's `access_control`: listed hosts may listen to the fleet and write their own keys; other names have no
+    rights.
 
     Raises InputError.
     """
@@ -188,7 +191,7 @@ def access_control(folder: Path) -> dict[str, Any]:
 
 
 def passing_on(folder: Path) -> tuple[str, ...]:
-    """The hosts that may pass on what others write, as a host's folder has them. Raises InputError."""
+    """The hosts that may pass on messages of others, by a host's folder. Raises InputError."""
     return _access(folder).passing_on
 
 

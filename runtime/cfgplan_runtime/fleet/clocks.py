@@ -1,8 +1,8 @@
-"""How far the clock of a host is ahead of the run's: measured again and again, and corrected by what is certain.
+"""The difference of each host's clock from the run's: measured repeatedly, and corrected by its certain part.
 
-On every host the times of a run's elements go by one clock: that of the run's first manager when it began. All clocks
-that count here are monotonic, and what a host adds to its own stays the same until it is corrected. So if somebody sets
-a computer's time of day, that is shown, and moves no element.
+The times of a run's elements use one clock on every host: that of the run's first manager when it began. All these
+clocks are monotonic, and the offset that a host adds to its own stays the same until it is corrected. So if a user sets
+a computer's time of day, the run shows the change, and no element's time changes.
 """
 
 from __future__ import annotations
@@ -15,22 +15,23 @@ from cfgplan_runtime.streams.crossing import host_key
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 
 CALLS, CALLS_AGAIN = 30, 5
-"""How many calls a reading takes, the first one and all others. The shortest call counts."""
+"""The number of calls of the first reading, and of later ones. The shortest call counts."""
 CLOCK_S = 10.0
 """Seconds from one reading to the next. At 50 ppm a clock moves by 0.5 ms in that time."""
 _CALL_S = 1.0
 SHOWN_NS = 10_000_000
-"""A change of a host's time of day is told from this size on."""
+"""The least change of a host's time of day that is reported."""
 
 
 def clock_key(host: str) -> str:
-    """The key at which an agent tells its clock."""
+    """The key at which an agent answers with its clock."""
     return f"{host_key(host)}/clock"
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """A host's clock is ahead of ours by `ahead_ns`, give or take `doubt_ns`, half the time that the call took.
+    """A host's clock is ahead of the local one by `ahead_ns`, give or take `doubt_ns`, half the time that the call
+    took.
 
     Its time of day is ahead by `day_ahead_ns`.
     """
@@ -48,15 +49,15 @@ class HostClock:
     day_ns: Callable[[], int] = time.time_ns
 
     def told(self) -> bytes:
-        """A host's answer to the question for its clock."""
+        """The answer to a question for this clock."""
         return f"{self.now_ns()} {self.day_ns()}".encode()
 
     def read_host(self, link: ZenohLink, host: str, calls: int) -> Reading | None:
-        """Read a host's clock, by so many calls. None if no call is answered."""
+        """Read a host's clock with `calls` calls. None if no call is answered."""
         return self.read(lambda: (answer for _, answer in link.ask(clock_key(host), _CALL_S)), calls)
 
     def read(self, ask: Callable[[], Iterable[bytes]], calls: int) -> Reading | None:
-        """Read a clock, by so many calls of `ask`, which gives answers. None if no call is answered."""
+        """Read a clock with `calls` calls of `ask`, which gives answers. None if no call is answered."""
         found = []
         for _ in range(calls):
             before_ns = self.now_ns()
@@ -75,5 +76,5 @@ def has_moved(shown_ns: int, reading: Reading) -> bool:
 
 
 def corrected(believed_ns: int, measured_ns: int, doubt_ns: int) -> int:
-    """The value nearest to `believed_ns` that the measurement and its doubt allow: a belief is moved no further."""
+    """The value nearest to `believed_ns` that the measurement and its doubt allow."""
     return min(max(believed_ns, measured_ns - doubt_ns), measured_ns + doubt_ns)

@@ -34,7 +34,7 @@ _NO_AGENT = "it has no agent"
 
 @dataclass(slots=True)
 class _Told:
-    """An agent's last words about its host."""
+    """The last messages of an agent about its host."""
 
     usage: dict[str, Usage] = field(default_factory=dict)
     flows: dict[str, Flow] = field(default_factory=dict)
@@ -42,12 +42,12 @@ class _Told:
 
 
 class FleetBackend:
-    """The backend of a manager. It reports those of `hosts` as lost that are not there after `wait_s`.
+    """The backend of a manager. It reports those of `hosts` as lost that have not joined after `wait_s` seconds.
 
-    `link` leads to the agents; who has opened it closes it. `folder` is what `units.py:Class` is relative to on this
-    computer; each host's files must be the same. A unit or topic whose host is None goes to the first host that is
-    there. `found` gives what already runs on the hosts and is in `library`; everything else there is ended. Raises
-    InputError, also if another manager has a host and this one does not take over (`takes_over`), or sees fewer than
+    `link` connects to the agents; the caller opens and closes it. Sources such as `units.py:Class` are relative to
+    `folder` on this computer; each host needs the same files. A unit or topic without a host goes to the first host
+    that has joined. `found` has the running units of the hosts that are in `library`; all others are ended. Raises
+    InputError, also if another manager has a host and this one does not take over (`takes_over`), or reaches fewer than
     half of the hosts.
     """
 
@@ -70,13 +70,15 @@ class FleetBackend:
         self._units: dict[str, str] = {}
         self._spares: dict[str, str] = {}
         self._anywhere: set[str] = set()
-        """Units and spares that any host may have. No supervisor knows on which they are, and that they die with it."""
+        """Units and spares without a required host. The supervisor does not know their host, so this backend reports
+        their deaths with it.
+        """
         self._awaited: set[str] = set()
-        """Hosts that are used from now on and have not answered yet."""
+        """Hosts that were greeted and have not answered yet."""
         self._topics: dict[str, tuple[str | None, str]] = {}
         """For each topic the host that was asked for, and the host where it is."""
         self._unplaced: set[str] = set()
-        """Topics that any host may have, while no host is there."""
+        """Topics without a required host, while no host has joined."""
         self._routes = Routes(run_folder.id)
         self._counts = Counts()
         self._library = library
@@ -129,7 +131,7 @@ class FleetBackend:
         return told
 
     def _watch_certificate(self) -> None:
-        """Tell once a day that the manager's certificate ends soon. Once it has, other hosts close the links."""
+        """Report once a day that the manager's certificate ends soon. At its end, other hosts close the links."""
         with suppress(InputError):
             if self._validity is not None and (ends := self._validity.warning()) is not None:
                 self._events.append(ends)
@@ -339,12 +341,12 @@ class FleetBackend:
         (self._anywhere.add if host is None else self._anywhere.discard)(unit)
 
     def _place(self, host: str | None) -> str | None:
-        """This host, or the first of all if None is given. None if it is not there."""
+        """The host, or the first one if None is given. None if it has not joined."""
         found = self._presence.find(host)
         return None if found is None else found.name
 
     def _show(self, topic: str, host: str) -> None:
-        """Have this run's folder show a topic of a host."""
+        """Show a topic of a host in this run's folder."""
         there = self._presence.there[host]
         if there.run is None:
             self._topics_elsewhere.show(topic, host, there.life)

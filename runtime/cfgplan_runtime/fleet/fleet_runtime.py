@@ -1,4 +1,4 @@
-"""A runtime over the hosts of a fleet, whose agents are there already or are started on this computer."""
+"""A runtime over the hosts of a fleet, whose agents run already or are started on this computer."""
 
 from __future__ import annotations
 
@@ -27,7 +27,9 @@ LOCAL_WAIT_S = 30.0
 
 @dataclass(frozen=True)
 class Fleet:
-    """How hosts are reached: by the endpoints of agents, or by agents that are started here for all (`is_local`)."""
+    """The access to hosts: by the endpoints of agents, or by agents that are started here for all hosts
+    (`is_local`).
+    """
 
     connect: Sequence[str] = ()
     certificates: Path | None = None
@@ -69,10 +71,10 @@ def fleet_runtime(
     preload: Sequence[str] = (),
     say: Callable[[str], None] = lambda _: None,
 ) -> Iterator[Runtime]:
-    """A runtime whose units are on the environment's hosts. What runs there already and is in the library goes on.
+    """A runtime whose units are on the environment's hosts. Running units that are in the library are kept.
 
-    `folder` is what `units.py:Class` is relative to. If all hosts are on this computer, the CPU time of each is limited
-    as it says; `say` is told if the system can't do that. Raises InputError.
+    Sources such as `units.py:Class` are relative to `folder`. If all hosts are on this computer, the CPU time of each
+    is limited by its `cpu`; `say` gets a message if the system can't do that. Raises InputError.
     """
     hosts = tuple(environment.host)
     with ExitStack() as stack:
@@ -106,7 +108,9 @@ def fleet_runtime(
 
 
 def linked(connect: Sequence[str], certificates: Path | None, wait_s: float) -> ZenohLink:
-    """A link with the agents at these endpoints. A single agent that answers within `wait_s` leads to all others."""
+    """A link with the agents at these endpoints. If a single agent answers within `wait_s` seconds, the link goes
+    through it.
+    """
     if len(connect) == 1:
         with suppress(InputError):
             return ZenohLink(config(connect=connect, certificates=certificates, mode="client", reach_s=wait_s))
@@ -114,7 +118,7 @@ def linked(connect: Sequence[str], certificates: Path | None, wait_s: float) -> 
 
 
 def _cpu_groups(environment: Environment, say: Callable[[str], None]) -> Mapping[str, CpuGroup]:
-    """The group that limits the CPU time of each host that has a limit; none if the system has no such groups."""
+    """The CPU group of each host that has a limit; empty if the system has no such groups."""
     limits_us = {host.name: host.cpu_us for host in environment.hosts if host.cpu_us is not None}
     try:
         return cpu_groups(limits_us) if limits_us else {}

@@ -1,4 +1,4 @@
-"""How the computers of a fleet reach each other: Zenoh's configuration, and what may listen where."""
+"""The links between the computers of a fleet: Zenoh's configuration, and the addresses that are allowed."""
 
 from __future__ import annotations
 
@@ -12,24 +12,26 @@ from cfgplan.errors import InputError
 from cfgplan_runtime.fleet.certificates import access_control, tls
 
 LEASE_S = 2.0
-"""Seconds of silence after which a host counts as lost. With 1 s a machine that was merely stalled did once."""
+"""Seconds of silence after which a host counts as lost. With 1 s a stalled machine was once lost by mistake."""
 _SIGNS_PER_LEASE = 8
 _LINK_LEASES = 2
-"""A link that is silent for half a lease is made anew, as the kernel waits longer and longer between its attempts."""
+"""Zenoh's leases per LEASE_S: a link that is silent for half a lease is replaced, because the kernel's attempts become
+rare.
+"""
 _LATE_SIGNS, MISSED_SIGNS = 2, 4
 """A sign of life is late after two periods. A process that was stalled for four may have missed some itself."""
 _OPEN_MS, _OPEN_PRIVATE_MS = 400, 10_000
-"""How long an attempt to open a link may take. One that began during a cut does not succeed after it, so it has to end
-soon. Within one computer there are no cuts.
+"""The milliseconds that an attempt to open a link may take. An attempt from before the end of a cut never succeeds, so
+it has to end soon. Links within one computer are never cut.
 """
 REACH_S = 5.0
 _LANES = {"interactive_high": 16, "data_high": 16, "data_low": 16}
-"""How many batches of 64 kB may wait in each of Zenoh's lanes for a full link: the most that it allows. Its default, 2,
-has no room for an image, nor for 3 small elements. What has no room is dropped, and sent again 0.25 s later.
+"""The batches of 64 kB that may wait in each of Zenoh's lanes for a full link: the most that Zenoh allows. Its default,
+2, has no room for an image, nor for 3 small elements. Frames without room are dropped, and sent again 0.25 s later.
 """
 _SEND_BUFFER = 1 << 18
 """Half of the bytes that may wait in a link's socket, since Linux allows twice as many. At 80 Mbit/s they take 52 ms,
-and nothing overtakes them. With half as many, 3 of 8 streams of images at 147 Mbit/s fell behind on a busy computer.
+and no message overtakes them. With half as many, 3 of 8 streams of images at 147 Mbit/s fell behind on a busy computer.
 """
 PRIVATE = "unixsock-stream"
 """The protocol of links within one computer: a socket in a folder that only its user can enter."""
@@ -47,12 +49,12 @@ def config(
 ) -> Config:
     """Zenoh's configuration of one session; endpoints are written `tcp/192.168.1.5:7447` or `unixsock-stream/PATH`.
 
-    In mode "peer" all have to be linked with all. A "client" goes through the first of the others that it reaches, and
-    fails if it reaches none within `reach_s`. (There are no routers here: when others come and go at the same moment,
-    Zenoh's routers overlook some for good, in 2 of 60 trials, and at times they panic when a link between two of them
-    is closed. A peer passes on for clients only, and did so in 60 of 60 trials.) With `certificates`, a host's folder,
-    all links to other computers are written `tls/192.168.1.5:7447`. Raises InputError for an endpoint that strangers
-    could reach without certificates.
+    In mode "peer" every computer needs a link with every other. A "client" goes through the first of the others that it
+    reaches, and fails if it reaches none within `reach_s` seconds. (Routers are not used: when computers come and go at
+    the same moment, Zenoh's routers overlook some for good, in 2 of 60 trials, and at times they panic when a link
+    between two of them is closed. A peer forwards for clients only, and did so in 60 of 60 trials.) With
+    `certificates`, a host's folder, all links to other computers are written `tls/192.168.1.5:7447`. Raises InputError
+    for an endpoint that other computers could reach without certificates.
     """
     for endpoint in listen if certificates is None else ():
         _refuse_strangers(endpoint)
@@ -96,11 +98,11 @@ def sign_period_s() -> float:
 
 @dataclass(slots=True)
 class Pulse:
-    """When a host's signs of life came, in seconds of this process's clock."""
+    """The arrival of a host's signs of life, in seconds of this process's clock."""
 
     last_s: float
     steady_s: float
-    """Since when no sign was late."""
+    """The time since which no sign was late."""
 
     def note(self, now_s: float) -> None:
         """Note a sign of life."""
@@ -109,7 +111,9 @@ class Pulse:
         self.last_s = max(self.last_s, now_s)
 
     def is_steady(self, now_s: float) -> bool:
-        """Whether no sign is late now, or was within half a lease. If its links end while this is so, its agent did."""
+        """Whether no sign is late now, or was within half a lease. If a steady host's links end, its agent
+        has ended.
+        """
         return now_s - self.last_s <= _LATE_SIGNS * sign_period_s() and now_s - self.steady_s >= LEASE_S / _LINK_LEASES
 
     def is_lost(self, now_s: float) -> bool:
@@ -117,13 +121,13 @@ class Pulse:
 
 
 class Lives:
-    """Which keys are alive. One whose link was merely made anew, by a busy computer, stays alive."""
+    """The keys that are alive. A key stays alive while its link is merely replaced, as on a busy computer."""
 
     def __init__(self) -> None:
         self._pulses: dict[str, Pulse] = {}
 
     def note(self, key: str, now_s: float, *, is_alive: bool = True) -> None:
-        """Note a sign of life, or what Zenoh tells of a key."""
+        """Record a sign of life, or Zenoh's report about a key."""
         pulse = self._pulses.setdefault(key, Pulse(now_s, now_s))
         if is_alive:
             pulse.note(now_s)
@@ -131,7 +135,7 @@ class Lives:
             del self._pulses[key]
 
     def has(self, key: str, now_s: float) -> bool:
-        """Whether it is alive."""
+        """Whether a key is alive."""
         return key in self._pulses and not self._pulses[key].is_lost(now_s)
 
 

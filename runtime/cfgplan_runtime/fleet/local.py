@@ -20,8 +20,8 @@ _AGENT_CLOSE_S = 5.0
 class LocalAgents(Closable):
     """Agents of hosts on this computer; they end with the thread that made them. A context manager.
 
-    Their sockets are in `run`, the folder of the run. `folder` is what `units.py:Class` is relative to. The units of a
-    host in `cpu` are put in its group.
+    Their sockets are in `run`, the folder of the run. Sources such as `units.py:Class` are relative to `folder`. The
+    units of a host in `cpu` are put in its group.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class LocalAgents(Closable):
 
 
 def main() -> None:
-    """Run as an agent that ends with the process which has started it."""
+    """Run as an agent that ends with the process that has started it."""
     from cfgplan_runtime.fleet.agent import Agent
     from cfgplan_runtime.processes.nursery import die_with_parent
 

@@ -1,4 +1,4 @@
-"""Messages between a manager and the agents of its hosts, and how each comes once and in order."""
+"""Messages between a manager and the agents of its hosts, delivered once and in order."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from cfgplan_runtime.supervision import events
 from cfgplan_runtime.supervision.backend import Inlet, Usage
 
 SAY, HEARD, REFUSE = "say", "heard", "refuse"
-"""Kinds of keys: for messages, for what was received of them, and for telling a manager that it is not obeyed."""
+"""Kinds of keys: for messages, for their acknowledgements, and for the refusal of a manager."""
 
 Spoken = TypeVar("Spoken")
 
 
 class Session(NamedTuple):
-    """A conversation of a manager with an agent. An agent obeys the highest term, and of that the first manager."""
+    """A conversation of a manager with an agent. An agent obeys the highest term, and within it the first manager."""
 
     term: int
     manager: str
@@ -43,20 +43,20 @@ def read_session(text: str) -> Session | None:
 
 
 class GreetOrder(msgspec.Struct, tag=True):
-    """The first order: end everything that runs, unless the manager adopts it (`adopts`), then say Welcome."""
+    """The first order: end all units that the manager does not adopt (`adopts`), then answer Welcome."""
 
     adopts: bool
 
 
 class ClockOrder(msgspec.Struct, tag=True):
-    """Correct the times of elements: this host's clock is ahead of the run's by `ahead_ns`. Held has it."""
+    """Correct the times of elements: this host's clock is ahead of the run's by `ahead_ns`. `Held` has the value."""
 
     ahead_ns: int
 
 
 class StartOrder(msgspec.Struct, tag=True):
     """Start a unit of the transformation `label`, in the process of `spare` if one was prepared. `digest` is that of
-    its source file on the manager's computer; None if there is no such file.
+    its source file on the manager's computer; None without such a file.
     """
 
     label: str
@@ -66,7 +66,7 @@ class StartOrder(msgspec.Struct, tag=True):
 
 
 class PrepareOrder(msgspec.Struct, tag=True):
-    """Prepare the cold spare that `order` names; all else as in StartOrder."""
+    """Prepare the cold spare that `order` names; the other fields are as in StartOrder."""
 
     label: str
     order: UnitOrder
@@ -80,7 +80,7 @@ class DiscardOrder(msgspec.Struct, tag=True):
 
 
 class StopOrder(msgspec.Struct, tag=True):
-    """Stop a unit once a mark for it has come by each of the crossings in `after`."""
+    """Stop a unit once each of the crossings in `after` has delivered a mark for it."""
 
     unit: str
     after: tuple[str, ...] = ()
@@ -124,7 +124,7 @@ class SwitchOrder(msgspec.Struct, tag=True):
 
 
 class OpenTopicOrder(msgspec.Struct, tag=True):
-    """Open a topic at its address; `host` is what its target asked for."""
+    """Open a topic at its address; `host` is the one that its target asked for."""
 
     topic: str
     host: str | None
@@ -139,7 +139,7 @@ class RenewOrder(msgspec.Struct, tag=True):
 
 
 class LeaveOrder(msgspec.Struct, tag=True):
-    """The run is over: end everything that runs."""
+    """The run is over: end all units."""
 
 
 Order: TypeAlias = (
@@ -168,7 +168,7 @@ Order: TypeAlias = (
 
 
 class HeldUnit(msgspec.Struct):
-    """A unit or spare: its transformation's label, how it was started, and its labor once it is ready."""
+    """A unit or spare: its transformation's label, its start order, and its labor once it is ready."""
 
     label: str
     order: UnitOrder
@@ -194,14 +194,14 @@ class HeldExport(msgspec.Struct):
 
 
 class HeldImport(msgspec.Struct):
-    """A stream that comes from another host: the order, and how many inputs it has fed."""
+    """A stream that comes from another host: the order, and the number of inputs that it has fed."""
 
     order: Import
     connected: int = 0
 
 
 class Held(msgspec.Struct):
-    """What an agent keeps on its host; `term` is that of the manager before the present one.
+    """The units, wires and topics of an agent's host; `term` is that of the manager before the present one.
 
     `topics` has the host that each topic's target asked for.
     """
@@ -221,7 +221,9 @@ class Held(msgspec.Struct):
 
 
 class Welcome(msgspec.Struct, tag=True):
-    """Orders are carried out from now on. `held` is all that runs here; sockets of topics are in the folder `run`."""
+    """The agent obeys from now on. `held` has its units, wires and topics; sockets of topics are in the
+    folder `run`.
+    """
 
     run: str
     held: Held
@@ -235,20 +237,20 @@ class EventTold(msgspec.Struct, tag=True):
 
 
 class UsageTold(msgspec.Struct, tag=True):
-    """The use of units so far, and the counts of each crossing from this host."""
+    """The usage of units so far, and the counts of each crossing from this host."""
 
     usage: dict[str, Usage]
     crossings: dict[str, CrossingCounts] = {}
 
 
 def topics_key(host: str | None) -> str:
-    """The key at which an agent, or any (None), answers with TopicsTold."""
+    """The key at which an agent answers with TopicsTold; None means any host."""
     return f"{crossing.host_key(host)}/topics"
 
 
 class TopicsTold(msgspec.Struct):
-    """An agent's answer to the question for topics: the run that it obeys, the topics on its host, and how far its
-    clock is ahead of the run's.
+    """An agent's answer to the question for topics: the run that it obeys, the topics on its host, and the difference
+    of its clock from the run's.
     """
 
     run: str
@@ -272,7 +274,7 @@ def told(event: events.Event) -> EventTold:
 
 
 def event_of(message: EventTold) -> events.Event:
-    """The event in a message. Raises msgspec.MsgspecError if it is of another version."""
+    """The event in a message. Raises msgspec.MsgspecError if the message is of another version."""
     if message.kind not in _EVENTS:
         raise msgspec.ValidationError(f"there is no event {message.kind}")
     event: events.Event = msgspec.msgpack.decode(message.event, type=_EVENTS[message.kind])
@@ -280,14 +282,14 @@ def event_of(message: EventTold) -> events.Event:
 
 
 class Talk(Generic[Spoken]):
-    """One end of a session. No method waits. `pump` sends all that was said since its last call as one piece, and sends
-    it again until it has arrived.
+    """One end of a session. No method blocks. `pump` sends all messages since its last call as one piece, and repeats
+    it until it has arrived.
     """
 
     def __init__(self, link: ZenohLink, me: str, other: str, session: Session, incoming: object) -> None:
         self.session = session
         self.is_broken = False
-        """Whether messages were lost for good, so that a new session is needed."""
+        """Whether messages are lost for good, so that a new session is needed."""
         self._decoder: msgspec.msgpack.Decoder[list[Spoken]] = msgspec.msgpack.Decoder(list[incoming])  # type: ignore[valid-type]
         self._unsent: list[msgspec.Struct] = []
         self._both = crossing.Conversation(crossing.Sending(granted=crossing.FRAMES_UNDER_WAY))
@@ -295,11 +297,11 @@ class Talk(Generic[Spoken]):
         self._put_credit = link.publisher(crossing.crossing_key(me, HEARD, other, str(session)), "orders")
 
     def say(self, message: msgspec.Struct) -> None:
-        """Have the other end told with the next `pump`."""
+        """Queue a message for the next `pump`."""
         self._unsent.append(message)
 
     def hear(self, kind: str, head: bytes, payload: bytes, now_s: float) -> list[Spoken]:
-        """Take what came at one of the session's keys. Returns the messages that can be handled now, in order.
+        """Take a message at one of the session's keys. Returns the messages that can be handled now, in order.
 
         Raises msgspec.MsgspecError for a message of another version.
         """
@@ -316,9 +318,9 @@ class Talk(Generic[Spoken]):
 
     @property
     def is_done(self) -> bool:
-        """Whether everything that was said has arrived."""
+        """Whether all sent messages have arrived."""
         return not (self._unsent or self._both.sending.depth)
 
     def due_s(self) -> float:
-        """When `pump` has something to do, if nothing is heard before."""
+        """The time at which `pump` is due if no message arrives before."""
         return 0.0 if self._unsent else self._both.due_s

@@ -1,4 +1,6 @@
-"""The hosts of a fleet as a manager sees them: which agents are alive and obey, what they say, and their clocks."""
+"""A manager's view of the hosts of its fleet: their agents, whether these are alive and obey, their messages and
+clocks.
+"""
 
 from __future__ import annotations
 
@@ -27,12 +29,12 @@ from cfgplan_runtime.streams.zenoh_link import ZenohLink
 
 _LEAVE_S = 2.0
 _MARGIN_S = 1.0
-"""Seconds by which the answers of hosts that were seen in time may be late."""
+"""Seconds by which the answers of hosts that were noticed in time may be late."""
 
 
 @dataclass(slots=True, eq=False)
 class HostState:
-    """A host whose agent is alive. It counts as there (`is_there`) once its clock is known."""
+    """A host whose agent is alive. It has joined (`is_there`) once its clock is known."""
 
     name: str
     life: str
@@ -43,41 +45,41 @@ class HostState:
     reading: Reading | None = None
     """The last reading of its clock."""
     ahead_ns: int | None = None
-    """How far its clock is ahead of the run's, as the agent was told last."""
+    """The difference of its clock from the run's, as last sent to the agent."""
     shown_ns: int = 0
-    """How far its time of day is ahead of that here, as was reported last."""
+    """The difference of its time of day from the local one, as last reported."""
     run: Path | None = None
     """The folder with the sockets of its topics, if it is on this computer."""
     held: orders.Held = field(default_factory=orders.Held)
-    """What ran there when it said Welcome."""
+    """The units and wires that it had when it sent Welcome."""
 
 
 class AgentNews(msgspec.Struct, frozen=True):
-    """Something that has happened to a host's agent; each kind has a class."""
+    """A change of a host's agent; each kind has a class."""
 
     host: HostState
 
 
 class AgentJoined(AgentNews, frozen=True):
-    """A host is there."""
+    """A host has joined."""
 
     day_ahead_ns: int
 
 
 class AgentClockSet(AgentNews, frozen=True):
-    """A host's time of day has changed since it was reported."""
+    """A host's time of day has changed since the last report."""
 
     day_ahead_ns: int
 
 
 class AgentGone(AgentNews, frozen=True):
-    """A host's agent is dead, or does not obey. The host may not have been there yet."""
+    """A host's agent is dead, or does not obey. The host may not have joined yet."""
 
     cause: str
 
 
 class AgentSaid(AgentNews, frozen=True):
-    """An agent has said something."""
+    """An agent has sent a message."""
 
     message: orders.FromAgent
 
@@ -94,13 +96,13 @@ _Arrival: TypeAlias = "tuple[str, bytes, bytes] | tuple[str, bool] | tuple[str, 
 
 
 class Presence:
-    """The hosts of the manager `run` that are linked with it. All methods but `wake` are for the thread that made it.
+    """The hosts of the manager `run` that are linked with it. Call all methods but `wake` from the thread that made it.
 
-    Other hosts of the network are let alone: they may be those of another run. An agent is greeted while no other agent
+    Other hosts of the network are ignored: they may belong to another run. An agent is greeted only if no other agent
     of its name gives signs of life.
 
-    `tell_clock` is called with how many nanoseconds the run's clock is ahead of the monotonic one of this computer. The
-    run's clock may be an earlier manager's.
+    `tell_clock` is called with the nanoseconds by which the run's clock is ahead of the monotonic clock of this
+    computer. The run's clock may be an earlier manager's.
     """
 
     def __init__(self, link: ZenohLink, run: str, tell_clock: Callable[[int], None]) -> None:
@@ -111,17 +113,19 @@ class Presence:
         self._clock_offset_ns = time.time_ns() - time.monotonic_ns()
         self._clock = HostClock(lambda: time.monotonic_ns() + self._clock_offset_ns)
         self._run_ahead_ns = 0
-        """How far this process's clock is ahead of the run's."""
+        """The difference of this process's clock from the run's, in nanoseconds."""
         self._serial = 0
         self._term = 1
         self._is_beginning = True
-        """True until all hosts were waited for. What a host runs is adopted while this is true, later it is ended."""
+        """True until the wait for all hosts is over. Units of a host that joins before are adopted; later ones are
+        ended.
+        """
         self._takes_over = False
-        """Whether hosts are taken from a living manager: at the beginning only, or two managers would take turns."""
+        """Whether hosts are taken from a living manager: only at the beginning, or two managers would take turns."""
         self._own: set[str] = set()
         """The hosts that this manager uses."""
         self._seen: dict[str, str] = {}
-        """Hosts that are alive and were not greeted, with the ids of their agents: others', or all before any is."""
+        """Hosts that are alive and were not greeted, with the ids of their agents; they may belong to other runs."""
         self._is_greeting = False
         self._has_left = threading.Event()
         self._round_s = inf
@@ -141,32 +145,32 @@ class Presence:
 
     @property
     def there(self) -> Mapping[str, HostState]:
-        """The hosts that are there."""
+        """The hosts that have joined."""
         return {name: host for name, host in self._hosts.items() if host.is_there}
 
     def find(self, host: str | None) -> HostState | None:
-        """A host that is there, by its name; with None the first of all. None if there is no such host."""
+        """The host of this name, or the first one for None. None if it has not joined."""
         if host is None:
             host = min((name for name, one in self._hosts.items() if one.is_there), default="")
         found = self._hosts.get(host)
         return found if found is not None and found.is_there else None
 
     def greets(self, host: str) -> bool:
-        """Whether a host is there, or has been greeted and may still answer."""
+        """Whether a host has joined, or was greeted and may still answer."""
         return host in self._hosts
 
     def say(self, host: str | None, order: orders.Order) -> None:
-        """Give an order to a host with the next `wait`. Does nothing if the host is None or not there."""
+        """Give an order to a host with the next `wait`. Does nothing if the host is None or has not joined."""
         found = None if host is None else self.find(host)
         if found is not None:
             found.talk.say(order)
 
     def wake(self) -> None:
-        """Make `wait` return; for any thread."""
+        """Make `wait` return. Thread-safe."""
         self._inbox.put(None)
 
     def wait(self, end_s: float) -> tuple[list[AgentNews], bool]:
-        """Wait for something to happen, until `end_s`. Returns what has happened, and whether `wake` was called."""
+        """Wait for changes, until `end_s`. Returns them, and whether `wake` was called."""
         is_awake = self._hear_all()
         while not (is_awake or self._happened or time.monotonic() >= end_s):
             is_awake = self._hear_once(end_s)
@@ -174,9 +178,9 @@ class Presence:
         return happened, is_awake
 
     def await_all(self, hosts: Sequence[str], wait_s: float, *, takes_over: bool) -> list[AgentNews]:
-        """Wait until all hosts are there, at most `wait_s` seconds. Returns what has happened.
+        """Wait until all hosts have joined, at most `wait_s` seconds. Returns the changes.
 
-        Raises InputError if another manager has a host and this one does not take over (`takes_over`), or sees fewer
+        Raises InputError if another manager has a host and this one does not take over (`takes_over`), or reaches fewer
         than half of the hosts. A manager that was just killed seems alive for a lease.
         """
         self._takes_over = takes_over
@@ -208,7 +212,7 @@ class Presence:
         return happened
 
     def take(self, hosts: Collection[str]) -> tuple[list[str], list[str]]:
-        """Use these hosts too. Returns the new ones: with an agent, which is greeted, and without."""
+        """Use these hosts too. Returns the new ones: those with an agent, which is greeted, and those without."""
         self._hear_all()
         new = sorted(set(hosts) - self._own)
         self._own |= set(new)
@@ -218,9 +222,10 @@ class Presence:
         return greeted, [host for host in new if host not in greeted]
 
     def leave(self, hosts: Collection[str] | None = None) -> None:
-        """Tell these hosts, or all, that their run is over, and wait until they have heard, at most _LEAVE_S seconds.
+        """Tell these hosts, or all, that their run is over, and wait until they have received it, at most _LEAVE_S
+        seconds.
 
-        What else arrives meanwhile is told by the next `wait`.
+        Other changes meanwhile are returned by the next `wait`.
         """
         if hosts is None:
             self._has_left.set()
@@ -309,7 +314,7 @@ class Presence:
             self._lose(host, "its agent is gone")
 
     def _note_sign(self, key: str, at_s: float) -> None:
-        """Note a sign of life. Zenoh tells who is alive too, but after a cut not of everyone."""
+        """Record a sign of life. Zenoh reports living keys too, but after a cut not all of them."""
         _, name, _, life = key.split("/")
         if life not in self._left_alone:
             self._note_life(key, is_alive=True)
@@ -350,7 +355,7 @@ class Presence:
             self.leave_alone(host, f"its agent is of another version of cfgplan: {error}")
 
     def leave_alone(self, host: HostState, cause: str) -> None:
-        """Lose a host whose agent is alive but can't be given orders, and don't greet that agent again."""
+        """Lose a host whose agent is alive but can't be given orders, and do not greet that agent again."""
         self._left_alone.add(host.life)
         if self._hosts.get(host.name) is host:
             self._lose(host, cause)
@@ -386,7 +391,7 @@ class Presence:
                 self._measure(host, CALLS_AGAIN)
 
     def _note_clock(self, host: HostState, reading: Reading) -> None:
-        """Take in a reading of a host's clock, after which the host is there."""
+        """Record a reading of a host's clock; the host has then joined."""
         host.reading, was_there, host.is_there = reading, host.is_there, True
         if not self._is_beginning:
             self._correct(host, reading)
@@ -395,7 +400,9 @@ class Presence:
             self._happened.append((AgentClockSet if was_there else AgentJoined)(host, reading.day_ahead_ns))
 
     def _begin_clocks(self) -> None:
-        """Go on with an earlier manager's clock, if a host knows it: the times of elements then rise without a step."""
+        """Continue with an earlier manager's clock, if a host knows it: the times of elements then rise
+        without a step.
+        """
         known = {host: host.reading for host in self._hosts.values() if host.reading is not None}
         for host, reading in known.items():
             if host.ahead_ns is not None:

@@ -1,4 +1,4 @@
-"""A fleet as commands reach it, from any computer through one of its agents: its runs and its topics."""
+"""Access to a fleet for commands, from any computer through one of its agents: its runs and its topics."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from cfgplan_runtime.streams.subscription import SubscriptionToTopic
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 
 _REACH_S = 5.0
-"""Seconds within which the run that is asked for must be found, and each host must tell of its topics."""
+"""Seconds within which the wanted run must be found, and each host must have reported its topics."""
 _ANSWER_S = 1.0
 """Seconds that one question for the topics of all hosts may take."""
 _REACH_LOOK_S = 0.02
@@ -40,7 +40,7 @@ class ReachedFleet(Closable):
         self._alive: set[str] = set()
         """The keys of the agents and managers that are alive."""
         self._offsets_ns: dict[str, int] = {}
-        """For each host whose topics are heard: how far its run's clock is ahead of the monotonic one here."""
+        """For each host with subscribed topics: the difference of its run's clock from the monotonic clock here."""
         self._is_closed = threading.Event()
         self._link = ZenohLink(config(connect=connect, certificates=certificates, mode="client"))
         try:
@@ -83,7 +83,7 @@ class ReachedFleet(Closable):
     ) -> SubscriptionToTopic:
         """Subscribe to a topic of any host; see `cfgplan_runtime.subscribe`. Raises NoSuchTopicError.
 
-        If a host that is alive has not told its topics yet, it is waited for, whatever `wait_s` is.
+        Waits for living hosts that have not reported their topics yet, whatever `wait_s` is.
         """
         end_s, patience_s = time.monotonic() + wait_s, max(0.0, _REACH_S - wait_s)
         while True:
@@ -107,7 +107,7 @@ class ReachedFleet(Closable):
         }
 
     def places(self, topic: str, run: str | None) -> list[tuple[str, str]]:
-        """Where a topic is, as runs and hosts."""
+        """The (run, host) pairs that have a topic."""
         return _places(self._told(), topic, run)
 
     def connect(self, host: str, topic: str) -> socket.socket | None:
@@ -116,7 +116,7 @@ class ReachedFleet(Closable):
         return self._client.connect(host, lives[0], topic) if lives else None
 
     def now_ns(self, host: str) -> int:
-        """The time by the clock of the run that a host obeys, which is read again and again from the first call on."""
+        """The present time on the clock of a host's run. From the first call on, the clock is read repeatedly."""
         if host not in self._offsets_ns:
             is_first = not self._offsets_ns
             self._measure(host, CALLS)
@@ -136,7 +136,9 @@ class ReachedFleet(Closable):
                 self._measure(host, CALLS_AGAIN)
 
     def _measure(self, host: str, calls: int) -> None:
-        """Note how far the clock of a host's run is ahead. If the host never answered, the time of day is taken."""
+        """Record the difference of the clock of a host's run. If the host has never answered, the time of
+        day is used.
+        """
         known_ns = self._offsets_ns.get(host)
         reading = HostClock(time.monotonic_ns).read_host(self._link, host, calls)
         told = self._told(host).get(host)
@@ -146,7 +148,7 @@ class ReachedFleet(Closable):
         self._offsets_ns[host] = time.time_ns() - time.monotonic_ns() if known_ns is None else known_ns
 
     def _told(self, host: str | None = None) -> dict[str, TopicsTold]:
-        """What a host, or each if None is given, tells of its topics."""
+        """Return the topic status that a host reported; of all hosts if None."""
         return {
             host_of(key): msgspec.json.decode(answer, type=TopicsTold)
             for key, answer in self._link.ask(topics_key(host), _ANSWER_S if host is None else _REACH_S)
@@ -177,7 +179,7 @@ def _why_not(topic: str, found: Sequence[tuple[str, str]], told: Mapping[str, To
 
 @dataclass(slots=True)
 class _FleetPlace:
-    """The hosts that obey a run, or all if that is None."""
+    """The hosts of a run, or all hosts if that is None."""
 
     fleet: ReachedFleet
     run: str | None
@@ -203,7 +205,7 @@ class _FleetPlace:
 
 
 def _until(is_so: Callable[[], bool], patience_s: float) -> bool:
-    """Wait until something is so, at most `patience_s` seconds. Returns whether it is."""
+    """Wait until `is_so()` is true, at most `patience_s` seconds. Returns whether it is."""
     end_s = time.monotonic() + patience_s
     while not is_so():
         if time.monotonic() > end_s:

@@ -1,7 +1,7 @@
-"""The relay of a host: a thread of its agent through which streams go to other hosts, each once to each, and come in.
+"""The relay of a host: a thread of its agent that sends streams to other hosts, once to each, and receives theirs.
 
-An export is an input of the relay: what feeds it goes to another host. An import is an output of the relay: it gives
-what another host exports. The relay's thread only queues; each export has a thread that puts into the network.
+An export is an input of the relay: its elements go to another host. An import is an output of the relay: it sends the
+elements of another host's export. The relay's thread only queues; each export has a thread that puts into the network.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from cfgplan_runtime.streams.inlet import InputQueue
 from cfgplan_runtime.streams.zenoh_link import Lane, PutThread, ZenohLink
 
 LARGE_BYTES = 16_384
-"""A crossing whose first element has more bytes lets all others overtake."""
+"""A crossing whose first element has more bytes uses the lane `large`, which all others overtake."""
 _LOOK_S = 0.1
-"""Seconds from one search for imports that nobody uses any more to the next."""
+"""Seconds from one search for unused imports to the next."""
 
 
 @dataclass(slots=True)
@@ -48,7 +48,7 @@ class _Import:
     has_ended: bool = False
     told_unused: int = 0
     marks: list[str] = field(default_factory=list)
-    """The units of marks that have come while elements before them were not yet handed on."""
+    """The units of marks that have come before all earlier elements were delivered."""
 
 
 class Relay:
@@ -76,7 +76,7 @@ class Relay:
         self._thread.start()
 
     def counts(self) -> dict[str, messages.CrossingCounts]:
-        """The counts of each export; for any thread."""
+        """The counts of each export. Thread-safe."""
         return {
             name: messages.CrossingCounts(
                 one.input.elements,
@@ -91,7 +91,7 @@ class Relay:
 
     @property
     def lost(self) -> int:
-        """How many elements would be lost if all exports were released now; for the agent's thread."""
+        """The number of elements that would be lost if all exports were released now; for the agent's thread."""
         return sum(export.sending.lost for export in list(self._exports.values()))
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""The ways of a fleet's wires, and crossings: a stream goes once to each other host, however many inputs it feeds."""
+"""The routes of a fleet's wires, and crossings: a stream goes once to each other host, however many inputs it feeds."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ OrderTo = tuple[str, Order]
 
 @dataclass(slots=True, eq=False)
 class Crossing:
-    """A stream on its way to another host. It is released once all wires that were `connected` to it are gone."""
+    """A stream to another host. It is released once all wires that were `connected` to it are gone."""
 
     name: str
     wire: int
@@ -38,7 +38,7 @@ class Crossing:
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """The way of a wire: within one host, or over a crossing."""
+    """The route of a wire: within one host, or over a crossing."""
 
     wire: int
     stream: Stream
@@ -67,7 +67,7 @@ class Counts:
         self._released: dict[tuple[str, str], CrossingCounts] = {}
 
     def after(self, told: Mapping[str, CrossingCounts], routes: Routes) -> dict[tuple[str, str, str], CrossingCounts]:
-        """Take in new counts. Returns all by stream, source and target; released crossings are summed as stream ""."""
+        """Add new counts. Returns all by stream, source and target; released crossings are summed as stream ""."""
         for name, counts in told.items():
             one = routes.crossing(name)
             if one is not None:
@@ -88,7 +88,8 @@ class Counts:
 class Routes:
     """All routes of a run. Methods return the orders to give, in this order.
 
-    The names of new crossings begin with `run`. Of the `crossings` that are there, those in `fed` may feed more inputs.
+    The names of new crossings begin with `run`. Only those of the present `crossings` that are in `fed` may feed more
+    inputs.
     """
 
     def __init__(
@@ -108,7 +109,7 @@ class Routes:
     def connect(
         self, wire: int, stream: Stream, inlet: Inlet, source: str, target: str, *, queue: int, blocks: bool
     ) -> list[OrderTo]:
-        """Lead a stream of a unit on `source` to an inlet on `target`."""
+        """Connect a stream of a unit on `source` to an inlet on `target`."""
         crossing, orders = None, list[OrderTo]()
         if source != target:
             crossing, orders = self._cross(stream, source, target, queue=queue, blocks=blocks)
@@ -121,12 +122,12 @@ class Routes:
         return self._crossings.get(name)
 
     def disconnect(self, wire: int, inlet: Inlet, target: str | None) -> list[OrderTo]:
-        """Take a wire away from its inlet."""
+        """Remove a wire from its inlet."""
         self._routes.pop(wire, None)
         return [] if target is None else [(target, CutOrder(wire, inlet))]
 
     def end(self, wire: int, *, has_both_ends: bool) -> list[OrderTo]:
-        """End a wire. `has_both_ends` says that its source's host and its consumer are there."""
+        """End a wire. `has_both_ends` is true if its source's host and its consumer exist."""
         route = self._routes.pop(wire, None)
         if route is None:
             return []
@@ -137,14 +138,14 @@ class Routes:
         return [(route.source, EndWireOrder(crossing.wire, route.stream, Inlet(RELAY, crossing.name)))]
 
     def stop(self, unit: str, host: str) -> list[OrderTo]:
-        """Stop a unit once it has taken everything that its sources on other hosts have given until now."""
+        """Stop a unit once it has received all elements that its sources on other hosts have sent so far."""
         feeding = {route.crossing for route in self._routes.values() if route.inlet.unit == unit and route.crossing}
         crossings = sorted((one for one in feeding if one.name in self._crossings), key=lambda one: one.name)
         marks = [(one.source, TellMark(one.name, unit)) for one in crossings]
         return [(host, StopOrder(unit, tuple(one.name for one in crossings))), *marks]
 
     def source_of(self, wire: int) -> str | None:
-        """The host of a wire's source; None if there is no such wire."""
+        """The host of a wire's source; None for an unknown wire."""
         return self._routes[wire].source if wire in self._routes else None
 
     def forget(self, wire: int) -> None:
@@ -167,14 +168,14 @@ class Routes:
         return [order for one in gone for order in self._release(one)]
 
     def note_unused(self, name: str, served: int) -> list[OrderTo]:
-        """Release a crossing if the inputs that don't use it any more, `served` in number, are all that it fed."""
+        """Release a crossing if the `served` inputs that no longer use it are all that it fed."""
         known = self._crossings.get(name)
         return self._release(known) if known is not None and known.connected == served else []
 
     def _cross(
         self, stream: Stream, source: str, target: str, *, queue: int, blocks: bool
     ) -> tuple[Crossing, list[OrderTo]]:
-        """The crossing of a stream to a host, and the orders that make it if there is none yet."""
+        """The crossing of a stream to a host, and the orders that make it if it is new."""
         key = (stream, target, blocks)
         if key in self._shared:
             return self._shared[key], []

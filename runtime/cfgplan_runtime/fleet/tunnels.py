@@ -1,9 +1,8 @@
 """Tunnels: connections to the sockets of a run on another computer of the fleet.
 
 The client (a run's manager, or a command) has a connected socket at its end. The server (an agent or a manager)
-connects to a socket in its run's folder: a topic's, or the run's control socket. What is written at one end is read at
-the other once and in order. If the link is cut or full, the writer waits. Only the manager's certificate allows to be a
-client.
+connects to a socket in its run's folder: a topic's, or the run's control socket. Bytes written at one end are read at
+the other once and in order. If the link is cut or full, the writer waits. A client needs the manager's certificate.
 """
 
 from __future__ import annotations
@@ -28,22 +27,22 @@ from cfgplan_runtime.streams.run_folder import RunFolder, address, control_addre
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 
 CONTROL = ""
-"""Asked for in place of a topic it means the run's control socket."""
+"""The name of the run's control socket, in place of a topic."""
 _TUNNEL_IN, _TUNNEL_OUT = ("in", "in-credit"), ("out", "out-credit")
-"""Kinds of keys, from the client and to it: for what is written, and for credits."""
+"""Kinds of keys, from the client and to it: for data, and for credits."""
 _TUNNEL_CHUNK = 1 << 18
 _MOST_TUNNEL_CHUNKS = 8
 _MOST_UNREAD = 1 << 20
-"""If more bytes wait to be read at one end, the other end waits."""
+"""The most bytes that wait to be read at one end; beyond it the other end waits."""
 _LINGER_S = 2.0
-"""Seconds within which the rest of what was written must arrive after one end was closed."""
+"""Seconds within which the remaining data must arrive after one end was closed."""
 
 
 class _Tunnel:
     """One end of a tunnel: a thread that lives until either end is closed.
 
-    `declare` gives what puts at its keys, `ended` is called at the end. On the server `find` connects to what the
-    client asks for, and gives None if that is not there.
+    `declare` returns the functions that put at its keys; `ended` is called at the end. On the server `find` connects to
+    the socket that the client asks for; it returns None if that does not exist.
     """
 
     def __init__(
@@ -66,7 +65,7 @@ class _Tunnel:
         self._selector.register(self._bell.socket, selectors.EVENT_READ)
 
     def start(self, end: socket.socket | None = None, wanted: str | None = None) -> None:
-        """Begin to carry between `end` and the other end. With `wanted`, ask the other end to connect to that."""
+        """Begin to carry data between `end` and the other end. With `wanted`, ask the other end to connect to that."""
         if end is not None:
             self._join(end)
         if wanted is not None:
@@ -74,12 +73,12 @@ class _Tunnel:
         threading.Thread(target=self._run, name="cfgplan-tunnel", daemon=True).start()
 
     def take(self, is_credit: bool, head: bytes, payload: bytes) -> None:
-        """Take in what has come from the other end; for any thread."""
+        """Queue data from the other end. Thread-safe."""
         self._arrived.append((is_credit, head, payload))
         self._bell.ring()
 
     def close(self) -> None:
-        """End at once, since the other end is gone; for any thread."""
+        """End at once, since the other end is gone. Thread-safe."""
         self._is_closing = True
         self._bell.ring()
 
@@ -105,7 +104,7 @@ class _Tunnel:
             put_credit(b"", last.packed())
 
     def _step(self, put: crossing.Put, put_credit: crossing.Put) -> None:
-        """Send what is due, wait until there is more to do, and take in what has come."""
+        """Send data that is due, wait for more, and process data that has come."""
         self._both.pump(put, put_credit, time.monotonic(), has_room=len(self._unread) < _MOST_UNREAD)
         self._watch()
         due_s = min(self._both.due_s, self._close_s)
@@ -118,7 +117,7 @@ class _Tunnel:
         self._write()
 
     def _watch(self) -> None:
-        """Watch for reading, unless the other end is behind, and for writing, if something waits for room."""
+        """Watch for reading, unless the other end is behind, and for writing, if data waits for room."""
         if self._end is None:
             return
         is_read = self._close_s == inf and not self._both.sending.is_full
@@ -173,7 +172,7 @@ class _Tunnel:
             self._finish()
 
     def _finish(self) -> None:
-        """Begin to close since our end is closed. The other end is told after all that was written."""
+        """Begin to close after the local end was closed. The other end is told after all data."""
         if self._close_s == inf:
             self._both.sending.offer(crossing.LAST_PIECE)
             self._begin_close()
@@ -183,14 +182,14 @@ class _Tunnel:
 
 
 class _Tunnels:
-    """Tunnels by name; for any thread."""
+    """Tunnels by name. Thread-safe."""
 
     def __init__(self) -> None:
         self._tunnels: dict[str, _Tunnel] = {}
         self._lock = threading.Lock()
 
     def find(self, name: str, make: Callable[[], _Tunnel | None] = lambda: None) -> _Tunnel | None:
-        """The tunnel of a name; if there is none, that which `make` gives, or None."""
+        """The tunnel of a name; if it is unknown, the result of `make`, which may be None."""
         with self._lock:
             found = self._tunnels.get(name) or make()
             if found is not None:
@@ -203,7 +202,7 @@ class _Tunnels:
             self._tunnels.pop(name, None)
 
     def close(self, beginning: str = "") -> None:
-        """Close the tunnels whose names begin so."""
+        """Close the tunnels whose names begin with `beginning`."""
         with self._lock:
             tunnels = [tunnel for name, tunnel in self._tunnels.items() if name.startswith(beginning)]
         for tunnel in tunnels:
@@ -220,7 +219,7 @@ class TunnelServer:
         self._link, self._host, self._life, self._run = link, host, life, run
         self._tunnels = _Tunnels()
         self._ended: set[str] = set()
-        """Names of ended tunnels, until their client is gone: a piece that is sent again must not make a new one."""
+        """Names of ended tunnels, until their client is gone: a repeated piece must not make a new tunnel."""
         for kind in _TUNNEL_IN:
             link.hear(crossing.crossing_key(MANAGER, kind, host, f"{life}/*/*"), self._take)
         link.watch(_client_key("*"), self._note_client)
@@ -282,7 +281,9 @@ class TunnelClient:
         link.live(_client_key(self._id))
 
     def connect(self, host: str, life: str, wanted: str) -> socket.socket:
-        """A socket that is connected to a topic of a host, or to CONTROL. It ends at once if there is no such thing."""
+        """A socket that is connected to a topic of a host, or to CONTROL. If that does not exist, the socket ends at
+        once.
+        """
         ours, theirs = socket.socketpair()
         self.join(theirs, host, life, wanted)
         return ours
@@ -327,7 +328,7 @@ class RemoteTopics:
             threading.Thread(target=self._accept, args=arguments, name="cfgplan-topic", daemon=True).start()
 
     def hide(self, topic: str) -> None:
-        """Show a topic no more."""
+        """Stop showing a topic."""
         self._run.forget(topic)
         if topic in self._listeners:
             listener = self._listeners.pop(topic)
@@ -335,7 +336,7 @@ class RemoteTopics:
                 listener.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
-        """Hide all."""
+        """Hide all topics."""
         for topic in list(self._listeners):
             self.hide(topic)
 
@@ -347,7 +348,7 @@ class RemoteTopics:
 
 
 def _declared(link: ZenohLink, data_key: str, credit_key: str) -> tuple[crossing.Put, crossing.Put]:
-    """The publisher at the keys of a tunnel. The streams of the run overtake what is written into tunnels."""
+    """The publishers at the keys of a tunnel. The streams of the run overtake a tunnel's data."""
     return link.publisher(data_key, "large"), link.publisher(credit_key, "orders")
 
 

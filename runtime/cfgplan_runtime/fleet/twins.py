@@ -1,4 +1,4 @@
-"""Two agents of one name, which may first meet when a cut link is mended: the one that began later ends."""
+"""Two agents of one name, which may first meet after a cut link works again: the one that began later ends."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from cfgplan_runtime.fleet.links import LEASE_S
 
 
 class Sign(msgspec.Struct, array_like=True):
-    """An agent's sign of life: how long ago it began, in milliseconds, and the id of a twin that has to end."""
+    """An agent's sign of life: its age in milliseconds, and the id of a twin that has to end."""
 
     age_ms: int
     later: str = ""
 
 
 class Twins:
-    """Compares the agent `life` with others of its name. All methods are for any thread.
+    """Compares the agent `life` with others of its name. All methods are thread-safe.
 
-    Of two agents the one whose id is smaller compares their ages, so that both heed one comparison: it calls `failed`
-    itself, or names the other in its signs. An agent that has just been killed may be heard for a lease.
+    The agent with the smaller id compares the two ages, so that both use one comparison: it calls `failed` itself, or
+    names the other in its signs. Signs of an agent that was just killed may arrive for a lease.
     """
 
     def __init__(self, name: str, life: str, failed: Callable[[InputError], None]) -> None:

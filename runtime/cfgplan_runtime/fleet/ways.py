@@ -1,4 +1,4 @@
-"""How an agent reaches the others: directly, or through one of them that hears more of them."""
+"""An agent's way to the others: directly, or through one of them that is linked with more of them."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from cfgplan_runtime.streams.zenoh_link import ZenohLink
 
 _WAY_LOOK_S = LEASE_S / 2
 _REACH_ANSWER_S = 1.0
-"""Seconds within which another agent must tell how it is reached."""
+"""Seconds within which another agent must answer with its addresses."""
 
 
 def alive_key(host: str | None) -> str:
-    """The key below which a host's agent, or any (None), is alive, and gives signs of life."""
+    """The key below which a host's agent is alive, and gives signs of life; None means any host."""
     return f"{host_key(host)}/alive"
 
 
 def reach_key(host: str | None) -> str:
-    """The key at which an agent, or any (None), tells how it is reached. A manager's answer says nothing."""
+    """The key at which an agent answers with its addresses; None means any host. A manager's answer is empty."""
     return f"{host_key(host)}/reach"
 
 
@@ -43,7 +43,7 @@ class ReachedAt(msgspec.Struct, frozen=True):
     hears: frozenset[str] = frozenset()
     """The keys of agents and managers that are alive."""
     id: str = ""
-    """Zenoh's id of its session, with which others are linked."""
+    """Zenoh's id of its session."""
     is_through: bool = False
     """Whether it reaches the others through one of them."""
 
@@ -53,7 +53,9 @@ class ReachedAt(msgspec.Struct, frozen=True):
 
 
 def reach(listen: Sequence[str], connect: Sequence[str]) -> ReachedAt:
-    """The places of these endpoints. One that means all addresses of this computer is every one but loopback."""
+    """The places of these endpoints. An endpoint for all addresses of this computer becomes all of them but
+    loopback.
+    """
     listens, connects = (frozenset(place for one in ends for place in _places(one)) for ends in (listen, connect))
     return ReachedAt(listens, connects)
 
@@ -86,12 +88,12 @@ def _endpoint(place: str, protocol: str) -> str | None:
 
 
 class Way:
-    """The way of a host's agent to the others. A thread looks after it until `close`.
+    """The way of a host's agent to the others. A thread updates it until `close`.
 
-    Each look asks one of the agents that are heard whom it hears. If it hears all that are heard here, and for a lease
-    also one that is not, the link goes through it, until it is linked with all again. Of two hosts that miss each
-    other the one whose name comes earlier waits longer, so that normally the other does it for both. `failed` is called
-    with the error if this agent and another connect to each other, `say` with what the user is told.
+    Each check asks one of the known agents for the agents that it knows. If that one knows all agents known here, and
+    for a lease also another one, the link goes through it, until this host is linked with all again. If two hosts miss
+    each other, the one whose name comes earlier waits longer, so that normally the other acts for both. `failed` is
+    called with the error if this agent and another connect to each other, `say` with messages for the user.
     """
 
     def __init__(
@@ -112,9 +114,9 @@ class Way:
         """The keys that are alive."""
         self._through: str | None = None
         self._turn = 0
-        """Says which agent is asked next."""
+        """Selects the agent that is asked next."""
         self._missed_s: dict[str, float] = {}
-        """Since when the agent that is asked hears each key that is not heard here."""
+        """For each key that is not alive here: the time since which the asked agent reports it."""
         self._linked_looks = 0
         self._refused: set[str] = set()
         self._is_closed = threading.Event()
@@ -123,7 +125,7 @@ class Way:
         threading.Thread(target=self._run, daemon=True).start()
 
     def close(self) -> None:
-        """End the thread, soon."""
+        """Tell the thread to end."""
         self._is_closed.set()
 
     def _told(self) -> ReachedAt:
@@ -136,11 +138,11 @@ class Way:
         (self._heard.add if is_alive else self._heard.discard)(key)
 
     def _asked(self, key: str) -> ReachedAt | None:
-        """How another agent is reached; None if it does not answer."""
+        """The answer of another agent; None if it does not answer."""
         return next(self._answers(reach_key(host_of(key))), None)
 
     def _answers(self, keys: str) -> Iterator[ReachedAt]:
-        """How agents say that they are reached. Those of another version are left out."""
+        """The answers of agents. Answers of another version are left out."""
         for _, answer in list(self._link.ask(keys, _REACH_ANSWER_S)):
             with suppress(msgspec.MsgspecError):
                 yield msgspec.json.decode(answer, type=ReachedAt)
@@ -154,7 +156,9 @@ class Way:
                 self._look(hosts[self._turn % len(hosts)], others)
 
     def _look(self, asked: str, others: set[str]) -> None:
-        """Ask an agent whom it hears. Of two that connect to each other the one whose name comes later ends."""
+        """Ask an agent for the agents that it knows. If two connect to each other, the one whose name comes
+        later ends.
+        """
         told, name = self._asked(asked), host_of(asked)
         if told is not None and self._reach.is_mutual(told) and name < self._host:
             mend = f"leave out --connect to {name} here, or the one to {self._host} there"
@@ -192,7 +196,7 @@ class Way:
             self._say(f"{missed}: can't be reached but through {name}, so all others are")
 
     def _look_back(self, others: set[str]) -> None:
-        """Go directly if for a lease all that are heard were linked, or the agent in between was not heard."""
+        """Use direct links again if all known agents were linked for a lease, or the agent in between was lost."""
         told = list(self._answers(reach_key(None)))
         is_heard = others <= self._link.alive(f"{alive_key(None)}/*", directly=True)
         is_linked = is_heard and self._link.linked >= {one.id for one in told} - {self._link.id, ""}

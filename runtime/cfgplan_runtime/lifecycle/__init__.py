@@ -1,1 +1,1 @@
-"""The configuration life-cycle: perturbations, reviews, and the manager that goes from the one to the other."""
+"""The configuration life-cycle: perturbations, reviews, and the manager that answers perturbations by reviews."""

@@ -1,4 +1,4 @@
-"""Transformations that keep failing: how long each is left alone before it is started again.
+"""Back-offs: the waits before transformations that keep failing are started again.
 
 A failure counts for the host where it was: a camera or a library that one computer lacks says nothing of the others.
 """
@@ -23,7 +23,8 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class BackOffRules:
-    """Times in seconds. The first failure in a row causes no wait, the second `first_s`, each further one twice that.
+    """Times in seconds. The first failure in a row causes no wait, the second `first_s`, each further one twice the
+    wait before.
 
     The failure of a unit that had lived for `good_life_s` is a first one. A transformation that nothing can replace
     waits `alone_s` at most.
@@ -35,7 +36,7 @@ class BackOffRules:
     alone_s: float = 3.0
 
     def delay_s(self, failures: int) -> float:
-        """How long to wait after so many failures in a row."""
+        """The wait in seconds after `failures` failures in a row."""
         return doubling_s(failures, self.first_s, self.most_s)
 
 

@@ -1,4 +1,6 @@
-"""What a plan is made for: what runs and what is wanted, by name, so that it can be said why a plan is stale."""
+"""The basis of a plan: digests of the running units and of the wanted environment, by name, which show why a plan is
+stale.
+"""
 
 from __future__ import annotations
 
@@ -20,10 +22,9 @@ from cfgplan_runtime.lifecycle.deliberation import Deliberation, Thought
 from cfgplan_runtime.lifecycle.reports import Decision
 
 Basis: TypeAlias = Mapping[str, Mapping[str, str]]
-"""By kind and name: a digest of each unit that runs, each transformation, target and setting, and of the side of each
-comparison of a fact.
-
-The numbers of facts are not in it, nor the qualities that follow from them: noisy ones would make any plan stale.
+"""By kind and name: a digest of each running unit, each transformation, target and setting, and the truth of each
+comparison of a fact. It has neither the numbers of facts nor the qualities that follow from them: noisy ones would make
+any plan stale.
 """
 
 _STALE_FOR = {
@@ -102,13 +103,13 @@ def previewed(preview: Preview) -> Plan:
 
 
 def plan_text(preview: Preview) -> str:
-    """The plan file (JSON) of what a review would do."""
+    """The plan file (JSON) of a preview."""
     digest = hashlib.sha256(msgspec.json.encode(preview.basis, order="deterministic")).hexdigest()
     return dump_plan(previewed(preview), preview.problem, digest, preview.basis)
 
 
 def staleness(then: Basis, now: Basis) -> tuple[Fault, ...]:
-    """Why a plan that was made for one basis does not fit another; empty if it does."""
+    """The reasons why a plan for the basis `then` does not fit the basis `now`; empty if it does."""
     why = [f"{kind} {said}" for kind in _STALE_FOR for said in _differences(kind, then.get(kind, {}), now[kind])]
     more = len(why) - _MOST_REASONS
     told = [*why[:_MOST_REASONS], *([f"and {more} more differ"] if more > 0 else [])]

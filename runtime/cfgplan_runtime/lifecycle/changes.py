@@ -24,7 +24,7 @@ class Individual:
 
 @dataclass(frozen=True, slots=True)
 class Add:
-    """What is there from now on; what has a known label or name replaces the old one."""
+    """Add these parts; each replaces the part with the same label or name."""
 
     targets: tuple[Target, ...] = ()
     transformations: tuple[Transformation, ...] = ()
@@ -33,7 +33,7 @@ class Add:
 
 @dataclass(frozen=True, slots=True)
 class Remove:
-    """Labels of targets and transformations and names of individuals that are gone, wherever they were declared."""
+    """Remove targets and transformations by label, and individuals by name, wherever they were declared."""
 
     targets: tuple[str, ...] = ()
     transformations: tuple[str, ...] = ()
@@ -42,10 +42,10 @@ class Remove:
 
 @dataclass(frozen=True)
 class Declare:
-    """Declare what an included file could, and `individuals`; a robot registers itself by this.
+    """Declare the content of an included file, and `individuals`; a robot registers itself by this.
 
-    `document` has `transformations` and `targets` in the environment file's form, templates too. Declaring again
-    under the same `name` replaces what was declared.
+    `document` has `transformations` and `targets` in the environment file's form, with templates. A second declaration
+    under the same `name` replaces the first.
     """
 
     name: str
@@ -55,21 +55,21 @@ class Declare:
 
 @dataclass(frozen=True, slots=True)
 class Withdraw:
-    """Take back the declaration of a name."""
+    """Remove the declaration of a name."""
 
     name: str
 
 
 @dataclass(frozen=True, slots=True)
 class Restore:
-    """Take back that targets, transformations or individuals of these names were removed."""
+    """Undo the removal of targets, transformations or individuals by these names."""
 
     names: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class ReplaceWorld:
-    """The environment file, or whatever else the world comes from, says something new."""
+    """Use a new world, from the environment file or another source."""
 
     world: World
     by: str
@@ -86,8 +86,8 @@ class KillUnit:
 class RestartUnits:
     """Replace running units by new ones of the same transformations, wired as they are.
 
-    Each new unit runs beside the old one until it gives. If one can't be started or only fails, all old ones stay.
-    `by` is the file that has changed, or who asked.
+    Each new unit runs beside the old one until it sends elements. If one can't be started or only fails, all old ones
+    stay. `by` is the changed file, or the requester.
     """
 
     units: tuple[str, ...]
@@ -96,7 +96,7 @@ class RestartUnits:
 
 @dataclass(frozen=True, slots=True)
 class LoseHost:
-    """A host is gone, with everything that ran there."""
+    """Take a host out of service, with everything that runs there."""
 
     host: str
     cause: str = ""
@@ -111,7 +111,7 @@ class RegainHost:
 
 @dataclass(frozen=True, slots=True)
 class SetFact:
-    """A fact of the world has a value from now on, written as in a file, whatever the file says."""
+    """Set a fact of the world to a value, written as in a file, with priority over the file."""
 
     name: str
     value: str
@@ -119,9 +119,9 @@ class SetFact:
 
 @dataclass(frozen=True)
 class FaultyCode:
-    """The code of these transformations can't be started, by label with the cause; that of all others may.
+    """The code of these transformations can't be started, by label with the cause; the code of all others can.
 
-    The code of those `changed` is another one since the last time, so that their failures no longer count.
+    The code of those in `changed` has changed since the last time, so that their failures no longer count.
     """
 
     faults: Mapping[str, str] = field(hash=False)
@@ -137,7 +137,7 @@ class ReviewNow:
 
 @dataclass(frozen=True)
 class ApplyPlan:
-    """Carry out a plan that was made for `basis` (`basis.Basis`), if that is what runs and what is wanted."""
+    """Carry out a plan that was made for `basis` (`basis.Basis`), if this is still the present basis."""
 
     change_set: ChangeSet
     basis: Mapping[str, Mapping[str, str]] = field(hash=False)

@@ -1,4 +1,6 @@
-"""What a manager knows beyond what runs: which transformation each unit is of, what is avoided, what to plan with."""
+"""A manager's knowledge beyond the configuration: the transformation of each unit, the avoided transformations, and the
+input of a plan.
+"""
 
 from __future__ import annotations
 
@@ -41,23 +43,23 @@ class Situation:
     units: Mapping[str, Running] = field(default_factory=dict)
     """By unit id, including units whose death has not been noticed yet."""
     failing: frozenset[str] = frozenset()
-    """Ids of units that are given up though they run."""
+    """Ids of running units that will be replaced."""
     killed: frozenset[str] = frozenset()
-    """Ids of units whose end was asked for."""
+    """Ids of units that were killed on request."""
     presence: Mapping[str, bool] = field(default_factory=dict)
-    """By host: whether the middleware's last word was that it is there."""
+    """By host: whether it has joined, by the middleware's last report."""
     clocks_ahead_us: Mapping[str, int] = field(default_factory=dict)
-    """By host that is there: how far its clock is ahead of the manager's, in microseconds."""
+    """By joined host: the microseconds by which its clock is ahead of the manager's."""
     awaits_hosts: bool = False
-    """Whether a host of which the middleware has said nothing is not there yet."""
+    """Whether hosts without a report of the middleware count as not joined yet."""
     facts: Mapping[str, FactValue] = field(default_factory=dict)
     """The facts of the world that have been set since the run began, by name."""
     qualities: Mapping[Statement, int] = field(default_factory=dict)
     """By how much outputs are better or worse than stated, as observed streams have taught; in micro-units."""
     code_faults: Mapping[str, str] = field(default_factory=dict)
-    """Why the code of transformations can't be started, by label."""
+    """The faults of code that can't be started, by the transformation's label."""
     given_up_hosts: frozenset[str] = frozenset()
-    """Hosts that are to be done without, by request."""
+    """Hosts that were taken out of service on request."""
     prepared: frozenset[str] = frozenset()
     """Ids of the cold spares that the middleware has prepared."""
     silences: tuple[Silence, ...] = ()
@@ -74,7 +76,9 @@ class Situation:
         return None if running is None else Place(running.transformation.label, running.host)
 
     def why_not(self, label: str, host: str | None) -> str | None:
-        """Why no unit of a transformation may be started on a host now, whatever the facts; None if one may."""
+        """The reason why no unit of a transformation may be started on a host now, apart from facts; None
+        if one may.
+        """
         if self.is_lost(host):
             return gone_host(host)
         return self.code_faults.get(label) or self.back_offs.why_not(label, host)
@@ -86,11 +90,11 @@ class Situation:
         return replace(world, environment=world.environment.with_facts(self.facts).with_qualities(self.qualities))
 
     def is_lost(self, host: str | None) -> bool:
-        """Whether nothing may be planned on a host, since it is not there or was given up."""
+        """Whether plans may not use a host, since it is lost or out of service."""
         return host is not None and (host in self.given_up_hosts or not self.presence.get(host, not self.awaits_hosts))
 
     def lost_hosts(self, world: Environment) -> tuple[str, ...]:
-        """The hosts of a world that nothing may be planned on, sorted."""
+        """The hosts of a world that plans may not use, sorted."""
         return tuple(host for host in hosts_of(world) if self.is_lost(host))
 
     def without(self, *gone: str) -> Situation:
@@ -112,7 +116,7 @@ class Situation:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What a plan is made from: the world, what runs in it, and what else is known of what runs."""
+    """The input of a plan: the world, the running configuration, and the other knowledge about running units."""
 
     world: World
     running: Environment
@@ -133,7 +137,7 @@ class EstimatedLibrary:
         self._estimated: dict[str, tuple[Transformation, Transformation]] = {}
 
     def estimated(self, world: Environment, estimator: Estimator, horizon_s: int) -> Mapping[str, Transformation]:
-        """The library of a world by label, with what units are expected to cost on each host where they may run."""
+        """The library of a world by label, with the estimated costs on each host where units may run."""
         return {one.label: self._of(one, world, estimator, horizon_s) for one in world.library}
 
     def _of(
@@ -165,7 +169,9 @@ def _capped(cost_us: int) -> int:
 
 
 def avoided_now(scene: Scene) -> dict[str, str]:
-    """Why transformations are left out, by label. One that backs off is not, while a good unit of it runs."""
+    """The reasons why transformations are left out, by label. One that backs off is kept while a good unit
+    of it runs.
+    """
     world, situation = scene.world.environment, scene.situation
     avoided = dict(world.left_out)
     for label, transformation in world.transformation.items():
@@ -230,12 +236,12 @@ def _where_it_may(scene: Scene, transformation: Transformation) -> Transformatio
 
 
 def as_it_runs(world: Environment, running: Environment) -> Environment:
-    """What runs, in the world as it is now, which may not have all of its hosts any more."""
+    """The running configuration in the present world, which may have lost some of its hosts."""
     return replace(world, units=running.units, hosts=tuple({**running.host, **world.host}.values()))
 
 
 def gone_host(*hosts: str | None) -> str:
-    """Why what needs one of these hosts is not to be had."""
+    """The reason why a part that needs one of these hosts is missing."""
     names = ", ".join(host for host in hosts if host is not None)
     return f"host {names} is gone" if len(hosts) == 1 else f"hosts {names} are gone"
 
@@ -261,21 +267,21 @@ def _has_ports_of(one: Transformation, other: Transformation) -> bool:
 
 
 def external_units(changes: ChangeSet | None, library: Environment) -> tuple[str, ...]:
-    """The new units that a change set takes in and starts nothing for: nodes of ROS that others have started."""
+    """The new units of a change set that are external nodes of ROS, for which nothing is started."""
     new = () if changes is None else changes.started
     return tuple(unit.id for unit in new if is_external(library.transformation[unit.transformation]))
 
 
 def is_external(transformation: Transformation) -> bool:
-    """Whether units of a transformation are nodes of ROS that others have started."""
+    """Whether units of a transformation are external nodes of ROS, which the run does not start."""
     node = NodeSource.read(transformation.source)
     return node is not None and node.kind == "external"
 
 
 def restarting(running: Environment, units: Iterable[str]) -> ChangeSet:
-    """The change set that replaces running units by new ones, on the same hosts and wired alike.
+    """The change set that replaces running units by new ones, on the same hosts and with the same wiring.
 
-    Ids of units that do not run are passed over.
+    Ids of units that do not run are ignored.
     """
     old = [unit for unit in running.units if unit.id in set(units)]
     fresh = {

@@ -1,7 +1,7 @@
-"""What a manager does about what happens: a pure function from a state and an event to the next state and effects.
+"""The manager's decisions: a pure function from a state and an event to the next state and effects.
 
-A review is one way through the cases: it is due, gathers what comes shortly after, plans until nothing breaks in,
-updates what runs, and is put on record.
+A review passes through these cases: it becomes due, collects the perturbations shortly after, plans until no item
+interrupts, applies the update, and is recorded.
 """
 
 from __future__ import annotations
@@ -84,15 +84,15 @@ class BreakIn(Flag):
     """How an item breaks into the work under way."""
 
     INTERRUPT = auto()
-    """The plan can't know what has happened: it is made anew."""
+    """The plan does not know the new item: it is made again."""
     ABANDON = auto()
-    """The update waits for new units, and what has happened is more urgent: it is given up."""
+    """The update waits for new units, and the new item is more urgent: the update is given up."""
     END = auto()
-    """The manager is to end."""
+    """The manager has to end."""
 
 
 def breaks_in(doing: Doing, item: Item) -> BreakIn:
-    """How an item breaks into the work under way when it comes, before it is taken in."""
+    """How an item interrupts the work under way, before its effects are decided."""
     is_starting = isinstance(doing, Updating) and bool(doing.change_set.started)
     abandon = BreakIn.ABANDON if is_starting else BreakIn(0)
     match item:
@@ -239,7 +239,7 @@ def _begun(turn: Turn, time_s: float) -> Turn:
 
 
 def _planning(turn: Turn, planning: Planning) -> Turn:
-    """Ask for one plan that answers everything that has happened."""
+    """Ask for one plan that answers all perturbations."""
     state = turn.state
     entries = (*planning.entries, *state.entries)
     planning = replace(
@@ -254,13 +254,13 @@ def _planning(turn: Turn, planning: Planning) -> Turn:
 
 
 def _units_known(turn: Turn) -> Turn:
-    """Note the units that run and are not known yet, such as those that a manager begins with."""
+    """Record running units that are not known yet, such as those that a manager starts with."""
     running = turn.state.running
     return turn.situated(turn.state.situation.with_started(running.units, running, turn.at_s))
 
 
 def _seen_to(turn: Turn, time_s: float) -> Turn:
-    """Have the first given plan or restart judged, unless its basis is stale. Make previews if none was given."""
+    """Judge the first given plan or restart, unless its basis is stale. Without one, make the previews."""
     state, at_s = turn.state, turn.at_s
     if not state.given:
         return turn.to(replace(state, previews=())).also(MakePreview(state.scene, state.previews))
@@ -302,7 +302,7 @@ def _is_last(planning: Planning, state: State) -> bool:
 
 
 def _planned(turn: Turn, planned: Planned) -> Turn:
-    """A plan was made: carry it out, unless something has come in between."""
+    """Carry out the new plan, unless an item has come in between."""
     state, thought, planning = turn.state, planned.thought, turn.state.doing
     assert isinstance(planning, Planning)
     if state.is_closing or state.stops:
@@ -360,7 +360,7 @@ def _updated(turn: Turn, updated: Updated) -> Turn:
 
 
 def _failed(turn: Turn, updating: Updating, error: Exception) -> tuple[Turn, UpdateFailed]:
-    """The perturbation that a failed update is; its transformations are refused, postponed or blamed."""
+    """The perturbation of a failed update; its transformations are refused, postponed or blamed."""
     slow: tuple[str, ...] = ()
     match error:
         case errors.StaleChangeSetError():
@@ -407,7 +407,7 @@ def _blamed(turn: Turn, updating: Updating, units: tuple[str, ...], cause: str) 
 
 
 def _reviewed(turn: Turn, planning: Planning, thought: Thought, failed: UpdateFailed | None) -> Turn:
-    """A review is over: put it on record, tell who waits, and let another follow if it has failed."""
+    """Record a finished review, answer the requests that wait for it, and request another one if it has failed."""
     review = _record(turn.state, planning, thought, failed)
     turn = _followed_up(turn, planning, failed)
     state, at_s = turn.state, turn.at_s
@@ -491,7 +491,7 @@ def _ended(turn: Turn) -> Turn:
 
 
 def _finished(turn: Turn, cause: str) -> Turn:
-    """End the manager: answer who has asked for the end, and fail all other requests."""
+    """End the manager: answer the requests for the end, and fail all other requests."""
     state = turn.state
     match state.doing:
         case Planning(entries=begun) | Updating(Planning(entries=begun)):

@@ -1,4 +1,4 @@
-"""The thinking half of a review: match, estimate, plan, judge. It changes nothing that runs."""
+"""The planning half of a review: match, estimate, plan, judge. It changes no running unit."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Thought:
     unmet: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     hurried: tuple[str, ...] = ()
-    """Transformations that are avoided though nothing can take their place."""
+    """Transformations that are avoided though no other can replace them."""
     seconds: Mapping[str, float] = field(default_factory=dict, compare=False)
     """Wall time of each phase."""
     found: BestEffort | None = field(default=None, compare=False)
@@ -79,7 +79,7 @@ class Looked:
 
 @dataclass(frozen=True)
 class UnmetTargets:
-    """The targets of a problem that nothing can meet, with the reasons, whatever runs."""
+    """The targets of a problem that no configuration can meet, with the reasons."""
 
     problem: Problem
     unmet_reasons: Mapping[str, str]
@@ -98,8 +98,8 @@ class UnmetTargets:
 class Deliberation:
     """Plans updates, one after the other, with a planner that may remember.
 
-    The reasoner is asked about open pairs that matter if a review optimises, or if there is no plan without them,
-    unless `is_stopped`.
+    The reasoner decides open pairs that a plan would use, if a review optimises or no plan exists without them, unless
+    `is_stopped`.
     """
 
     def __init__(
@@ -143,7 +143,7 @@ class Deliberation:
         return replace(thought, unmet={**out_of_reach, **self._reasons(thought, scene.world)}, warnings=warnings)
 
     def judged(self, scene: Scene, change_set: ChangeSet) -> Thought:
-        """What a change set over units means that somebody has given; without one if it is not valid."""
+        """The findings about a given change set over units; without a change set if it is not valid."""
         thought = self._begun(scene)
         wanted = self.problem(thought.planned, scene.world)
         try:
@@ -234,7 +234,9 @@ class Deliberation:
         return Problem(planned, self._matching.similarity, world.horizon_s, world.max_cost_us, survive)
 
     def _plan(self, problem: Problem, *, optimises: bool) -> tuple[BestEffort, Problem, tuple[str, ...]]:
-        """The best update; the problem that it solves, which may ask for less; and in words what is given up."""
+        """The best update; the problem that it solves, which may ask for less; and sentences about the demands given
+        up.
+        """
         found, asked, given_up = self._best(problem, optimises=optimises), problem, tuple[str, ...]()
         for less, why in _asking_less(problem):
             if found.plan.change_set is not None and not found.given_up.keys() - self._impossible(asked).keys():
@@ -245,7 +247,7 @@ class Deliberation:
         return found, asked, given_up
 
     def _impossible(self, problem: Problem) -> Mapping[str, str]:
-        """The targets of a problem that nothing can meet, with the reasons."""
+        """The targets of a problem that no configuration can meet, with the reasons."""
         if self._reach is None or not self._reach.holds_for(problem):
             self._reach = UnmetTargets(problem, unmet_reasons(problem))
         return self._reach.unmet_reasons
@@ -257,7 +259,9 @@ class Deliberation:
         return replace(found, problem=self._planner.known(found.problem))
 
     def _begun(self, scene: Scene) -> Thought:
-        """What is known before planning: what is left out for now, what to plan in, and what keeping all costs."""
+        """The findings before planning: the transformations left out, the environment to plan in, and the cost of
+        keeping all units.
+        """
         wanted, horizon_s, avoided = scene.world.environment, scene.world.horizon_s, avoided_now(scene)
         costs = self._library.estimated(wanted, self._estimator, horizon_s)
         now = as_it_runs(replace(wanted, library=tuple(costs.values())), scene.running)
@@ -265,7 +269,7 @@ class Deliberation:
         return Thought(scene.running, planned, validity.kept_us(now, horizon_s), avoided)
 
     def _letting_wait(self, thought: Thought, scene: Scene) -> Thought:
-        """If targets are given up for transformations that back off, hurry these, and keep units that wait for them."""
+        """If targets fail for transformations that back off, shorten these waits, and keep units that wait for them."""
         situation = scene.situation
         refusals = situation.back_offs.refusals()
         waiting = situation.back_offs.avoided - refusals.avoided
@@ -290,7 +294,9 @@ class Deliberation:
         )
 
     def _reasons(self, thought: Thought, world: World) -> Mapping[str, str]:
-        """Why targets are given up. If a target is impossible only for what is left out for now, its reason says so."""
+        """The reasons why targets are given up. If a target fails only for transformations left out for now, its reason
+        says so.
+        """
         if not (thought.unmet and thought.avoided):
             return thought.unmet
         impossible, impossible_now = (
@@ -305,7 +311,7 @@ class Deliberation:
 
 
 def _asking_less(problem: Problem) -> Iterator[tuple[Problem, str]]:
-    """The problem without what may be impossible with the hosts that are left, and in words what that is."""
+    """The problem without demands that may be impossible with the remaining hosts, and these demands in words."""
     if problem.survive is not None:
         problem = replace(problem, survive=None)
         yield problem, "what is there does not survive every failure"
@@ -316,7 +322,7 @@ def _asking_less(problem: Problem) -> Iterator[tuple[Problem, str]]:
 
 
 def _given(problem: Problem, change_set: ChangeSet) -> BestEffort:
-    """A change set that somebody has given, as a plan of which nothing is proven, for the targets that it meets."""
+    """A given change set as an unproven plan, for the targets that it meets."""
     after = problem.environment.update(change_set)
     problem = only_targets(problem, after.meeting(after.units).keys())
     values, unused = validity.values_of(problem, after), validity.unused_required(after)
@@ -330,7 +336,7 @@ def _given(problem: Problem, change_set: ChangeSet) -> BestEffort:
 
 
 def _worth(found: BestEffort) -> tuple[bool, list[int]]:
-    """Greater for an update that meets more targets of the highest priority, then of the next."""
+    """A value that is greater for an update that meets more targets of the highest priority, then of the next."""
     met = [target.priority for target in found.problem.environment.targets]
     return found.plan.change_set is not None, sorted(met, reverse=True)
 
@@ -365,9 +371,9 @@ def _waiting(unit: ComputationUnit, gone: Set[str], taken: Set[str]) -> Computat
 
 
 def where_spares_are(problem: Problem, plan: Plan) -> Plan:
-    """A plan as good as this one, that starts units where cold spares of their transformations are, if there is one.
+    """A plan of equal cost that starts units in place of cold spares of their transformations, if one exists.
 
-    Such a unit takes a spare's place. A spare that the plan keeps takes the place that the unit was to have.
+    A spare that the plan keeps moves to the place of the unit.
     """
     spares = [unit for unit in problem.environment.units if unit.standby]
     for new in plan.change_set.started if plan.change_set is not None and spares else ():
@@ -445,7 +451,9 @@ def _judged(thought: Thought, found: BestEffort, *, optimises: bool) -> Thought:
 def _decision(
     thought: Thought, before: tuple[int, ...], after: tuple[int, ...], *, is_sound: bool, saves: bool, optimises: bool
 ) -> Decision:
-    """What to do, by what is served before and after the update, and whether that `saves` what is minimised."""
+    """The decision, by the targets served before and after the update, and whether it `saves` some of the
+    objectives.
+    """
     if is_sound and before > after and not thought.is_proven:
         return Decision.KEPT  # the planner had no time to find a plan that serves as much
     if not thought.change_set:

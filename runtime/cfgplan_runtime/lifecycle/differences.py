@@ -1,4 +1,4 @@
-"""How two worlds differ, and which units can go on in the second."""
+"""The differences of two worlds, and the units that can keep running in the second."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ T = TypeVar("T")
 
 
 def runs_alike(one: Transformation, other: Transformation) -> bool:
-    """Whether a unit of `one` can go on as a unit of `other`: same code, params and ports."""
+    """Whether a unit of `one` can keep running as a unit of `other`: same code, params and ports."""
     return one is other or what_runs(one) == what_runs(other)
 
 

@@ -16,12 +16,12 @@ from cfgplan_runtime.lifecycle.changes import ReplaceWorld
 from cfgplan_runtime.lifecycle.manager import Manager
 
 QUIET_S = 0.05
-"""A change is told once nothing has changed for this long."""
+"""A change is reported after this many seconds without another one."""
 LOOK_MS = 1000
 """The files are looked at this often in any case, for file systems that don't tell of changes."""
 
 SLOW_S = 10.0
-"""A file that takes longer to read is told."""
+"""The seconds after which a file that is still being read is reported."""
 _CLOSE_S = 2.0
 """Seconds that the thread may take to end: one that waits for a file is left behind."""
 LOG = logging.getLogger("cfgplan")
@@ -30,10 +30,11 @@ Stamps = dict[Path, tuple[int, int, int] | None]
 
 
 class FileWatch:
-    """A thread that tells which of some files and folders have changed, come or gone.
+    """A thread that reports changed, new and deleted files and folders.
 
-    `tell` is called in the thread: at its start with nothing, then with what has changed. `paths` is called at every
-    look; a file that joins is watched from then on. Folders are watched, since editors write a new file and rename it.
+    It calls `tell` in its thread: at its start with an empty set, then with the changed paths. It calls `paths` at
+    every check; a file that joins is watched from then on. Folders are watched, since editors write a new file and
+    rename it.
     """
 
     def __init__(self, paths: Callable[[], Iterable[Path]], tell: Callable[[frozenset[Path]], object]) -> None:
@@ -44,7 +45,7 @@ class FileWatch:
         self._thread = threading.Thread(target=self._work, name="cfgplan-watching", daemon=True)
 
     def start(self) -> None:
-        """Begin to watch: what changes from now on is told."""
+        """Begin to watch: changes from now on are reported."""
         self._stamps = _stamps(self._paths())
         self._thread.start()
 
@@ -104,7 +105,9 @@ class FileWatch:
         self._told(changed)
 
     def take_in_new_ones(self) -> None:
-        """Update the watched paths. A `tell` that finds new ones calls this before it passes on what it has read."""
+        """Update the watched paths. A `tell` that finds new paths calls this before it uses the content that it has
+        read.
+        """
         paths = set(self._paths())
         self._stamps = {path: self._stamps[path] if path in self._stamps else _stamp(path) for path in paths}
 
@@ -132,7 +135,7 @@ def _stamp(path: Path) -> tuple[int, int, int] | None:
 def watch_file(path: str | Path, manager: Manager) -> Iterator[None]:
     """Watch an environment file, its includes and its ontologies, and give the manager each new world.
 
-    If they can't be used, the faults are reported and the world before holds.
+    If they have an error, the faults are reported and the last valid world holds.
     """
     watching = WorldWatch(Path(path), lambda world, by: manager.request(ReplaceWorld(world, by)), manager.refuse)
     watching.start()

@@ -1,4 +1,4 @@
-"""An estimator that may raise: the life-cycle goes on with declared costs where it does, and says so."""
+"""An estimator that may raise: in this case the life-cycle uses declared costs, and warns."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The manager's queue: what has come in, from any thread, in order."""
+"""The manager's queue of items from any thread, in order of arrival."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Outcome: TypeAlias = "Future[Review | None]"
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """Somebody asks for a change, and is told when the review that took it in is over."""
+    """A request for a change; its future is done when the review of the change is over."""
 
     change: Change
     outcome: Outcome
@@ -28,7 +28,7 @@ class Asked:
 
 @dataclass(frozen=True, slots=True)
 class Unusable:
-    """The world's file can't be used as it is now; without faults, it can again."""
+    """The world's file has errors; without faults, it is valid again."""
 
     by: str
     faults: tuple[Fault, ...]
@@ -36,7 +36,7 @@ class Unusable:
 
 @dataclass(frozen=True, slots=True)
 class FactSeen:
-    """A stream says the value of a fact of the world."""
+    """A stream carries the value of a fact of the world."""
 
     name: str
     value: FactValue
@@ -44,14 +44,14 @@ class FactSeen:
 
 @dataclass(frozen=True, slots=True)
 class PreviewAsked:
-    """Somebody asks what a review would do now."""
+    """A request for a preview of a review."""
 
     outcome: Future[Preview]
 
 
 @dataclass(frozen=True, slots=True)
 class Leave:
-    """The manager is to end, and to leave the units to the middleware."""
+    """The manager has to end, and to leave the units to the middleware."""
 
 
 Item: TypeAlias = Event | Asked | FactSeen | PreviewAsked | Unusable | Leave
@@ -66,7 +66,7 @@ class Arrival:
 
 
 class Inbox:
-    """A queue with a bell that rings when something comes that can't wait."""
+    """A queue with a bell that rings when an urgent item comes."""
 
     def __init__(self) -> None:
         self.bell = threading.Event()

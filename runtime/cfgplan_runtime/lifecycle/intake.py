@@ -1,4 +1,4 @@
-"""How a manager's state changes by what comes in: events of units, and requests."""
+"""The changes of a manager's state by incoming items: events of units, and requests."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ IN_A_ROW_S = 10.0
 
 
 def heard(turn: Turn, event: events.Event) -> Turn:
-    """Take in an event of a unit. What comes before its death (hung, too large, failed) is noted as the cause."""
+    """Handle an event of a unit. An event before its death (hung, too large, failed) is recorded as the cause."""
     state = turn.state
     match event:
         case events.UnitReady(unit):
@@ -84,7 +84,9 @@ def heard(turn: Turn, event: events.Event) -> Turn:
 
 
 def died(turn: Turn, gone: UnitGone, lived_s: float | None) -> Turn:
-    """A unit has ended unasked: blame it unless `lived_s` is None. The review answers who waits for its end."""
+    """A unit has ended without being told to: blame it unless `lived_s` is None. The review answers requests that wait
+    for its end.
+    """
     if lived_s is not None:
         turn = turn.blamed(Place(gone.transformation, gone.host), lived_s, gone.cause)
     outcomes = turn.state.waiting.get(gone.unit, ())
@@ -92,7 +94,7 @@ def died(turn: Turn, gone: UnitGone, lived_s: float | None) -> Turn:
 
 
 def asked(turn: Turn, request: Asked) -> Turn:
-    """Somebody asks for a change."""
+    """Handle a request for a change."""
     state, situation, outcomes = turn.state, turn.state.situation, (request.outcome,)
     try:
         match request.change:
@@ -162,7 +164,7 @@ def matched(turn: Turn, result: Matched) -> Turn:
 
 
 def refused(turn: Turn, by: str, faults: tuple[Fault, ...]) -> Turn:
-    """Report that the world's file can't be used as it is now; without faults, that it can again."""
+    """Report that the world's file has errors; without faults, that it is valid again."""
     if not (faults or turn.state.faults):
         return turn
     return turn.to(replace(turn.state, faults=faults)).also(Tell(WorldRefused(by, faults)))
@@ -200,7 +202,9 @@ def _gone(turn: Turn, unit: str, cause: str) -> Turn:
 
 
 def _host_lost(turn: Turn, host: str, cause: str) -> Turn:
-    """A host is gone with its units, which nobody is blamed for. The review answers who waits for their end."""
+    """A host is lost with its units; no transformation is blamed. The review answers requests that wait for
+    their end.
+    """
     state, situation = turn.state, turn.state.situation
     gone = [unit for unit, running in situation.units.items() if running.host == host]
     outcomes = [outcome for unit in gone for outcome in state.waiting.get(unit, ())]
@@ -214,7 +218,7 @@ def _host_lost(turn: Turn, host: str, cause: str) -> Turn:
 
 
 def _host_joined(turn: Turn, host: str, ahead_us: int) -> Turn:
-    """A host is there."""
+    """A host has joined."""
     situation, world = turn.state.situation, turn.state.living.world.environment
     was_lost = host in situation.lost_hosts(world)
     situation = replace(
@@ -284,7 +288,7 @@ def _given_up(turn: Turn, unit: str, cause: str) -> Turn:
 
 
 def _silent(turn: Turn, flows: Mapping[str, Flow]) -> Turn:
-    """Ask for a review of each target that is silent for too long, again and again until it is not."""
+    """Request a review for each target that is silent for too long, repeatedly until it is not."""
     state, wanted, at_s = turn.state, turn.state.living.world.environment, turn.at_s
     giving = state.giving.after_look(state.running, at_s)
     silences = giving.silences(wanted, state.running, flows, at_s)
@@ -302,7 +306,7 @@ def _silent(turn: Turn, flows: Mapping[str, Flow]) -> Turn:
 
 
 def _to_be_restarted(turn: Turn, units: tuple[str, ...], request: Asked) -> Turn:
-    """Note that units are to be restarted, as soon as no review is due or under way."""
+    """Record the units to restart, as soon as no review is due or under way."""
     state, situation = turn.state, turn.state.situation
     library = state.living.world.environment.transformation
     for unit in units:

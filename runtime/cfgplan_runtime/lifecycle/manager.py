@@ -1,8 +1,8 @@
-"""The manager: keeps the best configuration running that the world allows (paper, Figure 1 and section IV-C).
+"""The manager: keeps the running configuration optimal (paper, Figure 1 and section IV-C).
 
-One thread waits for perturbations (stable interval) and answers them (review interval). Units run on in the threads
-or processes of the middleware meanwhile, and what happens there is never lost: it waits in the inbox. What is done
-about it is decided by `decisions.decide`; the manager carries out the effects.
+One thread waits for perturbations (stable interval) and answers them (review interval). Meanwhile units keep running in
+the threads or processes of the middleware, and their events wait in the inbox. `decisions.decide` decides about each
+item; the manager carries out the effects.
 """
 
 from __future__ import annotations
@@ -56,10 +56,10 @@ _UNDONE = (ApplyError, NoSourceError, StaleChangeSetError)
 class Manager:
     """Reviews the configuration of a middleware whenever it is perturbed; every part can be replaced.
 
-    By default `planner` remembers from plan to plan, `estimator` believes declared costs, and `clock` is the
-    computer's. `report` is the first listener, see `listen`. The first review carries the plan of `first` out, unless
-    it is stale by then. Raises InputError for a world whose tags can't be matched. As a context manager it works in a
-    thread of its own, and stops all units at the end; or call `step` or `run`.
+    By default `planner` reuses proofs of earlier plans, `estimator` uses declared costs, and `clock` is the computer's.
+    `report` is the first listener, see `listen`. The first review carries out the plan of `first`, unless it is stale
+    by then. Raises InputError for a world whose tags can't be matched. As a context manager it works in a thread of its
+    own, and stops all units at the end; or call `step` or `run`.
     """
 
     def __init__(
@@ -103,10 +103,10 @@ class Manager:
     # What others ask, from any thread.
 
     def request(self, change: Change) -> Outcome:
-        """Ask for a change. Returns a future of the review that takes it in, done when that review is over.
+        """Ask for a change. Returns a future that is done when the review of the change is over.
 
-        Its result is None if nothing changes. It raises InputError for a bad change, and RuntimeFaultError if the
-        manager ends before.
+        Its result is the review, or None if nothing changes. It raises InputError for a bad change, and
+        RuntimeFaultError if the manager ends before.
         """
         outcome: Outcome = Future()
         outcome.set_running_or_notify_cancel()  # who asks can't take it back
@@ -116,7 +116,7 @@ class Manager:
         return outcome
 
     def preview(self) -> Future[Preview]:
-        """Ask what a review would do now. Returns a future, done when no review is due or under way.
+        """Ask for a preview of a review. Returns a future, done when no review is due or under way.
 
         It raises RuntimeFaultError if the manager ends before.
         """
@@ -128,11 +128,11 @@ class Manager:
         return outcome
 
     def observe_fact(self, name: str, value: FactValue) -> None:
-        """Note what a stream says of a fact of the world. For any thread."""
+        """Pass on a stream's value of a fact of the world. Thread-safe."""
         self._put(FactSeen(name, value))
 
     def refuse(self, by: str, faults: tuple[Fault, ...]) -> None:
-        """Note that the world's file can't be used as it is now; without faults, that it can again."""
+        """Report that the world's file has errors; without faults, that it is valid again."""
         self._put(Unusable(by, faults))
 
     def listen(self, listener: Callable[[Report], None]) -> None:
@@ -140,7 +140,7 @@ class Manager:
         self._listeners.add(listener)
 
     def snapshot(self) -> Snapshot:
-        """Everything there is to know now."""
+        """A frozen view of the configuration, targets, hosts and reviews at this moment."""
         state, running, now = self._state, self._middleware.environment, self._clock.now()
         world, situation, seen = state.living.world, state.situation, state.scene.world.environment
         return Snapshot(
@@ -175,7 +175,7 @@ class Manager:
 
     @property
     def silent(self) -> frozenset[str]:
-        """Labels of targets that count as unmet, since nothing comes for them."""
+        """Labels of targets that count as unmet because no element comes for them."""
         return frozenset(silence.target for silence in self._state.situation.silences)
 
     @property
@@ -184,12 +184,12 @@ class Manager:
         return self._inbox.is_empty and not self._is_busy and self._state.is_settled
 
     def settle(self, timeout_s: float | None = None) -> bool:
-        """Wait until no review is due or under way. Returns False if `timeout_s` is over before."""
+        """Wait until no review is due or under way. Returns False if `timeout_s` seconds pass before."""
         with self._quiet:
             return self._quiet.wait_for(lambda: self.is_settled, timeout_s)
 
     def wait(self, timeout_s: float | None = None) -> bool:
-        """Wait for the manager's end. Returns False if `timeout_s` is over before."""
+        """Wait for the manager's end. Returns False if `timeout_s` seconds pass before."""
         with self._quiet:
             return self._quiet.wait_for(lambda: self._state.is_over, timeout_s)
 
@@ -260,7 +260,7 @@ class Manager:
             self._decide(arrival.item, arrival.at_s)
 
     def _decide(self, what: Happening, at_s: float | None = None) -> None:
-        """Decide about something that happens now, or came at `at_s`, and carry out the effects."""
+        """Decide about an item that comes now, or came at `at_s`, and carry out the effects."""
         at_s = self._clock.now() if at_s is None else at_s
         self._state, effects = decide(self._state, Happened(at_s, what, self._middleware.environment))
         for effect in effects:
@@ -363,7 +363,7 @@ class Manager:
         self._come_to_rest()
 
     def _come_to_rest(self) -> None:
-        """Wake whoever waits until the manager is settled or over."""
+        """Wake the threads that wait until the manager is settled or has ended."""
         self._is_busy = False
         if self._state.is_over:
             self._turn_away()

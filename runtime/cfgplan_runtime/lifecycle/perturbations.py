@@ -9,15 +9,17 @@ import msgspec
 
 
 class Perturbation(msgspec.Struct, frozen=True):
-    """What ends a stable interval; each kind is a class of its own."""
+    """An event that ends a stable interval; each kind is a class of its own."""
 
 
 class Started(Perturbation, frozen=True):
-    """The manager has begun its work: nothing runs yet, or what it was handed over."""
+    """The manager has started, without running units or with those that it has taken over."""
 
 
 class UnitGone(Perturbation, frozen=True):
-    """A unit has ended unasked: it `died`, `hung` or grew `too large` and was killed, or was `killed` on request."""
+    """A unit has ended without being told to: it `died`, `hung` or grew `too large` and was killed, or was `killed` on
+    request.
+    """
 
     unit: str
     transformation: str
@@ -43,7 +45,7 @@ class SubscriptionLost(Perturbation, frozen=True):
 
 
 class TargetSilent(Perturbation, frozen=True):
-    """Nothing has come on a target's topic for longer than the target may be silent; `units` are the cause."""
+    """No element has come on a target's topic for longer than the target may be silent; `units` are the cause."""
 
     target: str
     topic: str
@@ -84,14 +86,14 @@ class WorldChanged(Perturbation, frozen=True):
 
 
 class HostGone(Perturbation, frozen=True):
-    """A host can't be reached any more, or is to be done without: nothing can run there."""
+    """A host can't be reached any more, or was taken out of service: no unit can run there."""
 
     host: str
     cause: str = ""
 
 
 class HostBack(Perturbation, frozen=True):
-    """A host has come, or may be used again."""
+    """A host has joined, or may be used again."""
 
     host: str
 
@@ -142,7 +144,7 @@ class HorizonReached(Perturbation, frozen=True):
 class UpdateFailed(Perturbation, frozen=True):
     """An update was undone or refused; `transformations` are those that could not be started.
 
-    `is_fault`: the middleware has raised an exception that it may not raise, and nobody knows what it has done.
+    With `is_fault` the middleware has raised an exception outside its contract, so its state is unknown.
     """
 
     cause: str
@@ -158,19 +160,19 @@ class MayStartAgain(Perturbation, frozen=True):
 
 
 class ReviewRequested(Perturbation, frozen=True):
-    """Somebody wants a review that optimises, as at the horizon."""
+    """A review that optimises, as at the horizon, was requested."""
 
     by: str = "request"
 
 
 class RestartAsked(Perturbation, frozen=True):
-    """Units are to be replaced by new ones; `by` is a file that has changed, or who asked."""
+    """A restart of units was requested; `by` is a file that has changed, or the requester."""
 
     units: tuple[str, ...]
     by: str
 
 
 class PlanGiven(Perturbation, frozen=True):
-    """Somebody has given a plan to carry out as it is."""
+    """A plan was given, to be carried out unchanged."""
 
     by: str

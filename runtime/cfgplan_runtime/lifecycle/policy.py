@@ -11,17 +11,18 @@ from cfgplan_runtime.lifecycle.back_off import BackOffRules
 class Policy:
     """Times in seconds.
 
-    Planning may take `time_limit_s`. Matching a world may take `match_limit_s`, and so may all questions of its
-    reviews to the reasoner that leave a pair open. Units are observed every `observe_every_s`. Perturbations within
-    `gather_s` of the first belong to the same review. A lost subscription waits up to `explain_s` for the death that
-    explains it; one that is lost in a row waits `retry_s`, then twice that, up to `most_loss_s`. A unit is given up
-    after `failing_steps` errors over `failing_s` without a good step. Further perturbations make planning begin anew
-    at most `interruptions` times. They also abandon an update that waits for new units, which begins again
-    `postpone_s` later. A review that failed is repeated after `retry_s`, then twice that, up to `most_retry_s`.
-    With `hosts_s`, hosts are there once they have joined, and the first review waits so long until it is told of each
-    whether it is there; None: they are there until they are lost. With `refuses_hosts`, a world with hosts is bad:
-    what runs units can't place them. A way that streams have said to be too bad is looked at again after
-    `look_every_s`, and later each time that it teaches nothing; None: never.
+    Planning may take `time_limit_s`. Matching a world may take `match_limit_s`, and so may all questions of its reviews
+    to the reasoner that leave a pair open. Units are observed every `observe_every_s`. Perturbations within `gather_s`
+    of the first belong to the same review. A lost subscription waits up to `explain_s` for the death that explains it;
+    one that is lost in a row waits `retry_s`, then twice that, up to `most_loss_s`. A unit is given up after
+    `failing_steps` errors over `failing_s` without a good step. Further perturbations restart planning at most
+    `interruptions` times. They also abandon an update that waits for new units; the update is repeated `postpone_s`
+    later. A review that failed is repeated after `retry_s`, then twice that, up to `most_retry_s`. With `hosts_s`,
+    plans use a host once it has joined, and the first review waits up to `hosts_s` until it knows of each whether it
+    has joined; None: they are used until they are lost. With `refuses_hosts`, a world with hosts is refused, because
+    the middleware can't place units. A way that streams
+    have said to be too bad is looked at again after `look_every_s`, and later each time that it teaches nothing; None:
+    never.
     """
 
     time_limit_s: float | None = 10.0

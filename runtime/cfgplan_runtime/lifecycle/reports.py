@@ -1,4 +1,4 @@
-"""What a manager tells: the record of a review, a view of everything, and its events."""
+"""The reports of a manager: the record of a review, a view of its whole state, and its events."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class Decision(StrEnum):
     APPLIED = "applied"
     """The configuration was changed."""
     KEPT = "kept"
-    """Nothing is better than what runs."""
+    """No configuration is better than the running one."""
     DEFERRED = "deferred"
-    """What runs is valid and meets what can be met; something cheaper waits for the horizon."""
+    """The running configuration is valid and meets all targets that can be met; a cheaper one waits for the horizon."""
     FAILED = "failed"
     """The update was undone or refused; another review follows."""
     UNDECIDED = "undecided"
@@ -41,9 +41,9 @@ class Review:
 
     It began at `at_s` on the manager's clock, which is `time_s` since 1970. `seconds` is the wall time of each of
     PHASES: `detect` from the first perturbation to the beginning, `plan` with the questions to the reasoner about open
-    pairs. Costs are over the horizon, in microseconds of CPU time: `cost_before_us` of keeping what ran (gaps and
-    all), `cost_us` of the plan, its labor included. `change_set` is what was, or would be, applied. `unmet` gives the
-    reason for each target that is given up. `is_proven` tells that no plan is cheaper.
+    pairs. Costs are over the horizon, in microseconds of CPU time: `cost_before_us` of keeping what ran (gaps and all),
+    `cost_us` of the plan, its labor included. `change_set` was applied, or would be. `unmet` gives the reason for each
+    target that is given up. `is_proven` is true if no plan is cheaper.
     """
 
     number: int
@@ -66,9 +66,9 @@ class Review:
     cause: str = ""
     """Why it failed or was undecided."""
     undecided: tuple[Pair, ...] = ()
-    """The (offered, demanded) pairs of tags that nobody has decided: if they match, something better may exist."""
+    """The open (offered, demanded) pairs of tags that a better plan may use."""
     external: tuple[str, ...] = ()
-    """The new units that run already: nodes of ROS that others have started."""
+    """The new units that run already: external nodes of ROS."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class TargetView:
     stream: Stream | None = None
     reason: str = ""
     is_silent: bool = False
-    """Whether nothing has come for longer than it may be silent."""
+    """Whether it has been silent for longer than it may."""
     unit: str | None = None
 
     @property
@@ -92,7 +92,7 @@ class TargetView:
 
 @dataclass(frozen=True)
 class UnitView:
-    """A unit now; `observation` is the last one, if there was any yet. Of cold spares, some are prepared."""
+    """A unit now; `observation` is the last one, None before the first. `is_prepared` concerns cold spares."""
 
     unit: ComputationUnit
     host: str | None = None
@@ -142,12 +142,12 @@ class Phase(StrEnum):
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Everything there is to know at one moment; `at_s` is on the manager's clock.
+    """The state of a run at one moment; `at_s` is on the manager's clock.
 
-    `environment` holds the units that run and the library (declared costs) and targets that count now.
-    `cost_us` is what keeping the units costs over the horizon, by the estimates. `horizon_left_s` is the time until
-    the horizon is reached. `reviews` are the last ones, the newest last. `faults` are those of a world file that
-    can't be used; what it said before holds.
+    `environment` holds the running units, and the library (with declared costs) and targets that count now. `cost_us`
+    is the cost of keeping the units over the horizon, by the estimates. `horizon_left_s` is the time until the horizon
+    is reached. `reviews` are the last ones, the newest last. `faults` are those of the world's file; the last valid
+    version holds.
     """
 
     at_s: float
@@ -165,16 +165,16 @@ class Snapshot:
     horizon_left_s: float
     cost_us: int
     saving_us: int = 0
-    """What the update that was put off until the horizon would save."""
+    """The saving of the update that was put off until the horizon, in microseconds of CPU time."""
     faults: tuple[Fault, ...] = ()
     removed: tuple[str, ...] = ()
     """Labels and names that were removed on request."""
     clocks_ahead_us: Mapping[str, int] = field(default_factory=dict)
-    """By host that is there: how far its clock is ahead of the manager's, in microseconds."""
+    """By joined host: the microseconds by which its clock is ahead of the manager's."""
     facts: tuple[Fact, ...] = ()
     """The facts of the world as they are now."""
     left_out: Mapping[str, str] = field(default_factory=dict)
-    """Why transformations may not run as the facts are, by label."""
+    """The reasons why transformations may not run with the present facts, by label."""
     facts_heard_s: Mapping[str, float] = field(default_factory=dict)
     """By fact that a stream observes: how long ago its last value came."""
     qualities_now: Mapping[str, str] = field(default_factory=dict)
@@ -184,7 +184,7 @@ class Snapshot:
 
 
 class Report(msgspec.Struct, frozen=True):
-    """What a manager tells; each kind is a class of its own."""
+    """A report of a manager; each kind is a class of its own."""
 
 
 class Perturbed(Report, frozen=True):
@@ -226,14 +226,14 @@ class BackedOff(Report, frozen=True):
 
 
 class WorldRefused(Report, frozen=True):
-    """The world's file can't be used as it is now, and the old world holds; without faults, it can again."""
+    """The world's file has errors, and the last valid world holds; without faults, it is valid again."""
 
     by: str
     faults: tuple[Fault, ...]
 
 
 class FactSilent(Report, frozen=True):
-    """Nothing has come from the stream that observes a fact for so long that its declared value counts again."""
+    """The stream that observes a fact has been silent for so long that the declared value counts again."""
 
     fact: str
     silent_s: float

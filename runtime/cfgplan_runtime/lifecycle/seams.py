@@ -1,4 +1,4 @@
-"""What a manager works with: whatever runs units, whatever knows costs, and time."""
+"""The protocols of a manager's parts: the middleware that runs units, the estimator of costs, and the clock."""
 
 from __future__ import annotations
 
@@ -14,32 +14,34 @@ from cfgplan_runtime.supervision.observation import Observation
 
 
 class Middleware(Protocol):
-    """Whatever runs units: `cfgplan_runtime.Runtime`, a simulation, or a robot's own middleware.
+    """A system that runs units: `cfgplan_runtime.Runtime`, a simulation, or a robot's own middleware.
 
     All methods but `listen` and `abandon` are called from the manager's thread only.
     """
 
     @property
     def environment(self) -> Environment:
-        """What runs now, with gaps where something is missing; its library and targets are those last applied."""
+        """The running configuration, with gaps at inputs that lost their source; its library and targets are those last
+        applied.
+        """
 
     def apply(self, change_set: ChangeSet, *, basis: Environment | None = None, keeps_new: bool = False) -> Applied:
         """Carry out a change set as a whole or not at all; it holds the changes of library and targets too.
 
-        Raises StaleChangeSetError if what runs is not `basis` any more, ApplyError if a step failed and all was
-        undone, NoSourceError for a transformation that can't be started at all. With `keeps_new`, new units that have
-        not failed may stay, unconnected, when the rest is undone: the next update need not start them again.
+        Raises StaleChangeSetError if `basis` differs from the running configuration, ApplyError if a step failed and
+        all was undone, NoSourceError for a transformation that can't be started at all. With `keeps_new`, new units
+        that have not failed may stay, unconnected, when the rest is undone: the next update need not start them again.
         """
 
     def abandon(self) -> None:
         """Give up the update under way, if it still waits for new units: `apply` then raises AbandonedError.
 
-        Called from any thread, so that no slow start holds up a repair. An update that waits for nothing goes on, and
+        Called from any thread, so that no slow start delays a repair. An update that does not wait is completed, and
         the next one is not affected.
         """
 
     def observe(self) -> Sequence[Observation]:
-        """Every running unit as it is now; upkeep is over the time since the last call."""
+        """The present figures of every running unit; upkeep is measured since the last call."""
 
     def kill(self, unit: str) -> None:
         """End a unit at once; the event UnitDied follows."""
@@ -47,8 +49,8 @@ class Middleware(Protocol):
     def listen(self, listener: Callable[[Event], None]) -> None:
         """Call `listener` with every event, in order, from any thread; it returns at once.
 
-        A middleware that knows which hosts are there tells it of each at once, by HostJoined or HostLost. When HostLost
-        is told, what was on that host is gone from `environment`, and no end of a unit there is told.
+        A middleware with hosts reports each at once, by HostJoined or HostLost. At HostLost, the host's units are
+        already removed from `environment`, and their ends are not reported.
         """
 
     def stop(self) -> None:
@@ -75,10 +77,10 @@ class Estimator(Protocol):
 
 
 class TimeSource(Protocol):
-    """Time, and how to wait."""
+    """A clock that one can wait on."""
 
     def now(self) -> float:
-        """Seconds on a clock that only rises."""
+        """Seconds on a monotonic clock."""
 
     def wait(self, bell: threading.Event, timeout_s: float) -> None:
         """Return when the bell rings, or after `timeout_s`."""

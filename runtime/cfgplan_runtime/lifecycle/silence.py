@@ -1,4 +1,4 @@
-"""Targets on whose topic nothing comes for longer than they may be silent, and the units that are the reason."""
+"""Targets whose topics are silent for longer than they may be, and the units that cause this."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from cfgplan_runtime.supervision.wiring import starved_units
 _SIGN_S = 2.0
 """A sign of life may tell of elements that were given this long before."""
 _TOLD_APART_S = 3.5
-"""After this long a silence it is known of every unit whether it gives."""
+"""Seconds of silence after which it is known of every unit whether it sends elements."""
 
 
 @dataclass(frozen=True, slots=True)
 class Silence:
-    """A target that nothing comes for, since `since_s` on the manager's clock.
+    """A target whose topic has been silent since `since_s` on the manager's clock.
 
-    `units` are the cause, once that is known: they give nothing though all that feeds them gives.
+    `units` are the cause, once known: they send nothing though all their sources send.
     """
 
     target: str
@@ -35,7 +35,8 @@ class Giving:
     """The last known streams of units and topics. Immutable: `after_...` return the next.
 
     `units`: how many elements a unit has given, and since when. `topics`: the stream that is published on a topic, and
-    since when. `silent_s`: when a target fell silent, a review was last asked for it, or what runs last changed.
+    since when. `silent_s`: when a target fell silent, a review was last requested for it, or the configuration last
+    changed.
     """
 
     units: Mapping[str, tuple[int, float]] = field(default_factory=dict)
@@ -52,7 +53,9 @@ class Giving:
         return replace(self, units={**self.units, status.unit: (elements, at_s)})
 
     def after_look(self, running: Environment, at_s: float) -> Giving:
-        """Compare with what runs: forget units that are gone, and let topics with another stream begin anew."""
+        """Compare with the running configuration: forget units that have ended, and restart the times of topics with
+        another stream.
+        """
         published = {p.topic: Stream(unit.id, p.port) for unit in running.units for p in unit.publications}
         known = self.topics
         topics = {
@@ -91,7 +94,7 @@ class Giving:
         return tuple(silences)
 
     def _reasons(self, last: str, running: Environment, since_s: float) -> tuple[str, ...]:
-        """The units that give nothing though what feeds them gives: `last`, or units from which it is fed."""
+        """The units that send nothing though their sources send: `last`, or units upstream of it."""
         reasons, seen, ahead = set(), {last}, [last]
         while ahead:
             unit = ahead.pop()

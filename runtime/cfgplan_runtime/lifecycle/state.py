@@ -1,4 +1,6 @@
-"""What a manager knows, as one value: the world, what runs, what has happened, and what it is doing about it."""
+"""The state of a manager as one value: the world, the running configuration, the perturbations, and the
+work under way.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ from cfgplan_runtime.supervision.observation import Observation
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """A perturbation, when it was noticed, when a review is due, and who waits for that review."""
+    """A perturbation, the time of its notice, the time at which a review is due, and the requests that wait for that
+    review.
+    """
 
     perturbation: Perturbation
     at_s: float
@@ -38,7 +42,7 @@ class Entry:
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """When the last value of a fact came, and the mean of its values if they are noisy."""
+    """The time of a fact's last value, and the mean of its values if they are noisy."""
 
     at_s: float
     mean: NoisyMean | None = None
@@ -46,10 +50,11 @@ class Heard:
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """What was noticed of a unit: what it is killed for, its last error, and when it was last well.
+    """The record of a unit's troubles: the reason why it is being killed, its last error, and the time when it last
+    worked.
 
-    `well` is when the first sign of life came, or the last that told of good steps after errors; the steps and errors
-    until then.
+    `well` is the time of the first sign of life, or of the last one with good steps after errors; with it, the steps
+    and errors until then.
     """
 
     end: Literal["hung", "too large"] | None = None
@@ -59,14 +64,14 @@ class Note:
 
 @dataclass(frozen=True, slots=True)
 class Gathering:
-    """A review is due: what happens until `until_s` is part of it."""
+    """A review is due: perturbations until `until_s` are part of it."""
 
     until_s: float
 
 
 @dataclass(frozen=True, slots=True)
 class Planning:
-    """A review is under way: its `plans`-th plan, of what runs in `world`, is being made."""
+    """A review is under way: its plan number `plans` is being made, for the running units in `world`."""
 
     number: int
     at_s: float
@@ -104,12 +109,12 @@ class State:
     living: LivingWorld
     situation: Situation
     running: Environment = field(default_factory=Environment)
-    """What runs, as of the last event."""
+    """The running configuration, as of the last event."""
     doing: Doing = None
     entries: tuple[Entry, ...] = ()
     """The perturbations that no review has begun to answer."""
     waiting: Mapping[str, tuple[Outcome, ...]] = field(default_factory=dict)
-    """By unit: who waits for the review that follows its end."""
+    """By unit: the requests that wait for the review after its end."""
     notes: Mapping[str, Note] = field(default_factory=dict)
     losses: Mapping[SubscriptionLost, tuple[int, float]] = field(default_factory=dict)
     """How often each subscription was lost in a row, and when last."""
@@ -119,11 +124,11 @@ class State:
     seen: SeenQualities = field(default_factory=SeenQualities)
     looks: Looks = field(default_factory=Looks)
     faults: tuple[Fault, ...] = ()
-    """Why the last state of the world's file can't be used."""
+    """The faults of the last version of the world's file."""
     stops: tuple[Outcome, ...] = ()
-    """Who has asked for the end."""
+    """The requests for the end."""
     previews: tuple[Future[Preview], ...] = ()
-    """Who has asked what a review would do."""
+    """The requests for a preview."""
     given: tuple[Asked, ...] = ()
     """Plans to carry out and units to restart, as soon as no review is due or under way."""
     is_closing: bool = False
@@ -133,7 +138,7 @@ class State:
     failures: int = 0
     """How many updates have failed in a row."""
     owes_optimising: bool = False
-    """Whether a review that was to optimise has failed."""
+    """Whether an optimising review has failed."""
     reviews: tuple[Review, ...] = ()
     costs: Mapping[str, Transformation] = field(default_factory=dict)
     """The library of the last review, with estimated costs, by label."""
@@ -156,7 +161,7 @@ class State:
 
     @property
     def due_s(self) -> float:
-        """When the next review is due; inf if there is no perturbation."""
+        """The time at which the next review is due; inf without a perturbation."""
         return min((entry.due_s for entry in self.entries), default=inf)
 
     @property
@@ -195,7 +200,7 @@ class State:
 
     @property
     def wake_s(self) -> float:
-        """When the manager is to act even if nothing comes in."""
+        """The time at which the manager has to act if no item comes in."""
         if isinstance(self.doing, Gathering):
             return self.doing.until_s
         if self.has_plans_to_see_to:
@@ -212,7 +217,7 @@ class State:
 
     @property
     def has_plans_to_see_to(self) -> bool:
-        """Whether a plan is to be made or carried out on request, and what runs is not about to change."""
+        """Whether a plan was requested or given, and no change of the configuration is imminent."""
         return self.doing is None and not self.waiting and bool(self.previews or self.given)
 
     @property

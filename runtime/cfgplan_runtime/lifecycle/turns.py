@@ -1,4 +1,4 @@
-"""The vocabulary of decisions: what happens to a manager, what it is to do, and a turn from the one to the other."""
+"""The values of decisions: the inputs of a manager, its effects, and a turn from the one to the other."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from cfgplan_runtime.supervision.observation import Observation
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """Everything that has come is taken in; `time_s` is the time since 1970."""
+    """All items have been handled; `time_s` is the time since 1970."""
 
     time_s: float
 
@@ -51,7 +51,7 @@ class Seen:
 
 @dataclass(frozen=True, slots=True)
 class Planned:
-    """A plan was made; if it `was_interrupted`, something has come that it does not know."""
+    """A plan was made; if it `was_interrupted`, an item has come that it does not know."""
 
     thought: Thought
     was_interrupted: bool = False
@@ -59,14 +59,14 @@ class Planned:
 
 @dataclass(frozen=True, slots=True)
 class GivenJudged:
-    """What a plan that was given means now; without a change set it is not valid here, for the thought's `cause`."""
+    """The findings about a given plan; without a change set it is not valid here, for the thought's `cause`."""
 
     thought: Thought
 
 
 @dataclass(frozen=True, slots=True)
 class Updated:
-    """An update took `seconds` of wall time, and failed if there is an `error`."""
+    """An update took `seconds` of wall time; `error` is set if it failed."""
 
     seconds: float = 0.0
     error: Exception | None = None
@@ -95,7 +95,7 @@ class Happened:
 
 
 class Effect(msgspec.Struct, frozen=True):
-    """What a manager is to do; each kind is a class of its own."""
+    """An effect that a manager has to carry out; each kind is a class of its own."""
 
 
 class Tell(Effect, frozen=True):
@@ -105,7 +105,7 @@ class Tell(Effect, frozen=True):
 
 
 class Respond(Effect, frozen=True):
-    """Answer who asked: with the review that is over, None if there will be none, or an error."""
+    """Answer a request: with the finished review, with None if none will follow, or with an error."""
 
     outcome: Future[Any]
     answer: Review | Exception | None = None
@@ -144,7 +144,7 @@ class MakePlan(Effect, frozen=True):
 
 
 class MakePreview(Effect, frozen=True):
-    """Answer what a review would do now, unless something comes in between: then it is asked again."""
+    """Answer a request for a preview, unless an item comes in between: then it is requested again."""
 
     scene: Scene
     outcomes: tuple[Future[Preview], ...]

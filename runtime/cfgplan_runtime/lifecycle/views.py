@@ -44,7 +44,7 @@ def target_views(
 
 
 def silence_reason(silence: Silence, now_s: float) -> str:
-    """Why a silent target counts as unmet."""
+    """The reason why a silent target counts as unmet."""
     return f"nothing has come from {silence.stream} for {now_s - silence.since_s:.0f} s"
 
 
@@ -65,7 +65,7 @@ def unit_views(
 
 
 def saving_us(reviews: Sequence[Review]) -> int:
-    """What the update that the last review has put off would save; 0 if there is none."""
+    """The saving of the update that the last review has put off, in microseconds of CPU time; 0 without one."""
     last = reviews[-1] if reviews else None
     if last is None or last.decision is not Decision.DEFERRED or last.cost_us is None:
         return 0

@@ -1,4 +1,4 @@
-"""Matching that continues from one world to the next: only tags and axioms that are new cost anything."""
+"""Matching that continues from one world to the next: only new tags and axioms take time."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from cfgplan.planning import Pair
 class WarmMatching:
     """Matches the tags of one world after the other; reviews have it decide open pairs (`planning.Decider`).
 
-    `similarity` is the same object as long as nothing changes, which keeps a planner's session warm. All questions
-    that leave a pair open share the time limit, which starts anew when tags or the ontology change.
+    `similarity` is the same object as long as nothing changes, which keeps a planner's session warm. All questions that
+    leave a pair open share the time limit, which is renewed when tags or the ontology change.
     """
 
     def __init__(self, reasoner: str, time_limit_s: float | None) -> None:

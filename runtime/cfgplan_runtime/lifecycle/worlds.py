@@ -1,4 +1,4 @@
-"""The world as its file says it, with what was asked for since: targets, transformations, individuals."""
+"""The world of the file, with the requested changes of targets, transformations and individuals."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Requested(Generic[T]):
-    """What was requested of one kind of thing: values that were added, and what was removed, by label. Immutable."""
+    """The requested changes of one kind of part: added values and removed ones, by label. Immutable."""
 
     added: Mapping[str, T] = field(default_factory=dict)
     removed: frozenset[str] = frozenset()
@@ -49,8 +49,8 @@ class Requested(Generic[T]):
 class LivingWorld:
     """A world and the changes requested since. Immutable: `after` returns the next one.
 
-    The latest word on a label holds: an added value replaces that of the base, a removed label stays away, both until
-    the base says something else of that label.
+    The latest change of a label holds: an added value replaces that of the base, and a removed label stays away, both
+    until the base changes that label.
     """
 
     base: World
@@ -109,7 +109,7 @@ class LivingWorld:
         return None if self.base.file is None else read_document(self.base.file.path)
 
     def _rebuilt(self, ontology: Ontology) -> Environment:
-        """The base's environment with templates expanded by another ontology, and with what was declared."""
+        """The base's environment with templates expanded by another ontology, and with the declarations."""
         parts = [read_declared(f"declared by {name}", _exact(one.document)) for name, one in self.declared.items()]
         files, faults = [file for file, _ in parts], [fault for _, more in parts for fault in more]
         document = self._document

@@ -1,1 +1,1 @@
-"""What backends of nodes share, whichever ROS they are of: processes of nodes, and wires that a relay leads."""
+"""Code shared by the ROS 1 and ROS 2 backends: processes of nodes, and wires through a relay."""

@@ -1,4 +1,4 @@
-"""A node that was started here: its process, what it prints, and how it is ended."""
+"""The process of a node that the run has started: its start, its output and its end."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cfgplan_runtime.processes.child_process import PrintedLines
 
 
 def with_parent(command: list[str]) -> list[str]:
-    """A command that ends when the thread that starts it ends, where the system can do that."""
+    """The command, wrapped so that it ends with the thread that starts it. Systems without `setpriv` can't do this."""
     setpriv = shutil.which("setpriv")
     return command if setpriv is None else [setpriv, "--pdeathsig", "KILL", "--", *command]
 
@@ -51,22 +51,22 @@ class NodeProcess:
         self.ended = os.pidfd_open(self.pid)
 
     def has(self, pid: int) -> bool:
-        """Whether a process belongs to this node."""
+        """Whether the process with id `pid` belongs to this node's session."""
         try:
             return os.getsid(pid) == self.pid
         except OSError:
             return False
 
     def interrupt(self) -> None:
-        """Ask it to end, as Ctrl-C does."""
+        """Send SIGINT, as Ctrl-C does."""
         self._signal(signal.SIGINT)
 
     def kill(self) -> None:
-        """End it and all that it has started."""
+        """Kill the process and all processes that it has started."""
         self._signal(signal.SIGKILL)
 
     def reap(self) -> int:
-        """Wait for its end, and end the processes that it has left behind. Returns its exit status."""
+        """Wait for its end, and kill the processes that it has left behind. Returns its exit status."""
         self.kill()
         status = self._process.wait()
         os.close(self.ended)

@@ -1,4 +1,4 @@
-"""What a run and a relay say to each other, whichever ROS the relay speaks."""
+"""The messages between a run and its relay, the same for ROS 1 and ROS 2."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from cfgplan_runtime.children.messages import Flow, PortCounts
 
 
 class Lead(msgspec.Struct, tag=True):
-    """Lead what is published on the topic `source` to an inlet, as its source or standby. It comes out on `target`.
+    """Connect the topic `source` to an inlet, as its source or standby; the relay publishes the messages on `target`.
 
     `unit` owns the inlet; for the outlet of a topic it is "", and the inlet has the topic's name. If `publisher` is
-    given, only that node's messages count, where a relay can tell. With `is_service`, `source` and `target` are
-    services. `message` is the message type that the file says, as ROS 2 writes it.
+    given, only that node's messages count, if the relay can tell publishers apart. With `is_service`, `source` and
+    `target` are services. `message` is the message type in the file, in ROS 2 spelling.
     """
 
     wire: int
@@ -27,13 +27,13 @@ class Lead(msgspec.Struct, tag=True):
 
 
 class CloseInlets(msgspec.Struct, tag=True):
-    """A unit is gone: close all inlets that fed it."""
+    """A unit has ended: close all inlets that fed it."""
 
     unit: str
 
 
 class Passed(msgspec.Struct, tag=True):
-    """A sign of life, with counts since the start: of messages by source topic, and of what inlets and topics got."""
+    """A sign of life, with counts since the start: messages by source topic, and elements by inlet and by topic."""
 
     sources: dict[str, int]
     inlets: dict[str, PortCounts]
@@ -41,7 +41,7 @@ class Passed(msgspec.Struct, tag=True):
 
 
 class Refused(msgspec.Struct, tag=True):
-    """A node and the relay do not agree on a topic."""
+    """A node and the relay can't be connected on a topic."""
 
     topic: str
     cause: str

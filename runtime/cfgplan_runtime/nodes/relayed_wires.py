@@ -1,4 +1,4 @@
-"""The wires of a run that a relay leads, and the life of the relay, which is made anew if it dies."""
+"""The wires of a run that go through a relay, and the relay's restarts."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _HELPER = "relay of topics"
 _RELAY_S, _START_S = 10.0, 60.0
 """Seconds that the relay may be silent, and that its start may take."""
 _AGAIN_S, _MOST_AGAIN_S = 0.05, 5.0
-"""Seconds until a relay that was lost twice in a row is made anew, doubled for each further loss."""
+"""Seconds before a relay that was lost twice in a row is restarted, doubled for each further loss."""
 
 
 class Relay(Protocol):
@@ -31,24 +31,25 @@ class Relay(Protocol):
     socket: socket.socket
     has_ended: bool
     last_words: str
-    """The last line that it has printed, if that is known, once it is closed."""
+    """The last line that it has printed, if known; set by `close`."""
 
     @property
     def is_waiting(self) -> bool:
-        """Whether something waits to be sent until the socket can take it."""
+        """Whether messages wait until the socket can take them."""
 
     def send(self, message: msgspec.Struct) -> None: ...
     def hear(self) -> Iterator[object]:
-        """Its messages, after the waiting ones were sent."""
+        """Send waiting messages, then yield the messages that have come."""
 
     def close(self) -> int:
         """End it. Returns its exit status."""
 
 
 class RelayedWires:
-    """Leads wires through a relay that `start` makes (raises OSError), and adds to `happened` what becomes of them.
+    """Connects wires through a relay, and appends events about them to `happened`.
 
-    `begin` is called with each new relay before it is told of wires, `hear` with what only this kind of relay says.
+    `start` makes a relay; it raises OSError if it can't. `begin` is called with each new relay before the wires are
+    sent to it, and `hear` with each message that only this kind of relay sends.
     """
 
     def __init__(
@@ -62,16 +63,16 @@ class RelayedWires:
         self._ends, self._happened, self._start_process, self._begin = ends, happened, start, begin
         self._hear_other = hear
         self._leads: dict[int, tuple[Inlet, Lead]] = {}
-        """The wires that the relay leads, or will once it is there."""
+        """The wires that go through the relay, or will once it has started."""
         self._topics: list[str] = []
         self._passed = Passed({}, {}, {})
         self._relay: Relay | None = None
         self._losses = 0
         self._due_s: float | None = None
-        """When the relay is to be made anew; None if there is one."""
+        """When the relay will be restarted, on the monotonic clock; None while it runs."""
 
     def start(self) -> None:
-        """Make a relay, and tell it of everything."""
+        """Start a relay, and send it all wires and topics."""
         self._due_s = None
         try:
             relay = self._relay = self._start_process()
@@ -91,7 +92,7 @@ class RelayedWires:
             self._happened.append(events.OutletsOpened())
 
     def left_s(self, timeout_s: float | None) -> float | None:
-        """The part of a time until the relay has to be made anew."""
+        """The seconds to wait: `timeout_s`, but no longer than until the relay's restart. None waits for ever."""
         if self._due_s is None:
             return timeout_s
         left_s = max(0.0, self._due_s - time.monotonic())
@@ -102,13 +103,13 @@ class RelayedWires:
             self.start()
 
     def tell(self, message: msgspec.Struct) -> None:
-        """Send a message, if there is a relay."""
+        """Send a message to the relay, if it runs."""
         if self._relay is not None:
             self._relay.send(message)
             self._wait_to_tell(self._relay)
 
     def lead(self, inlet: Inlet, lead: Lead) -> None:
-        """Have a wire led."""
+        """Connect a wire."""
         self._leads[lead.wire] = inlet, lead
         self.tell(lead)
 
@@ -124,7 +125,7 @@ class RelayedWires:
         self.tell(messages.SwitchNow(str(inlet)))
 
     def close_inlets(self, unit: str) -> None:
-        """Close all that feeds a unit that is gone."""
+        """Close all inlets of a unit that has ended."""
         self.tell(CloseInlets(unit))
 
     def open_outlet(self, topic: str) -> None:
@@ -136,11 +137,11 @@ class RelayedWires:
         self.tell(messages.CloseOutlet(topic))
 
     def passed_from(self, source: str) -> int:
-        """How many messages the relay has seen on a topic."""
+        """The number of messages that the relay has received on a topic."""
         return self._passed.sources.get(source, 0)
 
     def taken_by(self, unit: str) -> dict[str, messages.PortCounts]:
-        """The counts of a unit's inlets."""
+        """The counts of a unit's inlets, by port."""
         return {
             inlet.port: self._passed.inlets[lead.inlet]
             for inlet, lead in self._leads.values()
@@ -148,11 +149,11 @@ class RelayedWires:
         }
 
     def unit_at(self, target: str) -> str:
-        """The unit that is fed by a topic; "" if none is."""
+        """The unit that a topic feeds; "" if it feeds none."""
         return next((inlet.unit for inlet, lead in self._leads.values() if lead.target == target), "")
 
     def lose(self) -> None:
-        """End the relay and report that. It is made anew at once the first time, later after losses in a row."""
+        """End the relay and report its loss. The first restart is immediate; after losses in a row it waits longer."""
         if self._relay is None:
             return
         self._ends.unwatch(self._relay.socket)

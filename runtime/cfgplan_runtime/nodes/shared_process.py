@@ -1,4 +1,4 @@
-"""A process that several units run in: each has an equal part of what it uses."""
+"""A process that several units run in; they share its CPU time and memory equally."""
 
 from __future__ import annotations
 
@@ -10,14 +10,17 @@ from cfgplan_runtime.supervision.backend import Usage
 
 
 class SharedProcess:
-    """The units in `process`, in the order in which they came; None if somebody else runs it."""
+    """A process with its units, in the order in which they were added.
+
+    `process` is None if the run has not started the process; its usage is then zero.
+    """
 
     def __init__(self, process: NodeProcess | None = None) -> None:
         self.process = process
         self._used_us: dict[str, int] = {}
-        """The CPU time of each unit."""
+        """The CPU time of each unit, in microseconds."""
         self._cpu_us = 0
-        """The CPU time that was shared out by now."""
+        """The CPU time that has been distributed to units so far."""
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._used_us)
@@ -27,7 +30,7 @@ class SharedProcess:
 
     @property
     def last(self) -> str:
-        """The unit that came last; "" if there is none."""
+        """The unit that was added last; "" without units."""
         return next(reversed(self._used_us), "")
 
     def add(self, unit: str) -> None:
@@ -39,11 +42,13 @@ class SharedProcess:
         self._used_us.pop(unit, None)
 
     def cpu_us(self) -> int:
-        """The CPU time of the process; 0 if somebody else runs it."""
+        """The CPU time of the process in microseconds; 0 if the run has not started it."""
         return 0 if self.process is None else cpu_us(self.process.pid) or 0
 
     def usage(self, unit: str) -> Usage | None:
-        """A unit's part; zero if somebody else runs the process. None if it has ended."""
+        """A unit's equal share of the usage, zero if the run has not started the process. None if the process has
+        ended.
+        """
         if self.process is None:
             return Usage(0, 0)
         self._share()

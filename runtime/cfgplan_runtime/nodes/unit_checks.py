@@ -1,4 +1,4 @@
-"""What has to be right about units that are nodes, whichever ROS they are of."""
+"""Checks of transformations whose units are nodes, the same for ROS 1 and ROS 2."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _TOPIC = re.compile(r"(/[A-Za-z]\w*)+", re.ASCII)
 
 
 def check_names(transformation: Transformation, own_name: Callable[[InputPort | OutputPort], str]) -> None:
-    """Raises InputError if two ports have one name in the node's code."""
+    """Raise InputError if two ports have the same name in the node's code."""
     ports: tuple[InputPort | OutputPort, ...] = (*transformation.inputs, *transformation.outputs)
     names = Counter(map(own_name, ports))
     twice = sorted(name for name, count in names.items() if count > 1)
@@ -30,7 +30,7 @@ def check_names(transformation: Transformation, own_name: Callable[[InputPort | 
 def check_nodes(
     environment: Environment, file: str, node_source: Callable[[Transformation], NodeSource], ros: str
 ) -> None:
-    """Raises InputError with all that is wrong with an environment's transformations as nodes, and with its topics."""
+    """Raise InputError with all faults of an environment's transformations as nodes, and of its topics."""
     faults = list[Fault]()
     for transformation in environment.library:
         try:
@@ -47,7 +47,7 @@ def check_nodes(
 
 
 def _named_topics(environment: Environment) -> Iterator[tuple[str, str]]:
-    """The topics of targets, and those by which outputs are known outside of a run, each with who has it."""
+    """Yield (owner, topic) for the topics of targets, and for the topics of outputs outside of the run."""
     for target in environment.stream_targets:
         yield target.label, target.topic
     for transformation in environment.library:
@@ -57,7 +57,7 @@ def _named_topics(environment: Environment) -> Iterator[tuple[str, str]]:
 
 
 def node_file(folder: Path, name: str) -> Path:
-    """The executable file of a node, relative to `folder`. Raises InputError."""
+    """The executable file of a node, relative to `folder`. Raises InputError if it is missing or not executable."""
     path = (folder / name).resolve()
     if not path.is_file():
         mend = "files are relative to the environment file"

@@ -1,4 +1,4 @@
-"""Processes of nodes that a backend waits for: their lines are told as events, their ends by a call."""
+"""Processes of nodes that a backend watches: it reports their output as events, and calls back at their end."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from cfgplan_runtime.supervision import events
 
 
 class WatchedProcesses:
-    """Adds to `happened` what the processes print."""
+    """Appends the output of processes to `happened`, as events."""
 
     def __init__(self, ends: Ends, happened: list[events.Event]) -> None:
         self._ends, self._happened = ends, happened
 
     def attend(self, process: NodeProcess, end: Callable[[], None], unit: Callable[[], str]) -> None:
-        """Report what a process prints as printed by a unit, and call `end` when it has ended."""
+        """Report the output of a process as printed by its unit, and call `end` when the process has ended."""
         self._ends.watch(process.ended, end)
         self._ends.watch(process.printed.socket, lambda: self._hear_print(process, unit()))
 
     def last_words(self, process: NodeProcess, unit: str) -> str:
-        """End a process, and report its last lines. Returns how it has ended."""
+        """End a process, and report its last lines. Returns how it has ended, as a clause."""
         process.kill()
         self._happened.extend(events.UnitPrinted(unit, line) for line in process.printed.rest())
         self._ends.unwatch(process.ended)

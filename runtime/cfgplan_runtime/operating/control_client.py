@@ -36,7 +36,7 @@ class RunningSystem:
 
 
 class Control(Closable):
-    """A connection to a run; a context manager. `path` is of its socket, if that is on this computer."""
+    """A connection to a run; a context manager. `path` is that of its socket, if it is on this computer."""
 
     def __init__(self, run: str, end: socket.socket, path: Path | None = None) -> None:
         """Hear the greeting of the run behind `end`. Raises ControlError if it does not answer, or refuses."""
@@ -79,7 +79,7 @@ class Control(Closable):
         return given
 
     def subscribe(self) -> None:
-        """Have the run send its events from now on; `events` gives them."""
+        """Ask the run to send its events from now on; `events` yields them."""
         if not self._is_subscribed:
             self._is_subscribed = True
             self.call("subscribe")
@@ -94,7 +94,7 @@ class Control(Closable):
                 yield {**told["event"], **({"dropped": told["dropped"]} if "dropped" in told else {})}
 
     def hang_up(self) -> None:
-        """End whatever waits for the run; for any thread."""
+        """End all waits for the run. Thread-safe."""
         with suppress(OSError):
             self._end.shutdown(socket.SHUT_RDWR)
 

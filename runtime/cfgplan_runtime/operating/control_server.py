@@ -1,6 +1,6 @@
 """The control socket: serves up to MOST_CLIENTS clients, each in a thread of its own.
 
-Nothing here touches the supervisor: a slow, silent or broken client harms only itself.
+It never calls the supervisor: a slow, silent or broken client harms only itself.
 """
 
 from __future__ import annotations
@@ -39,9 +39,10 @@ _REQUEST_CHUNK = 1 << 16
 class ControlServer(Closable):
     """Serves `methods` at the control socket of the run in `folder` until it is closed; a context manager.
 
-    Each client is told of the run's `environment` file as it connects. `subscribe` is a method of the server's own:
-    `publish` sends events to the clients that have called it. Events that a client does not fetch are dropped, and it
-    is told how many. Additions `while_connected` are withdrawn when their client's connection ends, in whatever way.
+    Each client gets the name of the run's `environment` file as it connects. `subscribe` is a method of the server
+    itself: `publish` sends events to the clients that have called it. Events that a client does not read are dropped,
+    and it gets their number. Additions `while_connected` are withdrawn when their client's connection ends for any
+    reason.
     """
 
     def __init__(self, folder: Path, methods: Mapping[str, Method], environment: str) -> None:

@@ -1,4 +1,4 @@
-"""Links between hosts that take less than the streams that cross them need."""
+"""Links between hosts that carry less than their streams need."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ Crossings = Mapping[tuple[str, str, str], CrossingCounts]
 
 
 class CrowdedLinks:
-    """Tells of each link that drops elements for want of room, how much its streams need and how much it gives.
+    """Warns of each link that drops elements for lack of room, with the rates that its streams need and that it
+    carries.
 
-    A link is told of once, and again if it has dropped nothing for CROWDED_S in between.
+    A link is reported once, and again if it has dropped nothing for CROWDED_S seconds in between.
     """
 
     def __init__(self) -> None:
@@ -26,7 +27,7 @@ class CrowdedLinks:
         self._told: set[tuple[str, str]] = set()
 
     def told(self, crossings: Crossings, now_s: float) -> Iterator[str]:
-        """Take in counts. Returns a warning for each link that was not told of yet."""
+        """Add counts. Yields a warning for each link that was not reported yet."""
         if self._before is None:
             self._before = now_s, crossings
         began_s, before = self._before

@@ -1,4 +1,4 @@
-"""What comes on the topics: rates and ages as the outlets count them, and the elements for a listener."""
+"""The traffic of topics: rates and ages as the outlets measure them, and the elements for a listener."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ class Flows:
     def __init__(self) -> None:
         self._told: tuple[float, dict[str, Flow]] = (time.monotonic(), {})
         self.crossings: Mapping[tuple[str, str, str], CrossingCounts] = {}
-        """By stream, source and target host; "" stands for all streams that are gone."""
+        """Counts by stream, source and target host; the stream "" sums all streams that have ended."""
 
     def hear(self, event: Event) -> None:
-        """Take in figures of streams."""
+        """Add an event's figures of streams."""
         match event:
             case TopicsStatus(flows):
                 self._told = time.monotonic(), flows

@@ -63,7 +63,7 @@ _MAGIC = {b"\xff\xd8\xff": "jpeg", b"\x89PNG\r\n\x1a\n": "png"}
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """What is recorded on a topic: an object that JSON can say, and its schema."""
+    """A recorded message of a topic: a JSON object, and its schema."""
 
     topic: str
     schema_name: str

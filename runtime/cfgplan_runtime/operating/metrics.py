@@ -1,4 +1,4 @@
-"""A manager's metrics for Prometheus (extra `metrics`): counters of what happened, gauges of what there is."""
+"""A manager's metrics for Prometheus (extra `metrics`): counters of events, gauges of the present state."""
 
 from __future__ import annotations
 
@@ -185,7 +185,7 @@ class Present(Collector):
 class Metrics:
     """Counts a manager's reports, and reads its snapshot at each scrape.
 
-    Pass `listen` to `Manager.listen`. `snapshot` is `Manager.snapshot`; `flows` knows rates and counts of streams.
+    Pass `listen` to `Manager.listen`. `snapshot` is `Manager.snapshot`; `flows` has the rates and counts of streams.
     Units that have ended are left out.
     """
 

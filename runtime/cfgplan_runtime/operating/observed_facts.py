@@ -1,4 +1,4 @@
-"""Facts of the world that streams observe: each value of such a stream goes to the manager."""
+"""Facts of the world that streams observe: the values of such streams are passed to the manager."""
 
 from __future__ import annotations
 
@@ -14,22 +14,24 @@ from cfgplan_runtime.streams.payload import decode
 
 
 class ObservedFacts(Closable):
-    """Follows the streams of a run that observe facts. `tell` is told once of each fact that its stream can't say."""
+    """Follows the streams of a run that observe facts. `tell` is called once for each fact whose stream has no fitting
+    value.
+    """
 
     def __init__(self, run: str, manager: Manager, tell: Callable[[str], object]) -> None:
         self._manager = manager
         self._tell = tell
         self._following = Following(run, self._hear)
         self._wrong: set[Fact] = set()
-        """The facts of which the last element did not say the value."""
+        """The facts whose last element had no fitting value."""
 
     def follow(self) -> None:
-        """Follow the streams that observe the facts of the world as it is now, and no others."""
+        """Follow the streams that observe the facts of the present world, and no others."""
         topics = (fact.observed_on for fact in self._manager.world.environment.facts)
         self._following.follow(topic for topic in topics if topic is not None)
 
     def close(self) -> None:
-        """Follow nothing any more."""
+        """Stop following all streams."""
         self._following.close()
 
     def _hear(self, topic: str, element: Element) -> None:

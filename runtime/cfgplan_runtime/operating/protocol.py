@@ -15,11 +15,11 @@ LONGEST_LINE = 16 << 20
 """The most bytes of a request, and of a reply."""
 
 Record: TypeAlias = "dict[str, Any]"
-"""An object that JSON can say."""
+"""A JSON object."""
 
 
 class Request(msgspec.Struct, frozen=True):
-    """One line from a client; the reply bears the same `id`."""
+    """One line from a client; the reply repeats the `id`."""
 
     method: str
     id: int | str | None = None

@@ -1,4 +1,5 @@
-"""A recording: what comes on the targets' topics, and every event and review, in an MCAP file; and who fills it.
+"""Recordings: the elements of the targets' topics, every event and every review, in an MCAP file; and the recorder that
+writes it.
 
 Reference: the MCAP specification, https://mcap.dev/spec.
 """

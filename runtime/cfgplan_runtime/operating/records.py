@@ -98,7 +98,7 @@ def report_record(report: reports.Report) -> Record:
 
 
 def plain(value: Any) -> Any:
-    """A value of the life-cycle as JSON can say it; what is infinite or unknown is null."""
+    """A value of the life-cycle as JSON data; infinite and unknown values are null."""
     match value:
         case Enum():
             return value.value

@@ -1,4 +1,4 @@
-"""Sentences for people about what happens: one line each."""
+"""Sentences for people about events: one line each."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _LONGEST_CAUSE = 300
 
 
 def sentence(report: Report) -> str | None:
-    """A report as a sentence; None if people need not hear of it."""
+    """A report as a sentence; None if it does not concern people."""
     match report:
         case Perturbed(perturbation):
             return _perturbation(perturbation)
@@ -322,7 +322,7 @@ def _times(number: int) -> str:
 
 
 def short(text: str) -> str:
-    """A cause on one line; of a traceback only what was raised."""
+    """A cause on one line; a traceback becomes the message of its exception."""
     before, mark, trace = text.partition(_TRACEBACK)
     if mark:
         text = before + trace.strip().splitlines()[-1]

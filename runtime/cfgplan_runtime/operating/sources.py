@@ -31,10 +31,10 @@ def faults_of(library: Iterable[Transformation], folder: Path, check: SourceChec
 class Sources(FileWatch):
     """A watch of the files that sources name.
 
-    `library` and `running` give the transformations and the running units. `check` finds the fault of a source; with
-    None no code is checked, since other computers have it. `request` is called when other transformations can be
-    started than before, `tell` with each new fault. Modules that are named with dots are watched as far as they are
-    found, what unit code imports is not. If it `reloads`, units whose code has changed are to be restarted.
+    `library` and `running` return the transformations and the running units. `check` finds the fault of a source; with
+    None no code is checked, since other computers have it. `request` is called when the set of transformations that can
+    be started changes, `tell` with each new fault. Modules with dotted names are watched if they are found; imports of
+    unit code are not. If it `reloads`, it requests a restart of units whose code has changed.
     """
 
     def __init__(

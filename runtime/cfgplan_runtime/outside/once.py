@@ -1,4 +1,4 @@
-"""Telling each thing once."""
+"""Messages that are reported only once."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from collections.abc import Callable
 
 
 class Once:
-    """Tells each thing once."""
+    """Reports each message once."""
 
     def __init__(self, tell: Callable[[str], None]) -> None:
         self._tell = tell
         self._told: set[str] = set()
 
     def tell(self, what: str, text: str) -> None:
-        """Tell a text, unless it is empty or one was told about the same thing (`what`)."""
+        """Report a text, unless it is empty or a text about the same subject `what` was reported before."""
         if text and what not in self._told:
             self._told.add(what)
             self._tell(text)

@@ -1,1 +1,3 @@
-"""A page about a run, served to browsers: what runs and how fast, drawn anew as it changes, and buttons to steer it."""
+"""A page about a run, served to browsers: the running configuration with its rates, drawn again at each change, and
+buttons to steer it.
+"""

@@ -1,4 +1,4 @@
-"""The page's server: loopback unless told otherwise, TLS elsewhere, and nobody changes the run without its token."""
+"""The page's web server: on loopback by default, else with TLS. Changing the run needs the page's token."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ METHODS = (
     "why",
     "withdraw",
 )
-"""What the page may ask of a run."""
+"""The methods of the control socket that the page may call."""
 _ALIVE_S = 5.0
 _LARGEST_REQUEST = 1_000_000
 _FILES = Path(__file__).parent
@@ -57,17 +57,17 @@ _HEADERS = {
 
 
 def is_loopback(address: str) -> bool:
-    """Whether only this computer reaches an address."""
+    """Whether only this computer can reach an address."""
     return address in (THIS_COMPUTER, "localhost", "::1")
 
 
 class PageServer:
     """Serves the page of a run from a thread of its own until it is closed; a context manager.
 
-    Anybody who reaches a loopback address may look; elsewhere looking needs the token too, as changing the run does
-    everywhere. An address that is no loopback needs the folder of a host's `certificates`. The page adds
-    transformations with a `source`, which is code, only if it `allows_code`. Port 0 is any that is free. Raises
-    InputError if the address can't be used, ControlError if there is no run.
+    On a loopback address viewing needs no token; on other addresses it does. Changing the run always needs the token.
+    An address other than loopback needs the folder of a host's `certificates`. The page adds transformations with a
+    `source`, which is code, only if it `allows_code`. Port 0 takes any free port. Raises InputError if the address
+    can't be used, ControlError if no run is live.
     """
 
     def __init__(
@@ -128,7 +128,7 @@ class PageServer:
 
     @property
     def url(self) -> str:
-        """Where the page is, with the token that its buttons need."""
+        """The page's address, with the token that its buttons need."""
         return f"{self._origin}/#{self._token}"
 
     def __enter__(self) -> PageServer:
@@ -167,7 +167,7 @@ class PageServer:
                         return
 
     async def _do(self, request: Request) -> Response:
-        """A change of the run: `{"method": ..., "params": {...}}`, from this page and with its token."""
+        """Change the run: `{"method": ..., "params": {...}}`, accepted only from this page and with its token."""
         origin = request.headers.get("origin")
         if not self._may(request.headers.get("x-token")) or (self._is_open and origin != self._origin):
             return JSONResponse({"message": "only the page with its token may do this"}, 403, headers=_HEADERS)

@@ -1,4 +1,4 @@
-"""What viewers of a run are told: fetched once for all of them, and only while somebody looks."""
+"""The messages for viewers of a run, fetched once for all viewers, and only while a page is open."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from cfgplan_runtime.operating.control_client import Control
 from cfgplan_runtime.operating.protocol import Record
 
 FRAME_S = 0.1
-"""Seconds from one state to the next, as viewers are told."""
+"""Seconds from one state message to the next."""
 MARKED_S = 5.0
 """Seconds for which the picture marks what an update has changed."""
 _MOST_NEWS = 100
 _MOST_WAITING = 200
-"""If more messages wait for a viewer, the oldest are dropped."""
+"""The most messages that wait for a viewer; older ones are dropped."""
 _RUN_S = 10.0
 _REVIEWED_S = 80.0
 """Seconds that a change may take: it is answered when its review is over."""
@@ -42,7 +42,7 @@ ToViewer = tuple[str, str]
 
 
 class Watched:
-    """A run for its viewers. `reach` connects to its control socket."""
+    """Fetches the state of a run for its viewers. `reach` connects to the run's control socket."""
 
     def __init__(self, reach: Callable[[], Control]) -> None:
         self._reach = reach
@@ -58,7 +58,7 @@ class Watched:
         self._controls: tuple[Control, ...] = ()
 
     def start(self) -> None:
-        """Begin to listen. Raises ControlError if there is no run to be reached."""
+        """Connect to the run, and start the threads. Raises ControlError if no run can be reached."""
         events = self._reach()
         try:
             events.subscribe()
@@ -72,7 +72,7 @@ class Watched:
             threading.Thread(target=self._until_the_end, args=(work,), daemon=True).start()
 
     def close(self) -> None:
-        """End all threads, soon."""
+        """Tell all threads to end."""
         self.has_ended.set()
         self._somebody_looks.set()
         for control in self._controls:
@@ -80,7 +80,7 @@ class Watched:
 
     @contextmanager
     def viewer(self, loop: AbstractEventLoop) -> Iterator[Queue[ToViewer]]:
-        """A queue of messages for one viewer: the picture, the last events, the end if the run is over, then news."""
+        """Give a queue of messages for one viewer: the picture, the last events, the end if the run is over, news."""
         messages: Queue[ToViewer] = Queue()
         with self._lock:
             for message in (self._picture, *self._events, self._end):
@@ -97,7 +97,7 @@ class Watched:
                     self._somebody_looks.clear()
 
     def call(self, method: str, params: dict[str, Any]) -> Any:
-        """Ask the run for something. Raises RefusedError and ControlError."""
+        """Call a method of the run's control socket. Raises RefusedError and ControlError."""
         with self._reach() as control:
             return control.call(method, timeout_s=_REVIEWED_S, **params)
 
@@ -144,7 +144,7 @@ class Watched:
             self._is_wanted.notify()
 
     def _draw(self) -> None:
-        """Lay out the picture that was wanted last, again and again: a large one takes longer than a frame."""
+        """Draw the latest wanted picture, again and again: a large one takes longer than a frame."""
         while not self.has_ended.is_set():
             with self._is_wanted:
                 self._is_wanted.wait_for(lambda: self._wanted is not None, timeout=1.0)
@@ -153,7 +153,7 @@ class Watched:
                 self._tell(("picture", json.dumps(svg(*wanted))))
 
     def _tell(self, message: ToViewer) -> None:
-        """Tell all viewers, and keep the message if later ones get it too. Nobody gets a message twice."""
+        """Send a message to all viewers, once each, and keep it if later viewers need it too."""
         with self._lock:
             if message[0] == "event":
                 self._events.append(message)
@@ -185,12 +185,12 @@ def anew(review: Record) -> tuple[str, ...]:
 
 
 def without(environment: Environment, units: Collection[str]) -> Environment:
-    """The environment without some units. What they fed still names them."""
+    """The environment without some units. Inputs that they fed still name them."""
     return replace(environment, units=tuple(unit for unit in environment.units if unit.id not in units))
 
 
 def svg(before: Environment, now: Environment) -> str:
-    """What runs now; what has been started, rewired and stopped since `before` is marked."""
+    """The running configuration as SVG, with the units started, rewired and stopped since `before` marked."""
     there, was = now.unit, before.unit
     changes = ChangeSet(
         started=tuple(unit for unit in now.units if unit.id not in was),

@@ -1,6 +1,6 @@
 """One child process: its messages, its printed lines, and its CPU time and memory.
 
-Usage comes from its CPU clock where the platform has one, from psutil elsewhere.
+Usage is read from its CPU clock if the platform has one, else by psutil.
 """
 
 from __future__ import annotations
@@ -24,26 +24,28 @@ from cfgplan_runtime.children.started_usage import started_usage
 
 _LONGEST_LINE = 1 << 16
 _MOST_BYTES = 1 << 22
-"""What is read of a process in a second. It then waits where it prints, as at a slow terminal."""
+"""The most bytes of output that are read in a second. Beyond it the process is blocked while it prints, as at a slow
+terminal.
+"""
 _MOST_READS_AT_THE_END = 64
-"""So many pieces of 64 kB are read after a process has ended."""
+"""The most pieces of 64 kB that are read after a process has ended."""
 MOST_LINES = 500
-"""Lines of a process that are told in a second. The others are counted."""
+"""The most lines of a process that are reported in a second. The others are counted."""
 
 
 class PrintedLines:
-    """What a process prints into the other end of a socket, line by line: at most MOST_LINES a second."""
+    """The output of a process into the other end of a socket, line by line: at most MOST_LINES a second."""
 
     def __init__(self, end: socket.socket) -> None:
         end.setblocking(False)
         self.socket = end
         self._line = bytearray()
         self._second_s = 0.0
-        """When the present second began."""
+        """The beginning of the present second."""
         self._bytes = 0
-        """How much was read in this second."""
+        """The bytes read in this second."""
         self._told = self._left_out = 0
-        """How many lines were told in this second, and how many were left out since that was last told."""
+        """The number of lines reported in this second, and the number left out since the last report of that."""
 
     def read(self) -> tuple[list[str], bool]:
         """Some of the lines printed since the last call, and whether more may come."""
@@ -53,11 +55,11 @@ class PrintedLines:
 
     @property
     def is_enough(self) -> bool:
-        """Whether so much was read in this second that the process may wait for the next one."""
+        """Whether the limit of this second is reached, so that the process has to wait."""
         return self._bytes >= _MOST_BYTES and time.monotonic() - self._second_s < 1.0
 
     def rest(self) -> list[str]:
-        """The last lines of a process that has ended; one that it has left behind may go on to print."""
+        """The last lines of a process that has ended; a process that it has left behind may continue to print."""
         told: list[str] = []
         for _ in range(_MOST_READS_AT_THE_END):
             lines, is_open = self._read()
@@ -78,14 +80,14 @@ class PrintedLines:
         return f"cfgplan: {number:,} more lines are left out: at most {MOST_LINES} a second are told" if number else ""
 
     def _told_of(self, lines: list[bytes]) -> list[str]:
-        """The text of the lines for which there is room in this second; the others are counted."""
+        """The text of the lines within this second's limit; the others are counted."""
         told = lines[: MOST_LINES - self._told]
         self._told += len(told)
         self._left_out += len(lines) - len(told)
         return [line.decode(errors="backslashreplace") for line in told]
 
     def _read(self) -> tuple[list[bytes] | None, bool]:
-        """The next lines, None if nothing came, and whether more may come."""
+        """The next lines, None if no data came, and whether more may come."""
         try:
             data = self.socket.recv(1 << 16)
         except BlockingIOError:
@@ -102,7 +104,7 @@ class PrintedLines:
 
 @dataclass(slots=True, eq=False)
 class ChildProcess:
-    """A child that the nursery was asked for. The outlets' child has no name."""
+    """A child that the nursery was asked to fork. The outlets' child has no name."""
 
     serial: int
     name: str
@@ -115,20 +117,20 @@ class ChildProcess:
     """The CPU time of its start, once it is ready."""
     is_stopping: bool = False
     steps: int = 0
-    """The number of steps begun, by its last sign of life."""
+    """The number of started steps, by its last sign of life."""
     trouble: str = ""
-    """The cause of its end, as it told it."""
+    """The cause of its end, as reported by the child."""
     is_program: bool = False
     """Whether it hosts a program, whose CPU time and memory are its own."""
     is_spare: bool = False
-    """Whether it waits to be a unit. Until then its name is that of a cold spare."""
+    """Whether it is a cold spare, with the spare's name, until a unit starts in it."""
     due_s: float = inf
-    """When a spare has to be prepared, or has to have said where it hangs; infinite once it is prepared."""
+    """The deadline for preparing a spare, or for printing where it hangs; infinite once it is prepared."""
     changed_ns: dict[str, int] = field(default_factory=dict)
-    """The files of its code, as far as known, and when each was last changed, as the spare has read it."""
+    """The known files of a spare's code, with the times of their last changes when the spare read them."""
 
     def usage(self) -> tuple[int, int] | None:
-        """CPU time in microseconds and memory in bytes; None if it has not begun or has ended."""
+        """CPU time in microseconds and memory in bytes; None before its start and after its end."""
         if self.pid is None:
             return None
         cpu, memory = cpu_us(self.pid), memory_bytes(self.pid)
@@ -143,7 +145,7 @@ class ChildProcess:
 
 
 def changed_ns(file: Path) -> int | None:
-    """When a file was last changed, in nanoseconds; None if it is not there."""
+    """The time of a file's last change, in nanoseconds; None if the file does not exist."""
     try:
         return file.stat().st_mtime_ns
     except OSError:
@@ -161,7 +163,7 @@ def cause_of_end(child: ChildProcess, status: int) -> str:
 
 
 def kill_group(pid: int) -> None:
-    """Kill a child and all that it has started."""
+    """Kill a child and all processes that it has started."""
     for kill in (os.killpg, os.kill):
         with suppress(OSError):
             kill(pid, signal.SIGKILL)

@@ -1,4 +1,4 @@
-"""Limits on the CPU time that the units of a host take together: control groups of Linux, where they may be made."""
+"""Limits on the total CPU time of a host's units: control groups of Linux, on systems that allow them."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from cfgplan_runtime.errors import RuntimeFaultError
 
 _PERIOD_US = 100_000
 _LEAST_US = 1_000
-"""The kernel's least share of a period."""
+"""The kernel's smallest share of a period."""
 _MEND = "start it alone in a group that it may divide, as by systemd-run --user --scope -p Delegate=yes"
 
 
 class CpuGroup:
-    """A control group (cgroup v2) by its folder, which limits the CPU time that its processes take together."""
+    """A control group (cgroup v2) by its folder; it limits the total CPU time of its processes."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
 
     def take(self, pid: int) -> None:
-        """Let the limit hold for a process and its children, too. One that has ended is none."""
+        """Put a process and its later children into the group. A process that has ended is ignored."""
         with suppress(OSError):
             (self.path / "cgroup.procs").write_text(str(pid))
 
@@ -35,10 +35,11 @@ class CpuGroup:
 def cpu_groups(
     limits_us: Mapping[str, int], *, root: Path = Path("/sys/fs/cgroup"), told: Path = Path("/proc/self/cgroup")
 ) -> dict[str, CpuGroup]:
-    """A control group by each name, whose processes together take at most so many microseconds of CPU time each second.
+    """Make a control group for each name, whose processes together get at most the given microseconds of CPU time a
+    second.
 
-    They are made below the group of this process, which moves to another one below: the kernel limits no groups below
-    one that has processes itself. Raises RuntimeFaultError where that is not allowed; then all is as before.
+    The groups are made below the group of this process, which moves to another one below: the kernel limits no groups
+    below one that has processes itself. Raises RuntimeFaultError if that is not allowed; then nothing is changed.
     """
     here, me = _group_of_this_process(root, told), str(os.getpid())
     own = here / f"cfgplan-{me}"
@@ -62,7 +63,7 @@ def cpu_groups(
 
 
 def _group_of_this_process(root: Path, told: Path) -> Path:
-    """The group that this process is in. Raises RuntimeFaultError if none there limits CPU time."""
+    """The group of this process. Raises RuntimeFaultError if it can't limit CPU time."""
     try:
         (path,) = (line[3:] for line in told.read_text().splitlines() if line.startswith("0::"))
         here = root / path.lstrip("/")

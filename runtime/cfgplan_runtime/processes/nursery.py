@@ -1,4 +1,4 @@
-"""The process that forks the children. It has imported everything, so that a child is ready at once.
+"""The process that forks the children. It has imported all modules before, so that a child is ready at once.
 
 However the supervisor ends, the nursery ends too and kills all children.
 """
@@ -35,7 +35,7 @@ from cfgplan_runtime.processes.child_process import kill_group
 
 DUMP_SIGNAL = signal.SIGUSR1
 INTERRUPT_SIGNAL = signal.SIGUSR2
-"""Has a unit's code leave whatever it is in, by SystemExit."""
+"""The signal that raises SystemExit in a unit's code, wherever it is."""
 FAILED = 70
 """Exit status of a child whose unit code failed for good; its last message (Trouble) says why."""
 
@@ -54,7 +54,7 @@ class Nursery:
         self._is_left = False
         """Whether the supervisor is gone."""
         self._sign_s = 0.0
-        """When the next sign of life is due."""
+        """The time at which the next sign of life is due."""
         self._bell, self._bell_rope = socket.socketpair()
         for bell in (self._bell, self._bell_rope):
             bell.setblocking(False)
@@ -188,10 +188,10 @@ def be_child(order: messages.ChildOrder, control_end: socket.socket, printed: so
 
 
 def _end_as_python_does(*, waits: bool) -> None:
-    """Wait for threads, if asked to, run what was registered with atexit, and flush all files open for writing.
+    """Join threads if `waits`, call functions registered with atexit, and flush all files open for writing.
 
-    A child that was forked ends without the rest of Python's own end, which would be the nursery's. One that has failed
-    waits for no thread, since that may never end.
+    A forked child skips the rest of Python's own end, which would be the nursery's. A child that has failed joins no
+    threads, since that may never end.
     """
     for end in (threading._shutdown, atexit._run_exitfuncs)[not waits :]:  # type: ignore[attr-defined]
         with contextlib.suppress(BaseException):  # atexit has printed what was raised
@@ -229,8 +229,8 @@ def _limit_memory(limit: int | None) -> None:
 def _end_of(pid: int) -> int | None:
     """The exit status of a child that has ended; None while it lives.
 
-    Where the system allows it, the child's process group is killed before the child is reaped, as afterwards its
-    number is free.
+    If the system allows it, the child's process group is killed before the child is reaped, as afterwards its number
+    may be reused.
     """
     if hasattr(os, "waitid"):
         if os.waitid(os.P_PID, pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
@@ -258,9 +258,9 @@ _PR_SET_PDEATHSIG = 1
 
 
 def die_with_parent(parent: int) -> None:
-    """Have the kernel kill this process when the thread that made it ends. `parent` is that thread's process.
+    """Let the kernel kill this process when the thread that made it ends. `parent` is that thread's process.
 
-    Only Linux can do that; elsewhere a process notices by its closed connection.
+    Only Linux can do that; on other systems a process notices by its closed connection.
     """
     if sys.platform != "linux":
         return
@@ -270,7 +270,7 @@ def die_with_parent(parent: int) -> None:
 
 
 def tell_of_parents_death(number: signal.Signals) -> None:
-    """Have the kernel send this signal when the thread that made this process ends; only Linux can."""
+    """Let the kernel send this signal when the thread that made this process ends. Only Linux can do that."""
     if sys.platform == "linux":
         import ctypes
 

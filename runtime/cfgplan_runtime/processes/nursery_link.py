@@ -18,10 +18,10 @@ _PATIENCE_AT_CLOSE_S = 5.0
 def start_helper(
     code: str, *arguments: str, in_own_session: bool = False
 ) -> tuple[subprocess.Popen[bytes], socket.socket]:
-    """A process that runs `code`, and our end of its control connection. Raises OSError.
+    """Start a process that runs `code`. Returns it, and the local end of its control connection. Raises OSError.
 
-    Before its arguments it gets the number of its own end and the id of this process. It is in a process group of its
-    own from the beginning: Ctrl-C is for this process.
+    Its first arguments are the number of its own end and the id of this process. It is in a process group of its own
+    from the beginning, so that Ctrl-C reaches only this process.
     """
     ours, theirs = socket.socketpair()
     number = theirs.fileno()
@@ -61,17 +61,17 @@ class NurseryLink:
         return ours
 
     def fork(self, serial: int, order: ChildOrder, ends: Sequence[socket.socket]) -> None:
-        """Have a child made, with its ends of the control connection and of the pipe for what it prints."""
+        """Ask for a child, with its ends of the control connection and of the pipe for its output."""
         assert self._control is not None
         self._control.send(Fork(serial, order), ends)
 
     def kill(self, serial: int, *, dump: bool = False) -> None:
-        """Have a child killed; does nothing without a nursery, for then there is no child."""
+        """Kill a child. Without a nursery there are no children, and this does nothing."""
         if self._control is not None:
             self._control.send(Kill(serial, dump))
 
     def interrupt(self, serial: int) -> None:
-        """Have the code of a child interrupted that was told to finish."""
+        """Interrupt the code of a child that was told to finish."""
         if self._control is not None:
             self._control.send(Interrupt(serial))
 
@@ -83,7 +83,7 @@ class NurseryLink:
             yield message
 
     def end(self) -> None:
-        """Kill a nursery that does not answer, and with it all its children; `has_died` becomes true."""
+        """Kill a nursery that does not answer, with all its children; `has_died` becomes true."""
         if self._process is not None:
             self._process.kill()
 
@@ -92,7 +92,7 @@ class NurseryLink:
         return self._control is not None and self._control.has_ended
 
     def close(self) -> None:
-        """End the nursery and all its children, and wait until it is gone."""
+        """End the nursery and all its children, and wait for their end."""
         if self._control is None or self._process is None:
             return
         self._control.close()

@@ -46,18 +46,19 @@ _HELPER_START_S = 60.0
 """Seconds until the first sign of life: the nursery imports modules first."""
 _OUTLET_QUEUE = 1024
 _SPARES_LOOK_S = 1.0
-"""Seconds until it is looked again whether the code of spares has changed, or one hangs."""
+"""Seconds between two checks for spares that hang or whose code has changed."""
 PREPARE_S = 30.0
 """Seconds that a spare may take to be prepared."""
 _AGAIN_S, _MOST_AGAIN_S, _GOOD_LIFE_S = 0.1, 5.0, 10.0
-"""Seconds until outlets that were lost twice in a row are made anew, doubled for each further loss up to the second
-value. A loss after a life of the third value is not in a row."""
+"""Seconds until outlets that were lost twice in a row are replaced, doubled for each further loss up to the second
+value. After a life of the third value, a loss counts as the first.
+"""
 
 
 class ProcessBackend:
-    """A backend of processes. All its methods are called from one thread, which must outlive it.
+    """A backend of processes. Call all its methods from one thread, which must outlive it.
 
-    Units and spares are put in the group `cpu`, if there is one, as soon as they are there.
+    Units and spares are put into the group `cpu`, if given, as soon as they have started.
     """
 
     def __init__(
@@ -84,26 +85,26 @@ class ProcessBackend:
         self._children: dict[int, ChildProcess] = {}
         self._by_name: dict[str, ChildProcess] = {}
         self._spares: dict[str, ChildProcess] = {}
-        """By the ids of cold spares; none of these is in `_by_name`."""
+        """Cold spares by id; none of these is in `_by_name`."""
         self._look_due_s = 0.0
         self._topics: list[str] = []
         self._unopened: set[str] = set()
-        """Topics whose address could not be made. It is tried again when they are to be fed."""
+        """Topics whose address could not be made. The next connection to one tries again."""
         self._serial = 0
         self.clock_offset_ns = time.time_ns() - time.monotonic_ns()
-        """What this computer's clock is ahead of the monotonic one, in nanoseconds."""
+        """The difference of this computer's clock from the monotonic one, in nanoseconds."""
         self._ahead_ns = 0
-        """How far this computer's clock is ahead of the run's, by which elements have their times."""
+        """The difference of this computer's clock from the run's, on which elements have their times."""
         self.run_folder.tell_clock(self.clock_offset_ns)
         self._nursery = NurseryLink(self.run_folder.id, ("numpy", "numpy.random", *preload))
         self._nursery_socket: socket.socket | None = None
         self._outlets_lost = 0
-        """How often in a row the outlets were lost."""
+        """The number of losses of the outlets in a row."""
         self._outlets_since_s = 0.0
         self._outlets_due_s: float | None = None
-        """When the outlets are to be made anew; None if they need not."""
+        """The time at which the outlets will be replaced; None while they run."""
         self._is_short = False
-        """Whether there was no descriptor for the last wire."""
+        """Whether the last wire failed for lack of a descriptor."""
         self._from_relay: list[messages.FromRelay] = []
 
     @property
@@ -112,7 +113,7 @@ class ProcessBackend:
 
     @property
     def code_folder(self) -> Path:
-        """The folder that `units.py:Class` is relative to."""
+        """The folder of sources such as `units.py:Class`."""
         return Path(self._code_folder)
 
     def found(self) -> None:
@@ -148,7 +149,7 @@ class ProcessBackend:
         return ()
 
     def leave_hosts(self, hosts: Collection[str]) -> None:
-        """There is one computer, which stays."""
+        """Do nothing: the only host is this computer."""
 
     def start(
         self,
@@ -192,7 +193,7 @@ class ProcessBackend:
             self._nursery.kill(child.serial)
 
     def correct_clock(self, ahead_ns: int) -> None:
-        """Have elements' times be so much less than this computer's clock from now on."""
+        """From now on subtract `ahead_ns` from this computer's clock for elements' times."""
         self._ahead_ns = ahead_ns
         self.run_folder.tell_clock(self.clock_offset_ns - ahead_ns)
         for child in self._children.values():
@@ -200,7 +201,7 @@ class ProcessBackend:
                 self._tell(child, messages.SetClock(self.clock_offset_ns - ahead_ns))
 
     def open_relay(self) -> socket.socket:
-        """The relay's end of its connection: wires from and to RELAY are led there. Raises OSError."""
+        """The relay's end of its connection: wires from and to RELAY go there. Raises OSError."""
         ours, theirs = socket.socketpair()
         relay = ChildProcess(_NO_PROCESS, RELAY, ControlConnection(ours, messages.FromChild), PrintedLines(ours))
         self._children[_NO_PROCESS] = self._by_name[RELAY] = relay
@@ -208,14 +209,14 @@ class ProcessBackend:
         return theirs
 
     def warm_up(self) -> None:
-        """Start the nursery now, so that it is there when units are started. Raises OSError."""
+        """Start the nursery now, so that later starts of units are fast. Raises OSError."""
         if not self._nursery.is_open:
             self._nursery_socket = self._nursery.open()
             self._ends.watch(self._nursery_socket, self._hear_nursery)
             self._events.append(events.HelperAlive(NURSERY_HELPER, _HELPER_START_S))
 
     def tell_relay(self, message: messages.ToRelay) -> None:
-        """Have the relay do something."""
+        """Send a message to the relay."""
         self._tell(self._by_name[RELAY], message)
 
     def heard_from_relay(self) -> list[messages.FromRelay]:
@@ -349,7 +350,9 @@ class ProcessBackend:
             self._events.append(events.OutOfDescriptors(f"{what}: {error.strerror}{mend}"))
 
     def _lose_outlets(self, cause: str) -> None:
-        """Report that the outlets were lost. They are made anew at once the first time, later after losses in a row."""
+        """Report that the outlets were lost. The first replacement is immediate; after losses in a row it
+        waits longer.
+        """
         lived_well = self.now() - self._outlets_since_s >= _GOOD_LIFE_S
         self._outlets_lost = 1 if lived_well else self._outlets_lost + 1
         self._events += [events.HelperAlive(OUTLETS_HELPER, inf), events.OutletsLost(cause)]
@@ -357,7 +360,7 @@ class ProcessBackend:
             self._outlets_due_s = self.now() + doubling_s(self._outlets_lost, _AGAIN_S, _MOST_AGAIN_S)
 
     def _fork(self, name: str, order: messages.ChildOrder) -> ChildProcess | None:
-        """Have a child made. If the system has no room, report the child as dead and return None."""
+        """Start a child. If the system has no room, report the child as dead and return None."""
         ends: list[socket.socket] = []
         try:
             self.warm_up()
@@ -495,7 +498,7 @@ class ProcessBackend:
                 self._events.append(events.UnitStatus(name, steps, errors, inputs, outputs, state, qualities))
 
     def _tell_ready(self, child: ChildProcess) -> None:
-        """Report a unit as ready once it has said so and its process id is known, in either order."""
+        """Report a unit as ready once its message and its process id have come, in either order."""
         if child.name != OUTLETS and child.pid is not None and child.labor_us is not None:
             self._events.append(events.UnitReady(child.name, child.labor_us))
 
@@ -505,7 +508,7 @@ class ProcessBackend:
         return msgspec.structs.replace(order, folder=self._code_folder, clock_offset_ns=offset_ns)
 
     def _watch_spares(self) -> None:
-        """End the spares whose code has changed, and those that hang, once they have printed where they are."""
+        """End the spares whose code has changed, and those that hang, once they have printed where."""
         for child in self._spares.values():
             changed, hangs = child.changed_file(), child.due_s <= self.now()
             if changed is not None:

@@ -1,6 +1,7 @@
 """Stream reasoning: temporal logic over semantic subscriptions (the engine of the paper's Figure 1).
 
-`query` reads a question, `Engine` answers it over subscriptions; `Monitor` is the progression of a formula alone.
+`query` reads a question, and `Engine` answers it over subscriptions. `Monitor` progresses a formula without
+subscriptions.
 """
 
 from __future__ import annotations

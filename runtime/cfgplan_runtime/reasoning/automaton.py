@@ -1,6 +1,6 @@
-"""The automaton of a formula, made as it is met: situations, and the transitions between them.
+"""The automaton of a formula, built while it runs: situations, and the transitions between them.
 
-A situation is what is left of the formula, with the times at which its operators began as registers.
+A situation is the obligation that remains of the formula, with the times at which its operators started as registers.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ NOW: Final = 1 << 62
 class Progression:
     """Progresses obligations through one state, by the truth of each proposition and the time since each moment.
 
-    A formula is true of a sequence of states exactly if what it progresses to through the first state is true of the
-    others. Where a proposition is unknown in a state, its place is taken by the value *unknown*.
-    Reference: Bacchus and Kabanza 1996, 1998; paper, section III.
+    A formula is true of a sequence of states exactly if its progression through the first state is true of the others.
+    A proposition that is unknown in a state is replaced by the value *unknown*. Reference: Bacchus and Kabanza 1996,
+    1998; paper, section III.
     """
 
     def __init__(
@@ -38,11 +38,11 @@ class Progression:
         self._progressed: dict[Obligation, Obligation] = {}
 
     def of_root(self) -> Obligation:
-        """What is left of the whole formula if this is its first state."""
+        """The obligation of the whole formula after its first state."""
         return self._of_step(self._program.root)
 
     def of(self, obligation: Obligation) -> Obligation:
-        """What is left of an obligation after this state."""
+        """The obligation that remains of `obligation` after this state."""
         if obligation.kind is Kind.VALUE:
             return obligation
         found = self._progressed.get(obligation)
@@ -74,7 +74,9 @@ class Progression:
                 return self._begun_now[step.number]
 
     def _of_operator(self, number: int, moment: int, elapsed_ns: int | None) -> Obligation:
-        """What is left of an operator that began `elapsed_ns` ago; None if its interval has begun and never ends."""
+        """The obligation that remains of an operator that started `elapsed_ns` ago; None means that its interval has
+        started and never ends.
+        """
         operator, store = self._program.operators[number], self._store
         begin, end = operator.interval.begin_ns, operator.interval.end_ns
         if elapsed_ns is not None and end is not None and elapsed_ns > end:
@@ -93,14 +95,14 @@ class Progression:
 
 
 QUEUES: Final = {Kind.ALL: -2, Kind.ANY: -3}
-"""Take the place of a moment in an obligation: they stand for the whole queue of an operator, joined by the kind."""
+"""Special moments of an obligation: each represents the whole queue of an operator, joined by the kind."""
 
 
 class Registers(NamedTuple):
-    """The moments at which an operator of a situation began.
+    """The moments at which an operator of a situation started.
 
-    The first `size` of them are used one by one, and the intervals of the first `begun` have begun. With `has_queue`,
-    two or more follow as a queue: their intervals have not begun.
+    The first `size` of them are used one by one; for the first `begun` of these, the interval has started. With
+    `has_queue`, two or more follow as a queue: their intervals have not started.
     """
 
     operator: int
@@ -110,7 +112,7 @@ class Registers(NamedTuple):
 
 
 class Move(NamedTuple):
-    """Makes one list of moments of the list `source` before it.
+    """Makes a list of moments from the list `source` of the situation before.
 
     It takes a slice (`first` to `end`) or the `chosen` ones, then all from `queue_from` on (-1: none), then the present
     moment if it is `with_now`.
@@ -148,7 +150,7 @@ class AutomatonState:
 
 
 def registers_of(obligation: Obligation) -> Iterable[tuple[int, int, bool]]:
-    """Operator, moment and whether its interval has begun, of each pending obligation that has a moment."""
+    """For each pending obligation with a moment: its operator, its moment, and whether its interval has started."""
     for one in reached([obligation], attrgetter("parts")):
         if one.kind is Kind.PENDING and one.moment >= 0:
             yield one.operator, one.moment, one.is_begun
@@ -163,10 +165,10 @@ def pending_of(obligation: Obligation | None) -> set[tuple[int, int]]:
 
 
 def queues_in(obligation: Obligation, lengths: Mapping[int, int], is_endless: Sequence[bool]) -> dict[int, Queue]:
-    """Find the operators whose intervals ahead are all members of one conjunction or disjunction.
+    """Find the operators whose future intervals are all members of one conjunction or disjunction.
 
-    Their moments are the last of the operator's `lengths` moments, and perhaps the present. Progression does the same
-    to a queue however long it is, so a situation does not store its length.
+    Their moments are the last of the operator's `lengths` moments, and perhaps the present. Progression treats a queue
+    the same way at any length, so a situation does not store its length.
     """
     parents: dict[int, set[Obligation]] = {}
     members: dict[int, set[int]] = {}
@@ -194,7 +196,7 @@ def queues_in(obligation: Obligation, lengths: Mapping[int, int], is_endless: Se
 def moves_between(
     before: tuple[Registers, ...], chosen: Mapping[int, list[int]], queues: Mapping[int, Queue]
 ) -> tuple[Move, ...] | None:
-    """How to make the moments that are still used from those before; None if they are the same."""
+    """The moves that keep only the moments still in use; None if all are."""
     position = {registers.operator: place for place, registers in enumerate(before)}
     moves = []
     for operator, found in chosen.items():
@@ -213,7 +215,7 @@ def moves_between(
 
 
 def moved(moments: list[list[int]], moves: tuple[Move, ...], time_ns: int) -> list[list[int]]:
-    """The moments that a transition's moves make of those before."""
+    """The moments after the moves of a transition."""
     after = []
     for source, first, end, chosen, queue_from, with_now in moves:
         if chosen is not None:
@@ -232,15 +234,15 @@ def moved(moments: list[list[int]], moves: tuple[Move, ...], time_ns: int) -> li
 
 
 MOST_REMEMBERED: Final = 200_000
-"""How many obligations and transitions are remembered before all but the present situation are forgotten."""
+"""The most obligations and transitions in memory; beyond it all but the present situation are forgotten."""
 MOST_MOMENTS: Final = 1_000_000
 _TRIED: Final = 3
 NEVER_DUE: Final = 1 << 62
 
 
 class Automaton:
-    """The situations and transitions of a program that are known so far. A situation is used together with one list of
-    moments for each of its registers.
+    """The known situations and transitions of a program. A situation is used together with one list of moments for each
+    of its registers.
     """
 
     def __init__(self, program: Program) -> None:
@@ -259,15 +261,16 @@ class Automaton:
 
     @property
     def is_full(self) -> bool:
-        """Whether so much is remembered that `forget` must be called."""
+        """Whether the memory is full, so that `forget` must be called."""
         return self._remembered > MOST_REMEMBERED
 
     def learnt(
         self, situation: AutomatonState, moments: list[list[int]], time_ns: int, code: int
     ) -> tuple[Transition, bool]:
-        """Progress a situation through a state. Returns the transition, and whether all states like this one take it.
+        """Progress a situation through a state. Returns the transition, and whether all states with this step's key
+        take it.
 
-        Only the first few moments of a queue are progressed; the others become what these become.
+        Only the first few moments of a queue are progressed; the others follow them.
         """
         few = []
         for registers, found in zip(situation.registers, moments, strict=True):
@@ -321,7 +324,7 @@ class Automaton:
         return self._situated(after, chosen, queues, used), moves_between(situation.registers, chosen, queues)
 
     def _unqueued(self, situation: AutomatonState, moments: list[list[int]]) -> Obligation | None:
-        """A situation's obligation, in which each moment of a queue stands by itself."""
+        """A situation's obligation with each moment of a queue as a part of its own."""
         if situation.obligation is None or not any(registers.has_queue for registers in situation.registers):
             return situation.obligation
         ranges = {
@@ -371,8 +374,8 @@ class Automaton:
     def crossed(self, situation: AutomatonState, moments: list[list[int]], time_ns: int, code: int) -> tuple[int, ...]:
         """The key of a step. Steps from one situation with the same key have the same transition.
 
-        For each operator it tells how many intervals have begun and how many have ended, and whether none, one or more
-        moments are left in its queue.
+        For each operator it has the number of intervals that have started, the number that have ended, and whether
+        none, one or more moments are left in its queue.
         """
         key = [code]
         for registers, found in zip(situation.registers, moments, strict=True):
@@ -387,7 +390,7 @@ class Automaton:
         return tuple(key)
 
     def next_crossing(self, situation: AutomatonState, moments: list[list[int]]) -> int:
-        """The earliest time at which an interval begins or ends."""
+        """The earliest time at which an interval starts or ends."""
         least = NEVER_DUE
         for registers, found in zip(situation.registers, moments, strict=True):
             interval, begun = self._intervals[registers.operator], registers.begun

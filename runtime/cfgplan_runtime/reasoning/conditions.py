@@ -1,6 +1,6 @@
-"""What a formula can say of one state, and whether it holds: comparisons, regions, and relations between regions.
+"""The conditions of a formula on one state, and their evaluation: comparisons, regions, and relations between regions.
 
-A value that is missing makes a condition unknown; so does one that is unsuitable, and that is also told.
+A missing value makes a condition unknown. An unsuitable value does so too, and is also reported.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ class NoValueError(CfgplanError):
 
 
 class UnsuitableValueError(CfgplanError):
-    """A value that a condition can't be decided by, such as one without the field."""
+    """A value that can't decide a condition, such as one without the field."""
 
 
 class FeatureValues(NamedTuple):
-    """The value of each feature in a state, where it is not missing, and the regions that have names."""
+    """The value of each feature in a state, except missing ones, and the named regions."""
 
     features: Mapping[str, Any]
     regions: Mapping[str, Region]
@@ -53,7 +53,7 @@ class FeatureValues(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A feature's value, or what stands in it under these keys and list positions."""
+    """A feature's value, or the entry of it under these keys and list positions."""
 
     feature: str
     keys: tuple[str | int, ...] = ()
@@ -62,7 +62,7 @@ class Field:
         return self.feature + "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in self.keys)
 
     def value(self, values: FeatureValues) -> Any:
-        """What stands there. Raises NoValueError, UnsuitableValueError."""
+        """The entry's value. Raises NoValueError, UnsuitableValueError."""
         value = values.features.get(self.feature)
         for position, key in enumerate(self.keys):
             if value is None:
@@ -84,7 +84,7 @@ class Field:
         return value
 
     def point(self, values: FeatureValues) -> tuple[float, float]:
-        """The point that stands there. Raises NoValueError, UnsuitableValueError."""
+        """The entry as a point. Raises NoValueError, UnsuitableValueError."""
         try:
             point = point_from(self.value(values))
         except NotAPointError as error:
@@ -94,7 +94,7 @@ class Field:
         return point
 
     def region(self, values: FeatureValues) -> Region:
-        """The region that stands there. Raises NoValueError, UnsuitableValueError."""
+        """The entry as a region. Raises NoValueError, UnsuitableValueError."""
         try:
             return region_from(self.value(values))
         except NotARegionError as error:
@@ -118,7 +118,7 @@ class Literal:
 
 @dataclass(frozen=True, slots=True)
 class Arithmetic:
-    """Two numbers joined by one of + - * /."""
+    """Two numbers joined by +, -, * or /."""
 
     sign: str
     left: Value
@@ -149,7 +149,7 @@ class Absolute:
 
 @dataclass(frozen=True, slots=True)
 class Distance:
-    """How far two points are apart."""
+    """The distance between two points."""
 
     left: Field
     right: Field
@@ -259,7 +259,7 @@ def _number(part: Value, values: FeatureValues) -> float:
 
 
 def _float(value: Any) -> float | None:
-    """A value as a number; None for a text, a truth value and anything else that is none."""
+    """A value as a number; None for a text, a truth value and every other value that is no number."""
     if _is_truth_value(value) or isinstance(value, (str, bytes)):
         return None
     try:
@@ -284,7 +284,7 @@ _MOST_TOLD = 12
 
 
 class Evaluator:
-    """Decides the propositions of a program; `tell` is called once for each sort of unsuitable value."""
+    """Decides the propositions of a program; calls `tell` once for each kind of unsuitable value."""
 
     def __init__(self, program: Program, regions: Mapping[str, Region], tell: Callable[[str], None]) -> None:
         self._propositions = program.propositions
@@ -292,10 +292,10 @@ class Evaluator:
         self._tell = tell
         self._told: set[str] = set()
         self.last: Mapping[object, Truth] = {}
-        """The truth of each condition that mattered in the last state."""
+        """The truth of each condition that was evaluated in the last state."""
 
     def truths(self, features: Mapping[str, Any]) -> Sequence[Truth]:
-        """The truth of each proposition in a state; a feature without a value is missing."""
+        """The truth of each proposition in a state; features that are not in the mapping are missing."""
         values = FeatureValues(features, self._regions)
         known: dict[object, Truth] = {}
 

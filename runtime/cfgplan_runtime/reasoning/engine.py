@@ -1,8 +1,8 @@
 """The stream reasoning engine of the paper's Figure 1: it answers a query over semantic subscriptions.
 
-It has the targets set up that the formula needs, synchronises their streams into states, progresses the formula
-through them, reports the answer as soon as it is final, and takes its targets down, so that units that nobody else
-needs are stopped.
+It adds the targets that the formula needs, synchronises their streams into states, and progresses the formula through
+them. It reports the answer as soon as it is final, and removes its targets, so that units that no other target needs
+are stopped.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from cfgplan_runtime.reasoning.truth import VERDICT_OF, Verdict
 _ENGINE_LOOK_S = 0.1
 _MOST_AT_ONCE = 10_000
 _OWN_CLOCK_NS = 60 * 1_000_000_000
-"""Streams whose times are further from the run's clock than this have a clock of their own."""
+"""Streams whose times differ from the run's clock by more than this have a clock of their own."""
 _TIME_OF_DAY_NS = time.time_ns() - time.monotonic_ns()
 
 
 def _now_ns() -> int:
-    """The time of day, by a clock that goes on evenly when the computer's is set."""
+    """The time of day in nanoseconds, by a clock that is not affected when the computer's clock is set."""
     return time.monotonic_ns() + _TIME_OF_DAY_NS
 
 
@@ -43,7 +43,7 @@ class _Ended(NamedTuple):
 
 
 class Engine:
-    """Answers one query. It calls `report` from the thread that calls `run`; `name` is part of its targets' labels."""
+    """Answers one query. It calls `report` in the thread that calls `run`; `name` is part of its targets' labels."""
 
     def __init__(
         self,
@@ -63,9 +63,9 @@ class Engine:
         self._evaluator = Evaluator(query.program, query.declared.regions, self._note)
         self._streams: Synchroniser | None = None
         self._ahead_ns = 0
-        """How far the clock of the run whose streams these are is ahead of `_now_ns`."""
+        """The difference of the run's clock from `_now_ns`."""
         self._skew_ns = 0
-        """How far the streams' own clock is, once there are states."""
+        """The difference of the streams' own clock from the run's clock, once states have begun."""
         self._has_targets = False
         self._ended: set[str] = set()
         self._first_ns: int | None = None
@@ -73,10 +73,11 @@ class Engine:
         self._dropped: dict[str, int] = {}
 
     def run(self, *, for_s: float | None = None, wait_s: float = 0.0, every_s: float = 1.0) -> queries.Answer:
-        """Answer the query: until the answer is final, for at most `for_s`, or until all its streams have ended.
+        """Answer the query: until the answer is final, for at most `for_s` seconds, or until all its streams have
+        ended.
 
-        Reports progress every `every_s`. Waits up to `wait_s` for targets that can't be met yet, then raises
-        UnmetTargetsError. Takes its targets down in any case.
+        Reports progress every `every_s` seconds. Waits up to `wait_s` seconds for targets that can't be met yet, then
+        raises UnmetTargetsError. Removes its targets in any case.
         """
         topics = {each.name: each.topic or f"/query/{self._name}/{each.name}" for each in self._query.features}
         added = [self._target(each, topics[each.name]) for each in self._query.features if each.topic is None]
@@ -100,7 +101,7 @@ class Engine:
         return answer
 
     def stop(self) -> None:
-        """End `run` soon with the answer known by then. Thread-safe."""
+        """End `run` soon, with the answer known by then. Thread-safe."""
         self._is_over.set()
 
     def _target(self, feature: Feature, topic: str) -> Target:
@@ -131,7 +132,7 @@ class Engine:
             self._note(f"the targets could not be taken down: {error}")
 
     def _listen(self, name: str, topic: str) -> None:
-        """Put what comes on a topic into the inbox (a thread of its own for each feature)."""
+        """Put the elements of a topic into the inbox (one thread for each feature)."""
         try:
             with self._subscriptions.samples(topic, self._query.timing.patience_ns / 1e9) as samples:
                 self._ahead_ns = getattr(samples, "now_ns", _now_ns)() - _now_ns()
@@ -171,13 +172,13 @@ class Engine:
         return self._answer()
 
     def _pause_s(self) -> float:
-        """The seconds until a state is due even if no sample comes."""
+        """The seconds until a state is due without another sample."""
         if self._streams is None:
             return _ENGINE_LOOK_S
         return max(0.0, (self._streams.due_ns() - self._streams_ns()) / 1e9)
 
     def _take(self, timeout_s: float, begin_ns: int) -> None:
-        """Take the samples that have come. Wait up to `timeout_s` for the first."""
+        """Take the samples that have come, and wait up to `timeout_s` for the first."""
         try:
             found = self._inbox.get(timeout=timeout_s)
             for _ in range(_MOST_AT_ONCE):
@@ -200,14 +201,14 @@ class Engine:
                 self._begin(begin_ns, _now_ns() + self._ahead_ns)
 
     def _begin(self, begin_ns: int, time_ns: int) -> None:
-        """Begin to make states. The time of the first sample tells which clock the streams have."""
+        """Begin to make states. The time of the first sample shows which clock the streams use."""
         apart = time_ns - _now_ns() - self._ahead_ns
         self._skew_ns = self._ahead_ns + (apart if abs(apart) > _OWN_CLOCK_NS else 0)
         holds = {each.name: each.hold_ns for each in self._query.features}
         self._streams = Synchroniser(holds, self._query.timing, begin_ns=begin_ns + self._skew_ns)
 
     def _streams_ns(self) -> int:
-        """The time by the streams' clock."""
+        """The present time on the streams' clock."""
         return _now_ns() + self._skew_ns
 
     def _progress(self, streams: Synchroniser) -> Verdict:

@@ -1,4 +1,4 @@
-"""What the names in formulas mean: features are semantic subscriptions, regions are parts of the plane.
+"""The names in formulas: features are semantic subscriptions, regions are parts of the plane.
 
 A features file:
 
@@ -26,7 +26,7 @@ from cfgplan.formats.yaml_text import read_yaml
 from cfgplan_runtime.reasoning.regions import NotARegionError, Region, region_from
 
 FILE_BESIDE = "features.yaml"
-"""The features file that is read if it is beside the environment file."""
+"""The name of the features file beside an environment file."""
 _FEATURE_NAME = re.compile(r"[^\W\d]\w*")
 _RESERVED = frozenset({"always", "eventually", "until", "and", "or", "not", "in", "true", "false", "inf"})
 _FEATURES_FORM = "write `features:` and `regions:`, each a mapping of names"
@@ -38,8 +38,8 @@ _FEATURE_KEYS = ("tag", "hold")
 class Feature:
     """A name for a semantic subscription.
 
-    `topic` is the topic of a target that the environment already has; without one, the engine sets a target up.
-    `hold_ns` is how long a sample counts as the value; None for the time that all features have.
+    `topic` is the topic of an existing target of the environment; without one, the engine adds a target. A sample
+    counts as the value for `hold_ns` nanoseconds; None means the query's default.
     """
 
     name: str
@@ -47,7 +47,7 @@ class Feature:
     topic: str | None = None
     hold_ns: int | None = None
     origin: Fault | None = None
-    """Where it was declared, for messages about it."""
+    """The place of its declaration, for messages."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class DeclaredFeatures:
     regions: Mapping[str, Region] = field(default_factory=dict)
 
     def with_more(self, other: DeclaredFeatures) -> DeclaredFeatures:
-        """These features and regions with those of `other`, which wins where both have a name."""
+        """These features and regions with those of `other`, which has priority if both have a name."""
         return DeclaredFeatures({**self.features, **other.features}, {**self.regions, **other.regions})
 
 
@@ -177,7 +177,7 @@ def _bad_name(name: object) -> str | None:
 
 
 def _plain(value: Any) -> Any:
-    """A value of a file with numbers as floats."""
+    """A value of a file, with its numbers as floats."""
     if isinstance(value, Mapping):
         return {key: _plain(one) for key, one in value.items()}
     if isinstance(value, list):

@@ -1,4 +1,4 @@
-"""Subscriptions that the manager of this process sets up, and those of another process, through its control socket."""
+"""Subscriptions through the manager of this process, or through the control socket of another process's run."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _SETTLE_S = 5.0
 
 
 class Managing(Protocol):
-    """A manager, as a query uses it."""
+    """The methods of a manager that a query uses."""
 
     def request(self, change: Change) -> Future[Review | None]: ...
 
@@ -41,7 +41,7 @@ class Managing(Protocol):
 
 
 class ManagedSubscriptions:
-    """Subscriptions that a manager in this process sets up, whose runtime is `run`."""
+    """Subscriptions through a manager in this process, whose runtime is `run`."""
 
     def __init__(self, manager: Managing, run: str) -> None:
         self._manager = manager
@@ -74,7 +74,7 @@ class ManagedSubscriptions:
 
 
 class RemoteSubscriptions:
-    """Subscriptions that a run of another process sets up."""
+    """Subscriptions through a run of another process."""
 
     def __init__(self, control: Control, subscribe: Callable[..., SubscriptionToTopic] = subscribe) -> None:
         self._control = control
@@ -82,7 +82,7 @@ class RemoteSubscriptions:
         self._names: dict[str, str] = {}
 
     def declared(self) -> DeclaredFeatures:
-        """The targets that the run has, as features."""
+        """The targets of the run, as features."""
         targets = self._control.call("state", timeout_s=_PATIENCE_S)["targets"]
         wanted = [Feature(each["label"], each["tag"], each["topic"]) for each in targets if each["topic"] is not None]
         return DeclaredFeatures({feature.name: feature for feature in wanted})
@@ -108,7 +108,7 @@ class RemoteSubscriptions:
         return self._subscribe(topic, run=self._control.system.run, wait_s=wait_s, timeout_s=_SUBSCRIPTION_LOOK_S)
 
     def listen(self, tell: Callable[[str], None]) -> None:
-        """Nothing to report: events of another process are its operator's business."""
+        """Report nothing: the operator of the other process gets its events."""
 
     def _call(self, method: str, **params: Any) -> Any:
         from cfgplan_runtime.operating.protocol import RefusedError
@@ -120,7 +120,7 @@ class RemoteSubscriptions:
 
 
 def _told(report: Report) -> str | None:
-    """What a query's user is told of a report."""
+    """The sentence about a report for the query's user; None if it does not concern them."""
     match report:
         case UnitEvent(UnitDied() | UnitHung() | UnitFailed()):
             return sentence(report)

@@ -1,9 +1,9 @@
 """Progression of one formula through a stream of states, as an automaton that is built while it runs.
 
-What a state does to the obligations depends on the truth of the propositions and on which intervals have begun or
-ended, not on the times themselves. Each such step is progressed once and remembered as a transition between
-*situations*: an obligation, and for each operator in it the times at which it began, as registers. On regular and
-on irregular streams alike a known step is one look-up.
+The effect of a state depends only on the truth of the propositions and on the intervals that have started or ended, not
+on the times themselves. Each different step is progressed once and stored as a transition between *situations*: an
+obligation, and for each operator in it the times at which it started, as registers. A known step is one look-up, on
+regular and on irregular streams.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _MOST_PACKED: Final = 39
 
 @dataclass(frozen=True, slots=True)
 class Waiting:
-    """An operator that is not decided yet. `since_ns` and `until_ns` are None where they make no difference."""
+    """An operator that is not decided yet. `since_ns` and `until_ns` are None if they do not matter."""
 
     text: str
     since_ns: int | None
@@ -36,13 +36,13 @@ class Waiting:
 
 
 class Monitor:
-    """Follows a formula through states whose times rise; the formula is about the first of them."""
+    """Follows a formula through states with rising times; the formula is evaluated at the first of them."""
 
     def __init__(self, formula: Formula | Program) -> None:
         self.program = formula if isinstance(formula, Program) else compiled(formula)
         self.states = 0
         self.time_ns: int | None = None
-        """The time of the last state that was looked at; of a final verdict, the state that decided."""
+        """The time of the last state; with a final verdict, of the state that decided."""
         self._automaton = Automaton(self.program)
         self._situation = self._automaton.start
         self._moments: list[list[int]] = []
@@ -56,7 +56,7 @@ class Monitor:
 
     @property
     def possible(self) -> frozenset[Verdict]:
-        """The final verdicts that are not ruled out."""
+        """The final verdicts that are still possible."""
         obligation = self._situation.obligation
         if obligation is None:
             return frozenset(VERDICT_OF.values())
@@ -71,14 +71,14 @@ class Monitor:
 
     @property
     def remembered(self) -> int:
-        """How many obligations and transitions are held in memory; at most about `automaton.MOST_REMEMBERED`."""
+        """The number of obligations and transitions in memory; at most about `automaton.MOST_REMEMBERED`."""
         return self._automaton.remembered
 
     def step(self, time_ns: int, truths: Sequence[Truth | bool]) -> Verdict:
-        """Progress through one state; `truths` has FALSE, UNKNOWN or TRUE (or a bool) for each proposition, in order.
+        """Progress through one state. `truths` has FALSE, UNKNOWN or TRUE (or a bool) for each proposition, in order.
 
-        Does nothing once the verdict is final. Raises InvalidValueError if time does not rise, or for another number of
-        truths than there are propositions.
+        Does nothing once the verdict is final. Raises InvalidValueError if time does not rise, or if the number of
+        truths differs from that of propositions.
         """
         count = len(self.program.propositions)
         if len(truths) != count:
@@ -89,9 +89,9 @@ class Monitor:
         return self._follow((time_ns,), (code,))
 
     def step_by_names(self, time_ns: int, truths: Mapping[str, Truth | bool]) -> Verdict:
-        """Progress through one state, whose `truths` are by the propositions' texts; one that is absent is UNKNOWN.
+        """Progress through one state with `truths` by the propositions' texts; absent propositions are UNKNOWN.
 
-        Raises InvalidValueError for a name that is no proposition, and as `step` does.
+        Raises InvalidValueError for a text that is no proposition, and as `step` does.
         """
         names = [str(proposition) for proposition in self.program.propositions]
         strange = sorted(truths.keys() - set(names))
@@ -120,10 +120,9 @@ class Monitor:
         return self._follow(np.asarray(times_ns, np.int64).tolist(), codes)
 
     def ended(self) -> Verdict:
-        """The verdict if the stream ends here: what had to happen has not happened, and what must not happen never
-        will.
+        """The verdict if the stream ends here: open *eventually* parts become false, and open *always* parts true.
 
-        OPEN if no state was seen.
+        OPEN without any state.
         """
         if self._situation.obligation is None:
             return Verdict.OPEN

@@ -1,14 +1,15 @@
-"""What is left to be seen of a formula: hash-consed, and simplified by what holds in every distributive lattice.
+"""Obligations, the parts of a formula that later states must satisfy: hash-consed, and simplified by the laws of
+distributive lattices.
 
-An obligation is a truth value, a conjunction, a disjunction, or *pending*: a temporal operator that began at an
+An obligation is a truth value, a conjunction, a disjunction, or *pending*: a temporal operator that started at an
 earlier state. Kleene's three values in the order false < unknown < true are a distributive lattice, and progressed
-formulas have no negation above their propositions, so that absorption, and replacing inside of a conjunction what
-another member implies, change no value.
+formulas have no negation above their propositions. So two simplifications change no value: absorption, and replacing
+inside of a conjunction a part that another member implies.
 
-Of one operator, what began earlier ends earlier. Therefore, once their intervals have begun, an earlier *until*
-implies a later one, and a later *release* an earlier one; if the interval has no end it is the other way round,
-begun or not. So a conjunction or disjunction keeps one of each: `always[0,10s] p` inside `always` is one
-obligation.
+The intervals of one operator end in the order in which they started. Therefore, once their intervals have started, an
+earlier *until* implies a later one, and a later *release* an earlier one. If the interval has no end, the order is
+reversed, and holds before its start, too. So a conjunction or disjunction keeps one of each: `always[0,10s] p` inside
+`always` is one obligation.
 """
 
 from __future__ import annotations
@@ -25,11 +26,11 @@ _MOST_PARTS_COMPARED: Final = 24
 
 
 class TooManyObligationsError(CfgplanError):
-    """A formula whose obligations would take more memory than is reasonable."""
+    """The obligations of a formula would take too much memory."""
 
 
 class Kind(IntEnum):
-    """What an obligation is."""
+    """The kinds of obligations."""
 
     VALUE = 0
     PENDING = 1
@@ -40,9 +41,8 @@ class Kind(IntEnum):
 class Obligation:
     """One node. Equal nodes of one store are the same object.
 
-    A pending node has the number of its operator. The moments at which that operator began and that still matter are
-    numbered from the earliest, 0; `moment` is -1 where it makes no difference. `is_begun` says whether its interval has
-    begun.
+    A pending node has the number of its operator. The moments at which this operator started and that still matter are
+    numbered from the earliest, 0; `moment` is -1 if it does not matter. `is_begun` is true if its interval has started.
     """
 
     __slots__ = ("is_begun", "kind", "moment", "operator", "parts", "serial", "size", "value")
@@ -69,8 +69,8 @@ class Obligation:
 
 
 class _Context(NamedTuple):
-    """The members of a conjunction or disjunction; `chains` has, for each operator, the pending member that decides its
-    others.
+    """The members of a conjunction or disjunction; `chains` has for each operator the pending member that decides its
+    other ones.
     """
 
     kind: Kind
@@ -81,14 +81,15 @@ class _Context(NamedTuple):
 
 
 class Store:
-    """Makes obligations of one program. `is_until` and `is_endless` tell of each operator whether it is an until or a
-    release, and whether its interval has no end.
+    """Makes the obligations of one program.
+
+    For each operator `is_until` tells an until from a release, and `is_endless` whether its interval has no end.
     """
 
     def __init__(self, is_until: Sequence[bool], is_endless: Sequence[bool]) -> None:
         self._is_endless = tuple(is_endless)
         self._rises = tuple(until != endless for until, endless in zip(is_until, is_endless, strict=True))
-        """Whether what began later is at least as true."""
+        """For each operator, whether one that started later is at least as true."""
         self._pending: dict[tuple[int, int, bool], Obligation] = {}
         self._joined: dict[tuple[int, ...], Obligation] = {}
         self._implied: dict[tuple[int, int], bool] = {}
@@ -96,11 +97,11 @@ class Store:
         self.values = tuple(Obligation(value, Kind.VALUE, value=value) for value in (FALSE, UNKNOWN, TRUE))
 
     def __len__(self) -> int:
-        """The number of obligations and comparisons that are remembered."""
+        """The number of obligations and comparisons in memory."""
         return len(self._pending) + len(self._joined) + len(self._implied)
 
     def pending(self, operator: int, moment: int, is_begun: bool) -> Obligation:
-        """An operator that began at one of its moments."""
+        """An operator that started at one of its moments."""
         key = (operator, moment, is_begun)
         found = self._pending.get(key)
         if found is None:
@@ -183,7 +184,9 @@ class Store:
         return found
 
     def _thinned(self, kind: Kind, simple: dict[Obligation, None]) -> dict[int, Obligation]:
-        """Remove pending obligations that another of their operator decides. Returns the kept one of each operator."""
+        """Remove pending obligations that another one of their operator decides. Returns the kept one of
+        each operator.
+        """
         kept: dict[int, Obligation] = {}
         for part in list(simple):
             if self._is_comparable(part):
@@ -227,7 +230,9 @@ class Store:
         return part.kind is Kind.PENDING and (part.is_begun or self._is_endless[part.operator])
 
     def _absorbed(self, kind: Kind, nested: list[Obligation]) -> dict[Obligation, None]:
-        """The members that no other makes needless. Of many, only near ones are compared."""
+        """The members that no other member makes redundant. If there are many members, each is compared only with near
+        ones.
+        """
         kept: dict[Obligation, None] = {}
         for position, part in enumerate(nested):
             others = nested if len(nested) <= _MOST_PARTS_COMPARED else nested[max(0, position - 2) : position + 3]
@@ -242,7 +247,7 @@ class Store:
         return other.serial < part.serial or not self.implies(high, low)
 
     def implies(self, low: Obligation, high: Obligation) -> bool:
-        """Whether `low` is at most as true as `high`, whatever states come. False if that is not known."""
+        """Whether `low` is at most as true as `high` in every continuation. False if this is not known."""
         if low is high:
             return True
         if low.kind is Kind.VALUE and low.value != UNKNOWN:
@@ -269,8 +274,8 @@ class Store:
 
 
 def bound(obligation: Obligation, pending: Truth) -> Truth:
-    """The truth of an obligation if all pending ones had the truth `pending`: the least possible with FALSE, the
-    greatest with TRUE.
+    """The truth of an obligation if all pending ones had the truth `pending`: with FALSE the least possible, with TRUE
+    the greatest.
     """
     match obligation.kind:
         case Kind.VALUE:

@@ -1,4 +1,4 @@
-"""Formulas as people write them: text to tree, and every mistake with its column and a hint.
+"""The parser of formulas: from text to a tree; each mistake is a fault with its column and a hint.
 
 `always (not in(ball, opponent_half) -> eventually[0,10s] in(ball, opponent_half))`, or with the signs ¬ ∧ ∨ → □ ◇ 𝒰.
 """
@@ -72,7 +72,7 @@ TEXT: /"[^"\n]*"|'[^'\n]*'/
 """
 LONGEST_FORMULA = 10_000
 FILE = "formula"
-"""What stands for a file's name in the faults of a formula."""
+"""The file name in the faults of a formula."""
 _FIRST_OF_A_PART = {"NAME", "NOT", "NUMBER"}
 
 

@@ -1,8 +1,8 @@
-"""A formula made ready for progression: negations pushed to the atoms, what concerns one state made one proposition.
+"""Formulas compiled for progression: negations are pushed to the atoms, and each part about one state becomes one
+proposition.
 
 Every temporal operator becomes an *until* or its dual, *release*: `eventually p` is `true until p`, `always p` is
-`false release p`. In Kleene's logic, as in that of two values, both sides of De Morgan's laws and of these are the
-same.
+`false release p`. These equations and De Morgan's laws hold in Kleene's logic as in that of two values.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Joined:
 
 @dataclass(frozen=True, slots=True)
 class Operated:
-    """The temporal operator of this number, beginning in the present state."""
+    """The temporal operator of this number, started in the present state."""
 
     number: int
 
@@ -78,7 +78,7 @@ class Operator:
 class Program:
     """A compiled formula.
 
-    `propositions` are its largest parts about a single state; a progression is told the truth of each in that state.
+    `propositions` are its largest parts about a single state; progression needs the truth of each in every state.
     """
 
     text: str
@@ -88,16 +88,16 @@ class Program:
 
 
 def compiled(formula: Formula) -> Program:
-    """Make a formula ready for progression."""
+    """Compile a formula for progression."""
     compiler = _Compiler()
     root = compiler.step(folded(formula), False)
     return Program(str(formula), tuple(compiler.propositions), tuple(compiler.operators), root)
 
 
 def folded(formula: Formula) -> Formula:
-    """The formula without constants that decide a part of it or add nothing: it means the same in every trace.
+    """The formula without constants that decide a part of it or add nothing; it means the same in every trace.
 
-    An interval that begins later may hold no state, so that `eventually[1s,2s] true` is no constant.
+    An interval with a delayed start may hold no state, so that `eventually[1s,2s] true` is no constant.
     """
     match formula:
         case Not(part):

@@ -1,5 +1,5 @@
-"""A query: a formula, the features that it needs and how their streams become states; the subscriptions it is
-answered over, and what is reported of it.
+"""Queries: a formula, its features, the timing of states, the subscriptions that it is answered over, and
+its reports.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _SHORTEST_BEAT_NS = 10_000_000
 
 @dataclass(frozen=True)
 class Query:
-    """What is asked. `features` are those that the formula names, sorted by name."""
+    """A formula with its timing. `features` are the features that it names, sorted by name."""
 
     formula: Formula
     program: Program
@@ -47,7 +47,7 @@ def query(text: str, declared: DeclaredFeatures, timing: Timing | None = None) -
 
 
 def _widths(program: Program) -> list[int]:
-    """The lengths of the bounded intervals, ns. Each needs a state, so that silence is seen."""
+    """The lengths of the bounded intervals in nanoseconds. Each needs a state, so that silence is noticed."""
     intervals = [operator.interval for operator in program.operators]
     return [each.end_ns - each.begin_ns for each in intervals if each.end_ns is not None]
 
@@ -68,36 +68,36 @@ class Sample(Protocol):
 
     @property
     def time_ns(self) -> int:
-        """When it was made, in nanoseconds since 1970."""
+        """The time when it was made, in nanoseconds since 1970."""
 
 
 class Samples(Protocol):
     """A topic's elements, until the stream ends.
 
-    Iterating raises TimeoutError where none has come for a while, and may go on after that. It may have `dropped`, the
-    number of elements that this consumer was too slow for, and `now_ns`, which tells the time by the run's clock.
+    Iterating raises TimeoutError if none has come for a while, and may continue after that. It may have `dropped`, the
+    number of elements that this consumer was too slow for, and `now_ns`, the time on the run's clock.
     """
 
     def __iter__(self) -> Iterator[Sample]: ...
 
 
 class Subscriptions(Protocol):
-    """Sets targets up, keeps them up, and takes them down."""
+    """Adds targets, keeps them, and removes them."""
 
     def add(self, targets: Sequence[Target]) -> None:
-        """Set targets up. Returns when that was tried. Raises InputError for a tag that can't be used."""
+        """Add targets. Returns when the run has tried to meet them. Raises InputError for a tag that can't be used."""
 
     def unmet(self, labels: Sequence[str]) -> Mapping[str, str]:
-        """The reason for each of these targets that is not met now."""
+        """The reason for each of these targets that is not met now, by label."""
 
     def remove(self, labels: Sequence[str]) -> None:
-        """Take targets down. Units that only they needed are stopped."""
+        """Remove targets. Units that only they needed are stopped."""
 
     def samples(self, topic: str, wait_s: float) -> AbstractContextManager[Samples]:
-        """Subscribe to a topic, waiting for it to be there. Raises NoSuchTopicError."""
+        """Subscribe to a topic, and wait up to `wait_s` seconds for it. Raises NoSuchTopicError."""
 
     def listen(self, tell: Callable[[str], None]) -> None:
-        """Call `tell`, from any thread, with a sentence on what happens to the subscriptions."""
+        """Call `tell`, from any thread, with a sentence about each event of the subscriptions."""
 
 
 class UnmetTargetsError(CfgplanError):
@@ -110,7 +110,7 @@ class UnmetTargetsError(CfgplanError):
 
 @dataclass(frozen=True, slots=True)
 class SetUp:
-    """The subscriptions are there; `topics` by feature."""
+    """The subscriptions are set up; `topics` by feature."""
 
     topics: Mapping[str, str]
     seconds: float
@@ -118,14 +118,16 @@ class SetUp:
 
 @dataclass(frozen=True, slots=True)
 class Noted:
-    """Something that concerns the answer, such as a unit that died, or a value without the field that is asked for."""
+    """An event that affects the answer, such as a unit that died, or a value without the needed field."""
 
     text: str
 
 
 @dataclass(frozen=True, slots=True)
 class Progressed:
-    """Where the query is: the time of the last state, what it waits for, and which answers are still possible."""
+    """The progress of a query: the time of the last state, the open operators, and the answers that are
+    still possible.
+    """
 
     time_ns: int
     states: int
@@ -137,11 +139,11 @@ class Progressed:
 
 @dataclass(frozen=True)
 class Answer:
-    """The answer, or that it is open still.
+    """The answer of a query; its verdict may still be open.
 
-    `time_ns` is the time of the state that decided, or of the last one; `first_ns` of the first. `delay_s` is from
-    that time to the answer on the clock. `missing` says in how many states each feature had no value; `late` how
-    many samples came too late.
+    `time_ns` is the time of the state that decided, or of the last one; `first_ns` of the first. `delay_s` is from that
+    time to the answer on the clock. `missing` counts for each feature the states without its value; `late` counts the
+    samples that came too late.
     """
 
     verdict: Verdict
@@ -154,7 +156,7 @@ class Answer:
     expired: Sequence[Waiting] = ()
     """The operators whose intervals ended with the state that decided."""
     last: Mapping[str, Verdict] = field(default_factory=dict)
-    """What was true, false or unknown in the last state."""
+    """The truth of each proposition in the last state."""
     missing: Mapping[str, int] = field(default_factory=dict)
     late: int = 0
     dropped: int = 0

@@ -1,4 +1,4 @@
-"""From lark's tree to a formula: names are looked up, and what is no formula, number, point or region is refused."""
+"""The reader of lark's trees: it looks names up, and refuses parts that are no formula, number, point or region."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     Node: TypeAlias = Tree[Token] | Token
 
 SPELLED: Mapping[str, str] = {"G": "`always p`", "F": "`eventually p`", "U": "`p until q`"}
-"""How other notations of temporal logic are written here."""
+"""The spelling here of operators of other notations."""
 FUNCTIONS = ("in", "distance", "abs", *RCC8)
 SECOND_NS = 1_000_000_000
 _UNIT_NS = {
@@ -60,7 +60,7 @@ class Vocabulary:
 
 
 class Reader:
-    """Reads one tree. A mistake is noted in `faults`, and something harmless given, so that reading goes on."""
+    """Reads one tree. It adds each mistake to `faults`, and continues with a harmless part in its place."""
 
     def __init__(self, vocabulary: Vocabulary, file: str) -> None:
         self.faults: list[Fault] = []
@@ -69,7 +69,7 @@ class Reader:
         self._depth = 0
 
     def formula(self, node: Node) -> syntax.Formula:
-        """The formula that a node is."""
+        """The formula of a node."""
         with self._deeper(node) as is_shallow:
             return self._formula(node) if is_shallow else _NOTHING
 

@@ -1,6 +1,6 @@
 """Regions of the plane, points in them, and the eight relations of RCC8 between them (Randell, Cui and Cohn 1992).
 
-A region is closed: its edge belongs to it. shapely decides on the coordinates as they are, without a tolerance.
+A region is closed: its edge belongs to it. shapely compares the coordinates exactly, without a tolerance.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _REGION_FORMS = "write {polygon: [[x, y], ...]}, {circle: [x, y], radius: r} or 
 
 
 class NotARegionError(CfgplanError):
-    """A value that is no region; `mend` says what would be one."""
+    """A value that is no region; `mend` lists the forms of regions."""
 
     def __init__(self, message: str, mend: str = _REGION_FORMS) -> None:
         super().__init__(message)
@@ -39,7 +39,7 @@ class Region:
     circle: tuple[float, float, float] | None = None
 
     def has(self, point: tuple[float, float]) -> bool:
-        """Whether a point is in it or on its edge."""
+        """Whether a point is in the region or on its edge."""
         if self.circle is not None:
             x, y, radius = self.circle
             return math.hypot(point[0] - x, point[1] - y) <= radius
@@ -129,7 +129,7 @@ def _numbers(value: Any, count: int, otherwise: str) -> list[float]:
 
 
 def _sides(value: Any) -> list[float]:
-    """The least x and y and the greatest x and y of a box."""
+    """The least x and y, and the greatest x and y, of a box."""
     sides = _numbers(value, 4, "a box has four numbers: its least x and y, its greatest x and y")
     x, y, far_x, far_y = sides
     if x > far_x or y > far_y:

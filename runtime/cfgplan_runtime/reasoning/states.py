@@ -1,9 +1,10 @@
-"""Streams made into one stream of states: time-aligned, with a stated bound on delay and on missing samples.
+"""States made from streams: aligned in time, with a bound on their delay, and with missing samples marked.
 
-In a state of time T each feature has the value of its last sample that is not after T, if that is at most `hold`
-old; else it is missing. A state is given as soon as every feature has a sample at or after T, or when T is `delay` ago
-on the clock; if the sample that makes it a state comes later than that, then when that comes. A sample that comes after
-a later state was given can't change anything: it is counted as late.
+In a state of time T each feature has the value of its last sample up to T, if that is at most `hold` old; else its
+value is missing. A state is given as soon as every feature has a sample at or after T, or `delay` after T on the clock,
+or when the sample that makes it a state comes, if that is later still. A sample that comes after a later state was
+given is not used, and counts as late.
+
 A missing value makes atoms unknown, never false.
 """
 
@@ -20,11 +21,11 @@ from cfgplan_runtime.reasoning.reader import SECOND_NS
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """When there is a state, and what counts as its value; times in nanoseconds.
+    """The times of states, and the age of values; in nanoseconds.
 
-    With a rate there is a state at each period; without one, at the time of each sample (those within `tolerance_ns` of
-    the first make one state), when a value becomes too old, and at least every `beat_ns`, so that silence is seen.
-    `patience_ns` is how long to wait for the first sample of every feature before states begin without.
+    With a rate, states come at each period. Without one, each sample makes a state (samples within `tolerance_ns` of
+    the first make one), as does a value that becomes too old; and states come at least every `beat_ns`, so that silence
+    is noticed. States begin without the features that have no sample after `patience_ns`.
     """
 
     hold_ns: int = SECOND_NS
@@ -48,7 +49,7 @@ class FeatureState:
     time_ns: int
     values: Mapping[str, Any]
     is_forced: bool
-    """Given because the delay had run out, not because every feature had passed its time."""
+    """True if the state was given at the end of the delay, before every feature had passed its time."""
 
 
 @dataclass(slots=True)
@@ -59,16 +60,16 @@ class _Feature:
 
 
 class Synchroniser:
-    """Makes states of samples. Every `now_ns` is a time on the clock of the samples."""
+    """Makes states from samples. Every `now_ns` is a time on the clock of the samples."""
 
     def __init__(self, holds_ns: Mapping[str, int | None], timing: Timing, *, begin_ns: int) -> None:
         self.late = 0
-        """How many samples came after a state that they belonged into, or out of order."""
+        """The number of samples that came after their state was given, or out of order."""
         self.missing = dict.fromkeys(holds_ns, 0)
-        """In how many states each feature had no value."""
+        """For each feature, the number of states without its value."""
         self.states = 0
         self.forced = 0
-        """How many states were given because the delay had run out."""
+        """The number of states that were given at the end of the delay."""
         self._timing = timing
         self._features = {
             name: _Feature(timing.hold_ns if hold_ns is None else hold_ns) for name, hold_ns in holds_ns.items()
@@ -79,7 +80,7 @@ class Synchroniser:
         self._number = 0
 
     def push(self, feature: str, time_ns: int, value: Any) -> None:
-        """Take a sample of a feature."""
+        """Add a sample of a feature."""
         samples = self._features[feature].samples
         if samples and time_ns <= samples[-1][0]:
             self.late += 1
@@ -102,7 +103,7 @@ class Synchroniser:
             yield self._state(self._grouped(time_ns), is_forced=complete_ns > passed_ns)
 
     def due_ns(self) -> int:
-        """When `ready` gives the next state even if no sample comes."""
+        """The time at which `ready` gives the next state without another sample."""
         if self._start_ns is None:
             return self._begin_ns + self._timing.patience_ns
         return self._next() + self._waits_ns() + self._timing.delay_ns
@@ -137,7 +138,7 @@ class Synchroniser:
         return self._timing.tolerance_ns if self._timing.rate_hz is None and self._last_ns is not None else 0
 
     def _grouped(self, time_ns: int) -> int:
-        """The time of the last sample that makes one state with those at `time_ns`."""
+        """The time of the last sample that is in one state with those at `time_ns`."""
         last = time_ns + self._waits_ns()
         times = (each for feature in self._features.values() for each, _ in feature.samples)
         return max((each for each in times if time_ns <= each <= last), default=time_ns)

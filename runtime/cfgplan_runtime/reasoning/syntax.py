@@ -1,7 +1,7 @@
 """Metric temporal logic as a tree (Koymans 1990, with future operators; paper, section III).
 
-A formula says something about a state and those after it. States have whole nanoseconds as times, which rise. Atoms
-hold any hashable value that says something about one state; the temporal part never looks into them.
+A formula is evaluated at a state, over this state and the later ones. Times of states are whole nanoseconds, and rise.
+An atom holds any hashable value for a condition on one state; the temporal part never reads it.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ _UNITS = ((60_000_000_000, "min"), (1_000_000_000, "s"), (1_000_000, "ms"), (1_0
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """How long after a state another may be: from `begin_ns` to `end_ns` nanoseconds, both included.
+    """The times of later states, relative to a state: from `begin_ns` to `end_ns` nanoseconds, both included.
 
-    Without an end it goes on for ever. Raises InvalidValueError for an empty one.
+    Without an end it is unbounded. Raises InvalidValueError for an empty one.
     """
 
     begin_ns: int = 0
@@ -116,7 +116,7 @@ class Eventually(Temporal):
 
 @dataclass(frozen=True, slots=True)
 class Until:
-    """`right` in some state of the interval, and `left` in every state before that one, this one included."""
+    """`right` in some state of the interval, and `left` in every state before that state, including the present one."""
 
     left: Formula
     right: Formula

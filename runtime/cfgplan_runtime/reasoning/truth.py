@@ -1,4 +1,4 @@
-"""Kleene's three truth values, and what a query can answer."""
+"""Kleene's three truth values, and the verdicts of a query."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ TRUE: Final = 2
 
 
 def negation(truth: Truth) -> Truth:
-    """Strong Kleene negation: what is unknown stays unknown."""
+    """Strong Kleene negation; the negation of UNKNOWN is UNKNOWN."""
     return 2 - truth
 
 
 class Verdict(StrEnum):
-    """What is known of a formula after the states so far. All but OPEN are final."""
+    """The knowledge about a formula after the states so far. All verdicts but OPEN are final."""
 
     TRUE = "true"
     FALSE = "false"
     UNKNOWN = "unknown"
-    """No further state can make it true or false: a value that decides it was missing."""
+    """No further state can make it true or false, because a value that decides it was missing."""
     OPEN = "open"
 
 

@@ -1,1 +1,1 @@
-"""Runs whose units are ROS 1 nodes: started, connected by a relay, watched and stopped over a master."""
+"""Runs whose units are ROS 1 nodes: the run starts, connects (by a relay), watches and stops them through a master."""

@@ -1,4 +1,4 @@
-"""Watches one ROS 1 node: whether it has told its master of itself, then whether it still answers."""
+"""Watches one ROS 1 node: whether it has registered with its master, and then whether it still answers."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from cfgplan.ros.node_api import SilentError, asked, peer
 
 _WATCHER = "/cfgplan_watch"
 _NODE_LOOK_S, _MOST_NODE_LOOK_S = 0.02, 0.2
-"""Seconds between two looks for a node that starts, longer and longer."""
+"""Seconds between two checks of a starting node, growing up to the second value."""
 _PORTS_S = 2.0
-"""Seconds after which a node that has told its master of itself is ready, whatever it does not publish yet."""
+"""Seconds after which a registered node is ready, even if it does not publish all its topics yet."""
 _LATE_S = 10.0
-"""Seconds after which it is told what it still does not publish."""
+"""Seconds after which the topics that it does not publish are reported."""
 ALIVE_S = 1.0
-"""Seconds between two questions whether it is there."""
+"""Seconds between two calls that check whether it answers."""
 
 
 class WatchOwner(Protocol):
@@ -30,14 +30,14 @@ class WatchOwner(Protocol):
     def note_ready(self, node: str, address: str) -> None: ...
     def note_alive(self, node: str) -> None: ...
     def note_late(self, node: str, topics: list[str]) -> None:
-        """It has been running for a while and does not publish these topics."""
+        """The node has been running for a while and does not publish these topics."""
 
     def note_silence(self, node: str) -> None:
-        """It did not answer twice in a row: a busy computer may make it miss one question."""
+        """The node did not answer twice in a row: a busy computer may make it miss one call."""
 
 
 class NodeWatch:
-    """A watch that begins at once. `is_own` tells by its process id whether a node of this name is the right one.
+    """A watch that begins at once. `is_own` decides by its process id whether a node of this name is the right one.
 
     `published` and `subscribed` are the topics of its ports. A node may begin with them late, or never.
     """
@@ -57,7 +57,7 @@ class NodeWatch:
         threading.Thread(target=self._watch, name=f"watch {node}", daemon=True).start()
 
     def end(self) -> None:
-        """Tell nothing more."""
+        """Stop calling the owner."""
         self._is_over.set()
 
     def _watch(self) -> None:

@@ -1,4 +1,4 @@
-"""A nodelet manager of ROS 1, and the nodelets that a run loads and unloads there by its services."""
+"""A nodelet manager of ROS 1, and the nodelets that a run loads and unloads by the manager's services."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from cfgplan_runtime.ros1.tcpros import answered, service_end
 _MANAGER_START_S = 30.0
 _MANAGER_LOOK_S = 0.05
 _LOAD_S = 30.0
-"""Seconds that loading a nodelet may take: its constructor is part of that."""
+"""Seconds that loading a nodelet may take, including its constructor."""
 _SEE = "can't be loaded: see what it printed"
 """A manager that refuses gives no reason, but prints one."""
 
 
 class NodeletGroup:
-    """The manager `name`. It runs in `process`; None if somebody else runs it. `units` are those of its nodelets."""
+    """The manager `name`. `process` is None if the run has not started it. `units` are those of its nodelets."""
 
     def __init__(self, name: str, master: str, process: NodeProcess | None) -> None:
         self.name, self.process = name, process
         self.units = SharedProcess(process)
         self.watch: NodeWatch | None = None
         self.address: str | None = None
-        """Its address, once it has told the master of itself."""
+        """Its address, once it has registered with the master."""
         self._master = master
 
     def load(self, unit: str, ros: RosUnit, tell: Callable[[str, int], None]) -> None:
-        """Load a nodelet once the manager is there. A thread calls `tell` with the cause of a failure, or "", and with
-        the labor.
+        """Load a nodelet once the manager answers. A thread calls `tell` with the cause of a failure, or "", and with
+        the labor in microseconds.
         """
         self.units.add(unit)
         namespace = ros.name.rpartition("/")[0]  # the manager would take names for its own
@@ -62,18 +62,18 @@ class NodeletGroup:
         threading.Thread(target=work, daemon=True).start()
 
     def unload(self, ros: RosUnit, tell: Callable[[bool], None]) -> None:
-        """Unload a nodelet. A thread calls `tell` with whether that went well."""
+        """Unload a nodelet. A thread calls `tell` with whether this succeeded."""
         threading.Thread(target=lambda: tell(self.unloads(ros)), daemon=True).start()
 
     def unloads(self, ros: RosUnit) -> bool:
-        """Unload a nodelet, and wait until that is done. Returns whether it went well."""
+        """Unload a nodelet, and wait for it. Returns whether this succeeded."""
         try:
             return self._asked("unload_nodelet", _text(ros.name))
         except (SilentError, OSError):
             return False
 
     def _await_services(self) -> None:
-        """Wait until the manager answers. Before that the master may know the services of one that has died."""
+        """Wait until the manager answers. Before that the master may list the services of a dead one."""
         until = time.monotonic() + _MANAGER_START_S
         while True:
             try:

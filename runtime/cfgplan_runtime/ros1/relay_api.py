@@ -1,4 +1,4 @@
-"""The interface that a ROS 1 node has for masters and other nodes, as the relay offers it."""
+"""The XML-RPC interface of a ROS 1 node for masters and other nodes, as the relay offers it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _Answer: TypeAlias = "tuple[int, str, Any]"
 
 
 class ApiOwner(Protocol):
-    """The node behind the interface, which asks it from its own threads. Message types are by topic."""
+    """The node behind the interface; its methods are called in the interface's threads. Message types are by topic."""
 
     def published(self) -> Mapping[str, str]: ...
     def subscribed(self) -> Mapping[str, str]: ...

@@ -1,4 +1,4 @@
-"""What a run and its relay of ROS 1 topics say to each other."""
+"""The messages between a run and its relay of ROS 1 topics."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cfgplan_runtime.nodes.relay_messages import CloseInlets, Lead, Passed, Refu
 
 
 class RelayOrder(msgspec.Struct, frozen=True):
-    """The relay's name as a node, its master's address, and the host that other nodes reach it by."""
+    """The relay's name as a node, its master's address, and the host name under which other nodes reach it."""
 
     node: str
     master: str

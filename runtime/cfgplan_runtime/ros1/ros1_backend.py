@@ -41,9 +41,9 @@ _RELAY_END_S = 5.0
 
 @dataclass(slots=True, eq=False)
 class _UnitNode:
-    """A unit's node: a process, a nodelet in a group, or somebody else's. Its `address` is known once it is ready.
+    """A unit's node: a process, a nodelet in a group, or an external node. Its `address` is known once it is ready.
 
-    A nodelet is there once it `is_loaded`. Once it `is_leaving` it is to be unloaded.
+    A nodelet runs once it `is_loaded`, and will be unloaded once it `is_leaving`.
     """
 
     unit: str
@@ -87,10 +87,10 @@ class _Relay:
 
 
 class Ros1Backend:
-    """A backend of ROS 1 nodes. All its methods are called from one thread, which must outlive it.
+    """A backend of ROS 1 nodes. Call all its methods from one thread, which must outlive it.
 
-    Its master is that of ROS_MASTER_URI, or one of its own if none answers there. `folder` is what `node:./FILE` is
-    relative to. Raises InputError.
+    Its master is that of ROS_MASTER_URI, or one of its own if none answers there. Sources `node:./FILE` are relative to
+    `folder`. Raises InputError.
     """
 
     def __init__(self, *, folder: Path | None = None) -> None:
@@ -140,7 +140,7 @@ class Ros1Backend:
         return ()
 
     def leave_hosts(self, hosts: Collection[str]) -> None:
-        """There is one computer, which stays."""
+        """Do nothing: the only host is this computer."""
 
     def start(
         self,
@@ -158,10 +158,10 @@ class Ros1Backend:
             self._events.append(events.UnitDied(unit, f"can't be started: {error}"))
 
     def prepare(self, spare: str, transformation: Transformation, host: str | None) -> None:
-        """Do nothing: a node that waits would run."""
+        """Do nothing: a waiting node would already run."""
 
     def discard(self, spare: str) -> None:
-        """Do nothing: nothing is prepared."""
+        """Do nothing: no spares are prepared."""
 
     def stop(self, unit: str) -> None:
         node = self._nodes.get(unit)
@@ -175,10 +175,10 @@ class Ros1Backend:
             self._end(node, NodeProcess.kill)
 
     def ask_state(self, unit: str) -> None:
-        """Nodes keep their states to themselves."""
+        """Do nothing: nodes do not give their state."""
 
     def give_state(self, unit: str, state: bytes) -> None:
-        """Nodes keep their states to themselves."""
+        """Do nothing: nodes do not take a state."""
 
     def connect(self, wire: int, stream: Stream, inlet: Inlet, *, queue: int, blocks: bool) -> None:  # noqa: ARG002
         producer, consumer = self._nodes.get(stream.unit), self._nodes.get(inlet.unit)
@@ -213,7 +213,7 @@ class Ros1Backend:
         self._wires.lose()
 
     def usage(self, unit: str) -> Usage | None:
-        """What a node has used; zero if somebody else runs it."""
+        """The usage of a unit's node; zero if the run has not started it."""
         node = self._nodes.get(unit)
         if node is None:
             return None
@@ -280,7 +280,7 @@ class Ros1Backend:
         self._events.append(events.UnitReady(node.unit, 0 if usage is None else usage.cpu_us))
 
     def _status(self, node: _UnitNode) -> events.UnitStatus:
-        """A sign of life, with what the relay has seen of a unit's streams."""
+        """A sign of life, with the relay's counts of a unit's streams."""
         outputs = {
             port.name: messages.PortCounts(self._wires.passed_from(node.ros.publishes_at(port.name)))
             for port in node.ros.transformation.outputs
@@ -334,7 +334,7 @@ class Ros1Backend:
         self._bury(node, self._processes.last_words(process, node.unit))
 
     def _bury(self, node: _UnitNode, cause: str) -> None:
-        """Forget a node that is gone, or given up."""
+        """Forget a node that has ended or was given up."""
         del self._nodes[node.unit], self._units[node.ros.name]
         if node.watch is not None:
             node.watch.end()
@@ -346,7 +346,7 @@ class Ros1Backend:
         self._events.append(events.UnitStopped(node.unit) if node.is_stopping else events.UnitDied(node.unit, cause))
 
     def _end(self, node: _UnitNode, end: Callable[[NodeProcess], None]) -> None:
-        """Unload a nodelet, give up a node that somebody else runs, or call `end` with the process of any other."""
+        """Unload a nodelet, forget an external node, or call `end` with the process of any other node."""
         if node.group is not None:
             self._unload(node, node.group)
         elif node.process is None:
@@ -357,7 +357,7 @@ class Ros1Backend:
     # Nodelets.
 
     def _group(self, name: str) -> NodeletGroup:
-        """The nodelet manager of a name, or the run's own for "". Starts it, unless it is there already."""
+        """The nodelet manager of this name, or the run's own for "". Starts it unless it runs."""
         full = f"/{name.lstrip('/')}" if name else f"/cfgplan_nodelets_{self.id}"
         if full in self._groups:
             return self._groups[full]
@@ -410,14 +410,14 @@ class Ros1Backend:
         self._posted.post(lambda: call(self._nodes[unit]) if unit in self._nodes else None)
 
     def _end_group(self, group: NodeletGroup) -> None:
-        """End a manager with all its nodelets; one that somebody else runs is given up."""
+        """End a manager with all its nodelets; one that the run has not started is only forgotten."""
         if group.process is not None:
             group.process.kill()
         if self._groups.get(group.name) is group:
             self._lose_group(group)
 
     def _lose_group(self, group: NodeletGroup) -> None:
-        """Report the end of a manager and of all that was in it."""
+        """Report the end of a manager and of all its nodelets."""
         del self._groups[group.name]
         if group.watch is not None:
             group.watch.end()
@@ -436,7 +436,7 @@ class Ros1Backend:
             self._ends.watch(self.master.ended, self._lose_master)
 
     def _lose_master(self) -> None:
-        """End all nodes and start this run's own master anew: nodes tell a master of themselves only once."""
+        """End all nodes and restart this run's own master: nodes register with a master only once."""
         assert self.master.ended is not None
         self._ends.unwatch(self.master.ended)
         for group in list(self._groups.values()):

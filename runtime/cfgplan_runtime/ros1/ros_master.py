@@ -1,4 +1,4 @@
-"""The ROS 1 master of a run: one that answers, or else one that is started for the run and ends with it."""
+"""The ROS 1 master of a run: one that already answers, or one that is started for the run and ends with it."""
 
 from __future__ import annotations
 
@@ -26,9 +26,10 @@ _HOST_VARIABLES = ("ROS_IP", "ROS_HOSTNAME")
 
 
 class RosMaster:
-    """The master at ROS_MASTER_URI. If none answers there it is started, as `roslaunch` does, without `rosout`.
+    """The master at ROS_MASTER_URI. If none answers there, one is started as by `roslaunch`, without `rosout`.
 
-    What it starts ends with the thread that made it. For one thread. Raises InputError if there is no master.
+    A master that it starts ends with the thread that made it. Not thread-safe. Raises InputError if no master can be
+    reached or started.
     """
 
     def __init__(self) -> None:
@@ -39,20 +40,20 @@ class RosMaster:
         self.is_local = place.hostname in ("localhost", "127.0.0.1", "::1", socket.gethostname())
         self._port = place.port or 11311
         self.ended: int | None = None
-        """Can be read once the run's own master has ended; None if it has none."""
+        """A descriptor that becomes readable when the run's own master has ended; None without one."""
         if not self.answers():
             self._start()
 
     @property
     def host(self) -> str:
-        """The name by which others reach nodes on this computer."""
+        """The name under which other nodes reach nodes on this computer."""
         named = next((os.environ[name] for name in reversed(_HOST_VARIABLES) if os.environ.get(name)), None)
         return named or ("127.0.0.1" if self.is_local else socket.gethostname())
 
     @property
     def environment(self) -> Mapping[str, str]:
-        """The environment of nodes. With a master on this computer only this computer reaches them, unless ROS_IP or
-        ROS_HOSTNAME says otherwise.
+        """The environment of nodes. If the master is on this computer, only this computer reaches them, unless ROS_IP
+        or ROS_HOSTNAME is set.
         """
         is_said = any(os.environ.get(name) for name in _HOST_VARIABLES)
         host = {} if is_said or not self.is_local else {"ROS_IP": self.host}
@@ -68,17 +69,17 @@ class RosMaster:
         return True
 
     def ask(self, method: str, *arguments: object) -> Any:
-        """Its answer. Raises SilentError."""
+        """Call a method of the master, and return its answer. Raises SilentError."""
         return asked(self._peer, _CALLED_BY, method, *arguments)
 
     def unpublish(self, node: str, topic: str, address: str) -> None:
-        """Tell it that a node at an address does not publish a topic any more. Raises SilentError."""
+        """Tell the master that a node at an address no longer publishes a topic. Raises SilentError."""
         asked(self._peer, node, "unregisterPublisher", topic, address)
 
     def ask_node(self, node: str) -> None:
-        """Raises SilentError if the master knows no node of that name, or it misses two calls.
+        """Check that a node answers. Raises SilentError if the master does not know it, or if it misses two calls.
 
-        Who takes its name ends it, and a busy computer may make it miss one.
+        A second node of the same name would end it, so one missed call, as on a busy computer, is not enough.
         """
         address = str(self.ask("lookupNode", node))
         try:
@@ -87,7 +88,7 @@ class RosMaster:
             asked(peer(address), _CALLED_BY, "getPid")
 
     def set_parameters(self, node: str, parameters: Mapping[str, object]) -> None:
-        """Replace all parameters of a node by these, given by full names. Raises SilentError."""
+        """Replace all parameters of a node by these, under their full names. Raises SilentError."""
         with suppress(SilentError):  # it has none
             self.ask("deleteParam", node)
         for name, value in parameters.items():
@@ -128,7 +129,7 @@ class RosMaster:
 
 
 def forget_node(master: str, node: str, address: str) -> None:
-    """Unregister everything of a node that has died, which it could not do itself. Raises SilentError."""
+    """Unregister a node that has died and could not do so itself. Raises SilentError."""
     of = peer(master)
     publishers, subscribers, servers = asked(of, node, "getSystemState")
     for method, rows in (("unregisterPublisher", publishers), ("unregisterSubscriber", subscribers)):

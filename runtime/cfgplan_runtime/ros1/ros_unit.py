@@ -41,7 +41,7 @@ class RosUnit:
 
     @property
     def remappings(self) -> Mapping[str, str]:
-        """Each port's topic by the name that the node's code has for it."""
+        """Each port's topic, by the name that the node's code uses."""
         transformation = self.transformation
         led = {port.remap or port.name: self.listens_at(port.name) for port in transformation.inputs}
         return {**led, **{port.remap or port.name: self.publishes_at(port.name) for port in transformation.outputs}}
@@ -65,7 +65,7 @@ class RosUnit:
 
 
 def node_source(transformation: Transformation) -> NodeSource:
-    """The ROS 1 node that units of a transformation are. Raises InputError for one that can't be."""
+    """The ROS 1 node of a transformation's units. Raises InputError if the source is no ROS 1 node."""
     label = transformation.label
     source = NodeSource.read(transformation.source)
     if source is None or source.kind == "component":
@@ -81,14 +81,14 @@ def node_source(transformation: Transformation) -> NodeSource:
 
 
 def check_start(transformation: Transformation, folder: Path) -> None:
-    """Raises InputError if what starts a node can't be found; files are relative to `folder`."""
+    """Raise InputError if the program of a node can't be found; files are relative to `folder`."""
     source = node_source(transformation)
     if source.kind != "external":
         _program(source, folder)
 
 
 def _program(source: NodeSource, folder: Path) -> Path:
-    """The file that starts a node; of a nodelet its manager's. Raises InputError if it can't be found."""
+    """The file that starts a node, or a nodelet's manager. Raises InputError if it can't be found."""
     if source.kind == "nodelet":
         return executable("nodelet", "nodelet")
     return node_file(folder, source.name) if not source.package else executable(source.package, source.name)

@@ -1,4 +1,4 @@
-"""The relay's part for services of ROS 1: it passes calls on to the node that offers the service now."""
+"""The relay's part for services of ROS 1: it forwards calls to the node that offers the service now."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _PIECE_BYTES = 1 << 16
 
 
 class ServiceRelay:
-    """Leads each service that callers know to the service of a node. Thread-safe."""
+    """Connects each service that the relay offers to the service of a node. Thread-safe."""
 
     def __init__(self, master: str) -> None:
         self._master = master
@@ -22,12 +22,12 @@ class ServiceRelay:
         self._open: dict[str, set[socket.socket]] = defaultdict(set)
 
     def lead(self, wire: int, source: str, target: str) -> None:
-        """Pass calls of `target` on to `source` from now on. Connections that are open are closed."""
+        """Forward calls of `target` to `source` from now on. Open connections are closed."""
         self._led[target] = wire, source
         self._hang_up(target)
 
     def end(self, wire: int) -> str | None:
-        """Pass no more calls on by a wire. Returns the service that is no longer offered, or None."""
+        """Stop forwarding over a wire. Returns the service that is no longer offered, or None."""
         for target, (led, _) in self._led.items():
             if led == wire:
                 self.close(target)
@@ -35,12 +35,12 @@ class ServiceRelay:
         return None
 
     def close(self, target: str) -> None:
-        """Offer a service no more."""
+        """Stop offering a service."""
         self._led.pop(target, None)
         self._hang_up(target)
 
     def forward(self, caller: socket.socket, asks: Header) -> None:
-        """Pass on the calls of a connection until it ends. Raises SilentError or OSError if nobody answers them."""
+        """Forward the calls of a connection until it ends. Raises SilentError or OSError if no node answers them."""
         target = asks["service"]
         if target not in self._led:
             raise SilentError(f"{target} is not offered now")
@@ -65,7 +65,7 @@ class ServiceRelay:
 
 
 def _pass_on(source: socket.socket, target: socket.socket) -> None:
-    """Pass on all data, then the end of it."""
+    """Forward all data, then the end of it."""
     with suppress(OSError):
         while piece := source.recv(_PIECE_BYTES):
             target.sendall(piece)

@@ -1,4 +1,4 @@
-"""Connections of ROS 1 topics (TCPROS): how they are begun, and messages, each with its length before it."""
+"""Connections of ROS 1 topics (TCPROS): their headers, and messages, each with its length before it."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def service_end(master: str, service: str) -> socket.socket:
 
 
 def read_header(end: socket.socket) -> Header:
-    """The header that begins a connection. Waits for it. Raises SilentError or OSError."""
+    """Read the header that begins a connection. Waits for it. Raises SilentError or OSError."""
     end.settimeout(ANSWER_LIMIT_S)
     (size,) = _LENGTH.unpack(_exactly(end, _LENGTH.size))
     if size > LARGEST_HEADER:
@@ -103,11 +103,11 @@ class MessageReader:
         self._chunk = memoryview(bytearray(_READ_BYTES))
         self._pending = b""
         self._large = bytearray()
-        """A message that is longer than a chunk, while it comes."""
+        """The received part of a message that is longer than a chunk."""
         self._filled = 0
 
     def read(self) -> Iterator[Framed]:
-        """The messages that have come, in order. If `has_ended` is set, there will be no more."""
+        """Yield the messages that have come, in order. Once `has_ended` is set, no more will come."""
         budget = _MOST_BYTES_PER_READ
         while budget > 0 and not self.has_ended:
             if self._large:
@@ -152,7 +152,7 @@ class MessageReader:
 
 
 class MessageWriter:
-    """A publisher's end. What the socket does not take waits; of more than `queue` messages the oldest are dropped."""
+    """A publisher's end. Messages wait until the socket takes them; beyond `queue` messages, the oldest are dropped."""
 
     def __init__(self, end: socket.socket, queue: int) -> None:
         end.setblocking(False)
@@ -166,7 +166,7 @@ class MessageWriter:
 
     @property
     def is_waiting(self) -> bool:
-        """Whether something waits for `flush`."""
+        """Whether messages wait for `flush`."""
         return self._rest is not None and not self.has_ended
 
     def offer(self, message: Framed) -> None:
@@ -180,7 +180,7 @@ class MessageWriter:
             self.dropped += 1
 
     def flush(self) -> None:
-        """Send what waits, as far as it goes."""
+        """Send waiting messages, as far as the socket takes them."""
         while not self.has_ended and (self._rest is not None or self._waiting):
             if self._rest is None:
                 message = self._waiting.popleft()

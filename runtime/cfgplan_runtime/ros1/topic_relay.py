@@ -1,7 +1,8 @@
-"""The process that rewires ROS 1 nodes: a node itself, which leads topics that nodes publish to those they listen to.
+"""The process that rewires ROS 1 nodes: a node itself, which forwards topics that nodes publish to the topics of their
+inputs.
 
-Each input of a node listens to a topic of its own, on which only the relay publishes. The relay takes what it
-publishes there from one output after the other, as wires say, and no node notices.
+Each input of a node listens to a topic of its own, on which only the relay publishes. Wires tell the relay which output
+it forwards there, one at a time; the nodes do not notice a change.
 """
 
 from __future__ import annotations
@@ -48,12 +49,12 @@ from cfgplan_runtime.streams.meter import Meter
 SIGN_S = 1.0
 """Seconds from one sign of life to the next."""
 _TRUSTED_NS = 5_000_000_000
-"""A message's stamp counts as its time if it is not further from now."""
+"""The largest distance of a message's stamp from now at which the stamp counts as its time."""
 _STAMP = struct.Struct("<4xIII")
 """A message that begins with a header: its length, then the header's number, seconds and nanoseconds."""
 _HEADER_TYPES = ("Header", "std_msgs/Header", "roslib/Header")
 _CONNECT_AGAIN_S, _MOST_CONNECT_AGAIN_S = 0.05, 2.0
-"""Seconds until a publisher that does not answer is asked again, doubled up to the second value."""
+"""Seconds until a publisher that does not answer is tried again, doubled up to the second value."""
 
 
 def begins_with_header(definition: str) -> bool:
@@ -65,22 +66,22 @@ def begins_with_header(definition: str) -> bool:
 
 @dataclass(slots=True, eq=False)
 class _Publication:
-    """A topic that the relay publishes. Nobody can subscribe before its `header`, with the type, is known."""
+    """A topic that the relay publishes. Its `header`, with the type, must be known before nodes can subscribe."""
 
     topic: str
     queue: int
     header: Header | None = None
     is_known: bool = False
-    """Whether the master was told of it."""
+    """Whether it is registered with the master."""
     writers: list[MessageWriter] = field(default_factory=list)
     latched: Framed | None = None
     dropped: int = 0
-    """How many messages were dropped for subscribers that are gone."""
+    """The number of messages dropped for subscribers that are gone."""
 
 
 @dataclass(slots=True, eq=False)
 class _LedInlet:
-    """An inlet with the topic that it comes out on; `told` is the wire that was last told as its source."""
+    """An inlet with its output topic; `told` is the wire that was last reported as its source."""
 
     unit: str
     name: str
@@ -92,7 +93,8 @@ class _LedInlet:
 
 @dataclass(slots=True, eq=False)
 class _SourceTopic:
-    """A topic that the relay listens to. `wires` has the inlet of each wire, `offered` how many messages it was given.
+    """A topic that the relay listens to. `wires` has the inlet of each wire, `offered` the number of messages that it
+    got.
 
     `wanted` are the addresses of its publishers, `readers` the connections to them.
     """
@@ -107,11 +109,11 @@ class _SourceTopic:
     has_stamp: bool = False
     messages: int = 0
     latched: Framed | None = None
-    """The last message of a latched topic, which inlets that come later get too."""
+    """The last message of a latched topic, for inlets that connect later."""
     last: Moment = (0, 0)
 
     def moment(self, message: Framed, now_ns: int) -> Moment:
-        """When a message was made: its stamp, if that is near `now_ns`, else `now_ns`. Moments always rise."""
+        """The time of a message: its stamp, if that is near `now_ns`, else `now_ns`. Moments always rise."""
         time_ns = now_ns
         if self.has_stamp and len(message) >= _STAMP.size:
             _, seconds, nanoseconds = _STAMP.unpack_from(message)
@@ -136,7 +138,7 @@ class TopicRelay:
         self._ends = Ends()
         self._posted = Posted(self._ends)
         self._services: dict[str, Lead] = {}
-        """By service that the relay offers: the first order to do so."""
+        """The first order for each service that the relay offers."""
         self._service_relay = ServiceRelay(order.master)
         self._listener = socket.create_server((order.host, 0), backlog=64)
         self._listener.setblocking(False)
@@ -144,12 +146,12 @@ class TopicRelay:
         self._service_place = f"rosrpc://{order.host}:{port}"
         self._api = RelayApi(self, order.master, order.host, port)
         self._to_master = ThreadPoolExecutor(1, "to-master")
-        """What the master is told, in order."""
+        """The thread that calls the master, in order."""
         self._ends.watch(control.socket, self._hear)
         self._ends.watch(self._listener, self._accept)
 
     def run(self) -> None:
-        """Relay until told to finish, or until the run is gone."""
+        """Forward messages until told to finish, or until the run is gone."""
         self._say(Listening(self._api.address))
         due = time.monotonic()
         while not self._control.has_ended and not self._is_finishing:
@@ -296,7 +298,9 @@ class TopicRelay:
     # What comes from nodes.
 
     def _want(self, source: _SourceTopic, addresses: set[str], *, adds: bool) -> None:
-        """Connect to these publishers of a source. With `adds`, for older news, connections to others are kept."""
+        """Connect to these publishers of a source. With `adds`, connections to other publishers are kept, since the
+        news is older.
+        """
         if self._sources.get((source.topic, source.publisher)) is not source:
             return
         if adds:
@@ -313,7 +317,7 @@ class TopicRelay:
         threading.Thread(target=self._connect, args=(source, address), daemon=True).start()
 
     def _connect(self, source: _SourceTopic, address: str) -> None:
-        """Try to subscribe at a publisher until that works. Has a thread of its own."""
+        """Try to subscribe at a publisher until it succeeds. Runs in a thread of its own."""
         again_s = _CONNECT_AGAIN_S
         while address in source.wanted:
             with suppress(SilentError, OSError):
@@ -371,7 +375,7 @@ class TopicRelay:
             self._watch_writers(publication)
 
     def _tell_switch(self, inlet: _LedInlet) -> None:
-        """Report that an inlet has switched to another wire, once the type of that is known."""
+        """Report that an inlet has switched to another wire, once the wire's type is known."""
         active = inlet.queue.active
         if active is None or active == inlet.told:
             return
@@ -411,7 +415,9 @@ class TopicRelay:
             threading.Thread(target=self._greet, args=(end,), daemon=True).start()
 
     def _greet(self, end: socket.socket) -> None:
-        """Agree with a subscriber on a topic and its type, or pass calls of a service on. Has a thread of its own."""
+        """Agree with a subscriber on a topic and its type, or forward calls of a service. Runs in a thread
+        of its own.
+        """
         try:
             asks = read_header(end)
             if "service" in asks:
@@ -447,7 +453,7 @@ class TopicRelay:
             self._watch_writers(publication)
 
     def _hear_subscriber(self, publication: _Publication, writer: MessageWriter) -> None:
-        """Go on sending. A subscriber says nothing: what can be read is its end."""
+        """Continue sending. A subscriber sends nothing, so a readable socket has ended."""
         writer.flush()
         try:
             writer.has_ended = not writer.socket.recv(1 << 12)
@@ -489,7 +495,7 @@ class TopicRelay:
         self._posted.post(then)
 
     def _ask_master(self, method: str, *arguments: str) -> list[str] | None:
-        """The master's answer; None if it does not."""
+        """The master's answer; None if it does not answer."""
         try:
             answer: list[str] = asked(peer(self._master), self._node, method, *arguments)
         except SilentError:

@@ -1,4 +1,4 @@
-"""ROS 2: nodes as units, and topics that units of other kinds read and publish, on any middleware."""
+"""ROS 2: nodes as units, and topics that other units read and publish, on any middleware."""
 
 from cfgplan_runtime.ros2.units import Publisher, Subscriber
 

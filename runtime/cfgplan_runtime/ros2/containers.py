@@ -1,8 +1,8 @@
-"""The component containers of a run: their processes, and which units are loaded where.
+"""The component containers of a run: their processes, and the container of each unit.
 
 A unit without a group has a container of its own, which starts and ends with it. Units of one group share a container
-and its fate. One that a run has started stays when it is empty: the next component begins there without a participant
-of its own. One that somebody else runs is used if it is there.
+and its fate. A container that the run has started stays when it is empty: the next component then needs no participant
+of its own. A foreign container of the name is used if it runs.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from cfgplan_runtime.supervision.backend import Usage
 
 @dataclass(eq=False)
 class _Component:
-    """A unit's component. `number` is what its container calls it, once it is loaded."""
+    """A unit's component. `number` is its container's number for it, once it is loaded."""
 
     unit: str
     ros: Ros2Unit
@@ -35,7 +35,7 @@ class _Component:
 
 @dataclass(eq=False)
 class _Container:
-    """A container by its full name. `is_there` once it has been started, or was found."""
+    """A container by its full name. `is_there` is true once it has been started or found."""
 
     name: str
     is_private: bool
@@ -46,8 +46,8 @@ class _Container:
 class Containers:
     """All containers of a run.
 
-    `tell` sends an order to the helper, `start` starts a container's process, and `lose` is called with a unit that is
-    gone and the cause.
+    `tell` sends an order to the helper, `start` starts a container's process, and `lose` is called with a unit that has
+    ended and the cause.
     """
 
     def __init__(
@@ -61,15 +61,15 @@ class Containers:
         self._containers: dict[str, _Container] = {}
         self._components: dict[str, _Component] = {}
         self._own: set[str] = set()
-        """The names of containers that the run has started: nobody else runs them."""
+        """The names of containers that the run has started."""
 
     def __contains__(self, unit: str) -> bool:
         return unit in self._components
 
     def add(self, unit: str, ros: Ros2Unit) -> None:
-        """Load a unit's component, into a container that is started first where it has to be.
+        """Load a unit's component into its container, and start the container first if it does not run.
 
-        Raises InputError or OSError if that can't be started; a shared one may fail later.
+        Raises InputError or OSError if the container can't be started; a shared one may fail later.
         """
         component = _Component(unit, ros)
         container = self._containers.get(_container_of(ros))
@@ -98,7 +98,7 @@ class Containers:
             self._unload(component)
 
     def kill(self, unit: str) -> None:
-        """Unload a unit's component; one that is not loaded yet, or does not leave, takes its container along."""
+        """Unload a unit's component. If it is not loaded yet, or can't be unloaded, its container is ended."""
         component = self._components[unit]
         container = self._of(component)
         is_stuck = component.number is None or component.is_leaving
@@ -110,7 +110,7 @@ class Containers:
             self.stop(unit)
 
     def remove(self, unit: str) -> None:
-        """Forget a unit that is gone. An empty container stays if the run has started it for a group."""
+        """Forget a unit that has ended. An empty container stays if the run has started it for a group."""
         component = self._components.pop(unit)
         container = self._containers.get(_container_of(component.ros))
         if container is None:
@@ -120,7 +120,7 @@ class Containers:
             self._end(container)
 
     def usage(self, unit: str) -> Usage | None:
-        """A unit's part of what its container uses."""
+        """A unit's share of its container's usage."""
         return self._of(self._components[unit]).shared.usage(unit)
 
     def process(self, unit: str) -> NodeProcess | None:
@@ -128,7 +128,7 @@ class Containers:
         return self._of(self._components[unit]).shared.process
 
     def note_found(self, name: str, *, is_there: bool) -> None:
-        """Load the components that wait for a container; start it first if it is not there."""
+        """Load the components that wait for a container; start it first if it was not found."""
         container = self._containers.get(name)
         if container is None or container.is_there:
             return
@@ -153,7 +153,7 @@ class Containers:
                 self._unload(component)
 
     def note_unloaded(self, unit: str, *, is_done: bool) -> None:
-        """End a container that has failed to unload a component; a foreign one goes on."""
+        """End a container that has failed to unload a component; a foreign one keeps running."""
         if unit not in self._components:
             return
         container = self._of(self._components[unit])
@@ -163,7 +163,7 @@ class Containers:
             self._end(container)
 
     def tell_again(self, unit: str) -> None:
-        """Tell a new helper what the old one may not have done for a unit."""
+        """Repeat the orders for a unit to a new helper."""
         component = self._components[unit]
         container = self._of(component)
         if not container.is_there:
@@ -192,7 +192,7 @@ class Containers:
         self._processes.attend(process, lambda: self._end(container), lambda: container.shared.last)
 
     def _end(self, container: _Container) -> None:
-        """End a container of the run with all its components. A foreign container goes on."""
+        """End a container of the run with all its components. A foreign container keeps running."""
         if self._containers.get(container.name) is not container:
             return
         units, end = list(container.shared), "is given up"
@@ -214,7 +214,7 @@ class Containers:
         self._tell(Load(component.unit, name, source.package, source.name, node, namespace or "/", remaps, params))
 
     def _unload(self, component: _Component) -> None:
-        """Unload a component; one that is not loaded yet is unloaded then."""
+        """Unload a component, once it is loaded."""
         if component.number is not None:
             self._tell(Unload(component.unit, _container_of(component.ros), component.number))
 

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
 USUAL_DISTRIBUTION = "jazzy"
-"""The definitions that are meant where neither a parameter nor ROS_DISTRO names a distribution."""
+"""The distribution of definitions if neither a parameter nor ROS_DISTRO names one."""
 NO_HASH = "TypeHashNotSupported"
-"""What stands in place of a type's hash in distributions that have none."""
+"""The value for a type's hash in distributions without hashes."""
 _WITHOUT_HASHES = ("humble",)
 
 

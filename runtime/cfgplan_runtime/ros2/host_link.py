@@ -1,6 +1,6 @@
-"""cfgplan's end of the helper that speaks ROS 2: a process in the user's ROS Python, and lines of JSON.
+"""The run's end of the connection to the ROS 2 helper: a process in the user's ROS Python, and lines of JSON.
 
-A message with a `size` and `data` is a line, and so many bytes after it.
+After the line of a message with a `size` follow `size` bytes, its `data`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Incoming = TypeVar("Incoming")
 
 
 class WithData(msgspec.Struct):
-    """A message that bytes follow on the socket."""
+    """A message that is followed by bytes on the socket."""
 
     size: int = 0
     data: bytes = b""
@@ -38,8 +38,8 @@ class WithData(msgspec.Struct):
 class HostLink(Generic[Incoming]):
     """A helper, which ends with the thread that made it. Raises OSError if it can't be started.
 
-    Messages are msgspec structs with a tag; `incoming` is the union of what it may say. Sending never waits: what the
-    socket does not take waits for `flush` or `hear`. The helper is the node `name`.
+    Messages are tagged msgspec structs; `incoming` is the union of the helper's messages. Sending never blocks:
+    messages wait for `flush` or `hear` until the socket takes them. The helper is the node `name`.
     """
 
     def __init__(self, python: RosPython, name: str, incoming: object) -> None:
@@ -75,7 +75,7 @@ class HostLink(Generic[Incoming]):
 
     @property
     def is_waiting(self) -> bool:
-        """Whether something waits to be sent."""
+        """Whether messages wait to be sent."""
         return bool(self._waiting)
 
     def send(self, message: msgspec.Struct, data: bytes | bytearray = b"") -> None:
@@ -86,7 +86,7 @@ class HostLink(Generic[Incoming]):
         self.flush()
 
     def hear(self) -> Iterator[Incoming]:
-        """What it has said by now. If `has_ended` is set afterwards, there will be no more."""
+        """Yield the helper's messages that have come. Once `has_ended` is set, no more will come."""
         self.flush()
         while not self.has_ended:
             try:
@@ -109,7 +109,7 @@ class HostLink(Generic[Incoming]):
                 yield from self.hear()
 
     def close(self) -> int:
-        """Have it take leave of other nodes, and end. Returns its exit status."""
+        """Let the helper leave the graph, and end it. Returns its exit status."""
         with suppress(OSError):
             self.socket.shutdown(socket.SHUT_RDWR)
         self.has_ended = True
@@ -149,7 +149,7 @@ class HostLink(Generic[Incoming]):
         return found
 
     def flush(self) -> None:
-        """Send what waits, as far as the socket takes it."""
+        """Send waiting messages, as far as the socket takes them."""
         while self._waiting and not self.has_ended:
             data = self._waiting[0]
             try:

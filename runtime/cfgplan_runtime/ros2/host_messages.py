@@ -11,10 +11,9 @@ from cfgplan_runtime.nodes.relay_messages import Passed, Refused
 
 
 class PortTopic(msgspec.Struct, frozen=True):
-    """A port of a node: the topic or service that it was remapped to, and its message type if the file says it.
+    """A port of a node: the topic or service that it was remapped to, and its message type if the file has one.
 
-    `key` is what the qualities of service of the port are remembered by, `outside` the topic by which nodes outside of
-    the run know it.
+    `key` identifies the port's remembered qualities of service; `outside` is the topic for nodes outside of the run.
     """
 
     topic: str
@@ -24,10 +23,10 @@ class PortTopic(msgspec.Struct, frozen=True):
 
 
 class Attend(msgspec.Struct, tag=True):
-    """Tell when the ports of a unit's node are there. At most `queue` messages wait at each input.
+    """Report when the ports of a unit's node have appeared. At most `queue` messages wait at each input.
 
-    With `waits` it is a cold spare of a lifecycle node, which is only configured. With `asks` the node is asked each
-    second whether it still answers. With `is_watched` it is told when the node has left the graph.
+    With `waits` it is a cold spare of a lifecycle node, which is only configured. With `asks` the helper calls the node
+    each second and reports its answers. With `is_watched` the helper reports when the node has left the graph.
     """
 
     unit: str
@@ -42,7 +41,7 @@ class Attend(msgspec.Struct, tag=True):
 
 
 class Load(msgspec.Struct, tag=True):
-    """Load a unit's component into a container, once that answers; a component that is there stays."""
+    """Load a unit's component into a container, once that answers; a component that is already loaded stays."""
 
     unit: str
     container: str
@@ -88,7 +87,7 @@ class Listening(msgspec.Struct, tag=True):
 
 
 class Attended(msgspec.Struct, tag=True):
-    """A unit's node is there; some of its ports may be late."""
+    """A unit's node has appeared; some of its ports may be late."""
 
     unit: str
 
@@ -134,13 +133,13 @@ class Gone(msgspec.Struct, tag=True):
 
 
 class Answered(msgspec.Struct, tag=True):
-    """A node that is asked whether it still answers has answered."""
+    """A node has answered the helper's call."""
 
     unit: str
 
 
 class Told(msgspec.Struct, tag=True):
-    """Something that the user of a unit should know."""
+    """A message for the user about a unit."""
 
     unit: str
     text: str

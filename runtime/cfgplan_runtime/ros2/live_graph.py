@@ -1,4 +1,4 @@
-"""The graph of a running ROS 2 system, asked of ROS itself by the helper, on whatever middleware that has."""
+"""The graph of a running ROS 2 system, read from ROS itself by the helper, on any middleware."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ Named: TypeAlias = list[tuple[str, list[str]]]
 
 
 class DescribeGraph(msgspec.Struct, tag=True):
-    """Tell of the graph once it has come to rest."""
+    """Report the graph once it no longer changes."""
 
 
 class NodeTold(msgspec.Struct):
@@ -66,12 +66,12 @@ class EndTold(msgspec.Struct):
 
     @property
     def qos(self) -> ServiceQuality:
-        """The quality of service that it offers or asks for."""
+        """The quality of service that it offers or requests."""
         return ServiceQuality(self.reliable, self.transient_local, self.deadline_s, self.lease_s, self.manual)
 
 
 class Graph(msgspec.Struct, tag=True):
-    """All that ROS tells of the graph; `silent` nodes have not answered for their parameters."""
+    """The whole graph as ROS reports it; `silent` nodes have not answered the question for their parameters."""
 
     nodes: list[NodeTold]
     ends: list[EndTold]
@@ -181,9 +181,10 @@ class NodeProcess:
 
 
 def processes() -> dict[str, NodeProcess]:
-    """The processes of this domain of which a command line says which node they are, by the nodes' full names.
+    """The processes of this domain whose command lines have the name of their node, by the nodes' full names.
 
-    Of several for one node the last counts: `ros2 run` and other wrappers say the same words as what they start.
+    If several have the same name, the last counts: `ros2 run` and other wrappers have the same words as the node that
+    they start.
     """
     domain = os.environ.get("ROS_DOMAIN_ID", "0")
     found: dict[str, NodeProcess] = {}
@@ -198,7 +199,7 @@ def processes() -> dict[str, NodeProcess]:
 
 
 def node_process(command: list[str], folder: Path) -> tuple[str, NodeProcess] | None:
-    """The full name of the node that a command line starts, and how; None if it does not say the name.
+    """The full name and the start of a command line's node; None if the command line does not have the name.
 
     `folder` is the process's working directory.
     """
@@ -223,7 +224,7 @@ def _is_interpreter(words: list[str]) -> bool:
 
 
 def _executable(path: Path) -> tuple[str, str]:
-    """The package and the executable of a file; of one that no package has installed the package is ""."""
+    """The package and the executable of a file; the package is "" for a file that no package has installed."""
     parts = path.parts
     if len(parts) > 2 and parts[-3] == "lib":
         return parts[-2], parts[-1]

@@ -1,4 +1,4 @@
-"""The form of a type's messages: values with its field names become messages on the wire, and such messages values."""
+"""The form of a type's messages: it converts values with its field names to serialised messages, and back."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ class MisfitError(EncodingError):
         self.path = path
 
     def within(self, place: str) -> MisfitError:
-        """The same error as seen from what contains the value."""
+        """The same error, seen from the value that contains this one."""
         return MisfitError(self.what, place + self.path)
 
 
 class MessageForm:
-    """The messages of one type; a value is a mapping from field to value, or anything with such attributes.
+    """The messages of one type; a value is a mapping from field to value, or any object with such attributes.
 
-    For an array of numbers, a value may have anything that numpy makes an array of; for one of bytes, bytes too. A
-    field that a value lacks becomes zero, empty or false; the stamp of a `header` becomes the time of the element. If a
-    type has a single field, a value may be that field's.
+    For an array of numbers, a value may have anything that numpy converts to an array; for an array of bytes, also
+    bytes. Missing fields become zero, empty or false; a missing stamp of a `header` becomes the time of the element. If
+    a type has a single field, a value may be that field's.
     """
 
     def __init__(self, type: MessageType, type_hash: str, store: Typestore) -> None:  # noqa: A002
@@ -60,7 +60,7 @@ class MessageForm:
         self._has_header = "header" in fields and fields["header"][1] == _HEADER
 
     def encode(self, value: object, time_ns: int) -> bytes | bytearray:
-        """The message of a value that was made at `time_ns`, in CDR. Raises MisfitError."""
+        """The message in CDR of a value that was made at `time_ns`. Raises MisfitError."""
         if self._only is not None and not (isinstance(value, Mapping) or hasattr(value, self._only)):
             value = {self._only: value}
         message = self._message(value)
@@ -122,7 +122,7 @@ class _Messages:
         return change
 
     def _field(self, what: FieldDesc) -> tuple[_Change, _Empty]:
-        """How a field's value is changed, and what there is if there is none."""
+        """The conversion of a field's value, and the value of a missing field."""
         from rosbags.interfaces import Nodetype
 
         if what[0] == Nodetype.NAME:
@@ -213,7 +213,7 @@ class _Numbers:
         return numpy.array(_each(self._one, given), self.kind)
 
     def _fits(self, array: Any) -> bool:
-        """Whether all numbers of another kind surely fit."""
+        """Whether all numbers of another kind certainly fit."""
         if self.kind.kind == "f":
             return array.dtype.kind in "iu" or (array.dtype.kind == "f" and self.kind.itemsize == 8)
         if array.dtype.kind not in "iu" or self.kind.kind == "b":
@@ -248,7 +248,7 @@ def _check_length(length: int, size: int, is_fixed: bool) -> None:
 
 
 def _one(name: str, limit: int) -> _Change:
-    """How a text, a flag or a number is checked. `limit` is the most bytes of a text; 0: any."""
+    """The check of a text, a flag or a number. `limit` is the most bytes of a text; 0: any."""
     if name == "string":
         return partial(_text, limit=limit)
     if name == "bool":

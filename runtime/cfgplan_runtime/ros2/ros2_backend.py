@@ -44,7 +44,7 @@ from cfgplan_runtime.supervision.backend import Inlet, Usage
 _ALIVE_S = 1.0
 """Seconds from one sign of life of a node to the next."""
 _WARM_S = 3.0
-"""Seconds after a start after which a process is made that waits: starts need the computer for themselves."""
+"""Seconds without a start before a waiting process is made: starts have priority."""
 
 
 @dataclass(slots=True, eq=False)
@@ -57,19 +57,19 @@ class _UnitNode:
     is_ready: bool = False
     is_stopping: bool = False
     is_spare: bool = False
-    """Whether it waits, configured, as a cold spare."""
+    """Whether it is a configured cold spare."""
     is_configured: bool = False
     was_warm: bool = False
-    """Whether it has begun in a process that waited."""
+    """Whether it was started in a waiting process."""
     has_answered: bool = False
-    """Whether it has answered when the present helper asked: a node that never spins does not."""
+    """Whether it has answered the present helper's calls: a node that never spins does not."""
 
 
 class Ros2Backend:
-    """A backend of ROS 2 nodes. All its methods are called from one thread, which must outlive it.
+    """A backend of ROS 2 nodes. Call all its methods from one thread, which must outlive it.
 
-    The helper runs in the Python that has rclpy: `python`, or the one that is found. `folder` is what `node:./FILE` is
-    relative to. With `warm`, a process waits to replace any node in Python that dies. Raises InputError.
+    The helper runs in the Python that has rclpy: `python`, or the one that is found. Sources `node:./FILE` are relative
+    to `folder`. With `warm`, a process waits to replace any node in Python that dies. Raises InputError.
     """
 
     def __init__(self, *, folder: Path | None = None, python: RosPython | None = None, warm: bool = True) -> None:
@@ -133,7 +133,7 @@ class Ros2Backend:
         return ()
 
     def leave_hosts(self, hosts: Collection[str]) -> None:
-        """There is one computer, which stays."""
+        """Do nothing: the only host is this computer."""
 
     def start(
         self,
@@ -160,7 +160,9 @@ class Ros2Backend:
             self._events.append(events.UnitDied(unit, f"can't be started: {error}"))
 
     def prepare(self, spare: str, transformation: Transformation, host: str | None) -> None:  # noqa: ARG002
-        """Configure a lifecycle node; of any other node in Python have a process wait. Do nothing for others."""
+        """Configure a lifecycle node; for any other node in Python start a waiting process. Do nothing for
+        other nodes.
+        """
         self.discard(spare)
         try:
             source = node_source(transformation)
@@ -201,10 +203,10 @@ class Ros2Backend:
             self._end(node, NodeProcess.kill)
 
     def ask_state(self, unit: str) -> None:
-        """Nodes keep their states to themselves."""
+        """Do nothing: nodes do not give their state."""
 
     def give_state(self, unit: str, state: bytes) -> None:
-        """Nodes keep their states to themselves."""
+        """Do nothing: nodes do not take a state."""
 
     def connect(self, wire: int, stream: Stream, inlet: Inlet, *, queue: int, blocks: bool) -> None:  # noqa: ARG002
         producer, consumer = self._nodes.get(stream.unit), self._nodes.get(inlet.unit)
@@ -333,7 +335,7 @@ class Ros2Backend:
             self._events.append(events.UnitReady(node.unit, 0 if usage is None else usage.cpu_us))
 
     def _status(self, node: _UnitNode) -> events.UnitStatus:
-        """A sign of life, with what the relay has seen of a unit's streams."""
+        """A sign of life, with the relay's counts of a unit's streams."""
         outputs = {
             port.name: messages.PortCounts(self._wires.passed_from(node.ros.publishes_at(port.name)))
             for port in node.ros.transformation.outputs
@@ -358,7 +360,7 @@ class Ros2Backend:
         return next(name for name in names if name not in taken)
 
     def _begin(self, node: _UnitNode, spare: str | None) -> None:
-        """Have the helper listen for a node, and start it: in the process that waits for `spare`, if it may."""
+        """Let the helper listen for a node, and start the node, in the process that waits for `spare` if possible."""
         ros = node.ros
         self._nodes[node.unit] = node
         try:
@@ -406,7 +408,7 @@ class Ros2Backend:
         self._bury(self._nodes[unit], cause)
 
     def _begin_spare(self, unit: str, node: _UnitNode) -> None:
-        """Let a spare that is configured be a unit. It keeps its name and its topics."""
+        """Turn a configured spare into a unit. It keeps its name and its topics."""
         del self._nodes[node.unit]
         self._events.append(events.SpareUsed(unit, node.unit))
         self._wires.tell(Begin(node.unit, unit))
@@ -437,7 +439,7 @@ class Ros2Backend:
     # Processes that wait.
 
     def _keep_warm(self) -> None:
-        """Have a process wait for any node, once nothing has been started for a while."""
+        """Make a process that waits for any node, once no node has been started for a while."""
         if self._keeps_warm and "" not in self._warm and self._warm_due_s <= self.now() and self._messages:
             self._warm_due_s = self.now() + _WARM_S
             try:
@@ -470,7 +472,7 @@ class Ros2Backend:
             self._events.append(events.SpareLost(spare, cause))
 
     def _bury(self, node: _UnitNode, cause: str) -> None:
-        """Forget a node that is gone, or given up."""
+        """Forget a node that has ended or was given up."""
         del self._nodes[node.unit]
         self._wires.close_inlets(node.unit)
         if node.unit in self._containers:
@@ -483,7 +485,7 @@ class Ros2Backend:
             self._events.append(events.UnitDied(node.unit, cause))
 
     def _end(self, node: _UnitNode, end: Callable[[NodeProcess], None]) -> None:
-        """Call `end` with a node's process, or give up a foreign node."""
+        """Call `end` with a node's process, or forget a foreign node."""
         if node.process is None:
             self._bury(node, "is given up")
         else:
@@ -491,7 +493,7 @@ class Ros2Backend:
 
 
 def _is_going(process: NodeProcess | None) -> bool:
-    """Whether a process is not stopped (SIGSTOP), by what the system says; other's nodes are watched by the helper."""
+    """Whether the system reports a process as not stopped (SIGSTOP). The helper watches foreign nodes."""
     if process is None:
         return True
     try:

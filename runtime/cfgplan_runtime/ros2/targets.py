@@ -24,9 +24,9 @@ class _Topic:
 
 
 class RosTargets:
-    """Publishes each target that says its message `type` under its topic, as a node of its own.
+    """Publishes each target that has a message `type` under its topic, as a node of its own.
 
-    `folder` is that of the environment file. Raises InputError; `tell` is called with what is wrong later.
+    `folder` is that of the environment file. Raises InputError; `tell` is called with later faults.
     """
 
     def __init__(self, run: str, folder: Path, tell: Callable[[str], None]) -> None:

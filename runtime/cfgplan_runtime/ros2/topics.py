@@ -28,10 +28,10 @@ from cfgplan_runtime.ros2.ros_python import VARIABLE, RosPython, ros_python
 LARGEST_DOMAIN = 232
 """DDS has no ports for domains beyond."""
 _ANEW_S = 1.0
-"""Seconds until a helper that has ended is begun anew."""
+"""Seconds until a helper that has ended is restarted."""
 _TURN_S = 1.0
 _LAST_S = 1.0
-"""Seconds in which what waits is published at the end."""
+"""Seconds in which waiting messages are published at the end."""
 _ROS_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 Take: TypeAlias = Callable[[bytes, int], None]
@@ -60,13 +60,13 @@ class Put(WithData, tag=True, kw_only=True, omit_defaults=True):
 
 
 class Close(msgspec.Struct, tag=True):
-    """Publish or read a topic no more."""
+    """Stop publishing or reading a topic."""
 
     number: int
 
 
 class Message(WithData, tag=True, kw_only=True):
-    """A message that was read. `dropped` were thrown away before it, since nobody took them in time."""
+    """A message that was read. `dropped` messages before it were dropped, because they were not processed in time."""
 
     number: int
     sent_ns: int
@@ -102,10 +102,10 @@ class _OwnTopic:
 
 
 class RosTopics:
-    """A node, and its topics. What goes wrong is told once by `tell`, in a thread of its own.
+    """A node, and its topics. Each fault is reported once by `tell`, in a thread of its own.
 
-    ROS_DOMAIN_ID holds where `domain` is None. A helper that ends is begun anew, with the same topics.
-    Raises InputError if no Python with rclpy is found.
+    `domain` None means that of ROS_DOMAIN_ID. If the helper ends, it is restarted with the same topics. Raises
+    InputError if no Python with rclpy is found.
     """
 
     def __init__(self, node: str, tell: Callable[[str], None], *, domain: int | None = None) -> None:
@@ -136,7 +136,7 @@ class RosTopics:
         self._begin(Read, topic, form, quality, depth, take)
 
     def put(self, number: int, message: bytes | bytearray) -> None:
-        """Publish a message. Never waits: of those that ROS does not take in time the oldest are dropped."""
+        """Publish a message. Never blocks: if ROS does not take them in time, the oldest are dropped."""
         with self._lock:
             topic = self._topics.get(number)
             if topic is None:
@@ -150,7 +150,7 @@ class RosTopics:
         self._ring()
 
     def end(self, number: int) -> None:
-        """Publish or read a topic no more."""
+        """Stop publishing or reading a topic."""
         with self._lock:
             self._topics.pop(number, None)
             self._orders.append(Close(number))
@@ -206,7 +206,7 @@ class RosTopics:
                 time.sleep(_ANEW_S / 20)
 
     def _serve(self, link: HostLink[_Told]) -> None:
-        """Carry messages both ways until the helper ends, or the node is closed."""
+        """Carry messages in both directions until the helper ends, or the node is closed."""
         with selectors.DefaultSelector() as selector:
             selector.register(self._heard_bell, selectors.EVENT_READ)
             selector.register(link.socket, selectors.EVENT_READ)
@@ -232,7 +232,7 @@ class RosTopics:
         return bool(self._orders) or any(topic.waiting for topic in self._topics.values())
 
     def _send(self, link: HostLink[_Told]) -> None:
-        """Hand what waits to the helper, as far as it takes it."""
+        """Send waiting messages to the helper, as far as it takes them."""
         while not link.is_waiting:
             with self._lock:
                 if self._orders:
@@ -278,7 +278,7 @@ class RosPublisher:
         self._topics.put(self._number, message)
 
     def close(self) -> None:
-        """Publish the topic no more."""
+        """Stop publishing the topic."""
         self._topics.end(self._number)
 
 
@@ -310,7 +310,9 @@ def _python_in(domain: int) -> RosPython:
 
 
 def _unlike(told: Publishes, topic: _OwnTopic) -> tuple[str, str]:
-    """The type or hash of a publisher that differs from what is read, and a sentence about it; empty if none does."""
+    """The type or hash of a publisher that differs from that of the topic, and a sentence about it; both empty without
+    a difference.
+    """
     name, form = topic.order.topic, topic.form
     who = f"{name}: {told.node} publishes {told.message}"
     if told.message != form.type.ros2:

@@ -1,4 +1,6 @@
-"""Unit code for ROS 2 topics: a source that subscribes to one, and a sink that publishes what comes at its input."""
+"""Unit code for ROS 2 topics: a source that subscribes to a topic, and a sink that publishes the elements
+of its input.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ class PublisherParams(msgspec.Struct, forbid_unknown_fields=True):
     reliability: Literal["reliable", "best_effort"] = "reliable"
     durability: Literal["volatile", "transient_local"] = "volatile"
     depth: int = 10
-    """How many messages a subscriber keeps until they are taken; with transient local, how many late ones get."""
+    """The number of messages that a subscriber keeps until they are processed; with transient local, the number that
+    late subscribers get.
+    """
     node: str | None = None
     """The name of the node; by the topic's if None."""
     domain: int | None = None
@@ -49,7 +53,7 @@ class PublisherParams(msgspec.Struct, forbid_unknown_fields=True):
         return ServiceQuality(self.reliability == "reliable", self.durability == "transient_local")
 
     def check(self) -> None:
-        """Raises InputError for names and numbers that ROS 2 does not allow."""
+        """Raise InputError for names and numbers that ROS 2 does not allow."""
         checked_name(self.topic, "topic")
         if self.node is not None:
             checked_name(self.node, "node")
@@ -71,7 +75,7 @@ class SubscriberParams(PublisherParams):
     """The params of a `Subscriber`."""
 
     stamp: Literal["received", "source", "header"] = "received"
-    """Which time an element has: when it came, when it was published, or what its header says."""
+    """The time of an element: its arrival, its publication, or the stamp of its header."""
 
 
 class Subscriber:
@@ -132,7 +136,7 @@ class Publisher:
             self._once.tell(error.path, f"{self._params.topic}: {error}")
 
     def close(self) -> None:
-        """Publish what still waits, and end the node."""
+        """Publish waiting messages, and end the node."""
         self._topics.close()
 
 

@@ -16,7 +16,7 @@ _MAIN = Path(__file__).with_name("host") / "warm.py"
 
 
 class WarmNode:
-    """A process that becomes the node that it is told to be. It is ready once it `is_ready`. Raises OSError."""
+    """A process that can become any node in Python. It can once it `is_ready`. Raises OSError."""
 
     def __init__(
         self, ends: Ends, python: RosPython, folder: Path, messages: Iterable[str], tell_ready: Callable[[], None]
@@ -36,7 +36,7 @@ class WarmNode:
         self._ends.watch(self._socket, self._hear)
 
     def become(self, command: Sequence[str], environment: Mapping[str, str]) -> NodeProcess:
-        """Have it be a node. Returns its process."""
+        """Turn it into a node. Returns its process."""
         self._ends.unwatch(self._socket)
         with self._socket, suppress(OSError):  # its end is told
             self._socket.sendall(json.dumps([command, environment]).encode() + b"\n")

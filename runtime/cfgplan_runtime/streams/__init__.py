@@ -1,1 +1,1 @@
-"""Streams between processes: elements, channels, inputs that change their source, and topics from outside."""
+"""Streams between processes: elements, channels, inputs that change their source, and subscriptions to topics."""

@@ -1,7 +1,7 @@
 """Channels: the two ends of one subscription's stream socket. No other module reads or writes elements on sockets.
 
-What the receiver's socket does not take waits at the sender in a bounded queue. When that is full,
-`drop_oldest` drops, and the receiver sees the gap in the numbers; `block` asks the producer to wait.
+Elements that do not fit into the socket wait at the sender in a bounded queue. When the queue is full, `drop_oldest`
+drops the oldest, and the receiver sees the gap in the numbers; with `block` the producer has to wait.
 """
 
 from __future__ import annotations
@@ -78,11 +78,11 @@ class Sender:
                 self.dropped += 1
 
     def skip(self, count: int) -> None:
-        """Leave a gap in the numbers: so many elements were dropped before they came here."""
+        """Leave a gap in the numbers for `count` elements that were dropped before they came here."""
         self._number += count
 
     def flush(self) -> bool:
-        """Send what waits. Returns whether nothing is left."""
+        """Send waiting elements. Returns whether none is left."""
         while not self.is_closed and self.depth:
             if self._rest is not None:
                 sent = self._try([self._rest])
@@ -96,7 +96,7 @@ class Sender:
         return self.is_closed or not self.depth
 
     def give_up(self) -> None:
-        """Send nothing any more. The owner closes the socket once it has stopped watching it."""
+        """Stop sending. The owner closes the socket once it has stopped watching it."""
         self.is_closed = True
         self._waiting.clear()
         self._rest = None
@@ -131,10 +131,10 @@ class Receiver:
         self._filled = 0
         self._buffers = Buffers()
         self._wanted = _CHUNK
-        """How many bytes to read at once: after a large payload only a header, so that the next one is not copied."""
+        """The bytes to read at once: after a large payload only a header, so that the next payload is not copied."""
 
     def read(self) -> Iterator[Element]:
-        """The elements that have come, in order. If `has_ended` is set, there will be no more."""
+        """Yield the elements that have come, in order. Once `has_ended` is set, no more will come."""
         budget = _MOST_PER_READ
         while budget > 0 and not self.has_ended:
             if self._payload is not None:
@@ -218,7 +218,7 @@ _MOST_KEPT = 32
 
 
 class Buffers:
-    """Buffers of one subscription. A buffer is used again when every view of it is gone."""
+    """Buffers of one subscription. A buffer is reused when every view of it is gone."""
 
     def __init__(self) -> None:
         self._used: deque[bytearray] = deque()

@@ -1,10 +1,11 @@
-"""Crossings: what goes from one computer to another, in order and once, over links that may lose or repeat it.
+"""Crossings: streams from one computer to another, in order and without repeats, over links that may lose or repeat
+frames.
 
-The sender cuts pieces into frames, numbers these and keeps each until the receiver has told that it came. It sends at
-most so much beyond that, and no more than the receiver has room for: what waits meanwhile is bounded, and drops, or
-makes the producer wait. So a cut, a full link and a slow receiver look the same, and each crossing has a fate of its
-own. How much is under way follows the rate at which it arrives: what waits in a slow link delays all else that goes
-there.
+The sender cuts pieces into numbered frames, and keeps each frame until the receiver has acknowledged it. The number of
+unacknowledged frames is limited, also by the receiver's room. Pieces that wait meanwhile are bounded, too: beyond the
+bound they are dropped, or the producer waits. So a cut, a full link and a slow receiver have the same effect, and each
+crossing is independent of the others. The bytes in flight follow the measured rate of the link, since data that waits
+in a slow link delays all other streams of the link.
 """
 
 from __future__ import annotations
@@ -21,36 +22,46 @@ from cfgplan_runtime.streams.channel import MOST_WAITING_BYTES
 from cfgplan_runtime.streams.element import Buffer
 
 KEYS = "cfgplan"
-"""What every key of a fleet begins with."""
+"""The prefix of all keys of a fleet."""
 FRAMES_UNDER_WAY = 256
-"""The most frames on their way."""
+"""The most frames in flight."""
 BYTES_UNDER_WAY, _FIRST_BYTES_UNDER_WAY = 1 << 20, 1 << 17
-"""The most bytes on their way, and as long as no rate is known; but two frames always."""
+"""The most bytes in flight, and the number before a rate is known; two frames are always allowed."""
 _AHEAD_S, _AHEAD_SMALL_S = 0.02, 0.08
-"""So long a link works on what is under way beyond its delay; longer on small frames, which are acknowledged later."""
+"""Seconds of the link's rate that may be in flight beyond its delay; more for small frames, which are acknowledged
+later.
+"""
 SMALL_FRAME = 2048
 """Frames of more bytes are acknowledged sooner."""
 LARGEST_FRAME, _LEAST_FRAME, _FIRST_FRAME = 60_000, 4096, 16_384
-"""Bytes of a frame: the most, which fit into one of Zenoh's batches; the least; and as long as no rate is known."""
+"""The size of a frame in bytes: the most, which fit into one of Zenoh's batches; the least; and before a
+rate is known.
+"""
 _FRAME_S = 0.02
-"""A link works on a frame so long at most, if it may be so small: nothing overtakes what it has begun."""
+"""The most seconds that a link needs for a frame larger than the least: no other frame overtakes one that is being
+sent.
+"""
 _LEAST_S = 0.1
-"""A rate is taken over so long at least if the link was not full: some let the first bytes after a pause pass."""
+"""The least seconds over which a rate is measured on a link that was not full: some links pass the first bytes after a
+pause at once.
+"""
 _RATE_S, _DELAY_S = 3.0, 10.0
-"""The highest rate of so many seconds counts, and the least delay. Then the delay of an empty link is measured anew."""
+"""The seconds for which a highest rate and a least delay count. Then the delay of an empty link is measured again."""
 _STARTUP_GAIN, _GROWTH, _ROUNDS_ALIKE = 2, 1.25, 3
-"""At first the window is so many times as large, until the rate has not grown by such a factor in so many rounds."""
+"""At first the window is larger by the first factor, until the rate has not grown by the second one in the given number
+of rounds.
+"""
 _WAITING_S, _LEAST_WAITING = 2.0, 1 << 22
-"""What a full link carries in so many seconds may wait for it, and so many bytes at least: a lease is as long."""
+"""The seconds (a lease) of a full link's rate that may wait for it, and the least number of bytes."""
 MOST_PIECES = 4096
 """The most pieces that wait to be sent: two seconds (a lease) at 2,000 Hz."""
 _TOLD_EVERY, _TOLD_EVERY_BYTES = FRAMES_UNDER_WAY // 8, BYTES_UNDER_WAY // 8
 _LATEST_CREDIT_S, _SOON_CREDIT_S = 0.05, 0.01
-"""A frame that came is acknowledged so much later at most, a large one sooner."""
+"""The most seconds until a frame is acknowledged, and those for a large frame."""
 _RESEND_S, _MOST_RESEND_S = 0.25, 0.5
-"""Seconds without any acknowledgement until a frame is sent again, doubled each time up to the second value."""
+"""Seconds without an acknowledgement before a frame is sent again, doubled each time up to the second value."""
 _FIRST_ASK_S = 0.01
-"""Seconds until a sender asks for its first credit, doubled each time: what was told before it was there is lost."""
+"""Seconds until a sender asks for its first credit, doubled each time: credits sent before it started are lost."""
 _ASK_AGAIN_S = 0.1
 _MOST_MISSING = 64
 
@@ -65,7 +76,7 @@ _MISSING_NUMBER = struct.Struct("<Q")
 class Piece(NamedTuple):
     """An element on its way between hosts; with `is_last`, the end of its stream, which has no payload.
 
-    With `is_mark` it tells whoever is named in it that everything that was given before has come.
+    With `is_mark` it reports to the run named in it that all earlier pieces have arrived.
     """
 
     time_ns: int
@@ -85,9 +96,10 @@ _ELEMENT, _LAST, _QUESTION, _MARKER, _PART = range(5)
 
 
 class Frame(NamedTuple):
-    """A piece with its number; `dropped` pieces had no room, of all before it. Without a piece it asks for a credit.
+    """A piece with its number; `dropped` counts all earlier pieces that had no room. Without a piece, the frame asks
+    for a credit.
 
-    If it `has_more` it is a part of an element, and the next frame goes on.
+    With `has_more` it is a part of an element that continues in the next frame.
     """
 
     number: int
@@ -96,7 +108,7 @@ class Frame(NamedTuple):
     has_more: bool = False
 
     def head(self) -> bytes:
-        """All but the payload."""
+        """The frame without its payload, as bytes."""
         piece = self.piece
         if piece is None:
             return _HEAD.pack(self.number, self.dropped, 0, 0, _QUESTION)
@@ -105,7 +117,7 @@ class Frame(NamedTuple):
 
 
 def read_frame(head: bytes, payload: bytes) -> Frame | None:
-    """A frame as it came; None if it is none."""
+    """The frame of a head and a payload; None if the bytes are no frame."""
     if len(head) != _HEAD.size:
         return None
     number, dropped, time_ns, turn, kind = _HEAD.unpack(head)
@@ -115,7 +127,9 @@ def read_frame(head: bytes, payload: bytes) -> Frame | None:
 
 @dataclass(frozen=True, slots=True)
 class Credit:
-    """What a receiver tells: all before `expected` has come, numbers below `limit` have room, some are `missing`."""
+    """A receiver's acknowledgement: all frames before `expected` have come, numbers below `limit` have room, and some
+    are `missing`.
+    """
 
     expected: int
     limit: int
@@ -126,7 +140,7 @@ class Credit:
 
 
 def read_credit(data: bytes) -> Credit | None:
-    """A credit as it came; None if it is none."""
+    """The credit of received bytes; None if they are no credit."""
     if len(data) < _CREDIT.size or (len(data) - _CREDIT.size) % _MISSING_NUMBER.size:
         return None
     expected, limit = _CREDIT.unpack_from(data)
@@ -134,12 +148,12 @@ def read_credit(data: bytes) -> Credit | None:
 
 
 def host_key(host: str | None) -> str:
-    """The key below which a host, or any (None), writes."""
+    """The prefix of the keys under which a host writes; None means any host."""
     return f"{KEYS}/{_named(host)}"
 
 
 def crossing_key(sender: str | None, kind: str, receiver: str, crossing: str) -> str:
-    """The key of what `sender`, or any (None), tells `receiver`. Of crossings "*" stands for any."""
+    """The key of messages from `sender` to `receiver`; None means any host, and the crossing "*" any crossing."""
     return f"{host_key(sender)}/{kind}/{_named(receiver)}/{crossing}"
 
 
@@ -148,46 +162,47 @@ def _named(host: str | None) -> str:
 
 
 class Pace:
-    """How fast frames arrive, and how much of them should be under way; times in seconds, rates in bytes per second.
+    """Measures the arrival of frames, and sets how many should be in flight; times in seconds, rates in bytes per
+    second.
 
     Reference: delivery rate, startup and probing of the delay as in BBR (Cardwell et al., ACM Queue 2016).
     """
 
     def __init__(self) -> None:
         self._sent: dict[int, tuple[float, int, bool]] = {}
-        """By frame: when it was sent, how much had arrived then, and whether more waited."""
+        """By frame: the time of its sending, the bytes that had arrived by then, and whether more waited."""
         self._last = self._round_ends = 0
         """The last frame that was sent, and the one whose arrival ends a round."""
         self._arrived = 0
         self._rates: deque[tuple[float, float]] = deque()
         self._delay = inf, 0.0
-        """The least delay, and when it was measured."""
+        """The least delay, and the time of its measurement."""
         self._probes_from: int | None = None
-        """While the delay is measured anew: the first frame that finds an empty link."""
+        """While the delay is being measured again: the first frame that finds an empty link."""
         self._grown_rate, self._rounds_alike = 0.0, 0
         self._has_been_full = False
         self._ahead_s = _AHEAD_S
 
     @property
     def most_waiting(self) -> int:
-        """How many bytes may wait: older ones are worth less than newer ones on a link that is full."""
+        """The number of bytes that may wait; on a full link newer elements are worth more than older ones."""
         if not self._has_been_full or self.rate is None or self._rounds_alike < _ROUNDS_ALIKE:
             return MOST_WAITING_BYTES
         return min(MOST_WAITING_BYTES, max(_LEAST_WAITING, round(self.rate * _WAITING_S)))
 
     @property
     def rate(self) -> float | None:
-        """The highest rate of the last seconds in which the link was full; None if none is known."""
+        """The highest rate of the last seconds in which the link was full; None if unknown."""
         return max((rate for _, rate in self._rates), default=None)
 
     @property
     def delay_s(self) -> float:
-        """The least time from sending a frame to hearing of it."""
+        """The least time from sending a frame to its acknowledgement, in seconds."""
         return 0.0 if self._delay[0] == inf else self._delay[0]
 
     @property
     def window(self) -> int:
-        """How many bytes should be under way, beside two frames."""
+        """The number of bytes that should be in flight, beside two frames."""
         if self.rate is None:
             return _FIRST_BYTES_UNDER_WAY
         if self._probes_from is not None:
@@ -197,24 +212,24 @@ class Pace:
 
     @property
     def frame(self) -> int:
-        """How many bytes a frame should have at most."""
+        """The largest size of a frame, in bytes."""
         if self.rate is None:
             return _FIRST_FRAME
         return max(_LEAST_FRAME, min(LARGEST_FRAME, round(self.rate * _FRAME_S)))
 
     def note_sent(self, number: int, size: int, now_s: float, *, is_full: bool) -> None:
-        """Note that a frame is sent for the first time. `is_full`: more waited for room in the window."""
+        """Record the first sending of a frame. With `is_full`, more frames waited for room in the window."""
         self._ahead_s = _AHEAD_S if size > SMALL_FRAME else _AHEAD_SMALL_S
         self._sent[number], self._last = (now_s, self._arrived, is_full), number
         if is_full and self._probes_from is None and now_s - self._delay[1] > _DELAY_S and self._delay[0] < inf:
             self._probes_from = number + 2
 
     def forget(self, number: int) -> None:
-        """Note that a frame is sent again: it is not known which of the two arrives."""
+        """Record that a frame is sent again: its arrival then measures nothing."""
         self._sent.pop(number, None)
 
     def note_arrived(self, number: int, size: int, now_s: float) -> None:
-        """Note that it is heard of a frame's arrival."""
+        """Record the acknowledgement of a frame."""
         self._arrived += size
         sent_s, before, is_full = self._sent.pop(number, (now_s, 0, False))
         if now_s <= sent_s:
@@ -244,42 +259,44 @@ class Pace:
 
 
 class Sending:
-    """The sender's end. `blocks`: `is_full` tells the producer to wait; otherwise the oldest are dropped.
+    """The sender's end. With `blocks`, `is_full` tells the producer to wait; otherwise the oldest pieces are dropped.
 
-    `granted` frames may be sent before anything is heard of the receiver.
+    `granted` frames may be sent before the receiver's first credit.
     """
 
     def __init__(self, *, blocks: bool = False, most: int = MOST_PIECES, granted: int = 0) -> None:
         self.dropped = 0
         self.crowded = 0
-        """How many were dropped since the link had no room for them; the others had none at the receiver."""
+        """The number of pieces dropped for lack of room in the link; the other drops lacked room at the receiver."""
         self.offered_bytes = self.arrived_bytes = 0
         self._blocks = blocks
         self._most = most
         self._waiting: deque[Piece] = deque()
         self._waiting_bytes = 0
         self._begun = 0
-        """How many bytes of the first piece that waits were sent."""
+        """The bytes of the first waiting piece that were sent."""
         self._under_way: dict[int, Frame] = {}
         self._under_way_bytes = 0
         self._pace = Pace()
         self._next = 0
         self._dropped_before = 0
-        """How many were dropped before the last piece that arrived: the receiver knows of them."""
+        """The number of drops before the last piece that arrived: the receiver knows of them."""
         self._limit = granted
         self._missing: set[int] = set()
         self._again_s: float | None = None
-        """When to send again if nothing is heard; None if nothing waits for an acknowledgement."""
+        """The time to send again without an acknowledgement; None if no frame waits for one."""
         self._patience_s = _RESEND_S if granted else _FIRST_ASK_S
 
     @property
     def depth(self) -> int:
-        """How many pieces have not arrived, as far as is known."""
+        """The number of pieces that have not arrived, as far as known."""
         return len(self._waiting) + sum(not frame.has_more for frame in self._under_way.values())
 
     @property
     def lost(self) -> int:
-        """How many elements are lost if no more is sent: those that have not arrived, and drops after the last one."""
+        """The number of elements lost if no more is sent: those that have not arrived, and drops after the last
+        arrival.
+        """
         last_ones = (frame.piece for frame in self._under_way.values() if not frame.has_more)
         pieces = [*self._waiting, *(piece for piece in last_ones if piece is not None)]
         return sum(piece.is_element for piece in pieces) + self.dropped - self._dropped_before
@@ -289,7 +306,7 @@ class Sending:
         return self._blocks and (len(self._waiting) >= self._most or self._waiting_bytes > MOST_WAITING_BYTES)
 
     def offer(self, piece: Piece) -> None:
-        """Have a piece sent. An element that was begun is sent whole, and one that is dropped is dropped whole."""
+        """Queue a piece. An element is sent whole or dropped whole."""
         self._waiting.append(piece)
         self._waiting_bytes += len(piece.payload)
         self.offered_bytes += len(piece.payload)
@@ -305,7 +322,7 @@ class Sending:
             self.crowded += self._next < self._limit
 
     def hear(self, credit: Credit, now_s: float) -> None:
-        """Note what the receiver tells; what it told before may come later."""
+        """Process a credit; credits may come out of order."""
         arrived = [number for number in self._under_way if number < credit.expected]
         for number in arrived:
             frame = self._under_way.pop(number)
@@ -350,7 +367,7 @@ class Sending:
         return self._again_s
 
     def _cut(self) -> Frame:
-        """The next frame of the pieces that wait: a piece, or a part of one that is larger than a frame."""
+        """The next frame of the waiting pieces: a piece, or a part of one that is larger than a frame."""
         piece = self._waiting[0]
         end = min(len(piece.payload), self._begun + self._pace.frame)
         part = piece.payload if end - self._begun == len(piece.payload) else piece.payload[self._begun : end]
@@ -375,24 +392,24 @@ class Sending:
 
 
 class Receiving:
-    """The receiver's end: puts frames in order and tells the sender what has come."""
+    """The receiver's end: puts frames in order and acknowledges them."""
 
     def __init__(self) -> None:
         self.dropped = 0
-        """How many pieces had no room before the last one that was handed on."""
+        """The number of dropped pieces before the last one that was delivered."""
         self._expected = 0
         self._held: dict[int, Frame] = {}
         self._parts: list[Buffer] = []
-        """The parts of an element whose last one has not come."""
+        """The parts of an element whose last part has not come."""
         self._untold = self._untold_bytes = 0
         self._tell_s: float | None = None
         self._asked_s = 0.0
         self._asked_to = 0
-        """Of the numbers before this one those that are missing were asked for."""
+        """Missing numbers before this one have been asked for."""
         self._limit = 0
 
     def take(self, frame: Frame, now_s: float) -> list[Piece]:
-        """Take a frame. Returns the pieces to hand on now, in order."""
+        """Take a frame. Returns the pieces to deliver now, in order."""
         if frame.piece is None or frame.number < self._expected or frame.number in self._held:
             self._tell_s = now_s  # the sender does not know what has come
             return []
@@ -420,7 +437,7 @@ class Receiving:
         return pieces
 
     def credit(self, now_s: float, *, has_room: bool = True) -> Credit | None:
-        """What is to be told now; None if that is nothing new, or was told just now."""
+        """The credit to send now; None if it would say nothing new, or one was sent just now."""
         limit = self._expected + FRAMES_UNDER_WAY if has_room else self._limit
         has_new_room = limit - self._limit >= FRAMES_UNDER_WAY // 2
         is_due = self._tell_s is not None and now_s >= self._tell_s
@@ -440,19 +457,21 @@ class Receiving:
 
     @property
     def due_s(self) -> float | None:
-        """When something is to be told; None if nothing is."""
+        """The time at which a credit is due; None if none is."""
         return self._tell_s
 
 
 class Conversation:
-    """One end of what goes both ways: what is offered goes on until it has come, and what comes is acknowledged."""
+    """One end of a two-way channel: offered pieces are sent until they have arrived, and received ones are
+    acknowledged.
+    """
 
     def __init__(self, sending: Sending) -> None:
         self.sending = sending
         self.receiving = Receiving()
 
     def take(self, is_credit: bool, head: bytes, payload: bytes, now_s: float) -> list[Piece]:
-        """Take what came: a credit, or a frame. Returns the pieces to hand on now, in order."""
+        """Take a credit or a frame. Returns the pieces to deliver now, in order."""
         if is_credit:
             credit = read_credit(payload)
             if credit is not None:
@@ -462,7 +481,7 @@ class Conversation:
         return [] if frame is None else self.receiving.take(frame, now_s)
 
     def pump(self, put: Put, put_credit: Put, now_s: float, *, has_room: bool = True) -> None:
-        """Put the pieces that are due. Without room the other end is told not to go on."""
+        """Send the frames that are due. Without room, the other end is told to pause."""
         for frame in self.sending.due(now_s):
             put(frame.head(), b"" if frame.piece is None else bytes(frame.piece.payload))
         credit = self.receiving.credit(now_s, has_room=has_room)
@@ -471,6 +490,6 @@ class Conversation:
 
     @property
     def due_s(self) -> float:
-        """When `pump` has something to do, if nothing comes before; infinite if it has not."""
+        """The time at which `pump` is due if nothing arrives before; infinite if it is not."""
         times = [due_s for due_s in (self.sending.due_s, self.receiving.due_s) if due_s is not None]
         return min(times, default=inf)

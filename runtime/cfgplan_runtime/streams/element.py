@@ -18,7 +18,9 @@ LONGEST_PAYLOAD = 1 << 31
 
 
 class Element(NamedTuple):
-    """A received element; `number` counts what was offered to the subscription, so a gap is a drop."""
+    """A received element. `number` counts the elements offered to the subscription, so a gap in the numbers
+    is a drop.
+    """
 
     time_ns: int
     turn: int

@@ -1,4 +1,4 @@
-"""What a thread waits for: ends of connections that can be read or written, and calls that other threads hand to it."""
+"""The events that a thread waits for: connections that can be read or written, and calls from other threads."""
 
 from __future__ import annotations
 
@@ -10,32 +10,32 @@ from contextlib import suppress
 
 
 class Ends:
-    """Sockets, or other descriptors, each with the call that its readiness causes."""
+    """Sockets, or other descriptors, each with the function to call when it is ready."""
 
     def __init__(self) -> None:
         self._selector = selectors.DefaultSelector()
         self._calls: dict[object, Callable[[], object]] = {}
 
     def watch(self, end: socket.socket | int, call: Callable[[], object], *, to_write: bool = False) -> None:
-        """Call whenever `end` can be read, or written, if it is not watched already."""
+        """Call `call` whenever `end` can be read, or written. An end that is watched already keeps its call."""
         if end in self._calls:
             return
         self._selector.register(end, selectors.EVENT_WRITE if to_write else selectors.EVENT_READ)
         self._calls[end] = call
 
     def write(self, end: socket.socket, *, is_waiting: bool) -> None:
-        """Call also when `end` can be written, as long as something `is_waiting` for that."""
+        """Call also when `end` can be written, while data `is_waiting` to be written."""
         events = selectors.EVENT_READ | (selectors.EVENT_WRITE if is_waiting else 0)
         if end in self._calls and self._selector.get_key(end).events != events:
             self._selector.modify(end, events)
 
     def unwatch(self, end: socket.socket | int) -> None:
-        """Forget an end, if it is known, before it is closed."""
+        """Stop watching an end, before it is closed. An unknown end is ignored."""
         if self._calls.pop(end, None) is not None:
             self._selector.unregister(end)
 
     def wait(self, timeout_s: float | None) -> None:
-        """Wait at most `timeout_s` until an end is ready, then do what is to be done at each that is."""
+        """Wait at most `timeout_s` seconds until an end is ready, then make the call of each ready end."""
         for key, _ in self._selector.select(timeout_s):
             call = self._calls.get(key.fileobj)
             if call is not None:  # another one's call may have closed the end
@@ -46,7 +46,7 @@ class Ends:
 
 
 class Bell:
-    """Lets any thread wake the one that waits for `socket`."""
+    """Lets any thread wake the thread that waits for `socket`."""
 
     def __init__(self) -> None:
         self.socket, self._rope = socket.socketpair()
@@ -54,12 +54,12 @@ class Bell:
             end.setblocking(False)
 
     def ring(self) -> None:
-        """Wake it; for any thread."""
+        """Wake the waiting thread. Thread-safe."""
         with suppress(OSError):  # it rings already, or is closed
             self._rope.send(b"!")
 
     def hear(self) -> None:
-        """Have it wait again."""
+        """Reset, so that the thread waits again."""
         with suppress(BlockingIOError):
             self.socket.recv(4096)
 
@@ -69,7 +69,7 @@ class Bell:
 
 
 class Posted:
-    """Calls that any thread hands to the one that waits at `ends`."""
+    """Calls that any thread posts to the thread that waits at `ends`."""
 
     def __init__(self, ends: Ends) -> None:
         self._calls: deque[Callable[[], object]] = deque()
@@ -80,7 +80,7 @@ class Posted:
         return bool(self._calls)
 
     def post(self, call: Callable[[], object]) -> None:
-        """Hand on a call, and wake who waits; for any thread."""
+        """Post a call, and wake the waiting thread. Thread-safe."""
         self._calls.append(call)
         self.wake()
 
@@ -88,7 +88,7 @@ class Posted:
         self._bell.ring()
 
     def do(self) -> None:
-        """Do all that was handed on, in order."""
+        """Make all posted calls, in order."""
         while self._calls:
             self._calls.popleft()()
 

@@ -1,10 +1,10 @@
 """Inputs that change their source without losing, repeating or reordering an element.
 
-An inlet has an active source and, while it is rewired, a standby. The standby's elements wait until
-the active source has given everything before the first of them; then the inlet switches, and skips those
-of the standby that are not newer. So the moments of the elements that it hands on always rise. If it has to switch
-before that, the former source is read on: what it gives from before the first element of the new one is handed on as
-long as that has given none, and counted as dropped from then on.
+An inlet has an active source and, while it is rewired, a standby. The standby's elements wait until the active source
+has sent everything before the first of them. Then the inlet switches, and skips elements of the standby that are not
+newer. So the moments of the elements that it delivers always rise. If it has to switch early, it still reads the former
+source: elements before the first one of the new source are delivered until the new source has sent one, and counted as
+dropped from then on.
 """
 
 from __future__ import annotations
@@ -18,30 +18,32 @@ _BEFORE_ALL: Moment = (-(1 << 63), -1)
 
 
 def slot(port: str, number: int) -> str:
-    """The name of the inlet for one of the streams, from 1, of an input that takes several."""
+    """The name of the inlet for stream `number`, from 1, of an input that takes several."""
     return f"{port}/{number}"
 
 
 def port_of(inlet: str) -> str:
-    """The input port that the inlet of a unit belongs to: no port's name has a slash."""
+    """The input port of a unit's inlet: a port's name has no slash."""
     return inlet.partition("/")[0]
 
 
 @dataclass(slots=True)
 class InputQueue:
-    """One input. Sources are numbers of wires; sockets are handled elsewhere. `limit` is for a standby's elements."""
+    """One input. Sources are numbers of wires; other modules handle the sockets. `limit` bounds a standby's
+    elements.
+    """
 
     limit: int
     active: int | None = None
     standby: int | None = None
     dropped: int = 0
     stale: int = 0
-    """How many elements were not newer than the last one handed on."""
+    """The number of elements that were not newer than the last delivered one."""
     last: Moment = _BEFORE_ALL
     _held: deque[Element] = field(default_factory=deque)
     _next_number: dict[int, int] = field(default_factory=dict)
     _former: dict[int, Moment] = field(default_factory=dict)
-    """The sources that were left too early, until they have given everything from before a moment."""
+    """Sources from which the inlet switched early, each with the moment up to which it is still read."""
 
     @property
     def sources(self) -> set[int]:
@@ -49,7 +51,9 @@ class InputQueue:
         return {wire for wire in (self.active, self.standby, *self._former) if wire is not None}
 
     def attach(self, wire: int) -> bool:
-        """Add a source. Returns whether it is active at once; otherwise it replaces the standby, if there is one."""
+        """Add a source. Returns whether it is active at once; otherwise it becomes the standby, in place of an earlier
+        one.
+        """
         if self.active is None:
             self.active = wire
             return True
@@ -58,7 +62,7 @@ class InputQueue:
         return False
 
     def accept(self, wire: int, element: Element) -> list[Element]:
-        """Take an element from `wire`. Returns the elements to hand on now."""
+        """Take an element from `wire`. Returns the elements to deliver now."""
         if wire == self.active:
             self._count_drops(wire, element)
             handed_on = self._from_new([element])
@@ -80,7 +84,7 @@ class InputQueue:
         return []
 
     def end(self, wire: int) -> list[Element]:
-        """Note the end of `wire`. Returns the elements to hand on now."""
+        """Record the end of `wire`. Returns the elements to deliver now."""
         if wire == self.standby:
             self._forget_standby()
         elif wire in self._former:
@@ -93,9 +97,9 @@ class InputQueue:
         return []
 
     def switch(self, now: Moment = _BEFORE_ALL) -> list[Element]:
-        """Make the standby the active source at once. Returns the elements to hand on now.
+        """Make the standby the active source at once. Returns the elements to deliver now.
 
-        If it has given nothing yet, the former source still counts for what it has given before `now`.
+        If the standby has sent nothing yet, elements of the former source from before `now` are still delivered.
         """
         if self.standby is None:
             return []
@@ -113,7 +117,7 @@ class InputQueue:
         return []
 
     def _from_new(self, elements: deque[Element] | list[Element]) -> list[Element]:
-        """The newer elements of the active source. What former sources give from after that is not needed."""
+        """The newer elements of the active source. Later elements of former sources are not needed."""
         newer = self._newer(elements)
         if newer and self._former:
             self._former = {wire: min(until, newer[0].moment) for wire, until in self._former.items()}

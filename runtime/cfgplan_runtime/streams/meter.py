@@ -1,4 +1,4 @@
-"""What comes on a topic: how much, and how old."""
+"""The traffic of a topic: rate, count and age of its elements."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections import deque
 from typing import TypedDict
 
 OVER_S = 3.0
-"""The seconds over which rate and age are taken."""
+"""The seconds over which rate and age are measured."""
 _MOST_STAMPS = 4096
 
 
@@ -21,7 +21,7 @@ class Figures(TypedDict):
 
 
 class Meter:
-    """Counts a topic's elements, and how old they are when they come; times in seconds."""
+    """Counts a topic's elements, and measures their age at arrival; times in seconds."""
 
     def __init__(self, since_s: float) -> None:
         self._since_s = since_s

@@ -49,9 +49,9 @@ class RunFolder:
             raise RuntimeFaultError(f"{self.path}: can't hold the run's sockets: {error.strerror}") from None
 
     def tell_clock(self, offset_ns: int) -> None:
-        """Tell who listens that the run's clock, by which elements have their times, is the monotonic one plus this.
+        """Publish the offset of the run's clock, on which elements have their times, from the monotonic clock.
 
-        On a full disk the value before stays.
+        On a full disk the earlier value stays.
         """
         told = self.path / "clock.new"
         with suppress(OSError):
@@ -74,7 +74,7 @@ class RunFolder:
         return listener
 
     def show(self, topic: str, run: Path) -> None:
-        """Have a topic of another run on this computer be found here too."""
+        """Let a topic of another run on this computer be found here too."""
         here, there = address(self.path, topic), address(run, topic)
         self.forget(topic)
         here.symlink_to(there)
@@ -170,7 +170,7 @@ def remove_dead_runs(base: Path) -> None:
 
 
 def topics_of(run: Path) -> list[str]:
-    """The topics of a run, without those that are closed meanwhile."""
+    """The topics of a run, except those that are closed meanwhile."""
     topics = []
     for path in run.glob("*.topic"):
         with suppress(FileNotFoundError):
@@ -179,7 +179,7 @@ def topics_of(run: Path) -> list[str]:
 
 
 def address(run: Path, topic: str) -> Path:
-    """Where a topic's socket is; short enough for a socket's path."""
+    """The path of a topic's socket; short enough for a socket."""
     name = quote(topic, safe="")
     if len(name) > _LONGEST_NAME:
         name = f"{name[:11]}-{hashlib.sha256(topic.encode()).hexdigest()[:12]}"
@@ -187,7 +187,7 @@ def address(run: Path, topic: str) -> Path:
 
 
 def clock_offset_ns(run: Path) -> int:
-    """What was last told by `RunFolder.tell_clock`; what the time of day says where a run has told nothing."""
+    """The value of the last `RunFolder.tell_clock`; without one, the offset of the time of day."""
     try:
         return int(_clock(run).read_text())
     except (OSError, ValueError):
@@ -200,7 +200,7 @@ def _clock(run: Path) -> Path:
 
 
 def control_address(run: Path) -> Path:
-    """Where the control socket of a run is; no topic's socket has this name."""
+    """The path of a run's control socket; no topic's socket has this name."""
     return run / "control"
 
 

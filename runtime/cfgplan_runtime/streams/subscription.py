@@ -1,4 +1,4 @@
-"""Receiving a topic from outside: connect once, and keep receiving whatever feeds the topic."""
+"""Subscriptions to topics: connect once, and keep receiving from every unit that feeds the topic in turn."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _RETRY_S = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """A value of a topic. `time_ns` is when it was made, in nanoseconds since the epoch, by the run's clock."""
+    """A value of a topic. `time_ns` is the time when it was made, in nanoseconds since 1970, on the run's clock."""
 
     value: Any
     time_ns: int
@@ -39,19 +39,19 @@ class Received:
 
 
 class TopicPlace(Protocol):
-    """Where topics are. A topic may go to another host meanwhile."""
+    """The place of topics. A topic may move to another host meanwhile."""
 
     @property
     def name(self) -> str: ...
 
     def connect(self, topic: str) -> socket.socket | None:
-        """A socket that gives the topic's elements from now on; None if the topic is not there."""
+        """A socket that gives the topic's elements from now on; None if the topic does not exist."""
 
     def is_alive(self) -> bool:
-        """Whether the topic may be there again if it is not."""
+        """Whether a missing topic may come back."""
 
     def now_ns(self) -> int:
-        """The time by the run's clock, by which elements have their times, while connected."""
+        """The present time on the run's clock, on which elements have their times, while connected."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,12 +81,12 @@ class RunPlace:
 
 
 class SubscriptionToTopic(Closable):
-    """A connection to a topic. Iterate over it for the values that come, until the run ends."""
+    """A connection to a topic. Iterate over it for the values, until the run ends."""
 
     def __init__(self, topic: str, place: TopicPlace, *, timeout_s: float | None) -> None:
         self.topic = topic
         self.dropped = 0
-        """How many elements were dropped because this consumer was slow."""
+        """The number of elements dropped because this consumer was slow."""
         self._place = place
         self._timeout_s = timeout_s
         self._receiver: Receiver | None = None
@@ -96,7 +96,7 @@ class SubscriptionToTopic(Closable):
             raise NoSuchTopicError(f"topic {topic!r} of run {place.name} can't be connected to")
 
     def __iter__(self) -> Iterator[Received]:
-        """Values as they come. Ends with the run, or raises TimeoutError if nothing comes for `timeout_s`."""
+        """Yield values as they come. Ends with the run; raises TimeoutError if none comes for `timeout_s` seconds."""
         for element in self.elements():
             yield Received(decode(element.payload), element.time_ns, self.topic)
 
@@ -114,7 +114,7 @@ class SubscriptionToTopic(Closable):
                 self._reconnect()
 
     def now_ns(self) -> int:
-        """The time by the run's clock: what a value's `time_ns` is less than that is its age."""
+        """The present time on the run's clock. A value's age is this minus its `time_ns`."""
         return self._place.now_ns()
 
     @property
@@ -162,10 +162,10 @@ class SubscriptionToTopic(Closable):
 def subscribe(
     topic: str, *, run: str | None = None, timeout_s: float | None = None, wait_s: float = 0.0
 ) -> SubscriptionToTopic:
-    """Subscribe to a topic of a runtime of this user on this machine.
+    """Subscribe to a topic of a run of this user on this computer.
 
-    `run` is the run's id or name, needed only if several runs have the topic. `wait_s` is how long to wait for
-    the topic to be there, `timeout_s` how long to wait for each value. Raises NoSuchTopicError.
+    `run` is the run's id or name, needed only if several runs have the topic. Waits up to `wait_s` seconds for the
+    topic, and up to `timeout_s` seconds for each value. Raises NoSuchTopicError.
     """
     deadline = time.monotonic() + wait_s
     while True:
@@ -182,7 +182,7 @@ def subscribe(
 
 
 def _runs_with(topic: str, run: str | None) -> list[Path]:
-    """Each address once, as a run may show a topic of another one."""
+    """The runs with a topic, each address once, as a run may show a topic of another one."""
     runs = [path for path in _live(run) if address(path, topic).exists()]
     return list({address(path, topic).resolve(): path for path in runs}.values())
 

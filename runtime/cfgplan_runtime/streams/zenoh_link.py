@@ -1,6 +1,6 @@
 """A computer's connection to the others of its fleet, over Zenoh.
 
-What is put may be lost on the way: `crossing` sends it again.
+Messages may be lost on the way: `crossing` sends them again.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ if TYPE_CHECKING:
     import zenoh
 
 Lane: TypeAlias = Literal["orders", "small", "large"]
-"""What is put on an earlier lane overtakes what waits on a later one."""
+"""The priorities of messages, highest first."""
 
 _GIVE_UP: int | None = getattr(socket, "TCP_USER_TIMEOUT", None)
-"""Linux has it; without it a link that is silently cut while data waits in it may be noticed late, or never."""
+"""An option of Linux; without it a silent cut may be noticed late, or never, if data waits in the link."""
 _WAITING = struct.Struct("@i")
 _CAME, _CAME_AT = struct.Struct("@Q"), 128
-"""How many bytes came, and where Linux has that number in what it tells of a TCP connection."""
+"""The number of received bytes, and its offset in Linux's `tcp_info` of a connection."""
 _LOOKS = 4
-"""It is looked after connections so often in a lease. A process that was stalled has looked once meanwhile."""
+"""Checks of connections per lease. A process that was stalled has made one check meanwhile."""
 _LINK_CLOSE_S = 2.0
-"""Zenoh may wait long for a peer that is gone when a session is closed."""
+"""The most seconds for closing a session: Zenoh may wait long for a peer that is gone."""
 _OVERLAP_S = 0.5
-"""Seconds until a session that has just been opened knows who hears it, and until what was put before has left."""
+"""Seconds until a new session knows its subscribers, and until earlier messages have left."""
 
 
 class _Declared:
@@ -52,9 +52,9 @@ class _Declared:
 
 
 class ZenohLink:
-    """A session of its own, and at times a second one, through another computer, that is used in its place.
+    """A session, and at times a second one through another computer that replaces it.
 
-    Callbacks come from threads of Zenoh's. Raises InputError without Zenoh, or if it can't listen.
+    Callbacks run in Zenoh's threads. Raises InputError without Zenoh, or if it can't listen.
     """
 
     def __init__(self, config: Mapping[str, Any]) -> None:
@@ -73,7 +73,9 @@ class ZenohLink:
         self._changing = threading.Lock()
         self._declared: WeakSet[_Declared] = WeakSet()
         self._kept: list[_Declared] = []
-        """What stays declared until the link is closed; a publisher does until nobody has it any more."""
+        """The declarations that last until the link is closed; a publisher's lasts as long as the publisher
+        is in use.
+        """
         self._is_closed = threading.Event()
         if _GIVE_UP is not None:
             lease_ms = config["transport"]["link"]["tx"]["lease"]
@@ -111,7 +113,9 @@ class ZenohLink:
         _close(through)
 
     def _use(self, session: zenoh.Session) -> None:
-        """Declare everything in another session, then put there, and only then undeclare it in the one before."""
+        """Declare everything in another session, then use it for messages, and only then undeclare everything in the
+        one before.
+        """
         with self._changing:
             if self._is_closed.is_set():
                 _close(session)
@@ -135,15 +139,15 @@ class ZenohLink:
         return declared
 
     def _keep_sound(self, lease_ms: int, option: int) -> None:
-        """Have the connections given up of which nobody takes the data for a lease.
+        """Close connections that have passed no data for a lease, at both ends.
 
-        At the other end it is the kernel that gives up: Zenoh closes a link only after what it has put into its socket.
-        Of one that is silently cut, TLS would never be closed, and so nobody be told, and TCP would stop all other
-        streams until it is mended.
+        At the sending end the kernel closes them: Zenoh closes a link only after its socket has accepted all data. On a
+        silently cut link TLS would never end, the loss would not be reported, and TCP would block all other streams
+        until the link works again.
 
-        At this end we do: a session whose attempt to connect takes just as long as it may take (`open_timeout`) gives
-        it up when the link is there already. The link then stays, but is never read: one computer hears nothing of the
-        other, which hears it, and for good.
+        At the receiving end this link closes them. A session that connects just within `open_timeout` may give up the
+        attempt after the link was made. The link then stays but is never read: one computer gets nothing from the other
+        for good, while the other gets its messages.
         """
         known: dict[tuple[object, object], Taken] = {}
         while not self._is_closed.wait(lease_ms / 1000 / _LOOKS):
@@ -157,7 +161,7 @@ class ZenohLink:
                         connection.shutdown(socket.SHUT_RDWR)
 
     def hear(self, keys: str, take: Callable[[str, bytes, bytes], None]) -> None:
-        """Have everything that is put below `keys` told: its key, head and payload."""
+        """Call `take` with key, head and payload of every message below `keys`."""
 
         def tell(sample: zenoh.Sample) -> None:
             head = b"" if sample.attachment is None else sample.attachment.to_bytes()
@@ -166,7 +170,7 @@ class ZenohLink:
         self._declare(lambda session: session.declare_subscriber(keys, tell))
 
     def watch(self, keys: str, tell: Callable[[str, bool], None]) -> None:
-        """Have told which keys are, or become, alive (True) and which cease to be (False)."""
+        """Call `tell` with each key that is or becomes alive (True), and with each that ceases to be (False)."""
         put = self._zenoh.SampleKind.PUT
 
         def declare(session: zenoh.Session) -> object:
@@ -183,7 +187,7 @@ class ZenohLink:
         self._declare(lambda session: session.liveliness().declare_token(key))
 
     def give_signs(self, key: str, period_s: float, sign: Callable[[], bytes] = bytes) -> None:
-        """Put a sign of life at a key again and again, until the link is closed."""
+        """Put a sign of life at a key every `period_s` seconds, until the link is closed."""
         put = self.publisher(key, "orders")
 
         def run() -> None:
@@ -194,7 +198,7 @@ class ZenohLink:
         threading.Thread(target=run, daemon=True).start()
 
     def alive(self, keys: str, *, directly: bool = False) -> frozenset[str]:
-        """The keys that are alive now; `directly`, as the session of its own knows them."""
+        """The keys that are alive now; with `directly`, as this link's first session knows them."""
         try:
             replies = (self._direct if directly else self._session).liveliness().get(keys)
         except self._zenoh.ZError:  # it was closed
@@ -202,11 +206,13 @@ class ZenohLink:
         return frozenset(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
 
     def answer(self, key: str, give: Callable[[], bytes]) -> None:
-        """Answer whoever asks at a key."""
+        """Answer queries at a key."""
         self._declare(lambda session: session.declare_queryable(key, lambda query: query.reply(key, give())))
 
     def ask(self, keys: str, timeout_s: float) -> Iterator[tuple[str, bytes]]:
-        """What is answered at keys, until all have answered, the time is over, or the link is closed."""
+        """Yield (key, answer) for queries at `keys`, until all have answered, `timeout_s` seconds are over, or the link
+        is closed.
+        """
         try:
             replies = self._session.get(keys, timeout=timeout_s)
         except self._zenoh.ZError:
@@ -218,8 +224,8 @@ class ZenohLink:
     def publisher(self, key: str, lane: Lane) -> Callable[[bytes, bytes], None]:
         """A function that puts a head and a payload at a key.
 
-        What has no room is dropped after 1 ms, if it is large after 50 ms. On the lane of small ones the function waits
-        for room, which there is again after a lease at the latest.
+        Without room in the link, a message is dropped after 1 ms, or after 50 ms if it is sent in fragments. On the
+        lane `small` the function waits for room instead, at most a lease.
         """
         congestion = self._zenoh.CongestionControl
 
@@ -251,15 +257,15 @@ class ZenohLink:
 
 
 def _close(session: zenoh.Session) -> None:
-    """Close a session; it is left to itself if it does not close in time."""
+    """Close a session; after `_LINK_CLOSE_S` seconds it is left to close by itself."""
     thread = threading.Thread(target=session.close, daemon=True)
     thread.start()
     thread.join(_LINK_CLOSE_S)
 
 
 class Taken(NamedTuple):
-    """How many of the bytes that came to a connection were taken, and at how many looks in a row no more were though
-    some wait.
+    """The bytes of a connection that were read, and the checks in a row at which no more were read though
+    some waited.
     """
 
     bytes: int
@@ -267,7 +273,7 @@ class Taken(NamedTuple):
 
 
 def taken(connection: socket.socket, before: Taken | None) -> Taken:
-    """What is taken of a TCP connection's data at this look, if that was so at the one before. Raises OSError."""
+    """Check a TCP connection, after the check `before`. Raises OSError."""
     (waiting,) = _WAITING.unpack(fcntl.ioctl(connection, termios.FIONREAD, bytes(_WAITING.size)))
     told = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _CAME_AT + _CAME.size)
     (came,) = _CAME.unpack_from(told, _CAME_AT)
@@ -282,7 +288,7 @@ def _ports(endpoints: Iterable[str]) -> frozenset[int]:
 
 
 def _connections(ports: Collection[int]) -> Iterator[socket.socket]:
-    """The TCP connections of this process to or from ports, each as a copy that is closed afterwards."""
+    """Yield the TCP connections of this process to or from ports, each as a copy that is closed afterwards."""
     for entry in Path("/proc/self/fd").iterdir():
         with suppress(OSError):
             number = int(entry.name)
@@ -298,7 +304,7 @@ def _first_line(error: Exception) -> str:
 
 
 class PutThread:
-    """Puts elements in a thread of its own, so that a full link stops nobody else."""
+    """Puts elements in a thread of its own, so that a full link does not block the caller."""
 
     def __init__(self, put: Callable[[bytes, bytes], None]) -> None:
         self._put = put
@@ -306,11 +312,11 @@ class PutThread:
         threading.Thread(target=self._run, daemon=True).start()
 
     def give(self, head: bytes, payload: bytes) -> None:
-        """Put it soon."""
+        """Queue a message for putting."""
         self._waiting.put((head, payload))
 
     def close(self) -> None:
-        """End after the given elements."""
+        """End after the queued messages."""
         self._waiting.put(None)
 
     def _run(self) -> None:

@@ -1,1 +1,1 @@
-"""Carrying out change sets and noticing faults; nothing here knows that units are processes."""
+"""Carrying out change sets and noticing faults; no module here depends on units being processes."""

@@ -1,4 +1,4 @@
-"""What the supervisor asks of whatever runs the units."""
+"""The protocol between the supervisor and the backend that runs the units."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cfgplan_runtime.supervision.events import Event
 
 @dataclass(frozen=True, slots=True, order=True)
 class Inlet:
-    """Where a stream may lead: an input port of a unit, or (`unit` is "") a topic's outlet.
+    """The end of a stream: an input port of a unit, or (`unit` is "") a topic's outlet.
 
     An input that takes several streams has an inlet for each: `port` is then `port/1`, `port/2` and so on.
     """
@@ -36,7 +36,7 @@ class Inlet:
 
 @dataclass(frozen=True, slots=True)
 class Usage:
-    """What a unit has used: CPU time since its start in microseconds, memory now in bytes; `pid` is its process."""
+    """The usage of a unit: CPU time since its start in microseconds, memory now in bytes; `pid` is its process."""
 
     cpu_us: int
     memory_bytes: int
@@ -45,7 +45,7 @@ class Usage:
 
 @dataclass(frozen=True, slots=True)
 class FoundWire:
-    """A wire that is there already; see `supervision.wiring.Wire`."""
+    """An existing wire; see `supervision.wiring.Wire`."""
 
     id: int
     stream: Stream
@@ -55,11 +55,11 @@ class FoundWire:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What an earlier supervisor has left running: its units, with their transformations and hosts, wires and topics.
+    """The units, with their transformations and hosts, wires and topics that an earlier supervisor has left running.
 
     `labor_us` has the units that are ready, and the cold spares that are prepared; `topics` the host of each topic's
-    target. Units that were told to stop and have not ended are `stopping`, with their
-    hosts; only the wires name them too.
+    target. `stopping` has the units that were told to stop and have not ended, with their hosts; apart from it, only
+    wires name them.
     """
 
     units: tuple[ComputationUnit, ...]
@@ -74,92 +74,94 @@ class Found:
 class Backend(Protocol):
     """Runs units and connects them. No method waits for its effect: that comes as an event from `wait`.
 
-    All methods but `wake` are called from the thread that made the backend. A host is None where the problem has no
-    hosts: that is this computer. Orders for a host that is not there have no effect, and no event follows.
+    Call all methods but `wake` from the thread that made the backend. A host of None means this computer, in a problem
+    without hosts. Orders for a host that has not joined have no effect, and no event follows.
     """
 
     @property
     def id(self) -> str:
-        """The run's id, which tells its topics from those of other runs."""
+        """The run's id, which distinguishes its topics from those of other runs."""
 
     def found(self) -> Found | None:
-        """What runs from the beginning; None if nothing does. Called once."""
+        """The units that run from the beginning; None if none do. Called once."""
 
     def now(self) -> float:
-        """Seconds on a clock that only rises."""
+        """Seconds on a monotonic clock."""
 
     def wait(self, timeout_s: float | None) -> Sequence[Event]:
         """The events since the last call. If there are none, waits up to `timeout_s` for the first."""
 
     def wake(self) -> None:
-        """Let `wait` return; for any thread."""
+        """Make `wait` return. Thread-safe."""
 
     def take_hosts(self, hosts: Collection[str]) -> Collection[str]:
-        """Use these hosts too. Returns those of which HostJoined or HostLost follows; on one computer none."""
+        """Use these hosts too. Returns those for which HostJoined or HostLost follows; on one computer none."""
 
     def leave_hosts(self, hosts: Collection[str]) -> None:
-        """Leave these hosts to others. Their units are ended."""
+        """Free these hosts for other runs. Their units are ended."""
 
     def start(
         self, unit: str, transformation: Transformation, state: bytes | None, host: str | None, spare: str | None = None
     ) -> None:
         """Start a unit on a host: UnitReady or UnitDied follows, or HostLost.
 
-        It begins in the process that was prepared as `spare`, if that is there and its code has not changed: SpareUsed
-        is told first. In no case is the spare there any more.
+        It starts in the process that was prepared as `spare`, if that still runs and its code has not changed:
+        SpareUsed is reported first. The spare is gone in any case.
         """
 
     def prepare(self, spare: str, transformation: Transformation, host: str | None) -> None:
-        """Construct the code of a cold spare, so that a unit begins at once: SparePrepared or SpareLost follows.
+        """Construct the code of a cold spare, so that a unit can start at once: SparePrepared or SpareLost follows.
 
-        SpareLost is told later too, if it ends unasked or its code changes. Another of that name is discarded. A
-        backend may do nothing here, and tell nothing: a start then takes as long as any.
+        SpareLost is reported later too, if the process ends or its code changes. An earlier spare of that name is
+        discarded. A backend may do nothing here, and report nothing: a start then takes the usual time.
         """
 
     def discard(self, spare: str) -> None:
-        """End what was prepared: nothing follows."""
+        """End the process of a spare, without an event."""
 
     def stop(self, unit: str) -> None:
-        """Ask a unit to process what it has taken in, then end: UnitStopped (or UnitDied) follows.
+        """Ask a unit to process the elements that it has received, then end: UnitStopped (or UnitDied) follows.
 
-        Asked again, code that still blocks is interrupted, where that can be done.
+        A second call interrupts code that still blocks, if possible.
         """
 
     def kill(self, unit: str, *, dump: bool = False) -> None:
         """End a unit at once: UnitDied follows, or UnitStopped if it had been asked to stop.
 
-        With `dump` it first prints where it is.
+        With `dump` it first prints its stack.
         """
 
     def ask_state(self, unit: str) -> None:
-        """Ask a unit for its state: UnitStatus follows at once, where the backend keeps states."""
+        """Ask a unit for its state: UnitStatus follows at once, if the backend keeps states."""
 
     def give_state(self, unit: str, state: bytes) -> None:
-        """Let a unit that has begun go on with the state of another."""
+        """Give a started unit the state of another."""
 
     def connect(self, wire: int, stream: Stream, inlet: Inlet, *, queue: int, blocks: bool) -> None:
-        """Let `stream` feed `inlet`, at once or as the standby of what feeds it: WireSwitched follows."""
+        """Let `stream` feed `inlet`, at once or as the standby of its present source: WireSwitched follows."""
 
     def disconnect(self, wire: int, inlet: Inlet) -> None:
-        """Take a wire away from its inlet, whether it is the source or the standby."""
+        """Remove a wire from its inlet, whether it is the source or the standby."""
 
     def end_wire(self, wire: int, stream: Stream, inlet: Inlet) -> None:
-        """One end of a wire is gone: close the other after what was sent, even if others hold the wire open."""
+        """One end of a wire is gone: close the other after the elements that were sent, even if other processes hold
+        the wire open.
+        """
 
     def switch_now(self, inlet: Inlet) -> None:
         """Switch an inlet to its standby without waiting for its present source."""
 
     def open_outlet(self, topic: str, host: str | None) -> None:
-        """Give a topic its address on a host; None: where its target has none. Called again after HostJoined."""
+        """Give a topic its address on a host; None if its target has none. Called again after HostJoined."""
 
     def close_outlet(self, topic: str) -> None:
-        """Take a topic's address away."""
+        """Remove a topic's address."""
 
     def renew(self, helper: str) -> None:
         """Replace a helper process that gives no sign of life: OutletsLost or UnitDied may follow."""
 
     def usage(self, unit: str) -> Usage | None:
-        """What a unit, or a spare that is prepared, has used so far; None if it does not run."""
+        """The usage so far of a unit, or of a prepared spare; None if it does not run."""
 
     def pid(self, unit: str) -> int | None:
         """The process id of a unit; None if it has none."""

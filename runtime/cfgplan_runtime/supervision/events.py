@@ -1,4 +1,4 @@
-"""What happens to running units, as typed events: the one language between backend, supervisor and life-cycle."""
+"""Events of running units, as typed values: the language between backend, supervisor and life-cycle."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from cfgplan_runtime.children.messages import CrossingCounts, Flow, PortCounts, 
 
 
 class Event(msgspec.Struct, frozen=True):
-    """Something that happens; each kind of event is a class of its own."""
+    """An event; each kind is a class of its own."""
 
 
 class UnitReady(Event, frozen=True):
@@ -19,14 +19,14 @@ class UnitReady(Event, frozen=True):
 
 
 class UnitDied(Event, frozen=True):
-    """A unit has ended unasked, or could not start; `cause` says how."""
+    """A unit has ended without being told to, or could not start, with the `cause`."""
 
     unit: str
     cause: str
 
 
 class UnitStopped(Event, frozen=True):
-    """A unit has ended as asked."""
+    """A unit has ended as told."""
 
     unit: str
 
@@ -39,14 +39,14 @@ class SparePrepared(Event, frozen=True):
 
 
 class SpareUsed(Event, frozen=True):
-    """A unit begins in the process that was prepared for a cold spare."""
+    """A unit starts in the process that was prepared for a cold spare."""
 
     unit: str
     spare: str
 
 
 class SpareLost(Event, frozen=True):
-    """The process that was prepared for a cold spare has ended unasked, or could not be prepared."""
+    """The process that was prepared for a cold spare has ended, or could not be prepared."""
 
     unit: str
     cause: str
@@ -80,7 +80,7 @@ class UnitTooLarge(Event, frozen=True):
 
 
 class UnitCutShort(Event, frozen=True):
-    """A unit that was told to end had not ended after so many seconds, and is killed.
+    """A unit that was told to end had not ended after `after_s` seconds, and is killed.
 
     `waiting` elements waited at its inputs when it gave its last sign of life.
     """
@@ -130,7 +130,7 @@ class UnitStatus(Event, frozen=True):
 
 
 class OutletsLost(Event, frozen=True):
-    """The process that owns the topics' addresses has died; a new one takes its place: OutletsOpened follows."""
+    """The process that owns the topics' addresses has died; a new one replaces it: OutletsOpened follows."""
 
     cause: str
 
@@ -146,7 +146,9 @@ class TopicsStatus(Event, frozen=True):
 
 
 class CrossingsStatus(Event, frozen=True):
-    """What has gone from host to host: by stream and its two hosts, and by two hosts (stream "") for streams gone."""
+    """The traffic between hosts: by stream and its two hosts, and by two hosts (stream "") for streams that
+    have ended.
+    """
 
     crossings: dict[tuple[str, str, str], CrossingCounts]
 
@@ -162,7 +164,7 @@ class HelperAlive(Event, frozen=True):
 
 
 class HelperHung(Event, frozen=True):
-    """A helper process of a backend has given no sign of life, and is made anew."""
+    """A helper process of a backend has given no sign of life, and is replaced."""
 
     helper: str
     silent_s: float
@@ -179,24 +181,24 @@ class CertificateEnds(Event, frozen=True):
 class OutOfDescriptors(Event, frozen=True):
     """A process of the run has no file descriptor left, or no room on the disk for a topic's address.
 
-    `cause` says what it can't do. Told once until it can again.
+    `cause` names the failed action. Reported once until the action succeeds again.
     """
 
     cause: str
 
 
 class HostLost(Event, frozen=True):
-    """A host can't be reached any more: none of its units and topics will be heard of again, not even of their end."""
+    """A host can't be reached any more: its units and topics count as gone, and no end of a unit there is reported."""
 
     host: str
     cause: str
 
 
 class HostJoined(Event, frozen=True):
-    """A host has joined, for the first time or again. Nothing of the run is on it.
+    """A host has joined, for the first time or again. It has no units of the run.
 
-    `ahead_us` is how far its time of day is ahead of the manager's, in microseconds. Times of elements are not: they go
-    by the run's clock on every host.
+    `ahead_us` is the difference of its time of day from the manager's, in microseconds. Times of elements are not
+    affected: they are on the run's clock on every host.
     """
 
     host: str
@@ -211,7 +213,7 @@ class ClockMoved(Event, frozen=True):
 
 
 class ElementsLost(Event, frozen=True):
-    """A host that was lost and is back had elements for others that had not come to them, as far as it knows."""
+    """A lost host is back, and some of its elements for other hosts had not arrived, as far as it knows."""
 
     host: str
     elements: int

@@ -1,4 +1,4 @@
-"""Whoever is told what happens. Foreign code that raises is told of once, and goes on to be called."""
+"""Listeners of events. If a listener raises, this is reported once, and it is still called."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ News = TypeVar("News")
 
 
 class Listeners(Generic[News]):
-    """Functions that are called with each piece of news, in order. One that raises keeps no other from hearing it."""
+    """Functions that are called with each event, in order. If one raises, the others are still called."""
 
     def __init__(self, listeners: Iterable[Callable[[News], None]] = ()) -> None:
         self._listeners = tuple(listeners)

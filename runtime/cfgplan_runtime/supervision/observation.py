@@ -1,4 +1,4 @@
-"""What is known of running units: their costs, rates, queues and last errors, and what each has cost over time."""
+"""Observations of running units: their costs, rates, queues and last errors, and their mean costs over time."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Observation:
 
     @property
     def dropped(self) -> int:
-        """The number of elements that were dropped before this unit took them."""
+        """The number of elements that were dropped before they reached this unit."""
         return sum(counts.dropped for counts in self.inputs.values())
 
 
@@ -52,17 +52,17 @@ class UnitRecord:
     host: str | None = None
     labor_us: int = 0
     sign_s: float = 0.0
-    """When it last gave a sign of life, on `Supervisor.now`."""
+    """The time of its last sign of life, on `Supervisor.now`."""
     status: UnitStatus | None = None
     signs: int = 0
-    """How many signs of life it has given."""
+    """The number of its signs of life."""
     steps_per_s: float = 0.0
     failure: UnitFailed | None = None
     killed_s: float | None = None
     _last_cpu_us: int = 0
     _last_s: float | None = None
     gave_s: float = 0.0
-    """When it was last known to have given another element."""
+    """The time when it was last known to have sent an element."""
     _given: int = 0
     _counted: tuple[int, float] | None = None
     """The sign of life from which the rate is counted: its steps, and when it came."""

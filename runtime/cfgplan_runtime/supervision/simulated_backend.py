@@ -29,13 +29,13 @@ from cfgplan_runtime.supervision.events import (
 
 @dataclass
 class Behaviour:
-    """How the units of a transformation behave. Times in seconds; None is never.
+    """The behaviour of a transformation's units. Times in seconds; None is never.
 
-    Costs are the transformation's own unless given: `labor_us` in microseconds of CPU time; `upkeep_us` in
-    microseconds per second, a function of the clock that is called once per second. `dies_s` counts from readiness. A
-    `quiet` unit gives no element; a `hung` one gives no sign of life and does not stop when asked; each step of a
-    `failing` one has an error; one with an `heir` leaves a process behind that holds its sockets open. `says` gives, at
-    a time of the clock, how good the outputs were since the last sign of life.
+    Costs are the transformation's own unless given: `labor_us` in microseconds of CPU time; `upkeep_us` in microseconds
+    per second, a function of the clock that is called once per second. `dies_s` counts from readiness. A `quiet` unit
+    sends no element; a `hung` one gives no sign of life and does not stop when told; each step of a `failing` one has
+    an error; a unit with `heir` leaves a process behind that holds its sockets open. `says` gives, at a
+    time of the clock, the quality of the outputs since the last sign of life.
     """
 
     start_s: float = 0.01
@@ -81,7 +81,7 @@ class _Unit:
 
 @dataclass(frozen=True, eq=False)
 class _Prepared:
-    """What was prepared for a cold spare: where, and when a unit can begin in it."""
+    """The process of a cold spare: its host, and the time when a unit can start in it."""
 
     host: str | None
     ready_s: float
@@ -141,7 +141,7 @@ class SimulatedBackend:
         return []
 
     def wake(self) -> None:
-        """Nobody waits in another thread."""
+        """Do nothing: no other thread waits."""
 
     def stall(self, seconds: float) -> None:
         """Let time pass without a wait. Its events come from the next `wait`."""
@@ -174,7 +174,7 @@ class SimulatedBackend:
         self._later(0.0, HostJoined(host))
 
     def feeding(self, inlet: Inlet) -> Stream | None:
-        """The stream that feeds an inlet now; None if there is none."""
+        """The stream that feeds an inlet now; None without one."""
         active = self._inputs.get(inlet, _Input()).active
         return None if active is None else self.wires[active][0]
 
@@ -182,7 +182,7 @@ class SimulatedBackend:
         return ()
 
     def leave_hosts(self, hosts: Collection[str]) -> None:
-        """There is one computer, which stays."""
+        """Do nothing: the only host is this computer."""
 
     def start(
         self, unit: str, transformation: Transformation, state: bytes | None, host: str | None, spare: str | None = None
@@ -311,7 +311,7 @@ class SimulatedBackend:
         heapq.heappush(self._due, (self._now + delay_s, self._count, event, self._subject(event)))
 
     def _subject(self, event: Event) -> _Unit | _Prepared | None:
-        """The unit or spare that an event is about; None if there is none."""
+        """The unit or spare of an event; None if it does not exist."""
         match event:
             case UnitReady(unit) | UnitDied(unit) | UnitStopped(unit) | UnitStatus(unit):
                 return self.units.get(unit)

@@ -15,13 +15,16 @@ from cfgplan_runtime.supervision.events import SpareLost, SparePrepared
 
 MEGABYTE = 1 << 20
 _PUT_OFF_S, _MOST_PUT_OFF_S, _WELL_S = 1.0, 300.0, 60.0
-"""Seconds until a spare that was lost twice in a row is prepared anew, doubled for each further loss up to the second
-value. A loss this long after it was prepared is not in a row."""
+"""Seconds until a spare that was lost twice in a row is prepared again, doubled for each further loss up to the second
+value. A loss later than the third value after the preparation counts as the first.
+"""
 
 
 @dataclass(slots=True)
 class _ColdSpare:
-    """A cold spare. `order` is what constructs it: costs and tags of its transformation do not matter."""
+    """A cold spare. `order` has everything that its process depends on; costs and tags of its transformation do not
+    matter.
+    """
 
     transformation: Transformation
     host: str | None
@@ -37,7 +40,7 @@ class _ColdSpare:
 
 
 class Spares:
-    """Has a backend prepare the cold spares of the configuration, one process for each. Times are in seconds."""
+    """Lets a backend prepare the cold spares of the configuration, one process for each. Times are in seconds."""
 
     def __init__(self, backend: Backend) -> None:
         self._backend = backend
@@ -49,7 +52,7 @@ class Spares:
         return [spare.prepared for _, spare in sorted(self._spares.items()) if spare.prepared is not None]
 
     def adopt(self, environment: Environment, labor_us: Mapping[str, int], now_s: float) -> None:
-        """Go on with spares that an earlier supervisor has asked for. Those in `labor_us` are prepared."""
+        """Continue with spares of an earlier supervisor. Spares in `labor_us` are prepared."""
         self._spares = _spares(environment)
         for spare in self._spares.values():
             spare.is_asked = True
@@ -57,7 +60,7 @@ class Spares:
             self.note_prepared(SparePrepared(unit, labor_us[unit]), now_s)
 
     def keep(self, environment: Environment, now_s: float) -> None:
-        """Have the cold spares of a configuration prepared, and no others."""
+        """Prepare the cold spares of a configuration, and discard all others."""
         wanted = _spares(environment)
         for unit, spare in list(self._spares.items()):
             if unit not in wanted or (wanted[unit].order, wanted[unit].host) != (spare.order, spare.host):
@@ -67,7 +70,7 @@ class Spares:
         self._prepare(now_s)
 
     def watch(self, now_s: float) -> list[SpareLost]:
-        """End those that have grown too large, and have those prepared that are due. Returns which were ended."""
+        """End spares that have grown too large, and prepare those that are due. Returns the ended ones."""
         ended = []
         for unit, spare in self._spares.items():
             most_mb = spare.transformation.run.memory_mb
@@ -80,7 +83,7 @@ class Spares:
         return ended
 
     def take(self, transformation: Transformation, host: str | None) -> str | None:
-        """A spare that a new unit can begin in, a prepared one rather than another; it is none of these any more."""
+        """Remove and return a spare that a new unit can start in, preferably a prepared one; None without one."""
         order = unit_order("", transformation, None)
         fit = [unit for unit, one in self._spares.items() if one.is_asked and (one.order, one.host) == (order, host)]
         taken = min(fit, key=lambda unit: (self._spares[unit].prepared is None, unit), default=None)
@@ -96,7 +99,9 @@ class Spares:
         return spare is not None
 
     def note_loss(self, unit: str, now_s: float) -> bool:
-        """A spare was lost: it is prepared again, after losses in a row ever later. Returns whether it is wanted."""
+        """A spare was lost: it is prepared again, with growing waits after losses in a row. Returns whether it is
+        wanted.
+        """
         spare = self._spares.get(unit)
         if spare is not None:
             lived_well = spare.prepared is not None and now_s - spare.prepared_s >= _WELL_S

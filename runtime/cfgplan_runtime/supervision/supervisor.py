@@ -1,4 +1,5 @@
-"""The supervisor: knows what runs, carries out change sets, notices what goes wrong. It knows no process.
+"""The supervisor: holds the running configuration, carries out change sets, and notices faults. It never handles
+processes itself.
 
 Everything happens in the thread that calls it; the backend's events are its only input.
 """
@@ -19,7 +20,9 @@ from cfgplan_runtime.supervision.spares import MEGABYTE, Spares
 from cfgplan_runtime.supervision.wiring import Wire, Wiring, without_feed
 
 HANG_S = 10.0
-"""Seconds that a unit may be silent if its transformation does not say. A source without a rate may be for ever."""
+"""Seconds that a unit may be silent if its transformation has no `hang`. A source without a rate may be silent for
+ever.
+"""
 
 WATCH_PERIOD_S = 0.25
 _HOSTS_S = 5.0
@@ -32,9 +35,9 @@ _MOST_REMEMBERED = 1000
 
 
 class Supervisor:
-    """Holds the actual configuration in `environment`; `report` gets every event, in order.
+    """Holds the running configuration in `environment`; `report` gets every event, in order.
 
-    The update under way sees it as `applying.Actual`; nobody else changes that state.
+    The update under way reads it as `updates.Actual`; only the supervisor changes it.
     """
 
     def __init__(self, backend: Backend, environment: Environment, report: Callable[[events.Event], None]) -> None:
@@ -46,11 +49,11 @@ class Supervisor:
         self.ready: set[str] = set()
         self.topics: dict[str, str | None] = {}
         self.hosts: dict[str, events.HostJoined | events.HostLost] = {}
-        """The last that was heard of each host; nothing of hosts that the backend does not tell of."""
+        """The last event of each host that the backend reports."""
         self.cause_of_death: dict[str, str] = {}
         self.is_ending = False
         self._is_abandoned: Callable[[], bool] = lambda: False
-        """Whether the update under way is given up, as who has asked for it says."""
+        """Whether the update under way was given up by its caller."""
         self._report = report
         self._applied: dict[str, events.Applied] = {}
         self._update_patience = updates.Patience()
@@ -71,7 +74,7 @@ class Supervisor:
             self._adopt(found)
 
     def now(self) -> float:
-        """The backend's clock without the gaps in which this process saw nothing, so that these make no unit late."""
+        """The backend's clock without the gaps in which this process was suspended, so that these make no unit late."""
         return self.backend.now() - self._gaps_s
 
     def apply(
@@ -86,10 +89,10 @@ class Supervisor:
     ) -> events.Applied:
         """Carry out a change set as a whole or not at all; the same `id` is carried out once.
 
-        `basis` is the environment that it was planned for. Raises StaleChangeSetError if that, or what the
-        change set names, is not what runs; ApplyError if a step failed, or the update `is_abandoned` while it waits for
-        new units, and all was undone.
-        With `keeps_new`, new units that have not failed then stay in the environment, unconnected.
+        `basis` is the environment that it was planned for. Raises StaleChangeSetError if it differs from the running
+        configuration, or the change set names units that do not run; ApplyError if a step failed, or the update
+        `is_abandoned` while it waits for new units, and all was undone. With `keeps_new`, new units that have not
+        failed then stay in the environment, unconnected.
         """
         if id is not None and id in self._applied:
             return self._applied[id]
@@ -123,7 +126,7 @@ class Supervisor:
         return applied
 
     def _take_hosts(self, change_set: ChangeSet) -> None:
-        """Have the backend use the hosts that a change set adds, and wait until it has told of each."""
+        """Let the backend use the hosts that a change set adds, and wait until it has reported each."""
         told_of = self.backend.take_hosts([host.name for host in change_set.added_hosts])
         for host in told_of:
             self.hosts.pop(host, None)
@@ -138,7 +141,7 @@ class Supervisor:
             self._watch()
 
     def observe(self) -> tuple[Observation, ...]:
-        """Every running unit as it is now."""
+        """The present figures of every running unit."""
         observations = []
         for unit in sorted(self.alive & self.ready):
             usage = self.backend.usage(unit)
@@ -166,7 +169,7 @@ class Supervisor:
 
     @property
     def lost_hosts(self) -> set[str]:
-        """The hosts that are gone by the backend's last word."""
+        """The hosts that are lost, by the backend's last report."""
         return {host for host, last in self.hosts.items() if isinstance(last, events.HostLost)}
 
     @property
@@ -175,17 +178,17 @@ class Supervisor:
         return self.wiring.feeds
 
     def signs(self, unit: str) -> int:
-        """How many signs of life a unit has given."""
+        """The number of a unit's signs of life."""
         record = self._records.get(unit)
         return 0 if record is None else record.signs
 
     def failure(self, unit: str) -> str | None:
-        """What a unit's code raised in its last step that failed; None if none has failed."""
+        """The error of a unit's last failed step; None if none has failed."""
         record = self._records.get(unit)
         return None if record is None or record.failure is None else record.failure.text
 
     def dry_units(self) -> set[str]:
-        """Units with outputs that have given nothing for a while: no switch waits for them."""
+        """Units with outputs that have sent nothing for a while: no switch waits for them."""
         now = self.backend.now()
         return {
             unit
@@ -194,7 +197,7 @@ class Supervisor:
         }
 
     def _adopt(self, found: Found) -> None:
-        """Go on with what an earlier supervisor has left running. No unit is late for what was not heard of it."""
+        """Continue with the units of an earlier supervisor. Their silence so far makes no unit late."""
         self.environment = replace(self.environment, units=found.units, library=found.library, hosts=found.hosts)
         self.topics.update(found.topics)
         self.wiring.adopt(found.wires, found.stopping)
@@ -215,7 +218,7 @@ class Supervisor:
     def _drive(self, commands: Generator[updates.Command, None, updates.CarriedOut]) -> updates.CarriedOut:
         """Carry out an update. The first command that fails is thrown into it, so that all is undone.
 
-        What fails while that is done, or after Commit, is told in the log, and the rest is carried out.
+        Failures during the undoing, or after Commit, are logged, and the other commands are carried out.
         """
         fault: Exception | None = None
         may_be_undone = True
@@ -233,7 +236,7 @@ class Supervisor:
             return carried
 
     def _fault_of(self, command: updates.Command, *, may_be_undone: bool) -> Exception | None:
-        """Carry out a command of an update. Returns what it raises, but the end of the runtime, which is raised."""
+        """Carry out a command of an update. Returns its exception; only the end of the runtime is raised."""
         try:
             self._obey(command)
         except Exception as error:
@@ -283,12 +286,12 @@ class Supervisor:
                 self._wait(command)
 
     def stop_s(self, unit: str) -> float | None:
-        """How long its transformation lets a unit take to end; None if it does not say."""
+        """The seconds that a unit may take to end, by its transformation; None if that has no `stop`."""
         stop_us = self._library[unit].run.stop_us if unit in self._library else None
         return None if stop_us is None else stop_us / 1e6
 
     def _cut_short(self, unit: str, after_s: float) -> None:
-        """Kill a unit that takes too long to end, and tell how much of its input waited when it last said so."""
+        """Kill a unit that takes too long to end, and report how much of its input waited at its last sign of life."""
         if unit in self._records:
             self._report(events.UnitCutShort(unit, after_s, self._records[unit].waiting))
         self.backend.kill(unit)
@@ -331,7 +334,7 @@ class Supervisor:
                 self._report(event)
 
     def _understand(self, event: events.Event) -> bool:
-        """Update the state by an event. Returns whether to report it to others."""
+        """Update the state by an event. Returns whether to report it to listeners."""
         match event:
             case events.UnitReady(unit, labor_us) if unit in self._records:
                 self.ready.add(unit)
@@ -392,7 +395,7 @@ class Supervisor:
         self._library.pop(unit, None)
 
     def _lose(self, host: str, cause: str) -> None:
-        """Bury the units on a host that is gone, cold spares too, and end what was led to its topics."""
+        """Forget the units and cold spares on a lost host, and close the wires to its topics."""
         for unit in [unit for unit, record in self._records.items() if record.host == host]:
             self.cause_of_death[unit] = f"host {host} is gone: {cause}"
             self._bury(unit)
@@ -407,7 +410,7 @@ class Supervisor:
             self.environment = without_feed(self.environment, outlet)
 
     def _restore_outlets(self) -> None:
-        """Feed the topics again, after the backend has made their addresses anew."""
+        """Feed the topics again, after the backend has replaced their addresses."""
         for inlet, wire in list(self.wiring.feeds.items()):
             if inlet.is_outlet:
                 del self.wiring.feeds[inlet]

@@ -19,16 +19,16 @@ from cfgplan_runtime.supervision import wiring
 from cfgplan_runtime.supervision.backend import Inlet
 
 _STATE_S = 0.5
-"""So many seconds a unit has to say its state to the one that replaces it; else the last that it said counts."""
+"""Seconds that a unit has to give its state to its replacement; otherwise its last known state counts."""
 TIME_TO_DUMP_S = 0.2
-"""A unit that is asked where it is has so many seconds to print it before it is killed."""
+"""Seconds that a unit has to print its stack before it is killed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Patience:
-    """How long the steps of an update may take, in seconds.
+    """The times that the steps of an update may take, in seconds.
 
-    An input whose new source gives nothing for `switch_s` switches to it when the old source is taken away.
+    If the new source of an input sends nothing for `switch_s`, the input switches to it when the old source is stopped.
     """
 
     start_s: float = 30.0
@@ -62,23 +62,23 @@ class Actual(Protocol):
     @property
     def is_abandoned(self) -> bool: ...
     def stop_s(self, unit: str) -> float | None:
-        """How long its transformation lets a unit take to end; None if it does not say."""
+        """The seconds that a unit may take to end, by its transformation; None if that has no `stop`."""
 
     def signs(self, unit: str) -> int:
-        """How many signs of life a unit has given; with the last came its state."""
+        """The number of a unit's signs of life; the last one had its state."""
 
     def failure(self, unit: str) -> str | None:
-        """What a unit's code raised in its last step that failed; None if none has failed."""
+        """The error of a unit's last failed step; None if none has failed."""
 
     def dry_units(self) -> Set[str]:
-        """Units with outputs that have given nothing for a while."""
+        """Units with outputs that have sent nothing for a while."""
 
     def now(self) -> float:
-        """Seconds on a clock that only rises."""
+        """Seconds on a monotonic clock."""
 
 
 class Command(msgspec.Struct, frozen=True):
-    """What carrying out asks of a supervisor; each kind is a class of its own."""
+    """A command of an update to its supervisor; each kind is a class of its own."""
 
 
 class OpenTopic(Command, frozen=True):
@@ -89,7 +89,7 @@ class OpenTopic(Command, frozen=True):
 
 
 class CloseTopic(Command, frozen=True):
-    """Take a topic's address away."""
+    """Remove a topic's address."""
 
     topic: str
 
@@ -108,13 +108,13 @@ class AskState(Command, frozen=True):
 
 
 class GiveState(Command, frozen=True):
-    """Let a unit that has begun go on with the last state of its name."""
+    """Give a started unit the last state of its name."""
 
     unit: str
 
 
 class StopUnit(Command, frozen=True):
-    """Ask a unit to end."""
+    """Tell a unit to end."""
 
     unit: str
 
@@ -126,7 +126,7 @@ class EndUnit(Command, frozen=True):
 
 
 class StopAgain(Command, frozen=True):
-    """Interrupt the code of a unit that was asked to end and still blocks."""
+    """Interrupt the code of a unit that was told to end and still blocks."""
 
     unit: str
 
@@ -139,7 +139,7 @@ class CutShort(Command, frozen=True):
 
 
 class Dump(Command, frozen=True):
-    """Have a unit print where it is."""
+    """Let a unit print its stack."""
 
     unit: str
 
@@ -170,7 +170,7 @@ class Believe(Command, frozen=True):
 
 
 class Commit(Command, frozen=True):
-    """All new units are there and wired: nothing is undone from here on."""
+    """All new units are ready and connected: nothing is undone from here on."""
 
 
 class WaitUntil(Command, frozen=True):
@@ -185,7 +185,9 @@ Commands: TypeAlias = Generator[Command, None, None]
 
 @dataclass(frozen=True, slots=True)
 class CarriedOut:
-    """An update that was carried out: what runs now, the seconds of each phase, and how many inputs switched late."""
+    """The result of an update: the running configuration, the seconds of each phase, and the number of inputs that
+    switched late.
+    """
 
     environment: Environment
     seconds: Mapping[str, float]
@@ -220,9 +222,9 @@ def environment_after(
 def carry_out(
     actual: Actual, change_set: ChangeSet, after: Environment, patience: Patience, *, keeps_new: bool = False
 ) -> Generator[Command, None, CarriedOut]:
-    """The commands that lead to `after`. Raises ApplyError when a step failed and all was undone.
+    """Yield the commands that lead to `after`. Raises ApplyError when a step failed and all was undone.
 
-    Who drives it throws in what a command raises, until Commit.
+    Until Commit, the driver throws the exceptions of commands into the generator.
 
     With `keeps_new`, new units that have not failed then run on, unconnected.
     """
@@ -276,7 +278,7 @@ def _faults(after: Environment, change_set: ChangeSet, lost_hosts: Set[str]) -> 
 class _Update:
     """One change set under way: the topics that it has opened, and the former stream of each rewired inlet.
 
-    `wanted` has the stream that is to feed each inlet.
+    `wanted` has the stream that should feed each inlet.
     """
 
     actual: Actual
@@ -289,7 +291,7 @@ class _Update:
 
     @property
     def started(self) -> list[str]:
-        """The new units that run; cold spares are only noted."""
+        """The new units that run; cold spares are only recorded."""
         return [unit.id for unit in self.change_set.started if not unit.standby]
 
     def start(self) -> Commands:
@@ -340,7 +342,7 @@ class _Update:
                 yield Disconnect(inlet)
 
     def hand_over_states(self) -> Commands:
-        """Let new units go on with the present states of the units that they replace."""
+        """Give new units the present states of the units that they replace."""
         actual, ending = self.actual, self.actual.alive & set(self.change_set.stopped)
         old = {
             name: unit.id
@@ -370,8 +372,8 @@ class _Update:
     def undo(self, failed: list[str], *, keeps_new: bool) -> Commands:
         """Switch the inputs of old units back, and only then stop the new units, which feed them until then.
 
-        The old source is connected anew even if the inlet is not known to have left it: it may have done so
-        just now, and what came in between would be lost.
+        The old source is always reconnected: an inlet may just have switched, unnoticed, and elements in between would
+        be lost.
         """
         actual, wanted = self.actual, self.wanted
         kept = actual.alive & set(self.started) - set(failed) if keeps_new else set[str]()
@@ -417,7 +419,7 @@ class _Update:
         yield WaitUntil(lambda: actual.alive.isdisjoint(stopped), self.patience.kill_s)
 
     def close_topic_elsewhere(self, topic: str) -> Commands:
-        """Close a topic that moves to another host. It has no source then, whatever becomes of the update."""
+        """Close a topic that moves to another host. It then has no source, whether or not the update succeeds."""
         outlet = Inlet("", topic)
         if outlet in self.actual.feeds:
             yield Disconnect(outlet)
@@ -433,9 +435,9 @@ class _Update:
         return [inlet for inlet in self.rewired if self.is_switching(inlet)]
 
     def may_end(self, starved: Set[str] = frozenset()) -> bool:
-        """Whether all rewired inlets have switched, but for those that one of the `starved` units fed.
+        """Whether all rewired inlets have switched, except those that one of the `starved` units fed.
 
-        The last one is looked at first: it switches last.
+        The last inlet is checked first, because it switches last.
         """
         return all(self.replaces_one_of(starved, inlet) for inlet in reversed(self.rewired) if self.is_switching(inlet))
 
@@ -444,7 +446,7 @@ class _Update:
         return feed is not None and not feed.has_switched and self.lives(inlet)
 
     def lives(self, inlet: Inlet) -> bool:
-        """Whether there is something that a stream may be led to: a living unit, or a topic whose host is there."""
+        """Whether an inlet can be fed: its unit is alive, or its topic's host has joined."""
         if inlet.is_outlet:
             return self.actual.topics.get(inlet.port) not in self.actual.lost_hosts
         return inlet.unit in self.actual.alive
@@ -469,7 +471,7 @@ class _Update:
         return replace(before, units=units, library=tuple(library.values()), hosts=tuple(hosts.values()))
 
     def wired(self) -> Set[str]:
-        """The units that feed something after the update, or are fed."""
+        """The units that are connected after the update."""
         return {stream.unit for stream in self.wanted.values()} | {inlet.unit for inlet in self.wanted}
 
     def as_it_lives(self) -> Environment:
@@ -497,7 +499,7 @@ class _Update:
             raise _StepFailedError(f"{dead[0]} died" + (f": {cause}" if cause else ""), dead)
 
     def fail_if_only_failing(self, starved: Set[str]) -> None:
-        """Raise if a new unit's code fails while an old unit still gives what the new ones are to give."""
+        """Raise if a new unit's code fails while an old unit still sends the stream that the new one should send."""
         alive = self.actual.alive
         if not any(
             (old := self.rewired[inlet]) is not None and old.unit in alive - starved for inlet in self.switching()

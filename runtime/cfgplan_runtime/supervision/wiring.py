@@ -1,4 +1,4 @@
-"""Which stream feeds which inlet: the wires that there are and those that an environment wants."""
+"""The wiring of inlets: the existing wires, and the wires that an environment needs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ OUTLET_QUEUE = 1024
 
 @dataclass(slots=True, eq=False)
 class Wire:
-    """A stream's way into an inlet. `replaces` is what fed the inlet before, while an update is under way."""
+    """A connection from a stream to an inlet. `replaces` is the stream that fed the inlet before, while an update is
+    under way.
+    """
 
     id: int
     stream: Stream
@@ -36,7 +38,7 @@ class Wiring:
         self.feeds: dict[Inlet, Wire] = {}
 
     def adopt(self, wires: Iterable[FoundWire], stopping: Collection[str]) -> None:
-        """Take over wires that are there; new ones get higher numbers. Stopping units keep theirs to themselves."""
+        """Take over existing wires; new ones get higher numbers. Wires of stopping units are not reported."""
         for found in wires:
             self._last_id = max(self._last_id, found.id)
             if found.stream.unit not in stopping and found.inlet.unit not in stopping:
@@ -59,7 +61,7 @@ class Wiring:
         self._backend.disconnect(wire.id, wire.inlet)
 
     def note_switch(self, wire_id: int) -> None:
-        """An inlet has gone over to a wire."""
+        """An inlet has switched to a wire."""
         wire = self._wires.get(wire_id)
         if wire is not None:
             wire.has_switched = True
@@ -67,7 +69,7 @@ class Wiring:
                 self._wires.pop(wire.replaces.id, None)
 
     def note_loss(self, wire_id: int) -> Wire | None:
-        """The wire with which an inlet has lost its source; None if it was given up before."""
+        """The wire with which an inlet has lost its source; None if the wire was given up before."""
         wire = self._wires.pop(wire_id, None)
         if wire is None or self.feeds.get(wire.inlet) is not wire:
             return None
@@ -102,10 +104,10 @@ class Wiring:
 
 
 def wanted_feeds(environment: Environment, present: Mapping[Inlet, Stream] | None = None) -> Mapping[Inlet, Stream]:
-    """The stream that is to feed each inlet, including the topics' outlets.
+    """The stream that should feed each inlet, including the topics' outlets.
 
-    Of an input that takes several streams, those that feed it in `present` keep their inlets. A new one takes that of
-    one that goes, as its successor, or else a free one.
+    If an input takes several streams, streams that feed it in `present` keep their inlets. A new one takes the inlet of
+    one that ends, as its successor, or else a free one.
     """
     several: dict[tuple[str, str], dict[str, Stream]] = {}
     for inlet, stream in (present or {}).items():
@@ -125,7 +127,7 @@ def wanted_feeds(environment: Environment, present: Mapping[Inlet, Stream] | Non
 
 
 def count_of(environment: Environment, unit: ComputationUnit, port: str) -> int:
-    """How many streams an input of a unit takes."""
+    """The number of streams that an input of a unit takes."""
     transformation = environment.transformation.get(unit.transformation)
     known = None if transformation is None else transformation.input.get(port)
     return 1 if known is None else known.count
@@ -148,7 +150,7 @@ def wanted_topics(environment: Environment) -> Mapping[str, str | None]:
 
 
 def starved_units(environment: Environment) -> set[str]:
-    """The units that can't take a step any more, since something upstream is missing."""
+    """The units that can't step any more, since a source upstream is missing."""
     starved: set[str] = set()
     grows = True
     while grows:

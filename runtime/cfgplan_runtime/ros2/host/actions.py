@@ -15,16 +15,16 @@ from cfgplan_runtime.ros2.host.host import Host
 from cfgplan_runtime.ros2.host.services import LedService
 
 SEND_GOAL = "/_action/send_goal"
-"""What stands behind an action's name in that of the service which takes goals."""
+"""The suffix of an action's name in the name of the service that takes goals."""
 GOAL_TYPE = "_SendGoal"
-"""What stands behind an action's type in that of this service."""
+"""The suffix of an action's type in the type of this service."""
 _CANCEL, _RESULT, _FEEDBACK, _STATUS = (
     f"/_action/{part}" for part in ("cancel_goal", "get_result", "feedback", "status")
 )
 _ABORTED = 6
 """The status of `action_msgs/msg/GoalStatus` of a goal that its server has ended."""
 _DEAD_S = 1.0
-"""Seconds from one look for servers that have died to the next."""
+"""Seconds between two checks for dead servers."""
 _FEEDBACK_DEPTH = 100
 
 

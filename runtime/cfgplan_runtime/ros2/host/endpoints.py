@@ -25,7 +25,7 @@ _BACK_NS = 1_000_000_000
 
 
 class UnknownTypeError(Exception):
-    """A message type is not to be had in this Python."""
+    """This Python can't import a message type."""
 
 
 class Sample(NamedTuple):
@@ -70,10 +70,10 @@ def risen(last: Moment, time_ns: int) -> Moment:
 
 
 class Source:
-    """A topic that the helper listens to; `offered` counts what each wire was given, and what was lost on its way.
+    """A topic that the helper listens to; `offered` counts the messages that each wire got, and the lost ones.
 
-    It is open once its type is known. `remembered` has the qualities of ports that were seen before, by `key`: a new
-    node of a transformation is heard from its first message on.
+    It is open once its type is known. `remembered` has the qualities of known ports by `key`: so the first message of a
+    transformation's next node already arrives.
     """
 
     def __init__(self, host: Host, topic: str, remembered: dict[str, Quality], heard: Callable[[Sample], None]) -> None:
@@ -172,10 +172,10 @@ class Source:
 
 
 class Publication:
-    """A topic that only the helper publishes, for a unit's input or for whoever listens to a target's topic.
+    """A topic that only the helper publishes, for a unit's input or for the subscribers of a target's topic.
 
-    `holders` are the inlets and attended units that need it. A unit's own may be made anew whenever its node asks for
-    another quality; of others this would cost some listeners messages.
+    `holders` are the inlets and attended units that need it. If the node requests another quality, a unit's own
+    publication is replaced; replacing others would cost some subscribers messages.
     """
 
     def __init__(self, host: Host, topic: str, remembered: dict[str, Quality], *, is_own: bool) -> None:
