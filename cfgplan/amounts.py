@@ -40,6 +40,12 @@ def core_share(cpu_us_per_s: float) -> str:
     return f"{_three(percent / 100)} cores" if percent >= 199.95 else f"{_three(percent)} % of a core"
 
 
+def mbit(bytes_per_s: float) -> str:
+    """A data rate: `48 Mbit/s`, `0.8 Mbit/s`."""
+    rate_mbit = 8 * bytes_per_s / 1e6
+    return f"{rate_mbit:.0f} Mbit/s" if rate_mbit >= 10 else f"{rate_mbit:.2g} Mbit/s"
+
+
 def clock_time(time_s: float) -> str:
     """The local time of day of seconds since 1970: `14:03:59`."""
     return time.strftime("%H:%M:%S", time.localtime(time_s))

@@ -237,6 +237,9 @@ class Link:
     price_us: Natural | None = None
     latency: Natural = 0
     adds: str | None = None
+    is_measured: bool = False
+    declared: Natural | None = None
+    """The declared bandwidth, if the link was found to carry less."""
 
     def __post_init__(self) -> None:
         for text in self.between:
@@ -645,6 +648,31 @@ class Environment:
                 value, stated_value = self.shown(each, each.value), self.shown(each, each.stated)
                 found[str(statement)] = f"{value} observed, {stated_value} declared"
         return found
+
+    def with_link_rates(self, rates: Mapping[tuple[str, str], int]) -> Environment:
+        """Return the environment whose links carry at most these measured rates, in bytes per second.
+
+        A rate belongs to the declared link between its two selectors, or else to a link of its own.
+        """
+        known = tuple(
+            replace(link, bandwidth=rates[link.between], is_measured=True, declared=link.bandwidth)
+            if link.between in rates
+            else link
+            for link in self.links
+        )
+        new = rates.keys() - {link.between for link in self.links}
+        return replace(self, links=(*known, *(Link(ends, rates[ends], is_measured=True) for ends in sorted(new))))
+
+    @property
+    def with_declared_links(self) -> Environment:
+        """The environment whose links carry as much as declared."""
+        if not any(link.is_measured for link in self.links):
+            return self
+        links = (
+            replace(link, bandwidth=link.declared, is_measured=False) if link.is_measured else link
+            for link in self.links
+        )
+        return replace(self, links=tuple(links))
 
     @property
     def possible(self) -> Environment:

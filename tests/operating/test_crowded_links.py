@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 from cfgplan_runtime.children.messages import CrossingCounts
-from cfgplan_runtime.operating.crowded_links import CROWDED_S, CrowdedLinks
+from cfgplan_runtime.lifecycle.link_rates import MEASURED_S
+from cfgplan_runtime.operating.crowded_links import CrowdedLinks
 
 CAMERA, POSE, BACK = ("camera.1/image", "r1", "r2"), ("pose.1/pose", "r1", "r2"), ("camera.1/image", "r2", "r1")
 
@@ -15,7 +16,7 @@ def counts(elements: int, crowded: int, offered: int, arrived: int) -> CrossingC
 
 def told(*steps: dict[tuple[str, str, str], CrossingCounts]) -> list[str]:
     links = CrowdedLinks()
-    return [text for number, step in enumerate(steps) for text in links.told(step, number * CROWDED_S)]
+    return [text for number, step in enumerate(steps) for text in links.told(step, number * MEASURED_S)]
 
 
 NONE = {CAMERA: CrossingCounts(), POSE: CrossingCounts(), BACK: CrossingCounts()}

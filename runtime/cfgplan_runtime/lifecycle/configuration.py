@@ -56,6 +56,8 @@ class Situation:
     """The facts of the world that have been set since the run began, by name."""
     qualities: Mapping[Statement, int] = field(default_factory=dict)
     """By how much outputs are better or worse than stated, as observed streams have taught; in micro-units."""
+    link_rates: Mapping[tuple[str, str], int] = field(default_factory=dict)
+    """The measured rates of links that carry less than declared, in bytes per second, by their two selectors."""
     code_faults: Mapping[str, str] = field(default_factory=dict)
     """The faults of code that can't be started, by the transformation's label."""
     given_up_hosts: frozenset[str] = frozenset()
@@ -85,9 +87,12 @@ class Situation:
 
     def as_it_is(self, world: World) -> World:
         """The world with the facts as they have been set, and outputs as good as streams have said."""
-        if not (self.facts or self.qualities):
+        if not (self.facts or self.qualities or self.link_rates):
             return world
-        return replace(world, environment=world.environment.with_facts(self.facts).with_qualities(self.qualities))
+        environment = world.environment.with_facts(self.facts).with_qualities(self.qualities)
+        if self.link_rates:
+            environment = environment.with_link_rates(self.link_rates)
+        return replace(world, environment=environment)
 
     def is_lost(self, host: str | None) -> bool:
         """Whether plans may not use a host, since it is lost or out of service."""

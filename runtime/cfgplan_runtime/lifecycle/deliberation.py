@@ -312,6 +312,9 @@ class Deliberation:
 
 def _asking_less(problem: Problem) -> Iterator[tuple[Problem, str]]:
     """The problem without demands that may be impossible with the remaining hosts, and these demands in words."""
+    if any(link.is_measured for link in problem.environment.links):
+        problem = replace(problem, environment=problem.environment.with_declared_links)
+        yield problem, "a link between hosts carries less than its streams need"
     if problem.survive is not None:
         problem = replace(problem, survive=None)
         yield problem, "what is there does not survive every failure"

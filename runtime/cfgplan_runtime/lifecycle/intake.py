@@ -24,10 +24,12 @@ from cfgplan_runtime.lifecycle.configuration import hosts_of, is_external
 from cfgplan_runtime.lifecycle.differences import difference
 from cfgplan_runtime.lifecycle.fact_values import fact_set
 from cfgplan_runtime.lifecycle.inbox import Asked, Outcome
+from cfgplan_runtime.lifecycle.link_rates import Crossings
 from cfgplan_runtime.lifecycle.perturbations import (
     CodeChanged,
     HostBack,
     HostGone,
+    LinkMeasured,
     ReviewRequested,
     Started,
     SubscriptionLost,
@@ -78,6 +80,8 @@ def heard(turn: Turn, event: events.Event) -> Turn:
         case events.UnitStatus():
             turn = turn.to(replace(state, seen=state.seen.after_status(event, turn.at_s)))
             return _still_failing(_giving(turn, event), event)
+        case events.CrossingsStatus(crossings):
+            return _crossings_counted(turn, crossings)
         case events.TopicsStatus(flows) if state.living.may_be_silent or state.situation.silences:
             return _silent(turn, flows)
     return turn
@@ -168,6 +172,23 @@ def refused(turn: Turn, by: str, faults: tuple[Fault, ...]) -> Turn:
     if not (faults or turn.state.faults):
         return turn
     return turn.to(replace(turn.state, faults=faults)).also(Tell(WorldRefused(by, faults)))
+
+
+def _crossings_counted(turn: Turn, crossings: Crossings) -> Turn:
+    """Take in counts of streams between hosts. A review is due if a link is found to have another rate."""
+    state, situation, world = turn.state, turn.state.situation, turn.state.living.world.environment
+    known = state.link_rates.after(crossings, world, turn.at_s)
+    if known is state.link_rates:
+        return turn
+    before, now = situation.link_rates, known.rates(world)
+    turn = turn.to(replace(state, link_rates=known))
+    if now == before:
+        return turn
+    turn = turn.situated(replace(situation, link_rates=now))
+    for ends in sorted(now.keys() | before.keys()):
+        if now.get(ends) != before.get(ends):
+            turn = turn.perturbed(LinkMeasured(ends, now.get(ends)))
+    return turn
 
 
 def _note(state: State, unit: str) -> Note:

@@ -116,6 +116,16 @@ class QualitiesObserved(Perturbation, frozen=True):
     outputs: tuple[str, ...]
 
 
+class LinkMeasured(Perturbation, frozen=True):
+    """A link between hosts carries another rate than was known, in bytes per second; None: no less than declared.
+
+    `between` are the two selectors of its hosts.
+    """
+
+    between: tuple[str, str]
+    rate: int | None
+
+
 class LookDue(Perturbation, frozen=True):
     """Nobody knows how good a transformation is by now that was found too bad: it runs for a moment, for nobody."""
 

@@ -18,6 +18,7 @@ from cfgplan_runtime.lifecycle.basis import Preview
 from cfgplan_runtime.lifecycle.configuration import Scene, Situation
 from cfgplan_runtime.lifecycle.deliberation import Thought
 from cfgplan_runtime.lifecycle.inbox import Asked, Outcome
+from cfgplan_runtime.lifecycle.link_rates import LinkRates
 from cfgplan_runtime.lifecycle.looks import Looks, worse_seen_s
 from cfgplan_runtime.lifecycle.perturbations import Perturbation, SubscriptionLost, UnitGone, UpdateFailed
 from cfgplan_runtime.lifecycle.policy import Policy
@@ -123,6 +124,7 @@ class State:
     """By fact of the world that a stream observes: what came last."""
     seen: SeenQualities = field(default_factory=SeenQualities)
     looks: Looks = field(default_factory=Looks)
+    link_rates: LinkRates = field(default_factory=LinkRates)
     faults: tuple[Fault, ...] = ()
     """The faults of the last version of the world's file."""
     stops: tuple[Outcome, ...] = ()

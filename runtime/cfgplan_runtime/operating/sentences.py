@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cfgplan.amounts import span
+from cfgplan.amounts import mbit, span
 from cfgplan.domain import ChangeSet
 from cfgplan.summary import counted, some
 from cfgplan_runtime.errors import RuntimeFaultError
@@ -176,6 +176,8 @@ def _cause(perturbation: kinds.Perturbation) -> str:
             return "code has changed"
         case kinds.FactsChanged():
             return "facts have changed"
+        case kinds.LinkMeasured(between, rate):
+            return f"the link between {_ends(between)} carries {'as declared' if rate is None else mbit(rate)}"
         case kinds.QualitiesObserved():
             return "streams are better or worse than was known"
         case kinds.LookDue(transformation):
@@ -193,6 +195,11 @@ def _cause(perturbation: kinds.Perturbation) -> str:
         case kinds.PlanGiven(by):
             return f"{by} was to be carried out"
     return "asked for"
+
+
+def _ends(between: tuple[str, str]) -> str:
+    """The two selectors of a link, without the quotes of plain names."""
+    return " and ".join(each.strip("'") for each in between)
 
 
 def preview_sentence(thought: Thought) -> str:
@@ -238,6 +245,9 @@ def _perturbation(perturbation: kinds.Perturbation) -> str | None:
             return f"host {host} is there"
         case kinds.CodeChanged(left_out, back):
             return "code: " + _each_said((left_out, "can't be started"), (back, "may be started again"))
+        case kinds.LinkMeasured(between, rate):
+            how = "as much as declared" if rate is None else f"about {mbit(rate)}"
+            return f"the link between {_ends(between)} carries {how}: plans go by that"
         case kinds.QualitiesObserved(outputs):
             return f"streams say how good they are: {'; '.join(outputs)}"
         case kinds.FactsChanged(left_out, back, requalified):
