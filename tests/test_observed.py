@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import pairwise
@@ -308,3 +309,21 @@ def test_an_experiment_shows_that_choices_are_never_worse_than_declared_and_bett
             found = [attribution.draw(seed, rule, share, 8) for seed in range(30)]
             before, after = (sum(column) for column in zip(*found, strict=True))
             assert after <= 0.6 * before, (rule, share)
+
+
+def test_a_drifting_world_costs_no_more_than_believing_what_is_declared() -> None:
+    """A short version of the experiment: an offset is found, and a still world stays as it is."""
+    path = Path(__file__).parents[1] / "experiments" / "observed" / "drifting.py"
+    spec = importlib.util.spec_from_file_location("drifting", path)
+    assert spec is not None
+    assert spec.loader is not None
+    drifting = sys.modules["drifting"] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(drifting)
+    drift = drifting.drawn(1, "away")
+    declared, _ = drifting.lived(drift, observes=False)
+    observed, _ = drifting.lived(drift, observes=True)
+    known, _ = drifting.clairvoyant(drift)
+    assert observed <= declared
+    assert observed <= 1.1 * known
+    still = drifting.drawn(1, "still")
+    assert drifting.lived(still, observes=True) == drifting.lived(still, observes=False)
