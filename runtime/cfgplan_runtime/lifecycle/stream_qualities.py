@@ -24,12 +24,11 @@ def qualities_learned(turn: Turn) -> Turn:
     fresh = frozenset(said for said in samples if at_s - seen.taught_s.get(said, -TEACHES_S) >= TEACHES_S)
     lesson = learned(running, samples, seen.estimates, at_s, fresh=fresh)
     turn = turn.to(replace(state, seen=seen.after_lesson(lesson, fresh, at_s)))
-    before, now = situation.qualities, told(world, lesson.estimates, situation.qualities, at_s)
+    before = situation.qualities  # a slow drift is never news: it is confirmed little by little
+    now = told(world, lesson.estimates, before, at_s, only_sure=not lesson.news)
     if now == before:
         return turn
     turn = turn.situated(replace(situation, qualities=now))
-    if not lesson.news:
-        return turn
     said_now = world.with_qualities(now).qualities_now
     changed = sorted(one for one in now.keys() | before.keys() if now.get(one) != before.get(one))
     return turn.perturbed(QualitiesObserved(tuple(f"{one} {said_now.get(str(one), 'as declared')}" for one in changed)))
