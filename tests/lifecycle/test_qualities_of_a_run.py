@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from math import inf
 from random import Random
+from typing import Any
 
 import pytest
 from cfgplan_runtime import Policy
@@ -24,7 +25,7 @@ from cfgplan.domain import Environment, Host, InputPort, OutputPort, Target, Tra
 from cfgplan.facts import Fact
 from cfgplan.formats.plan_file import read_run_plan
 from cfgplan.observed import FORGET_S
-from cfgplan.qualities import MICRO, Better, Contribution, Curve, QualityAttribute, QualityRule, Wish
+from cfgplan.qualities import MICRO, Better, Contribution, Curve, Over, QualityAttribute, QualityRule, Wish
 
 ERROR = QualityAttribute("error", Better.LOWER, unit="m", worst=10 * MICRO)
 
@@ -185,6 +186,23 @@ def test_changed_worlds_forget_outputs_that_are_gone() -> None:
     run.reviewed(ReplaceWorld(replace(world, environment=replace(world.environment, library=library)), "a test"))
     run.pass_time(20)
     assert run.manager.snapshot().qualities == ()
+
+
+@pytest.mark.parametrize("other", [{"value": 800_000}, {"rule": QualityRule.SCALE}, {"over": Over.BEST}])
+def test_what_is_declared_anew_is_believed_until_streams_say_otherwise(other: dict[str, Any]) -> None:
+    """What was learned was the difference from what was declared before, in the terms of its rule."""
+    run = life(bound=None, weight_us=1000, sonar=saying(lambda _: 0.8))
+    run.pass_time(20)
+    world = run.manager.world
+    (sonar,) = (one for one in world.environment.library if one.label == "sonar")
+    (port,) = sonar.outputs
+    anew = replace(sonar, outputs=(replace(port, quality=(replace(port.quality[0], **other),)),))
+    library = tuple(anew if one is sonar else one for one in world.environment.library)
+    run.reviewed(ReplaceWorld(replace(world, environment=replace(world.environment, library=library)), "a test"))
+    assert run.manager.snapshot().qualities == ()
+    run.pass_time(20)
+    (view,) = run.manager.snapshot().qualities
+    assert view.planned == pytest.approx(800_000, rel=0.06)
 
 
 def looks_of(run: Life) -> list[LookDue]:
