@@ -10,7 +10,7 @@ from typing import Final
 from cfgplan_runtime.children.messages import Qualities, Quality
 
 _NONE_SAID = Quality(0, 0.0, 0.0)
-_MOST_SAID: Final = 1e12
+_LARGEST_NUMBER: Final = 1e12
 """In units of an attribute, far beyond every scale; larger numbers are cut, since sums of their squares have no end."""
 
 
@@ -65,7 +65,7 @@ class SaidQualities:
             number = None
         if number is None or not isfinite(number):
             return f"does not say its {attribute}: {said!r:.60} is no finite number"
-        number = min(max(number, -_MOST_SAID), _MOST_SAID)
+        number = min(max(number, -_LARGEST_NUMBER), _LARGEST_NUMBER)
         self._sums[port, attribute] = _after(self._sums.get((port, attribute), _NONE_SAID), number)
         return ""
 
