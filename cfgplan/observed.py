@@ -34,7 +34,9 @@ NEWS_ERRORS: Final = 4.0
 """A stream has to differ from what is predicted by so many standard errors; less may be noise."""
 APART_ERRORS: Final = 2.0
 MEMORY_S: Final = 5.0
-"""After so many seconds, what a stream has said counts half in its mean."""
+"""After so many seconds, what a stream has said counts half in its mean; in a slow one, after MEMORY_ELEMENTS."""
+MEMORY_ELEMENTS: Final = 10
+"""A spread that fewer values tell says nothing."""
 TEACHES_S: Final = 2 * MEMORY_S
 """A stream that goes on as predicted teaches that again after so many seconds."""
 LEAST_ELEMENTS: Final = 5
@@ -75,7 +77,7 @@ class Window:
 
     def after(self, figures: Figures, at_s: float) -> Window:
         """The window with more values, which have come by `at_s`."""
-        fading = 0.5 ** ((at_s - self.at_s) / MEMORY_S)
+        fading = 0.5 ** min((at_s - self.at_s) / MEMORY_S, figures.number / MEMORY_ELEMENTS)
         old, new = self.weight * fading, float(figures.number)
         distance = figures.mean - self.mean
         return replace(
@@ -180,20 +182,24 @@ def told(
     at_s: float,
     *,
     fades: bool = False,
+    only_sure: bool = False,
 ) -> dict[Statement, int]:
     """By how much outputs differ from what is stated, as plans are to go by it: `Environment.with_qualities` takes it.
 
-    What was told `before` changes only by NEWS of the value. It stays as it is where nothing is observed any more,
-    unless it `fades` now: then it is what is left of it.
+    What was told `before` changes only by NEWS of the value, and with `only_sure` only by NEWS_ERRORS of the part's
+    standard error too. It stays as it is where nothing is observed any more, unless it `fades` now: then it is what is
+    left of it.
     """
     found: dict[Statement, int] = {}
     for statement, known in estimates.items():
         stated = environment.stated(statement)
         if stated is None:
             continue
-        seen, was = round(own_part(stated, known, at_s)[0]) - stated.stated, before.get(statement, 0)
+        value, error = own_part(stated, known, at_s)
+        seen, was = round(value) - stated.stated, before.get(statement, 0)
         may_change = fades or at_s - known.seen_s <= MEMORY_S
-        if kept := (seen if may_change and abs(seen - was) > NEWS * abs(stated.stated + was) else was):
+        least = max(NEWS * abs(stated.stated + was), NEWS_ERRORS * error if only_sure else 0.0)
+        if kept := (seen if may_change and abs(seen - was) > least else was):
             found[statement] = kept
     return found
 

@@ -28,8 +28,9 @@ def micro_units(value: Decimal | int) -> int:
     number = Decimal(value)
     if not number.is_finite():
         raise InvalidValueError(f"{value} is not a finite number")
-    if abs(number) > LARGEST_QUALITY // MICRO:
-        raise InvalidValueError(f"{value} is too large: the limit is {LARGEST_QUALITY // MICRO:,}")
+    largest = LARGEST_QUALITY // MICRO
+    if not -largest <= number <= largest:  # `abs` fails for the largest exponents
+        raise InvalidValueError(f"{value} is too large: the limit is {largest:,}")
     if number != round(number, 6):
         raise InvalidValueError(f"{value} is finer than a millionth: write at most six decimals")
     return int(number * MICRO)

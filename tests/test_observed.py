@@ -251,6 +251,24 @@ def test_a_window_halves_what_is_as_old_as_it_remembers() -> None:
     assert window.mean == pytest.approx(2.0)
 
 
+@pytest.mark.parametrize("every_s", [1.0, 10.0, 60.0])
+def test_a_slow_noisy_stream_is_no_news(every_s: float) -> None:
+    """Its mean is of some values, however old they are: a spread that two values tell says nothing."""
+    environment, chance = world((giver("g", 0.2), unit("g"))), Random(1)
+    said = Stream("g", "out"), "error"
+    window, estimates, at_s = Window(0.0), dict[Statement, Estimate](), 0.0
+    for _ in range(1000):
+        at_s += every_s
+        window = window.after(Figures(1, 0.2 * MICRO * (1 + 0.2 * chance.gauss(0, 1))), at_s)
+        if window.sample is None:
+            continue
+        fresh = frozenset([said]) if at_s % 10 == 0 else frozenset[tuple[Stream, str]]()
+        lesson = learned(environment, {said: window.sample}, estimates, at_s, fresh=fresh)
+        assert not lesson.news
+        estimates = dict(lesson.estimates)
+        assert told(environment, estimates, {}, at_s, only_sure=True) == {}
+
+
 def test_few_elements_say_nothing() -> None:
     assert Window(0.0).after(Figures(4, 1.0), 0.0).sample is None
 

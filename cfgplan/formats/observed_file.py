@@ -8,6 +8,8 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
+from dataclasses import replace
+from decimal import Decimal
 from pathlib import Path as FilePath
 from typing import Any, Literal
 
@@ -20,7 +22,7 @@ from cfgplan.formats.files import read_text
 from cfgplan.formats.json_text import read_json
 from cfgplan.formats.places import Source
 from cfgplan.formats.schema_faults import schema_faults
-from cfgplan.qualities import micro_units
+from cfgplan.qualities import LARGEST_QUALITY, micro_units
 
 _ANEW = "write the file anew with `cfgplan ctl observed --out FILE`, or remove this"
 
@@ -104,9 +106,22 @@ def _qualities(
         if stated is None:
             faults.append(source.fault((*place, "output"), f"the environment states no {statement}", _ANEW))
             continue
+        if statement in found:
+            faults.append(source.fault((*place, "output"), f"{statement} is there twice", _ANEW))
+            continue
         try:
-            found[statement] = micro_units(round(one.planned, 6)) - stated.value
-        except (InvalidValueError, TypeError) as error:
-            text = str(error) if isinstance(error, InvalidValueError) else f"{one.planned!r} is not a number"
-            faults.append(source.fault((*place, "planned"), text, _ANEW))
+            planned = _micro_units(one.planned)
+            replace(stated, value=planned, seen=0)  # raises if the rule does not allow the value
+            found[statement] = planned - stated.stated
+        except InvalidValueError as error:
+            faults.append(source.fault((*place, "planned"), str(error), _ANEW))
     return found
+
+
+def _micro_units(written: object) -> int:
+    """A number of the file, rounded to a millionth. Raises InvalidValueError for what is none, or far too large."""
+    if isinstance(written, bool) or not isinstance(written, int | float | Decimal):
+        raise InvalidValueError(f"{written!r} is not a number")
+    number = Decimal(written)
+    is_near = number.is_finite() and -LARGEST_QUALITY <= number <= LARGEST_QUALITY
+    return micro_units(round(number, 6) if is_near else number)

@@ -23,7 +23,7 @@ from cfgplan_runtime.lifecycle.changes import (
     Stop,
 )
 from cfgplan_runtime.lifecycle.decisions import BreakIn, breaks_in, decide, first_state
-from cfgplan_runtime.lifecycle.deliberation import Thought
+from cfgplan_runtime.lifecycle.deliberation import Looked, Thought
 from cfgplan_runtime.lifecycle.inbox import Asked, Item, Leave, Unusable
 from cfgplan_runtime.lifecycle.perturbations import (
     HorizonReached,
@@ -167,6 +167,17 @@ def test_the_first_review_plans_updates_and_is_put_on_record() -> None:
     assert effects == [Tell(Reviewed(review)), Prepare(replace(state, running=RUNNING).scene)]
     assert (state.doing, state.horizon_at_s, state.observe_at_s) == (None, 67.0, 8.0)
     assert {unit: known.since_s for unit, known in state.situation.units.items()} == {"count.1": 6.0, "work.1": 6.0}
+
+
+def test_a_look_is_put_off_by_what_happens_while_it_is_planned() -> None:
+    """A death is answered first; the look is due again as soon as nothing waits, since none has begun."""
+    looking = replace(stable(), doing=Planning(2, 1.0, 1.0, 0.0, world(), plans=1))
+    look = Looked("work", thought(running=RUNNING, change_set=ChangeSet(started=(replace(WORK, id="work.2"),))))
+    _, effects = after(looking, 1.5, look)
+    assert found(effects, ApplyUpdate)
+    state, effects = after(looking, 1.5, UnitDied("work.1", "killed"), look)
+    assert (found(effects, ApplyUpdate), state.doing, state.looks.gap_s) == ([], None, 0.0)
+    assert state.due_s <= 1.5
 
 
 def test_nothing_is_changed_in_place() -> None:

@@ -5,23 +5,27 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from math import inf
 from random import Random
+from typing import Any
 
 import pytest
 from cfgplan_runtime import Policy
 from cfgplan_runtime.children.messages import Qualities, Quality
 from cfgplan_runtime.lifecycle.basis import plan_text
-from cfgplan_runtime.lifecycle.changes import ApplyPlan, KillUnit, ReplaceWorld
+from cfgplan_runtime.lifecycle.changes import ApplyPlan, KillUnit, ReplaceWorld, SetFact
 from cfgplan_runtime.lifecycle.perturbations import HorizonReached, LookDue, LookOver, QualitiesObserved
 from cfgplan_runtime.lifecycle.reports import Decision
+from cfgplan_runtime.lifecycle.state import Entry
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
 from living import Life, started
 
 from cfgplan import api
-from cfgplan.domain import Environment, OutputPort, Target, Transformation
+from cfgplan.domain import Environment, Host, InputPort, OutputPort, Target, Transformation
+from cfgplan.facts import Fact
 from cfgplan.formats.plan_file import read_run_plan
 from cfgplan.observed import FORGET_S
-from cfgplan.qualities import MICRO, Better, Contribution, QualityAttribute, QualityRule, Wish
+from cfgplan.qualities import MICRO, Better, Contribution, Curve, Over, QualityAttribute, QualityRule, Wish
 
 ERROR = QualityAttribute("error", Better.LOWER, unit="m", worst=10 * MICRO)
 
@@ -42,6 +46,13 @@ def saying(truth: Callable[[float], float], *, noise: float = 0.0, elements: int
         return {"p": {"error": Quality(elements, mean, sum((one - mean) ** 2 for one in values))}}
 
     return Behaviour(says=says)
+
+
+def watched(*sensors: Transformation, more: tuple[Transformation, ...] = (), hosts: tuple[Host, ...] = ()) -> api.World:
+    """Some sensors, one of which has to say an error of 0.5 m at most."""
+    target = Target("position", "Position", "/position", quality=(Wish("error", MICRO // 2),))
+    environment = Environment(library=(*sensors, *more), targets=(target,), hosts=hosts, qualities=(ERROR,))
+    return api.world(environment, horizon_s=36_000)
 
 
 def life(
@@ -158,6 +169,15 @@ def test_a_drifting_stream_makes_few_reviews() -> None:
     assert run.units == {"sonar.1"}
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+def test_a_stream_that_drifts_too_slowly_for_any_step_to_be_news_is_replaced_too(noise: float) -> None:
+    """From 0.2 to 0.6 m in 2000 s: 1 % in the 10 s after which a stream teaches again."""
+    run = life(sonar=saying(lambda at_s: 0.2 + at_s / 5000, noise=noise), policy=Policy(look_every_s=None))
+    run.pass_time(2000)
+    assert run.units == {"camera.1"}
+    assert len(run.perturbations(QualitiesObserved)) <= 25
+
+
 def test_changed_worlds_forget_outputs_that_are_gone() -> None:
     run = life(bound=None, weight_us=1000, sonar=saying(lambda _: 0.8))
     run.pass_time(20)
@@ -166,6 +186,23 @@ def test_changed_worlds_forget_outputs_that_are_gone() -> None:
     run.reviewed(ReplaceWorld(replace(world, environment=replace(world.environment, library=library)), "a test"))
     run.pass_time(20)
     assert run.manager.snapshot().qualities == ()
+
+
+@pytest.mark.parametrize("other", [{"value": 800_000}, {"rule": QualityRule.SCALE}, {"over": Over.BEST}])
+def test_what_is_declared_anew_is_believed_until_streams_say_otherwise(other: dict[str, Any]) -> None:
+    """What was learned was the difference from what was declared before, in the terms of its rule."""
+    run = life(bound=None, weight_us=1000, sonar=saying(lambda _: 0.8))
+    run.pass_time(20)
+    world = run.manager.world
+    (sonar,) = (one for one in world.environment.library if one.label == "sonar")
+    (port,) = sonar.outputs
+    anew = replace(sonar, outputs=(replace(port, quality=(replace(port.quality[0], **other),)),))
+    library = tuple(anew if one is sonar else one for one in world.environment.library)
+    run.reviewed(ReplaceWorld(replace(world, environment=replace(world.environment, library=library)), "a test"))
+    assert run.manager.snapshot().qualities == ()
+    run.pass_time(20)
+    (view,) = run.manager.snapshot().qualities
+    assert view.planned == pytest.approx(800_000, rel=0.06)
 
 
 def looks_of(run: Life) -> list[LookDue]:
@@ -217,3 +254,88 @@ def test_without_looks_there_are_none() -> None:
     run = life(policy=Policy(look_every_s=None), sonar=saying(lambda _: 0.8), camera=saying(lambda _: 0.3))
     run.pass_time(900)
     assert (looks_of(run), run.units) == ([], {"camera.1"})
+
+
+def test_a_slow_stream_is_looked_at_until_it_has_said_enough() -> None:
+    """At one element every 2 s, three seconds would never be enough."""
+    truth = lambda at_s: 0.8 if at_s < 200 else 0.2  # noqa: E731
+    slow = lambda at_s: {"p": {"error": Quality(1, truth(at_s), 0.0)}} if round(at_s) % 2 else {}  # noqa: E731
+    run = life(sonar=Behaviour(says=slow), camera=saying(lambda _: 0.3))
+    run.pass_time(100)
+    assert "camera.1" in run.units
+    run.pass_time(900)
+    assert {unit.split(".")[0] for unit in run.units} == {"sonar"}
+
+
+def test_a_way_that_says_nothing_in_its_look_keeps_no_other_from_being_looked_at() -> None:
+    library = sensor("sonar", 0.2, 1000), sensor("lidar", 0.2, 2000), sensor("camera", 0.3, 100_000)
+    falls_silent = lambda at_s: {"p": {"error": Quality(10, 0.8, 0.0)}} if at_s < 40 else {}  # noqa: E731
+    behaviours = {
+        "sonar": Behaviour(says=falls_silent),
+        "lidar": saying(lambda at_s: 0.8 if at_s < 200 else 0.2),
+        "camera": saying(lambda _: 0.3),
+    }
+    run = started(world=watched(*library), behaviours=behaviours)
+    run.pass_time(40)
+    assert run.units == {"camera.1"}
+    run.pass_time(1000)
+    assert {look.transformation for look in looks_of(run)} == {"sonar", "lidar"}
+    assert {unit.split(".")[0] for unit in run.units} == {"lidar"}
+
+
+def test_looks_go_on_where_there_is_no_room_for_as_many_instances_as_are_asked_for() -> None:
+    crowd = Transformation("crowd", (), (OutputPort("c", "C"),), 1, 400_000, min_instances=3)
+    library = sensor("sonar", 0.2, 1000), sensor("camera", 0.3, 100_000)
+    behaviours = {"sonar": saying(lambda at_s: 0.8 if at_s < 200 else 0.2), "camera": saying(lambda _: 0.3)}
+    world = watched(*library, more=(crowd,), hosts=(Host("h", cpu_us=MICRO),))
+    run = started(world=world, behaviours=behaviours)
+    run.pass_time(40)
+    assert "camera.1" in run.units
+    run.pass_time(800)
+    assert looks_of(run)
+    assert not any(unit.startswith("camera") for unit in run.units)
+
+
+def test_a_look_is_no_reason_to_wake_while_a_perturbation_waits() -> None:
+    run = life(sonar=saying(lambda _: 0.8), camera=saying(lambda _: 0.3))
+    run.pass_time(40)
+    state = run.manager._state
+    assert state.look_at_s < inf
+    entry = Entry(HorizonReached(1), run.now, run.now + 1000)
+    assert replace(state, entries=(entry,)).look_at_s == inf
+
+
+def test_a_stream_that_follows_its_curve_is_no_news_when_the_fact_changes() -> None:
+    """The stream before the change is not measured with what is stated after it, nor are those behind it."""
+    curve = Curve("light", ((0, 900_000), (MICRO, 100_000)))
+    stated = Contribution("error", QualityRule.SET, 100_000, by=curve, observe="error")
+    seeing = Transformation("see", (), (OutputPort("i", "Image", (stated,)),), 1, 1, source="units.py:see")
+    added = Contribution("error", QualityRule.ADD, 10_000, observe="error")
+    output = OutputPort("p", "Position", (added,))
+    finding = Transformation("find", (InputPort("i", "Image"),), (output,), 1, 1, source="units.py:find")
+    light = {"now": 1.0}
+    environment = Environment(
+        library=(seeing, finding),
+        targets=(Target("position", "Position", "/position"),),
+        qualities=(ERROR,),
+        facts=(Fact("light", MICRO),),
+    )
+    behaviours = {
+        "see": Behaviour(says=lambda _: {"i": {"error": Quality(10, 0.9 - 0.8 * light["now"], 0.0)}}),
+        "find": saying(lambda _: 0.91 - 0.8 * light["now"]),
+    }
+    run = started(world=api.world(environment, horizon_s=3600), behaviours=behaviours)
+    run.pass_time(30)
+    for value in (0.0, 1.0, 0.5, 1.0):
+        light["now"] = value
+        run.ask(SetFact("light", str(value)))
+        run.pass_time(30)
+    assert run.perturbations(QualitiesObserved) == []
+
+
+@pytest.mark.parametrize("mean", [float("nan"), float("inf"), 1e308, -1e308])
+def test_sums_that_are_no_numbers_end_no_run(mean: float) -> None:
+    run = life(sonar=Behaviour(says=lambda _: {"p": {"error": Quality(10, mean, mean)}}))
+    run.pass_time(30)
+    assert run.units == {"sonar.1"}
+    assert run.manager.snapshot().qualities == ()

@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
+from typing import Final
 
 from cfgplan_runtime.children.messages import Qualities, Quality
 
 _NONE_SAID = Quality(0, 0.0, 0.0)
+_LARGEST_NUMBER: Final = 1e12
+"""In units of an attribute, far beyond every scale; larger numbers are cut, since sums of their squares have no end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,10 +61,11 @@ class SaidQualities:
             return f"does not say its {attribute}: a value has no field {said.field!r}"
         try:
             number = float(said) if not isinstance(said, str | bytes | bool) else None  # type: ignore[arg-type]
-        except (TypeError, ValueError, OverflowError):
+        except Exception:  # unit code may give any object, with a conversion of its own
             number = None
         if number is None or not isfinite(number):
             return f"does not say its {attribute}: {said!r:.60} is no finite number"
+        number = min(max(number, -_LARGEST_NUMBER), _LARGEST_NUMBER)
         self._sums[port, attribute] = _after(self._sums.get((port, attribute), _NONE_SAID), number)
         return ""
 

@@ -190,7 +190,7 @@ def _tick(turn: Turn, time_s: float) -> Turn:
             return _seen_to(turn, time_s)
         case None if state.observe_at_s <= at_s:
             return turn.also(Observe())
-        case None if state.look_at_s <= at_s and not state.entries:
+        case None if state.look_at_s <= at_s:
             return _look_begun(turn, time_s)
     return turn
 
@@ -199,20 +199,22 @@ def _look_begun(turn: Turn, time_s: float) -> Turn:
     """Have a look planned at what was found too bad and was not seen for long."""
     state, at_s = turn.state, turn.at_s
     planning = Planning(state.number + 1, at_s, time_s, 0.0, state.living.world, plans=1)
-    looks = state.looks.begun(at_s, state.policy.look_every_s or 0.0)
     unmet = state.reviews[-1].unmet if state.reviews else {}
-    turn = _units_known(turn.to(replace(state, doing=planning, looks=looks)))
+    turn = _units_known(turn.to(replace(state, doing=planning)))
     return turn.also(MakeLook(turn.state.scene, state.worse, unmet))
 
 
 def _looked(turn: Turn, looked: Looked) -> Turn:
-    """Start what is to be looked at, unless nothing is."""
+    """Start what is to be looked at, unless nothing is. A look is put off if something has happened meanwhile."""
     state, planning = turn.state, turn.state.doing
     assert isinstance(planning, Planning)
-    if looked.thought is None or state.is_closing or state.stops:
+    if state.entries or state.is_closing or state.stops:
+        return turn.to(replace(state, doing=None))
+    state = replace(state, looks=state.looks.begun(turn.at_s, state.policy.look_every_s or 0.0))
+    if looked.thought is None:
         return turn.to(replace(state, doing=None))
     planning = replace(planning, entries=(Entry(LookDue(looked.label), turn.at_s, turn.at_s),))
-    looks = state.looks.at(looked.label, state.situation.qualities)
+    looks = state.looks.at(looked.label, state.situation.qualities, turn.at_s)
     turn = turn.to(replace(state, number=planning.number, doing=planning, looks=looks))
     turn = turn.also(Tell(ReviewBegan(planning.number, (LookDue(looked.label),))))
     return _carried_out(turn, planning, looked.thought)
@@ -223,6 +225,8 @@ def _look_ended(turn: Turn) -> Turn:
     state, looks = turn.state, turn.state.looks
     if looks.until_s > turn.at_s:
         return turn
+    if (longer := looks.longer(state.running, state.seen)) is not looks:
+        return turn.to(replace(state, looks=longer))
     every_s = state.policy.look_every_s or 0.0
     over = looks.over(state.living.world.environment, state.situation.qualities, every_s)
     return turn.to(replace(state, looks=over)).perturbed(LookOver(looks.units))

@@ -179,13 +179,15 @@ class Deliberation:
     def _run_for_nobody(self, scene: Scene, change_set: ChangeSet) -> Thought | None:
         """Starting units that no target needs, if that breaks no other rule."""
         thought, new = self._begun(scene), {unit.id for unit in change_set.started}
-        given = _given(self.problem(thought.planned, scene.world), change_set)
-        broken = validity.plan_violations(given.problem, given.plan)
-        if any(violation.rule is not Rule.LEAN or violation.unit not in new for violation in broken):
-            return None
-        met = tuple(given.problem.environment.target)
-        decision = Decision.APPLIED
-        return replace(thought, change_set=change_set, cost_us=given.plan.cost_us, decision=decision, met=met)
+        wanted = self.problem(thought.planned, scene.world)
+        for problem in (wanted, *(less for less, _ in _asking_less(wanted))):
+            given = _given(problem, change_set)
+            broken = validity.plan_violations(given.problem, given.plan)
+            if all(violation.rule is Rule.LEAN and violation.unit in new for violation in broken):
+                met = tuple(given.problem.environment.target)
+                decision = Decision.APPLIED
+                return replace(thought, change_set=change_set, cost_us=given.plan.cost_us, decision=decision, met=met)
+        return None
 
     def prepare(self, scene: Scene, *, stop: threading.Event) -> None:
         """Plan for the running units, so that a planner with a memory is ready for repairs."""

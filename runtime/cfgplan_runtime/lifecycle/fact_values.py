@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from fractions import Fraction
 from typing import Final
@@ -14,7 +14,8 @@ from cfgplan.noise import NoisyMean
 from cfgplan_runtime.lifecycle.inbox import Asked, Outcome
 from cfgplan_runtime.lifecycle.perturbations import FactsChanged
 from cfgplan_runtime.lifecycle.reports import FactSilent
-from cfgplan_runtime.lifecycle.state import Heard
+from cfgplan_runtime.lifecycle.seen_qualities import SeenQualities
+from cfgplan_runtime.lifecycle.state import Heard, State
 from cfgplan_runtime.lifecycle.turns import Respond, Tell, Turn
 
 NEWS: Final = Fraction(1, 20)
@@ -77,8 +78,24 @@ def _with_facts(turn: Turn, values: Mapping[str, FactValue], outcomes: Iterable[
     requalified = [label for label in after.following if after.transformation[label] != library[label]]
     if was == now and not requalified:
         return turn.also(*(Respond(outcome) for outcome in outcomes))
+    turn = turn.to(replace(turn.state, seen=_unheard(turn.state, requalified)))
     changed = FactsChanged(tuple(sorted(now - was)), tuple(sorted(was - now)), tuple(sorted(requalified)))
     return turn.perturbed(changed, outcomes)
+
+
+def _unheard(state: State, requalified: Collection[str]) -> SeenQualities:
+    """What streams have said, without those of some transformations and behind them: they were otherwise."""
+    running, seen = state.running, state.seen
+    behind = {unit.id for unit in running.units if unit.transformation in requalified}
+    while more := {
+        unit.id
+        for unit in running.units
+        if unit.id not in behind and any(one.stream.unit in behind for one in unit.subscriptions)
+    }:
+        behind |= more
+    for unit in behind:
+        seen = seen.without(unit)
+    return seen
 
 
 def _is_other(world: Environment, fact: Fact, old: Mapping[str, FactValue], new: Mapping[str, FactValue]) -> bool:

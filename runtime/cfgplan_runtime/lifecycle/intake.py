@@ -40,6 +40,7 @@ from cfgplan_runtime.lifecycle.perturbations import (
 )
 from cfgplan_runtime.lifecycle.reports import WorldRefused
 from cfgplan_runtime.lifecycle.state import Note, State, Updating
+from cfgplan_runtime.lifecycle.stream_qualities import qualities_restated
 from cfgplan_runtime.lifecycle.turns import Match, Matched, Respond, Tell, Terminate, Turn
 from cfgplan_runtime.supervision import events
 from cfgplan_runtime.supervision.delays import doubling_s
@@ -159,6 +160,7 @@ def matched(turn: Turn, result: Matched) -> Turn:
     is_new = (*differs.replaced_transformations, *differs.removed_transformations)
     turn = turn.to(replace(state, living=found, match_s=state.match_s + result.seconds))
     turn = turn.situated(replace(situation, back_offs=situation.back_offs.forgiving(*is_new)))
+    turn = qualities_restated(turn, state.living.world.environment)
     if isinstance(change, ReplaceWorld):
         turn = refused(turn, change.by, ())
     if not differs:

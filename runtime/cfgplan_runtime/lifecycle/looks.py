@@ -1,8 +1,8 @@
 """Looks: a way that was found too bad runs for a moment beside what runs, for nobody knows how good it is by now.
 
 Nobody observes a transformation that does not run. So one that streams have said to be worse than declared runs for
-LOOK_S seconds, its streams used by nobody, if it would be chosen were it as good as declared. A look that teaches
-nothing new makes the next one later.
+LOOK_S seconds, its streams used by nobody, if it would be chosen were it as good as declared; a slow stream is looked
+at until it has said enough. A look that teaches nothing new makes the next one later.
 """
 
 from __future__ import annotations
@@ -14,8 +14,11 @@ from typing import Final
 
 from cfgplan.domain import Environment, Statement
 from cfgplan.observed import Estimates
+from cfgplan_runtime.lifecycle.seen_qualities import SeenQualities
 
 LOOK_S: Final = 3.0
+LONGEST_LOOK_S: Final = 60.0
+"""A stream that has said too little by then is not waited for."""
 LONGEST_GAP_S: Final = 960.0
 NEW: Final = 0.2
 """A look teaches something if what it finds differs by this share from what was known."""
@@ -30,22 +33,39 @@ class Looks:
     """From the last look to the next; 0 before the first."""
     units: tuple[str, ...] = ()
     """Units that run to be looked at."""
+    since_s: float = 0.0
     until_s: float = inf
+    looked_s: Mapping[str, float] = field(default_factory=dict)
+    """By transformation: when it was looked at last, whether it said anything or not."""
     known: Mapping[Statement, int] = field(default_factory=dict)
     """What was known before of what is looked at, in micro-units."""
 
     def begun(self, at_s: float, least_gap_s: float) -> Looks:
-        """A look is being planned: the next one is not before twice the gap is over."""
+        """A look was planned: the next one is not before twice the gap is over."""
         gap_s = min(max(2 * self.gap_s, least_gap_s), LONGEST_GAP_S)
-        return Looks(at_s + gap_s, gap_s)
+        return Looks(at_s + gap_s, gap_s, looked_s=self.looked_s)
 
-    def at(self, label: str, qualities: Mapping[Statement, int]) -> Looks:
+    def at(self, label: str, qualities: Mapping[Statement, int], at_s: float) -> Looks:
         """The look is at this transformation."""
-        return replace(self, known={one: seen for one, seen in qualities.items() if one.transformation == label})
+        known = {one: seen for one, seen in qualities.items() if one.transformation == label}
+        return replace(self, known=known, looked_s={**self.looked_s, label: at_s})
 
     def running(self, units: tuple[str, ...], at_s: float) -> Looks:
         """The units of a look run from now on."""
-        return replace(self, units=units, until_s=at_s + LOOK_S)
+        return replace(self, units=units, since_s=at_s, until_s=at_s + LOOK_S)
+
+    def longer(self, running: Environment, seen: SeenQualities) -> Looks:
+        """The look goes on while what is looked at runs, but has said too little; at most for LONGEST_LOOK_S."""
+        sampled = {
+            Statement(running.unit[stream.unit].transformation, stream.port, attribute)
+            for (stream, attribute), window in seen.windows.items()
+            if stream.unit in self.units and stream.unit in running.unit and window.sample is not None
+        }
+        taught = {one for one in self.known if one in seen.estimates and seen.estimates[one].seen_s >= self.since_s}
+        is_running = any(unit in running.unit for unit in self.units)
+        if not is_running or self.known.keys() <= sampled | taught or self.until_s >= self.since_s + LONGEST_LOOK_S:
+            return self
+        return replace(self, until_s=self.until_s + LOOK_S)
 
     def over(self, world: Environment, qualities: Mapping[Statement, int], least_gap_s: float) -> Looks:
         """The look is over: if it has taught something, the next one is due sooner."""
@@ -55,7 +75,7 @@ class Looks:
             if (stated := world.stated(one)) is not None
         )
         gap_s = max(self.gap_s / 4, least_gap_s) if has_taught else self.gap_s
-        return Looks(self.not_before_s - self.gap_s + gap_s, gap_s)
+        return Looks(self.not_before_s - self.gap_s + gap_s, gap_s, looked_s=self.looked_s)
 
 
 def worse_seen_s(world: Environment, qualities: Mapping[Statement, int], estimates: Estimates) -> dict[str, float]:

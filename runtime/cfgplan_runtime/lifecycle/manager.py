@@ -293,7 +293,10 @@ class Manager:
                 self._decide(turns.GivenJudged(self._deliberation.judged(scene, change_set)))
             case turns.MakeLook(scene, labels, unmet):
                 self._interrupt.clear()
-                self._decide(self._deliberation.look(scene, labels, unmet, stop=self._interrupt))
+                looked = self._deliberation.look(scene, labels, unmet, stop=self._interrupt)
+                self._interrupt.clear()
+                self._decide_arrivals()
+                self._decide(looked)
             case turns.ApplyUpdate():
                 self._apply(effect)
             case turns.Prepare(scene):

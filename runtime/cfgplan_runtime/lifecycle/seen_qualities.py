@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Final
+from math import isfinite
 
 from cfgplan.domain import Stream
 from cfgplan.observed import Estimates, Figures, Lesson, Said, Window
 from cfgplan.qualities import MICRO
 from cfgplan_runtime.supervision.events import UnitStatus
-
-_MOST_SAID: Final = 1e12
-"""In units of an attribute; larger numbers are cut, since sums of their squares have no end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,8 +35,9 @@ class SeenQualities:
         for port, said in status.qualities.items():
             for attribute, quality in said.items():
                 key = (Stream(status.unit, port), attribute)
-                mean = min(max(quality.mean, -_MOST_SAID), _MOST_SAID) * MICRO
-                figures = Figures(quality.elements, mean, min(quality.squares, _MOST_SAID**2) * MICRO**2)
+                figures = Figures(quality.elements, quality.mean * MICRO, quality.squares * MICRO**2)
+                if not (isfinite(figures.mean) and isfinite(figures.squares)):
+                    continue  # children send no such sums: what is on the wire is from something else
                 windows[key] = windows.get(key, Window(at_s)).after(figures, at_s)
         return replace(self, windows=windows, is_new=True)
 

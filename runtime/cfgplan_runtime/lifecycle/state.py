@@ -186,16 +186,19 @@ class State:
 
     @property
     def worse(self) -> tuple[str, ...]:
-        """The transformations that are known to be worse than declared, longest unseen first."""
+        """The transformations that are known to be worse than declared; first those unseen and not looked at for
+        longest.
+        """
         qualities = self.situation.qualities
         found = worse_seen_s(self.living.world.environment, qualities, self.seen.estimates) if qualities else {}
-        return tuple(sorted(found, key=lambda label: (found[label], label)))
+        looked_s = self.looks.looked_s
+        return tuple(sorted(found, key=lambda label: (max(found[label], looked_s.get(label, 0.0)), label)))
 
     @property
     def look_at_s(self) -> float:
-        """When the next look is due; inf if there is nothing to look at."""
+        """When the next look is due; inf if there is nothing to look at, and until no perturbation waits."""
         every_s, qualities = self.policy.look_every_s, self.situation.qualities
-        if every_s is None or self.looks.units or not qualities:
+        if every_s is None or self.looks.units or self.entries or not qualities:
             return inf
         last_s = worse_seen_s(self.living.world.environment, qualities, self.seen.estimates).values()
         return max(min(last_s) + every_s, self.looks.not_before_s) if last_s else inf

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from cfgplan.domain import Environment
+from cfgplan.domain import Environment, Statement
 from cfgplan.observed import TEACHES_S, learned, own_part, told
 from cfgplan_runtime.lifecycle.perturbations import QualitiesObserved
 from cfgplan_runtime.lifecycle.reports import QualityView
@@ -24,12 +24,11 @@ def qualities_learned(turn: Turn) -> Turn:
     fresh = frozenset(said for said in samples if at_s - seen.taught_s.get(said, -TEACHES_S) >= TEACHES_S)
     lesson = learned(running, samples, seen.estimates, at_s, fresh=fresh)
     turn = turn.to(replace(state, seen=seen.after_lesson(lesson, fresh, at_s)))
-    before, now = situation.qualities, told(world, lesson.estimates, situation.qualities, at_s)
+    before = situation.qualities  # a slow drift is never news: it is confirmed little by little
+    now = told(world, lesson.estimates, before, at_s, only_sure=not lesson.news)
     if now == before:
         return turn
     turn = turn.situated(replace(situation, qualities=now))
-    if not lesson.news:
-        return turn
     said_now = world.with_qualities(now).qualities_now
     changed = sorted(one for one in now.keys() | before.keys() if now.get(one) != before.get(one))
     return turn.perturbed(QualitiesObserved(tuple(f"{one} {said_now.get(str(one), 'as declared')}" for one in changed)))
@@ -43,6 +42,23 @@ def qualities_faded(turn: Turn) -> Turn:
     world = state.living.world.environment.with_facts(situation.facts)
     now = told(world, state.seen.estimates, situation.qualities, turn.at_s, fades=True)
     return turn.situated(replace(situation, qualities=now))
+
+
+def qualities_restated(turn: Turn, before: Environment) -> Turn:
+    """Forget what was learned of outputs that the world states otherwise than before: it was measured with that."""
+    state, now = turn.state, turn.state.living.world.environment
+
+    def is_as_before(one: Statement) -> bool:
+        is_same_scale = now.quality.get(one.attribute) == before.quality.get(one.attribute)
+        return is_same_scale and now.stated(one) == before.stated(one)
+
+    known, told_now = state.seen.estimates, state.situation.qualities
+    if all(map(is_as_before, known)):
+        return turn
+    estimates = {one: estimate for one, estimate in known.items() if is_as_before(one)}
+    qualities = {one: seen for one, seen in told_now.items() if is_as_before(one)}
+    turn = turn.to(replace(state, seen=replace(state.seen, estimates=estimates)))
+    return turn.situated(replace(state.situation, qualities=qualities))
 
 
 def quality_views(world: Environment, state: State, at_s: float) -> tuple[QualityView, ...]:

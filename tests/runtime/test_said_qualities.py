@@ -1,0 +1,33 @@
+"""Sums of what elements say of their own quality, whatever unit code gives."""
+
+from __future__ import annotations
+
+from math import isfinite
+
+import pytest
+from cfgplan_runtime.children.said_qualities import SaidQualities
+
+
+class _Unconvertible:
+    def __float__(self) -> float:
+        raise RuntimeError("more than one value")
+
+
+@pytest.mark.parametrize("numbers", [(1.7e308, -1.7e308, 3.0), (1e300, -1e300), (-1e13, 10**300)])
+def test_sums_of_huge_numbers_are_finite(numbers: tuple[float, ...]) -> None:
+    said = SaidQualities({"p": {"error": "how.error"}})
+    for number in numbers:
+        assert said.take("p", {"how": {"error": number}}, {}) == []
+    sums = said.taken()["p"]["error"]
+    assert (sums.elements, isfinite(sums.mean), isfinite(sums.squares)) == (len(numbers), True, True)
+
+
+@pytest.mark.parametrize(
+    "said", ["0.3", b"1", None, True, [1.0], {"a": 1}, 1j, 10**400, float("nan"), _Unconvertible()]
+)
+def test_what_is_no_number_is_told_once_and_is_no_part_of_the_sums(said: object) -> None:
+    taken = SaidQualities({"p": {"error": "error"}})
+    (fault,) = taken.take("p", {"error": said}, {})
+    assert fault.startswith("output p does not say its error: ")
+    assert taken.take("p", {"error": said}, {}) == []
+    assert taken.taken() == {}
