@@ -21,7 +21,7 @@ from cfgplan_runtime.supervision.simulated_backend import Behaviour
 from living import Life, started
 
 from cfgplan import api
-from cfgplan.domain import Environment, Host, InputPort, OutputPort, Target, Transformation
+from cfgplan.domain import Environment, Host, InputPort, OutputPort, RunOptions, Target, Transformation
 from cfgplan.facts import Fact
 from cfgplan.formats.plan_file import read_run_plan
 from cfgplan.observed import FORGET_S
@@ -339,3 +339,15 @@ def test_sums_that_are_no_numbers_end_no_run(mean: float) -> None:
     run.pass_time(30)
     assert run.units == {"sonar.1"}
     assert run.manager.snapshot().qualities == ()
+
+
+def test_modes_that_share_a_state_are_not_looked_at() -> None:
+    """Two modes that run at once would write one state."""
+    shared = RunOptions(state="place")
+    library = tuple(replace(one, run=shared) for one in (sensor("sonar", 0.2, 1000), sensor("camera", 0.3, 100_000)))
+    target = Target("position", "Position", "/position", quality=(Wish("error", 500_000),))
+    environment = Environment(library=library, targets=(target,), qualities=(ERROR,))
+    behaviours = {"sonar": saying(lambda _: 0.8), "camera": saying(lambda _: 0.3)}
+    run = started(world=api.world(environment, horizon_s=3600), behaviours=behaviours)
+    run.pass_time(600)
+    assert (looks_of(run), run.units) == ([], {"camera.1"})

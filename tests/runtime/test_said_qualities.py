@@ -31,3 +31,12 @@ def test_what_is_no_number_is_told_once_and_is_no_part_of_the_sums(said: object)
     assert fault.startswith("output p does not say its error: ")
     assert taken.take("p", {"error": said}, {}) == []
     assert taken.taken() == {}
+
+
+def test_bad_values_between_good_ones_are_told_once() -> None:
+    taken = SaidQualities({"p": {"error": "error"}})
+    told = [fault for number in range(500) for fault in taken.take("p", {"error": 0.1} if number % 2 else {}, {})]
+    assert len(told) == 1
+    for _ in range(100):
+        taken.take("p", {"error": 0.1}, {})
+    assert len(taken.take("p", {}, {})) == 1

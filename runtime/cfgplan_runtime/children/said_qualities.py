@@ -14,6 +14,10 @@ _LARGEST_NUMBER: Final = 1e12
 """In units of an attribute, far beyond every scale; larger numbers are cut, since sums of their squares have no end."""
 
 
+_GOOD_AGAIN: Final = 100
+"""A fault is told again only after so many good values in a row."""
+
+
 @dataclass(frozen=True, slots=True)
 class _Missing:
     """A value does not have this field."""
@@ -34,11 +38,11 @@ class SaidQualities:
             for port, fields in stated.items()
         }
         self._sums: dict[tuple[str, str], Quality] = {}
-        self._faulty = set[tuple[str, str]]()
-        """The outputs and attributes of which the last value said nothing that can be used."""
+        self._faulty: dict[tuple[str, str], int] = {}
+        """By output and attribute whose fault was told: how many good values have come in a row since."""
 
     def take(self, port: str, value: object, beside: Mapping[str, float]) -> list[str]:
-        """Take in a value of an output. Returns faults in words, each once until a value is good again."""
+        """Take in a value of an output. Returns faults in words, each once until 100 values in a row are good."""
         found = []
         said: dict[str, object] = {}
         for attribute, steps in self._fields.get(port, {}).items():
@@ -48,9 +52,11 @@ class SaidQualities:
             if fault := self._taken(port, attribute, number):
                 if (port, attribute) not in self._faulty:
                     found.append(f"output {port} {fault}")
-                self._faulty.add((port, attribute))
-            elif self._faulty:
-                self._faulty.discard((port, attribute))
+                self._faulty[port, attribute] = 0
+            elif (port, attribute) in self._faulty:
+                self._faulty[port, attribute] += 1
+                if self._faulty[port, attribute] >= _GOOD_AGAIN:
+                    del self._faulty[port, attribute]
         return found
 
     def _taken(self, port: str, attribute: str, said: object) -> str:

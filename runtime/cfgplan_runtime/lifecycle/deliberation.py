@@ -170,6 +170,9 @@ class Deliberation:
             hopeful = self._think(replace(scene, world=replace(scene.world, environment=environment)), optimises=True)
             new = () if hopeful.change_set is None else hopeful.change_set.started
             started = tuple(replace(unit, publications=()) for unit in new if not unit.standby)
+            library = environment.transformation
+            if any(isinstance(library[unit.transformation].run.state, str) for unit in started):
+                continue  # its state would take the place of the state that it shares with a mode that runs
             if hopeful.decision is Decision.APPLIED and any(unit.transformation == label for unit in started):
                 thought = self._run_for_nobody(scene, ChangeSet(started=started))
                 if thought is not None:
