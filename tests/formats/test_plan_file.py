@@ -137,7 +137,7 @@ def test_what_is_no_plan_is_refused(tmp_path: Path) -> None:
 
 def test_the_schema_of_plans_names_every_key() -> None:
     data = json.loads(dump_plan(PLAN, PROBLEM, "digest"))
-    now_and_then = {"survive", "figures", "objectives", "facts", "basis"}
+    now_and_then = {"survive", "figures", "objectives", "facts", "qualities", "basis"}
     assert set(data) | now_and_then == set(PlanPart.model_fields)
     assert now_and_then.isdisjoint(data)
 
