@@ -1,6 +1,6 @@
-"""What a run has observed, as JSON: what `ctl observed --out` writes and verbs that plan take by `--observed`.
+"""Observed facts and qualities as JSON: `ctl observed --out` writes the file, and `--observed` of commands reads it.
 
-Qualities are in units of their attributes, factors are plain numbers. Only `facts` and what is `planned` are read back.
+Qualities are in units of their attributes, factors are plain numbers. Only `facts` and `planned` are read back.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class _ObservedPart(BaseModel):
 
 
 class QualityPart(_ObservedPart):
-    """What streams have taught of one attribute of an output."""
+    """The learned quality of an output in one attribute."""
 
     output: str = Field(description="transformation/port")
     attribute: str
@@ -59,7 +59,10 @@ def observed_text(facts: Mapping[str, str], qualities: list[dict[str, Any]]) -> 
 
 
 def read_observed(path: str | os.PathLike[str], environment: Environment) -> Environment:
-    """The environment with the facts and qualities of a file. Raises InputError, also for what it does not have."""
+    """Return the environment with the facts and qualities of a file.
+
+    Raises InputError, also for facts and qualities that the environment does not have.
+    """
     source = read_json(read_text(FilePath(path)), str(path))
     if source.faults:
         raise InputError(source.faults)
@@ -94,7 +97,7 @@ def _facts(source: Source, part: ObservedPart, environment: Environment, faults:
 def _qualities(
     source: Source, part: ObservedPart, environment: Environment, faults: list[Fault]
 ) -> dict[Statement, int]:
-    """By how much outputs differ from what is stated."""
+    """The deviations of outputs from their stated values, in micro-units."""
     found: dict[Statement, int] = {}
     for index, one in enumerate(part.qualities):
         place = ("qualities", index)

@@ -204,7 +204,7 @@ def _facts(environment: Environment) -> dict[str, dict[str, object]]:
 
 
 def _qualities(environment: Environment) -> dict[str, dict[str, object]]:
-    """The qualities that differ from what is declared, since streams have said so."""
+    """The declared and used values of the qualities that observed streams have changed."""
     found = {
         str(statement): stated
         for some in environment.taught.values()
