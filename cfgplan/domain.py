@@ -563,7 +563,7 @@ class Environment:
         return replace(self, facts=tuple(facts.values()), library=library)
 
     def with_qualities(self, seen: Mapping[Statement, int]) -> Environment:
-        """The environment in which outputs are as good as observed streams have taught, and else as stated.
+        """The environment with the learned qualities of outputs; an output without any keeps its stated one.
 
         `seen` says by how much the own part of an output differs from the stated one, in micro-units.
         """
@@ -572,14 +572,14 @@ class Environment:
         return replace(self, library=tuple(changed.get(t.label, t) for t in self.library)) if changed else self
 
     def stated(self, statement: Statement) -> Contribution | None:
-        """What an output states of a quality attribute; None if it states nothing, or is not there."""
+        """The contribution that an output states to a quality attribute; None if it, or the output, does not exist."""
         transformation = self.transformation.get(statement.transformation)
         port = None if transformation is None else transformation.output.get(statement.output)
         return next((each for each in port.quality if each.attribute == statement.attribute), None) if port else None
 
     @cached_property
     def taught(self) -> Mapping[str, tuple[Statement, ...]]:
-        """The statements of which observed streams have taught something, by transformation; others are not there."""
+        """The statements that observed streams have changed, by the labels of the transformations that have any."""
         found = {
             t.label: tuple(
                 Statement(t.label, port.name, each.attribute)

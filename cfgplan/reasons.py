@@ -62,9 +62,7 @@ def pinned_reasons(problem: Problem) -> dict[str, str]:
 
 
 def with_pinned_reasons(given_up: Mapping[str, str], problem: Problem) -> dict[str, str]:
-    """Return the reasons of a plan: those of targets by label, and those of pinned units by id (`unit ID` if that is a
-    label).
-    """
+    """Return the reasons of a plan by name: a target's label, or a pinned unit's id (`unit ID` if that is a label)."""
     reasons = dict(given_up)
     for name, why in sorted(pinned_reasons(problem).items()):
         while name in reasons:

@@ -106,7 +106,7 @@ def _left_out(world: World) -> dict[str, object]:
 
 
 def _faults(options: argparse.Namespace, screen: Screen) -> tuple[World, tuple[WiringFault, ...], tuple[str, ...]]:
-    """Return the world that the options name, its faults and oddities, and the limits of what is observed there."""
+    """Return the world that the options name, its faults and oddities, and the limits of its observations."""
     from cfgplan import answers, api
     from cfgplan.explaining import probable_first
     from cfgplan.observed import hidden

@@ -107,8 +107,10 @@ def add_planning(parser: argparse.ArgumentParser, what_if: str | None = None) ->
 
 
 def add_observed(parser: argparse._ActionsContainer) -> None:
-    """`--observed`: facts and qualities as a run knows them, in place of what is declared."""
-    means = "plan with the facts and qualities that a run has observed: what `cfgplan ctl observed --out FILE` wrote"
+    """`--observed`: plan with the facts and qualities of a run in place of the declared ones."""
+    means = (
+        "plan with the facts and qualities that a run has observed; `cfgplan ctl observed --out FILE` writes the file"
+    )
     parser.add_argument("--observed", metavar="FILE", help=means)
 
 

@@ -64,7 +64,7 @@ def state_text(run: str, environment: str, pid: int, state: Mapping[str, Any]) -
 
 
 def observed_text(state: Mapping[str, Any]) -> RenderableType:
-    """The facts of a run, and a row for each output of which streams have taught something."""
+    """The facts of a run, and a row for each output whose quality was learned from streams."""
     if not (state["facts"] or state["qualities"]):
         return Text("No fact is declared, and no stream says how good it is (`observe:` of an output's quality).")
     parts: list[RenderableType] = [Text(f"Facts: {', '.join(_facts(state))}.")] if state["facts"] else []

@@ -49,7 +49,7 @@ def check_options(options: argparse.Namespace) -> None:
 
 
 def mqtt_check(options: argparse.Namespace, environment: Environment) -> Callable[[], object] | None:
-    """A check of what is published at a broker; None if nothing is. It raises InputError."""
+    """Return a check of the targets that a broker gets; None without a broker. The check raises InputError."""
     if options.mqtt is None:
         return None
     from cfgplan_runtime.mqtt.targets import check_targets
