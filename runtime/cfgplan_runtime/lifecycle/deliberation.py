@@ -71,7 +71,7 @@ class Thought:
 
 @dataclass(frozen=True)
 class Looked:
-    """What starts so that a transformation can be looked at; None if none would be chosen, however good it is."""
+    """The planned look at a transformation; `thought` is None if no plan would use any, even if it were as declared."""
 
     label: str = ""
     thought: Thought | None = None
@@ -159,9 +159,9 @@ class Deliberation:
         )
 
     def look(self, scene: Scene, labels: Iterable[str], unmet: Mapping[str, str], *, stop: threading.Event) -> Looked:
-        """What to start to look at the first of some transformations that would be chosen if it were as declared.
+        """Plan a look at the first of some transformations that a plan would use if it were as good as declared.
 
-        The new units feed no topic. `unmet` has the targets that are not met as it is, with the reasons.
+        The new units feed no topic. `unmet` has the targets that are not met now, with the reasons.
         """
         self._stop = stop
         for label in labels:
@@ -177,7 +177,7 @@ class Deliberation:
         return Looked()
 
     def _run_for_nobody(self, scene: Scene, change_set: ChangeSet) -> Thought | None:
-        """Starting units that no target needs, if that breaks no other rule."""
+        """Return the start of units that no target needs; None if it breaks another rule."""
         thought, new = self._begun(scene), {unit.id for unit in change_set.started}
         given = _given(self.problem(thought.planned, scene.world), change_set)
         broken = validity.plan_violations(given.problem, given.plan)

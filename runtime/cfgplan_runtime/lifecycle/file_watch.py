@@ -113,7 +113,7 @@ class FileWatch:
 
 
 def _folders(paths: Iterable[Path]) -> list[Path]:
-    """The folders to watch: those among `paths`, and those of the files, as far as they exist."""
+    """The existing folders to watch: the folders among `paths`, and the parents of the files."""
     folders = {path if path.is_dir() else path.parent for path in paths}
     return sorted(folder for folder in folders if folder.is_dir()) or [Path()]
 

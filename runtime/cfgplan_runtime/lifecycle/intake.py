@@ -179,7 +179,7 @@ def _noted(turn: Turn, unit: str, note: Note) -> Turn:
 
 
 def _unnoted(turn: Turn, unit: str) -> Turn:
-    """Forget what was noted of a unit that is gone, or whose id another unit has now."""
+    """Forget the notes about a unit that has ended, or whose id another unit has now."""
     left = {other: note for other, note in turn.state.notes.items() if other != unit}
     return turn.to(replace(turn.state, notes=left, seen=turn.state.seen.without(unit)))
 

@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from paho.mqtt.client import Client, MQTTMessage
 
 _ANSWER_S: Final = 10.0
-"""A broker that has not let a client in after so many seconds is none."""
+"""Seconds in which a broker has to accept the client."""
 _LOOK_S: Final = 0.05
 
 
 class Listening:
     """Collects the messages on topics of a broker, and the discovery messages that it keeps.
 
-    Nothing is published, and nothing is confirmed: whoever listens besides misses nothing. For the other parameters see
+    It neither publishes nor confirms, so that other subscribers miss nothing. For the other parameters see
     `Connection`. Raises InputError.
     """
 

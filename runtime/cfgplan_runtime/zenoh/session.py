@@ -1,4 +1,4 @@
-"""A session of Zenoh that units have: with routers and peers at endpoints, linked again and again."""
+"""A unit's Zenoh session with routers and peers at endpoints; lost links are tried again."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ if TYPE_CHECKING:
     import zenoh
 
 FIRST_S: Final = 2.0
-"""Seconds that a session has to be linked for the first time: then it is told, and no publisher waits longer."""
+"""Seconds for the first link: then its absence is reported, and publishers wait no longer."""
 _RETRY_MS: Final = (500, 2000)
-"""Milliseconds from a link that failed to the next try: at first, and at most."""
+"""Milliseconds from a failed link to the next try: at first, and at most."""
 _ENDPOINT: Final = re.compile(r"(tcp|tls|udp|quic|ws|serial|vsock|unixpipe|unixsock-stream)/\S+")
 
 
 class ZenohUnitSession:
-    """A session that links to the endpoints of `connect` and is linked to at those of `listen`.
+    """A session that connects to the endpoints of `connect` and accepts links at the endpoints of `listen`.
 
     An endpoint is `tcp/HOST:PORT`, `tls/HOST:PORT`, or of another protocol of Zenoh; one or a list. A session that only
-    connects is linked with the first of its endpoints that answers, and with another one if that dies. `ca`,
+    connects uses the first of its endpoints that answers, and another one if that one dies. `ca`,
     `certificate` and `key` are files of TLS, relative to the working folder. `say` is called with lines for the user:
     once if a session that connects has no link, and once if it has one again. Raises InputError.
     """
@@ -60,7 +60,7 @@ class ZenohUnitSession:
         if ca is not None or certificate is not None:
             self._config["transport"]["link"] = {"tls": _tls(ca, certificate, key)}
         self.on_open: Callable[[zenoh.Session], None] = lambda _: None
-        """Called with the session, once it is there, to declare what is heard or put."""
+        """Called with the open session, to declare subscribers and publishers."""
         self._where = ", ".join(self._connect or self._listen)
         self._linked: set[str] = set()
         self._is_away = self._is_closed = False
@@ -142,7 +142,7 @@ class ZenohUnitSession:
             self._tell_away("does not answer, or does not let this session in")
 
     def _tell_away(self, what: str) -> None:
-        """Tell once that there is no link."""
+        """Report once that the session has no link."""
         if not self._connect or self._is_away or self._is_closed:
             return
         self._is_away = True
