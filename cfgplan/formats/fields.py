@@ -432,12 +432,12 @@ class TargetPart(Part):
     )
 
     label: Name = row("unique; mentions every template variable of the target", ..., xml=ELEMENT)
-    topic: Name | None = row("where its stream is published; unique", xml=ELEMENT)
+    topic: Name | None = row("the topic on which its stream is published; unique", xml=ELEMENT)
     tag: TagText | None = row(
         "the information that is wanted: a concept in description logic, or the paper's P(a)", xml=ELEMENT
     )
     type: Name | None = row(f"{_MESSAGE_TYPE}; `cfgplan run --ros2` publishes it", use=Use.RUNNING, xml="message")
-    run: Name | None = row("a transformation of which a unit is wanted, in place of `topic` and `tag`")
+    run: Name | None = row("the label of a transformation that has to run, in place of `topic` and `tag`")
     priority: Whole = row("larger matters more", 0, ge=-LARGEST_AMOUNT, le=LARGEST_AMOUNT)
     quality: dict[Name, WishPart] | None = row("quality attribute to the demand on it")
     host: Name | None = row("the host to which the stream is sent")
@@ -494,7 +494,7 @@ class AttributePart(Part):
     name: Name = row("unique", ...)
     better: BetterName = row("which values are better", ...)
     rule: RuleName = row("the rule of outputs that state only a number", "add", use=Use.NONE)
-    unit: Name | None = row("what it is measured in, free text", use=Use.NONE)
+    unit: Name | None = row("its unit of measure, free text", use=Use.NONE)
     worst: PositiveMicro | None = row("the worst value, which sources have that state none")
     best: PositiveMicro | None = row("the best value, from which weights count")
 
@@ -509,7 +509,7 @@ class FactPart(Part):
     )
 
     declared: Fact = row("its value unless another one is observed or set: a number, true, false or a word", ...)
-    unit: Name | None = row("what it is measured in, free text", use=Use.NONE)
+    unit: Name | None = row("its unit of measure, free text", use=Use.NONE)
     by: TagText | None = row("the tag of the stream that observes it in a run; the stream is planned as for a target")
     topic: Name | None = row("in place of `by`: the topic of a target, whose stream observes it", use=Use.RUNNING)
     field: Name | None = row(
@@ -534,8 +534,10 @@ class IncludedPart(Part):
     """A file that an environment includes: transformations and targets only."""
 
     format: Literal["cfgplan/1"] | None = row("the format of the file: cfgplan/1")
-    transformations: list[TransformationPart] | None = row("what can be started", xml=ELEMENT)
-    targets: list[TargetPart] | None = row("what is wanted", xml=ELEMENT)
+    transformations: list[TransformationPart] | None = row(
+        "the library: transformations that can be started", xml=ELEMENT
+    )
+    targets: list[TargetPart] | None = row("the streams and units that are wanted", xml=ELEMENT)
 
 
 class EnvironmentPart(Part):
@@ -564,14 +566,16 @@ class EnvironmentPart(Part):
     transfer: Cost = row("CPU seconds for each megabyte sent from host to host", 0, "transfer_us")
     links: list[LinkPart] | None = row("links between hosts; the first that fits two hosts carries their streams")
     minimise: Objectives = row(
-        "what is minimised, the most important first; the cost follows if it is not named", ["cost"]
+        "the objectives that are minimised, the most important first; the cost follows if it is not named", ["cost"]
     )
     qualities: list[AttributePart] | None = row("the quality attributes of streams")
     facts: dict[Name, FactPart] | None = row("facts of the world, for `requires` of transformations")
     survive: Survived = row("single failures to survive; 1: of hosts where hosts are declared, else of units", 0)
-    transformations: list[TransformationPart] | None = row("what can be started", xml=ELEMENT)
-    units: list[UnitPart] | None = row("what runs", xml=ELEMENT)
-    targets: list[TargetPart] | None = row("what is wanted", xml=ELEMENT)
+    transformations: list[TransformationPart] | None = row(
+        "the library: transformations that can be started", xml=ELEMENT
+    )
+    units: list[UnitPart] | None = row("the running units", xml=ELEMENT)
+    targets: list[TargetPart] | None = row("the streams and units that are wanted", xml=ELEMENT)
 
 
 def what_runs(transformation: Transformation) -> tuple[object, ...]:
