@@ -205,7 +205,7 @@ class Host:
     def __post_init__(self) -> None:
         store_sorted(self, "labels", dict.fromkeys(self.labels), str)
         if self.name == MANAGER:
-            raise InvalidValueError(f"no host can be called {MANAGER!r}: that is who gives orders to hosts")
+            raise InvalidValueError(f"no host can be called {MANAGER!r}: the manager has this name")
         store_resources(self, "offers", {CPU: "cpu_us", MEMORY: "memory_mb"})
 
     def fits(self, text: str) -> bool:
@@ -425,7 +425,9 @@ class Environment:
         refuse_duplicates("topic of a target", [target.topic for target in self.stream_targets])
         for attribute in [link.adds for link in self.links if link.adds is not None]:
             if attribute not in self.quality or self.quality[attribute].better is Better.HIGHER:
-                raise InvalidValueError(f"a link adds to {attribute}, which is no attribute of which less is better")
+                raise InvalidValueError(
+                    f"a link adds to {attribute}, which is no attribute whose lower values are better"
+                )
         placed = next((unit for unit in self.units if unit.host is not None), None)
         if placed is not None and not self.hosts:
             raise InvalidValueError(f"unit {placed.id!r} runs on {placed.host}, but the environment has no hosts")

@@ -22,7 +22,7 @@ from cfgplan.formats.places import Source
 from cfgplan.formats.schema_faults import schema_faults
 from cfgplan.qualities import micro_units
 
-_ANEW = "write the file anew with `cfgplan ctl observed --out FILE`, or remove this"
+_ANEW = "write the file again with `cfgplan ctl observed --out FILE`, or remove this"
 
 
 class _ObservedPart(BaseModel):

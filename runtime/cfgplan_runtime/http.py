@@ -64,7 +64,7 @@ class Poller:
         if len(payload) > _LONGEST:
             return self._away(f"answers more than {_LONGEST} bytes")
         if self._is_away:
-            say(f"{self._url} is there again")
+            say(f"{self._url} answers again")
         self._is_away = False
         values = self._reader.values(self._url, payload)
         return values[0] if values else None
@@ -99,7 +99,7 @@ def _checked(url: str) -> str:
         raise InputError.of(f"`{url}` is no URL of a resource", mend="write http://HOST/PATH or https://HOST/PATH")
     if "@" in address.netloc:
         mend = "remove it, and write `username` with `password_env` or `password_file`"
-        raise InputError.of("the name and password do not belong into a URL", mend=mend)
+        raise InputError.of("a URL can't hold the name and password", mend=mend)
     return url
 
 

@@ -38,7 +38,7 @@ class Source:
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         if not speed > 0:
-            raise InputError.of(f"a recording is not played {speed:g} times as fast", mend="write a speed above 0")
+            raise InputError.of(f"a recording can't be played {speed:g} times as fast", mend="write a speed above 0")
         self._path, self._topic, self._speed, self._loop = Path(file), topic, speed, loop
         self._now_ns, self._sleep = now_ns, sleep
         found = recorded(self._path)

@@ -171,13 +171,13 @@ def test_a_router_that_is_away_or_dies_is_told_once_and_linked_again(
         return any(text in line for line in told)
 
     heard = hear("count", connect=endpoint)
-    eventually(lambda: is_told(f"the peer of Zenoh at {endpoint} does not answer"))
+    eventually(lambda: is_told(f"the Zenoh peer at {endpoint} does not answer"))
     with router(endpoint) as process:
-        eventually(lambda: is_told("is there again"))
+        eventually(lambda: is_told("is linked again"))
         publisher = publish("count", connect=endpoint)
         assert until_heard(publisher, heard, 1) == 1
         process.kill()
-        eventually(lambda: is_told(f"the peer of Zenoh at {endpoint} is lost"))
+        eventually(lambda: is_told(f"the Zenoh peer at {endpoint} is lost"))
     publisher(x=2)
     with router(endpoint):
         eventually(lambda: publisher(x=3) or not heard.values.empty())
@@ -256,7 +256,7 @@ def test_a_run_takes_from_zenoh_and_gives_to_it(tmp_path: Path, hear: Units, pub
         ({"payload": "yaml"}, "`yaml` is no form of a payload"),
         ({"field": "a", "payload": "number"}, "has no fields"),
         ({"conect": "tcp/a:1"}, "did you mean `connect`"),
-        ({"password": "secret"}, "a password does not belong into an environment file"),
+        ({"password": "secret"}, "an environment file can't hold a password"),
         ({"username": "bob", "password_env": "NO_SUCH_VARIABLE"}, "NO_SUCH_VARIABLE is not set"),
         ({"password_env": "NO_SUCH_VARIABLE"}, "a password without a name"),
     ],

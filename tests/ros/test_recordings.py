@@ -60,9 +60,7 @@ def test_a_bag_of_ros_1_tells_who_published_what_and_how_often(tmp_path: Path) -
     }
     (player,) = [each for each in whole.nodes if each.player]
     assert (player.package, player.executable, player.arguments) == ("rosbag", "play", (f"{tmp_path}/drive.bag",))
-    assert whole.notes == (
-        f"who subscribes to topics of {tmp_path}/drive.bag: a recording has only what was published",
-    )
+    assert whole.notes == (f"the subscribers to topics of {tmp_path}/drive.bag: a recording has only publications",)
 
 
 @pytest.mark.parametrize("storage", [*rosbag2.StoragePlugin])

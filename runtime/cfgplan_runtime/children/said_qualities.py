@@ -53,7 +53,7 @@ class SaidQualities:
     def _taken(self, port: str, attribute: str, said: object) -> str:
         """Add a value of an attribute. Returns why it can't be used; empty if it can."""
         if attribute not in self._stated.get(port, ()):
-            return f"says its {attribute}, which the environment does not state of it"
+            return f"says its {attribute}, which the environment does not state for it"
         if isinstance(said, _Missing):
             return f"does not say its {attribute}: a value has no field {said.field!r}"
         try:

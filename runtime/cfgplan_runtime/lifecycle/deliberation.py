@@ -314,7 +314,7 @@ def _asking_less(problem: Problem) -> Iterator[tuple[Problem, str]]:
     """The problem without demands that may be impossible with the remaining hosts, and these demands in words."""
     if problem.survive is not None:
         problem = replace(problem, survive=None)
-        yield problem, "what is there does not survive every failure"
+        yield problem, "the configuration does not survive every failure"
     if any(transformation.min_instances for transformation in problem.environment.library):
         library = tuple(replace(t, min_instances=0) if t.min_instances else t for t in problem.environment.library)
         problem = replace(problem, environment=replace(problem.environment, library=library))

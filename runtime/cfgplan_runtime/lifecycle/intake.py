@@ -313,12 +313,14 @@ def _to_be_restarted(turn: Turn, units: tuple[str, ...], request: Asked) -> Turn
         _check_runs(state, unit)
         label = state.running.unit[unit].transformation
         if label not in library:
-            raise InputError.of(f"unit {unit!r} can't be restarted: its transformation {label!r} is there no more")
+            raise InputError.of(
+                f"unit {unit!r} can't be restarted: its transformation {label!r} does not exist any more"
+            )
         if is_external(library[label]):
             mend = "restart the node where it was started"
             raise InputError.of(f"unit {unit!r} can't be restarted: others have started its node", mend=mend)
         if label in situation.code_faults:
-            mend = "it goes on with the code from before; mend the code"
+            mend = "it keeps running the old code; correct the new code"
             raise InputError.of(f"unit {unit!r} can't be restarted: {situation.code_faults[label]}", mend=mend)
     return turn.to(replace(state, given=(*state.given, request)))
 

@@ -79,10 +79,10 @@ class Listening:
             raise InputError.of(f"{name}: {refusal.partition(';')[0]}", mend=mend)
         mend = "start it, or name the address of one that runs: HOST:PORT, or mqtts://HOST:PORT for TLS"
         if away and not self._was_there:
-            ended = f"what listens at {name} is no broker of MQTT 5, or speaks TLS: it ended the connection"
+            ended = f"the program at {name} is no broker of MQTT 5, or speaks TLS: it ended the connection"
             raise InputError.of(ended if away.startswith("is lost") else f"the broker {name} {away}", mend=mend)
         if not self._is_subscribed:
-            raise InputError.of(f"what listens at {name} does not answer as a broker of MQTT 5 does", mend=mend)
+            raise InputError.of(f"the program at {name} does not answer like a broker of MQTT 5", mend=mend)
         if len(self._refused) == len(self._topics):
             mend = "name what it may read: --topic house/#"
             raise InputError.of(f"{name} lets this client read nothing of {some(self._refused)}", mend=mend)

@@ -51,7 +51,7 @@ class ZenohUnitSession:
         self._connect, self._listen = _endpoints(connect), _endpoints(listen)
         if not (self._connect or self._listen):
             mend = "write `connect: tcp/HOST:7447` for a router or peer, or `listen`"
-            raise InputError.of("a session of Zenoh without endpoints is linked with nobody", mend=mend)
+            raise InputError.of("a Zenoh session needs an endpoint", mend=mend)
         self._say = say
         self._config = _config(self._connect, self._listen)
         if username is not None:
@@ -132,7 +132,7 @@ class ZenohUnitSession:
             self._changed.notify_all()
         if is_linked:
             if self._is_away:
-                self._say(f"the peer of Zenoh at {self._where} is there again")
+                self._say(f"the Zenoh peer at {self._where} is linked again")
             self._is_away = False
         elif not self._linked:
             self._tell_away("is lost")
@@ -146,7 +146,7 @@ class ZenohUnitSession:
         if not self._connect or self._is_away or self._is_closed:
             return
         self._is_away = True
-        self._say(f"the peer of Zenoh at {self._where} {what}; it is tried again")
+        self._say(f"the Zenoh peer at {self._where} {what}; it is tried again")
 
 
 def check_parameters(session: Mapping[str, Any]) -> None:
@@ -164,7 +164,7 @@ def key_expression(text: str, *, is_plain: bool = False) -> str:
         mend = "write chunks with slashes between; `*` stands for one chunk, `**` for any number of them"
         raise InputError.of(f"`{text}` is no key expression: {plain(error)}", mend=mend) from None
     if is_plain and "*" in found:
-        raise InputError.of(f"`{text}` is no key to put at", mend="it has no wildcards")
+        raise InputError.of(f"`{text}` can't be published to", mend="write a key without wildcards")
     return found
 
 

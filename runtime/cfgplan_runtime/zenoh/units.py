@@ -93,7 +93,7 @@ class Publisher:
         check_parameters(session)
         check_form(payload)
         if when_full not in get_args(WhenFull):
-            raise InputError.of(f"`{when_full}` is nothing to do where a link is full", mend="write drop or block")
+            raise InputError.of(f"`when_full` can't be `{when_full}`", mend="write drop or block")
         self._payload = payload
         self._key_expr = key_expression(key_expr, is_plain=True)
         self._session = ZenohUnitSession(say, **session)
