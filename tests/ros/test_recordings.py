@@ -108,7 +108,7 @@ def test_the_command_makes_a_valid_environment_of_a_recording(
 ) -> None:
     file = tmp_path / "robot.yaml"
     assert main(["import", "ros1", str(bag1(tmp_path / "a.bag", {"/words": "/talker"})), "--out", str(file)]) == 0
-    assert "who subscribes to topics" in capsys.readouterr().err
+    assert "the subscribers to topics" in capsys.readouterr().err
     (output,) = api.load(file).environment.transformation["talker"].outputs
     assert (output.rate_uhz, output.type) == (10_500_000, "std_msgs/msg/String")
     assert main(["check", str(file)]) == 0

@@ -116,7 +116,7 @@ def test_a_password_goes_to_the_resource_and_not_to_where_it_leads(
     ("params", "message"),
     [
         ({"url": "file:///etc/passwd"}, "is no URL of a resource"),
-        ({"url": "http://bob:secret@house"}, "do not belong into a URL"),
+        ({"url": "http://bob:secret@house"}, "a URL can't hold the name"),
         ({"payload": "yaml"}, "is no form of a payload"),
         ({"password": "secret"}, "an environment file can't hold a password"),
         ({"usrname": "bob"}, "did you mean `username`"),

@@ -434,7 +434,7 @@ def test_a_broker_is_spoken_to_by_tls(tmp_path: Path, hear: Hear, publish: Publi
     [
         ({"broker": "http://house"}, "`http://house` is no broker"),
         ({"broker": "house:many"}, "`house:many` is no broker"),
-        ({"broker": "mqtt://bob:secret@house"}, "do not belong into its address"),
+        ({"broker": "mqtt://bob:secret@house"}, "address of a broker can't hold"),
         ({"topic": "a/#/b"}, "is no filter of topics"),
         ({"topic": "a+/b"}, "is no filter of topics"),
         ({"topic": ""}, "is no filter of topics"),
