@@ -1,4 +1,4 @@
-"""Figures as people say them: times, rates, shares of a core, sizes, hours of the day. For all that shows figures."""
+"""Figures in everyday units, for every output: times, rates, shares of a core, sizes, hours of the day."""
 
 from __future__ import annotations
 

@@ -454,8 +454,8 @@ def load_plan(world: World, problem: Problem, path: str | os.PathLike[str]) -> P
     answer = read_plan(path, world.digest)
     found = plan_violations(problem, answer) or silent_stops(problem, answer)
     if found:
-        mend = "write the plan anew with `solve --out`"
-        raise InputError([Fault(f"the plan is not what it says: {each}", str(path), mend=mend) for each in found])
+        mend = "write the plan again with `solve --out`"
+        raise InputError([Fault(f"the plan contradicts itself: {each}", str(path), mend=mend) for each in found])
     return answer
 
 

@@ -205,7 +205,7 @@ class Host:
     def __post_init__(self) -> None:
         store_sorted(self, "labels", dict.fromkeys(self.labels), str)
         if self.name == MANAGER:
-            raise InvalidValueError(f"no host can be called {MANAGER!r}: that is who gives orders to hosts")
+            raise InvalidValueError(f"no host can be called {MANAGER!r}: the manager has this name")
         store_resources(self, "offers", {CPU: "cpu_us", MEMORY: "memory_mb"})
 
     def fits(self, text: str) -> bool:
@@ -428,7 +428,9 @@ class Environment:
         refuse_duplicates("topic of a target", [target.topic for target in self.stream_targets])
         for attribute in [link.adds for link in self.links if link.adds is not None]:
             if attribute not in self.quality or self.quality[attribute].better is Better.HIGHER:
-                raise InvalidValueError(f"a link adds to {attribute}, which is no attribute of which less is better")
+                raise InvalidValueError(
+                    f"a link adds to {attribute}, which is no attribute whose lower values are better"
+                )
         placed = next((unit for unit in self.units if unit.host is not None), None)
         if placed is not None and not self.hosts:
             raise InvalidValueError(f"unit {placed.id!r} runs on {placed.host}, but the environment has no hosts")
@@ -566,7 +568,7 @@ class Environment:
         return replace(self, facts=tuple(facts.values()), library=library)
 
     def with_qualities(self, seen: Mapping[Statement, int]) -> Environment:
-        """The environment in which outputs are as good as observed streams have taught, and else as stated.
+        """The environment with the learned qualities of outputs; an output without any keeps its stated one.
 
         `seen` says by how much the own part of an output differs from the stated one, in micro-units.
         """
@@ -575,14 +577,14 @@ class Environment:
         return replace(self, library=tuple(changed.get(t.label, t) for t in self.library)) if changed else self
 
     def stated(self, statement: Statement) -> Contribution | None:
-        """What an output states of a quality attribute; None if it states nothing, or is not there."""
+        """The contribution that an output states to a quality attribute; None if it, or the output, does not exist."""
         transformation = self.transformation.get(statement.transformation)
         port = None if transformation is None else transformation.output.get(statement.output)
         return next((each for each in port.quality if each.attribute == statement.attribute), None) if port else None
 
     @cached_property
     def taught(self) -> Mapping[str, tuple[Statement, ...]]:
-        """The statements of which observed streams have taught something, by transformation; others are not there."""
+        """The statements that observed streams have changed, by the labels of the transformations that have any."""
         found = {
             t.label: tuple(
                 Statement(t.label, port.name, each.attribute)

@@ -52,9 +52,9 @@ def kind_of(value: FactValue) -> str:
 class Fact:
     """A variable of the world: its declared value, which counts until another is observed or set, and its unit.
 
-    In a run, streams observe it: those tagged `by`, or the one on `topic`. If elements are mappings, the value is under
-    `field`; a dot leads into nested mappings. Values with `noise` are filtered. If no element has come for `silent_us`,
-    the declared value counts again.
+    In a run, it is observed by the streams tagged `by`, or by the one on `topic`. If elements are mappings, the value
+    is under `field`; a dot leads into nested mappings. Values with `noise` are filtered. If no element has come for
+    `silent_us`, the declared value counts again.
     """
 
     name: str

@@ -1,13 +1,13 @@
 """How good the own parts of outputs are, learned from streams that say how good they are.
 
 An output's own part deviates from the stated value by a normally distributed amount: its mean is 0 and its standard
-deviation TRUST of the stated value (of its logarithm where the rule is `scale`). A stream differs from what is
-predicted for it by some amount. The parts between it and the streams before it that say how good they are share that
-amount by their variances (an extended Kalman filter with a diagonal covariance). A part that is not observed any more
-fades to the stated value.
+deviation TRUST of the stated value (of its logarithm where the rule is `scale`). If a stream deviates from its
+prediction, the parts between it and the nearest streams upstream that say how good they are share the deviation in
+proportion to their variances (an extended Kalman filter with a diagonal covariance). A part that is not observed any
+more fades to the stated value.
 
-A part is left alone where nothing can tell whose the difference is: behind the better of two inputs that can't be told
-apart, behind a factor on an input near 0, and at the ends of the scale.
+A part keeps its estimate if the deviation can't be attributed: behind the better of two inputs whose qualities do not
+differ significantly, behind a factor on an input near 0, and at the ends of the scale.
 """
 
 from __future__ import annotations
@@ -29,16 +29,19 @@ TRUST: Final = 0.5
 FORGET_S: Final = 300.0
 """After so many seconds without an observation, half of what was learned is left."""
 NEWS: Final = 0.05
-"""A stream has to differ from what is predicted by this share of it; less teaches nothing new."""
+"""A stream changes estimates only if it differs from its prediction by more than this share of the prediction."""
 NEWS_ERRORS: Final = 4.0
-"""A stream has to differ from what is predicted by so many standard errors; less may be noise."""
+"""A stream changes estimates only if it differs from its prediction by more than so many standard errors: less may
+be noise."""
 APART_ERRORS: Final = 2.0
 MEMORY_S: Final = 5.0
-"""After so many seconds, what a stream has said counts half in its mean; in a slow one, after MEMORY_ELEMENTS."""
+"""After so many seconds, an element of a stream has half its weight in the mean; in a slow stream, after
+MEMORY_ELEMENTS more elements.
+"""
 MEMORY_ELEMENTS: Final = 10
-"""A spread that fewer values tell says nothing."""
+"""The spread of fewer values is unknown."""
 TEACHES_S: Final = 2 * MEMORY_S
-"""A stream that goes on as predicted teaches that again after so many seconds."""
+"""A stream that keeps to its prediction confirms the estimates once in so many seconds."""
 LEAST_ELEMENTS: Final = 5
 _DOUBT: Final = 8.0
 """Few values say little of their own spread: with ten of them, the variance of their mean counts 1.8 times."""
@@ -53,7 +56,7 @@ _STILL: Final = 0.001
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """Of some values: how many there are, their mean, and the sum of the squares of their distances from it."""
+    """The number of some values, their mean, and the sum of the squared distances from the mean."""
 
     number: int
     mean: float
@@ -62,7 +65,7 @@ class Figures:
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """An exponential mean of what a stream says, in micro-units of the attribute; new values count most.
+    """An exponential mean of the quality that a stream says, in micro-units of the attribute; new values count most.
 
     `weight` and `weight2` are the sums of the values' weights and of their squares, `squares` is the weighted sum of
     squared distances from the mean. `number` counts all values.
@@ -100,7 +103,7 @@ class Window:
 
 
 class Sample(NamedTuple):
-    """The mean of what a stream says of an attribute, and the variance of that mean; in micro-units."""
+    """The mean quality that a stream says, and the variance of that mean; in micro-units."""
 
     mean: float
     variance: float
@@ -108,7 +111,10 @@ class Sample(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """By how much a part deviates from what is stated (micro-units; for `scale`, its logarithm), and the variance."""
+    """The estimated deviation of a part from its stated value, with its variance.
+
+    Both are in micro-units; for `scale`, they are of the logarithm.
+    """
 
     deviation: float
     variance: float
@@ -128,7 +134,7 @@ Samples = Mapping[Said, Sample]
 
 @dataclass(frozen=True, slots=True)
 class Lesson:
-    """What samples have taught: the estimates, and what was other than predicted for sure."""
+    """The estimates learned from samples, and the streams that differed significantly from their predictions."""
 
     estimates: Estimates
     news: frozenset[Said] = frozenset()
@@ -161,9 +167,10 @@ def learned(
     *,
     fresh: frozenset[Said] = frozenset(),
 ) -> Lesson:
-    """What the samples of running units teach, in an environment with stated qualities.
+    """Return the estimates after samples of running units, in an environment with stated qualities.
 
-    A stream teaches if it is other than predicted for sure, or if it is `fresh`: then it also confirms.
+    A stream changes estimates if it differs significantly from its prediction. A `fresh` stream changes them also
+    otherwise: as predicted, it confirms them.
     """
     found, news = _Parts(environment, samples, dict(estimates), at_s), set[Said]()
     for unit in _feeders_first(environment):
@@ -184,11 +191,11 @@ def told(
     fades: bool = False,
     only_sure: bool = False,
 ) -> dict[Statement, int]:
-    """By how much outputs differ from what is stated, as plans are to go by it: `Environment.with_qualities` takes it.
+    """Return the deviations of outputs from their stated values that plans use (see `Environment.with_qualities`).
 
-    What was told `before` changes only by NEWS of the value, and with `only_sure` only by NEWS_ERRORS of the part's
-    standard error too. It stays as it is where nothing is observed any more, unless it `fades` now: then it is what is
-    left of it.
+    A deviation that was returned `before` is kept until it is wrong by more than NEWS of the value, and with
+    `only_sure` also by more than NEWS_ERRORS standard errors of the part. If an output is not observed any more, its
+    deviation is kept, or becomes the faded estimate if `fades`.
     """
     found: dict[Statement, int] = {}
     for statement, known in estimates.items():
@@ -214,7 +221,7 @@ def own_part(stated: Contribution, known: Estimate, at_s: float) -> tuple[float,
 
 
 def hidden(environment: Environment, similarity: Similarity) -> Iterator[str]:
-    """The outputs whose own parts may stay as declared, since nothing can tell which of their inputs counts."""
+    """Yield a line for each output whose own part may stay as declared, since its binding input can't be determined."""
     for transformation in environment.library:
         ordinary = [port for port in transformation.inputs if not port.feedback]
         if len(ordinary) < 2 and all(port.count == 1 for port in ordinary):
@@ -260,7 +267,7 @@ class _Parts:
         self._trail: set[Stream] = set()
 
     def learn(self, unit: ComputationUnit, stream: Stream, stated: Contribution, *, is_fresh: bool) -> bool:
-        """Learn from the sample of a stream, if it is other than predicted for sure or fresh. Returns the former."""
+        """Learn from the sample of a stream that is fresh or significantly off its prediction. True for the latter."""
         attribute, sample = self._environment.quality[stated.attribute], self._samples[(stream, stated.attribute)]
         ends = sorted((attribute.worst, attribute.best))
         if not ends[0] < sample.mean < ends[1]:
@@ -317,7 +324,7 @@ class _Parts:
                 return
 
     def _refresh(self, parts: Mapping[Statement, float]) -> None:
-        """Let what was learned of observed parts not fade."""
+        """Note that parts are observed now, so that their estimates do not fade."""
         for part in parts:
             if part in self.estimates:
                 known = self._estimate(part)
@@ -340,7 +347,7 @@ class _Parts:
     def _predicted(
         self, unit: ComputationUnit, stream: Stream, attribute: QualityAttribute, said: float | None = None
     ) -> _Predicted | None:
-        """What a stream is predicted to be; None if nothing can tell. `said` is what it says, if it says anything."""
+        """Predict the quality of a stream; None if that is not possible. `said` is the quality that the stream says."""
         transformation = self._environment.transformation[unit.transformation]
         port = transformation.output[stream.port]
         stated = next((each for each in port.quality if each.attribute == attribute.name), None)
@@ -376,9 +383,9 @@ class _Parts:
     def _limiting(
         self, attribute: QualityAttribute, own: _Predicted, theirs: _Predicted, said: float | None
     ) -> _Predicted | None:
-        """The worse of an own part and the inputs; None if nothing can tell which that is.
+        """Return the worse of an own part and the inputs; None if they do not differ significantly.
 
-        If both the inputs and the stream say how good they are, it is the one that explains what the stream says.
+        If both the inputs and the stream say how good they are, return the one that explains the stream.
         """
         if said is not None and theirs.by == {}:
             is_bound_by_own = attribute.sign * (said - theirs.value) > NEWS * abs(theirs.value)
@@ -393,7 +400,7 @@ class _Parts:
         return _Predicted(stated.stated + deviation, {part: 1.0})
 
     def _inputs(self, unit: ComputationUnit, attribute: QualityAttribute) -> list[_Predicted] | None:
-        """The streams that count at a unit; None if nothing can tell of one of them."""
+        """Return the predicted streams at the inputs of a unit; None if one of them can't be predicted."""
         environment, found = self._environment, []
         ordinary = [port.name for port in environment.transformation[unit.transformation].inputs if not port.feedback]
         for stream in (stream for name in ordinary for stream in unit.feeds.get(name, ())):
@@ -425,7 +432,7 @@ class _Parts:
         return self._first_if_apart(binding, next_to_it)
 
     def _first_if_apart(self, first: _Predicted, second: _Predicted) -> _Predicted | None:
-        """The first of two predictions, unless one depends on parts and they can't be told apart."""
+        """Return the first of two predictions; None if one depends on parts and they do not differ significantly."""
         doubt = APART_ERRORS * sqrt(self._error(first) ** 2 + self._error(second) ** 2)
         is_sure = not (first.by or second.by) or abs(first.value - second.value) > doubt
         return first if is_sure else None
@@ -445,7 +452,7 @@ def _kept(attribute: QualityAttribute, predicted: _Predicted) -> _Predicted:
 
 
 def _feeders_first(environment: Environment) -> list[ComputationUnit]:
-    """The units of known transformations, each after those that feed it; without those in a ring or behind one."""
+    """The units of known transformations, each after its feeders; units in a cycle, or fed by one, are left out."""
     known = {unit.id: unit for unit in environment.units if unit.transformation in environment.transformation}
     sorter: TopologicalSorter[str] = TopologicalSorter()
     for unit in known.values():

@@ -54,7 +54,7 @@ def pinned_reasons(problem: Problem) -> dict[str, str]:
             unfed = [port for port in ports if possible.isdisjoint(givers.of(port.tag))]
             why = "its inputs need different transformations, and there are too few"
             if unit.transformation in hopeful:
-                why = "nobody knows yet whether what could feed it matches"
+                why = "it is not decided yet whether its possible feeders match"
             elif unfed:
                 why = _reason(f"its input {unfed[0].name}", unfed[0].tag, environment, givers, possible)
             found[unit.id] = f"pinned unit {unit.id} can't be fed: {why}"
@@ -62,9 +62,7 @@ def pinned_reasons(problem: Problem) -> dict[str, str]:
 
 
 def with_pinned_reasons(given_up: Mapping[str, str], problem: Problem) -> dict[str, str]:
-    """Return the reasons of a plan: those of targets by label, and those of pinned units by id (`unit ID` if that is a
-    label).
-    """
+    """Return the reasons of a plan by name: a target's label, or a pinned unit's id (`unit ID` if that is a label)."""
     reasons = dict(given_up)
     for name, why in sorted(pinned_reasons(problem).items()):
         while name in reasons:

@@ -130,7 +130,7 @@ class ExpressionReader(ABC, Generic[Meaning]):
         if token == before and token in ("⊓", "⊔"):
             return f"write `{'and' if token == '⊓' else 'or'}` once"
         if token in self.restrictions and role[:1].isalpha() and filler[:1].isalnum():
-            return f"the property stands first: `{role} {token} {filler}`"
+            return f"the property comes first: `{role} {token} {filler}`"
         return None
 
     def _is_keyword(self) -> bool:

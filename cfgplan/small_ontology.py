@@ -45,7 +45,7 @@ class SmallOntology:
         return word
 
     def known_concept(self, root: str, iri: str, label: str) -> str:
-        """What a tag calls one of the known concepts, which from now on is below this root."""
+        """Return the name by which tags refer to a known concept, and declare the concept below this root."""
         if (root, iri) not in self._words:
             self._words[root, iri] = word = _ending(iri)
             self._lines[root].append((word, class_line(word, root, label, iri)))

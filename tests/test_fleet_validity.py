@@ -198,7 +198,10 @@ def test_after_a_failure_inputs_take_as_many_streams_as_before() -> None:
 
 @pytest.mark.parametrize(
     ("serves", "expected"),
-    [(1, [f"if unit detector.{n} fails, what is left can't be wired to meet all targets" for n in (1, 2)]), (2, [])],
+    [
+        (1, [f"if unit detector.{n} fails, the remaining units can't be wired to meet all targets" for n in (1, 2)]),
+        (2, []),
+    ],
 )
 def test_after_a_failure_no_stream_serves_more_than_it_may(serves: int, expected: list[str]) -> None:
     targets = tuple(replace(TARGET, label=f"t{n}", topic=f"/{n}", quality=()) for n in (1, 2))
@@ -230,7 +233,7 @@ def test_what_closes_a_cycle_with_an_input_that_takes_all_does_not_run_after_a_f
         found = violations(environment, offers, Failures.UNITS)
         return [str(violation) for violation in found if violation.rule is Broken.SURVIVES]
 
-    assert said() == ["if unit wire.1 fails, what is left can't be wired to meet all targets"]
+    assert said() == ["if unit wire.1 fails, the remaining units can't be wired to meet all targets"]
     assert said(ComputationUnit("wire.2", "wire", standby=True)) == []
 
 

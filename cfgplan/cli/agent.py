@@ -23,16 +23,20 @@ example, on the base station, on the robot r1, and then on either:
   cfgplan agent --name r1 --certificates /etc/cfgplan/r1 --connect tls/10.0.0.3:7447
   cfgplan run env.yaml --certificates /etc/cfgplan/manager --connect tls/10.0.0.3:7447 --connect tls/10.0.0.1:7447
 
-Without certificates an agent listens on loopback only. Units run on while no run's command is there."""
+Without certificates an agent listens on loopback only. Units keep running when `cfgplan run` ends."""
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _EXAMPLE
-    parser.add_argument("--name", required=True, metavar="HOST", help="the host that this computer is in the file")
+    parser.add_argument(
+        "--name", required=True, metavar="HOST", help="the name of this computer among the file's hosts"
+    )
     add_links(parser)
     reach = "where others reach this agent (tcp/127.0.0.1:7447; with certificates tls/0.0.0.0:7447)"
     shared.add_several(parser, "--listen", "ENDPOINT", reach)
-    parser.add_argument("--folder", default=".", metavar="DIR", help="what `source: units.py:Class` is relative to (.)")
+    parser.add_argument(
+        "--folder", default=".", metavar="DIR", help="the folder for relative sources such as `units.py:Class` (.)"
+    )
     shared.add_several(parser, "--preload", "MODULE", "import it before units start")
     limit = "the most CPU seconds per second that units here take together (Linux, in a control group of its own)"
     parser.add_argument("--cpu", type=shared.positive, metavar="SECONDS", help=limit)
@@ -58,7 +62,7 @@ def reached(options: argparse.Namespace) -> Iterator[ReachedFleet | None]:
     """Return the fleet that the options of `add_links` reach; None without any, for a run on this computer."""
     if not options.connect:
         if options.certificates is not None:
-            raise InputError.of("--certificates: of which fleet?", mend="name one of its agents by --connect")
+            raise InputError.of("--certificates needs a fleet", mend="name one of its agents by --connect")
         yield None
         return
     from cfgplan_runtime.fleet.reached import ReachedFleet
@@ -109,16 +113,25 @@ def add_certificates(parser: argparse.ArgumentParser) -> None:
         "example:\n"
         "  cfgplan certificates secrets r1=10.0.0.1 r2=10.0.0.2 base=base.local,10.0.0.3 --passes-on base\n"
         "  scp -r secrets/r1 r1:/etc/cfgplan\n\n"
-        "FOLDER/authority.key stays where it is: who has it can make certificates. Called again with other hosts it\n"
+        "Keep FOLDER/authority.key secret: its holder can make certificates. Called again with other hosts it\n"
         "adds them; then copy the access.json of each host again. Hosts reach each other directly, or through those\n"
         "that --passes-on names."
     )
-    parser.add_argument("folder", type=Path, metavar="FOLDER", help="where to write; a folder for each host is in it")
     parser.add_argument(
-        "hosts", nargs="+", metavar="HOST[=ADDRESS,...]", help="a host's name, and under what others reach it"
+        "folder", type=Path, metavar="FOLDER", help="the folder to write; it gets a folder for each host"
     )
-    shared.add_several(parser, "--passes-on", "HOST", "may pass on what other hosts write: trust it")
-    parser.add_argument("--days", type=shared.count, default=365, metavar="N", help="how long they are valid (365)")
+    parser.add_argument(
+        "hosts",
+        nargs="+",
+        metavar="HOST[=ADDRESS,...]",
+        help="a host's name, and the addresses by which others reach it",
+    )
+    shared.add_several(
+        parser, "--passes-on", "HOST", "this host may pass on messages of other hosts; only for a host you trust"
+    )
+    parser.add_argument(
+        "--days", type=shared.count, default=365, metavar="N", help="days for which they are valid (365)"
+    )
     parser.set_defaults(run=_make_certificates)
 
 

@@ -1,4 +1,4 @@
-"""Options that say how a broker of MQTT is reached, for the commands that speak with one."""
+"""Options for the connection to an MQTT broker, shared by the commands that have one."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ _CONNECTION = (
     ("username", "NAME", "the name that the broker knows"),
     ("password_env", "VARIABLE", "the variable of the environment that holds the password"),
     ("password_file", "FILE", "the file that holds the password"),
-    ("ca", "FILE", "who is trusted (TLS)"),
-    ("certificate", "FILE", "who this client is (TLS)"),
+    ("ca", "FILE", "certificate of the trusted authority (TLS)"),
+    ("certificate", "FILE", "certificate of this client (TLS)"),
     ("key", "FILE", "the key of the certificate"),
 )
 

@@ -29,7 +29,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--against",
         metavar="OTHER",
-        help="show only what this environment file, such as the one before a change, had not",
+        help="show only findings that this environment file, such as the one before a change, does not have",
     )
     shared.add_survive(parser)
     shared.add_observed(parser)
@@ -75,7 +75,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
             if fault.suspicion is not Suspicion.UNTAKEN:
                 screen.show(_text(world, fault))
         if untaken:
-            screen.show(f"nobody takes {counted(len(untaken), 'stream')}: {some(untaken)}")
+            screen.show(f"no input takes {counted(len(untaken), 'stream')}: {some(untaken)}")
         for line in left_out_lines(world.environment):
             screen.show(line)
         screen.show(_verdict(options, world, broken, gone))
@@ -106,7 +106,7 @@ def _left_out(world: World) -> dict[str, object]:
 
 
 def _faults(options: argparse.Namespace, screen: Screen) -> tuple[World, tuple[WiringFault, ...], tuple[str, ...]]:
-    """Return the world that the options name, its faults and oddities, and the limits of what is observed there."""
+    """Return the world that the options name, its faults and oddities, and the limits of its observations."""
     from cfgplan import answers, api
     from cfgplan.explaining import probable_first
     from cfgplan.observed import hidden

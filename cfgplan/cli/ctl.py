@@ -26,26 +26,26 @@ if TYPE_CHECKING:
 _CTL_EXAMPLE = """\
 example:
   cfgplan ctl state
-  cfgplan ctl add robot2.yaml          (what a robot brings: individuals, transformations, targets)
+  cfgplan ctl add robot2.yaml          (the individuals, transformations and targets of a robot)
   cfgplan ctl withdraw robot2
   cfgplan ctl remove-target ball
   cfgplan ctl kill camera.1            (it is replaced at once)
-  cfgplan ctl restart camera.1         (with its present code; it goes on if the new one fails)
+  cfgplan ctl restart camera.1         (with its present code; the old unit stays if the new one fails)
   cfgplan ctl fact visibility=1.5      (transformations may require it)
   cfgplan ctl observed --out now.json  (for `cfgplan solve --observed now.json`)
   cfgplan ctl review
-  cfgplan ctl plan --out plan.json     (what a review would do now)
+  cfgplan ctl plan --out plan.json     (the plan of a review now)
   cfgplan ctl why camera.1
-  cfgplan ctl logs camera --follow     (what its units print, those that have died too)
-  cfgplan ctl events --since 10m       (what has happened)
-  cfgplan ctl topics                   (what comes where, how often, since when)
+  cfgplan ctl logs camera --follow     (output of its units, also of dead ones)
+  cfgplan ctl events --since 10m       (past events)
+  cfgplan ctl topics                   (publishers, rates, ages)
   cfgplan ctl hz /result               (its rate and jitter)
-  cfgplan ctl --name robot state       (of two runs the one that `run --name robot` has started)
+  cfgplan ctl --name robot state       (the run that `run --name robot` has started)
   cfgplan ctl apply plan.json          (refused if something has changed since)
   cfgplan ctl stop
   cfgplan ctl state --connect tls/10.0.0.3:7447 --certificates /etc/cfgplan/manager      (from another computer)
 
-What is added stays until it is withdrawn or the run ends, whatever becomes of the environment file.
+Additions stay until they are withdrawn or the run ends, also if the environment file changes.
 Exit codes: 0 done, 12 done and a target is not met, 30 refused, failed and undone, or no run."""
 
 
@@ -62,30 +62,37 @@ class _Command:
 
 
 _COMMANDS = (
-    _Command("state", "show targets, units, reviews and what was added"),
-    _Command("add", "add what a file says, under the file's name", "FILE", "YAML or JSON; - is standard input"),
-    _Command("withdraw", "take back what was added under a name", "NAME", "see `state`", "withdraw", "name"),
-    _Command("remove-target", "want a target no more", "LABEL", "its label", "remove_target", "label"),
+    _Command("state", "show targets, units, reviews and additions"),
     _Command(
-        "remove-transformation", "use a transformation no more", "LABEL", "its label", "remove_transformation", "label"
+        "add",
+        "add the individuals, transformations and targets of a file, under its name",
+        "FILE",
+        "YAML or JSON; - is standard input",
     ),
-    _Command("remove-individual", "take an individual away", "NAME", "its name", "remove_individual", "name"),
-    _Command("restore", "take a removal back", "NAME", "the label or name that was removed", "restore", "name"),
+    _Command("withdraw", "remove everything that was added under a name", "NAME", "see `state`", "withdraw", "name"),
+    _Command("remove-target", "remove a target", "LABEL", "its label", "remove_target", "label"),
+    _Command(
+        "remove-transformation", "remove a transformation", "LABEL", "its label", "remove_transformation", "label"
+    ),
+    _Command("remove-individual", "remove an individual", "NAME", "its name", "remove_individual", "name"),
+    _Command("restore", "undo a removal", "NAME", "the label or name that was removed", "restore", "name"),
     _Command("kill", "end a unit at once", "UNIT", "its id, such as camera.1", "kill", "unit"),
     _Command("restart", "replace a unit by a new one, without a gap", "UNIT", "its id", "restart", "unit"),
-    _Command("lose-host", "do without a host", "HOST", "its name", "lose_host", "host"),
-    _Command("regain-host", "use a host again", "HOST", "its name", "regain_host", "host"),
-    _Command("fact", "say what is so of a fact of the world", "NAME=VALUE", "such as visibility=1.5"),
-    _Command("observed", "show how good streams are, by what they say themselves"),
+    _Command("lose-host", "take a host out of service", "HOST", "its name", "lose_host", "host"),
+    _Command("regain-host", "take a host into service again", "HOST", "its name", "regain_host", "host"),
+    _Command("fact", "set the value of a fact of the world", "NAME=VALUE", "such as visibility=1.5"),
+    _Command("observed", "show the qualities that streams say, and the learned ones"),
     _Command("review", "plan now, as if the horizon were reached", method="review"),
     _Command("plan", "say what a review would do now, and change nothing"),
     _Command("why", "say why a unit runs, and what doing without it would cost", "UNIT", "its id, such as camera.1"),
-    _Command("logs", "print what a unit has printed", "UNIT", "its id, or a label: all its units, ended ones too"),
-    _Command("apply", "carry out a plan that was made for what runs", "FILE", "what `ctl plan --out` wrote"),
-    _Command("events", "print what happens, until the run ends, or what has happened"),
-    _Command("topics", "list the topics of targets and the streams of units: who gives them, how often, since when"),
-    _Command("hz", "measure how often a topic or a unit gives, and how evenly", "NAME", "a topic, or a unit's id"),
-    _Command("socket", "print where the run's control socket is, for other programs"),
+    _Command("logs", "print the output of a unit", "UNIT", "its id, or a label: all its units, ended ones too"),
+    _Command(
+        "apply", "apply a plan that was made for the running configuration", "FILE", "a plan saved by `ctl plan --out`"
+    ),
+    _Command("events", "print events as they happen, or past ones"),
+    _Command("topics", "list the topics of targets and the streams of units, with publisher, rate and age"),
+    _Command("hz", "measure the rate and jitter of a topic, or the rate of a unit", "NAME", "a topic, or a unit's id"),
+    _Command("socket", "print the path of the run's control socket, for other programs"),
     _Command("stop", "stop the run, letting units finish"),
 )
 

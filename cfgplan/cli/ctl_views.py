@@ -29,7 +29,7 @@ _TELLS_S = 1.0
 
 
 def _add_logs(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--follow", action="store_true", help="go on until the run ends")
+    parser.add_argument("--follow", action="store_true", help="keep printing until the run ends")
     parser.add_argument("--last", type=shared.count, metavar="N", help="only the last N lines (up to 1,000 of a unit)")
 
 
@@ -37,7 +37,7 @@ def _add_events(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--last", type=shared.count, metavar="N", help="the last N events that the run remembers")
     since = "the events of the last 30s, 10m or 2h that the run remembers (1,000)"
     parser.add_argument("--since", type=shared.duration, metavar="TIME", help=since)
-    parser.add_argument("--follow", action="store_true", help="go on with what happens, after --last or --since")
+    parser.add_argument("--follow", action="store_true", help="keep printing new events, after --last or --since")
 
 
 def _add_hz(parser: argparse.ArgumentParser) -> None:

@@ -54,17 +54,17 @@ def add_import(parser: argparse.ArgumentParser) -> None:
         parser,
         "--guesses",
         "FILE",
-        "ros1, ros2: what to believe of types, topics and nodes; `cfgplan help ros` tells how",
+        "ros1, ros2: a table of types, topics and nodes that is believed; see `cfgplan help ros`",
     )
     parser.add_argument(
         "--works",
         action="store_true",
-        help="ros1, ros2: the graph works as it is: what nobody feeds may stay unfed, and who publishes is meant to",
+        help="ros1, ros2: the graph works as it is: unfed inputs become optional, and all publishers are intended",
     )
     python = "ros2 live: the Python that has rclpy (CFGPLAN_ROS_PYTHON, or that of a sourced setup.bash, or python3)"
     parser.add_argument("--ros-python", metavar="PYTHON", help=python)
     _add_mqtt(parser)
-    context = "wot: the file that stands for a context; none is ever fetched"
+    context = "wot: the file of a context, since contexts are never fetched"
     shared.add_several(parser, "--context", "URL=FILE", context, kind=_context)
     shared.add_out(parser)
     parser.set_defaults(run=_import)
@@ -108,7 +108,7 @@ def _import(options: argparse.Namespace, screen: Screen) -> Exit:
 
 
 def _add_mqtt(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("mqtt", "what says how the broker is reached stands in the file too")
+    group = parser.add_argument_group("mqtt", "the options of the connection are written into the file too")
     shared.add_span(group, f"listen so long ({_LISTEN_S:g}s)")
     shared.add_several(group, "--topic", "FILTER", "listen to these topics only, such as house/# (all)")
     add_connection(group)
@@ -147,7 +147,7 @@ def _import_mqtt(broker: str, options: argparse.Namespace, screen: Screen) -> Ex
         screen.warn(f"not taken over: {note}")
     for hint in found.hints:
         screen.note(f"hint: {hint}")
-    screen.note(f"{found.size}. Nothing is wanted yet: the head of {options.out} shows how to say it.")
+    screen.note(f"{found.size}. It has no targets yet: the head of {options.out} shows how to add them.")
     return Exit.OK
 
 
@@ -170,7 +170,7 @@ def _import_wot(options: argparse.Namespace, screen: Screen) -> Exit:
         screen.warn(f"not taken over: {note}")
     for hint in found.hints:
         screen.note(f"hint: {hint}")
-    screen.note(f"{found.size}. Nothing is wanted yet: the head of {options.out} shows how to say it.")
+    screen.note(f"{found.size}. It has no targets yet: the head of {options.out} shows how to add them.")
     return Exit.OK
 
 
@@ -213,7 +213,7 @@ def _import_ros(options: argparse.Namespace, screen: Screen) -> Exit:
         screen.warn(f"not known: {note}")
     for each in found.graph.dropped:
         screen.warn(f"not taken over: {each}")
-    screen.note(f"{found.size}. `cfgplan check {options.out}` tells what is wrong with it.")
+    screen.note(f"{found.size}. `cfgplan check {options.out}` lists its faults.")
     return Exit.OK
 
 
@@ -234,13 +234,13 @@ def add_export(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "what",
         choices=("schema", "xml", "yaml", "launch"),
-        help="what to write; launch: a launch file of ROS 2 for what runs after the optimal update",
+        help="the format; launch: a ROS 2 launch file of the configuration after the optimal update",
     )
     parser.add_argument("env", metavar="ENV", nargs="?", help="environment file (but for schema)")
     launch = parser.add_argument_group("launch")
-    launch.add_argument("--plan", metavar="FILE", help="the update that `cfgplan solve --out FILE` wrote")
+    launch.add_argument("--plan", metavar="FILE", help="a plan saved by `cfgplan solve --out FILE`")
     launch.add_argument("--only", choices=("nodes", "components"), help="nodes alone, or containers of components")
-    launch.add_argument("--host", metavar="NAME", help="what runs on this host, where the file has hosts")
+    launch.add_argument("--host", metavar="NAME", help="only the units of this host, if the file has hosts")
     shared.add_out(parser)
     parser.set_defaults(run=_export)
 
@@ -277,7 +277,7 @@ def _export_launch(options: argparse.Namespace, screen: Screen) -> Exit:
             problem = api.match(world)
             plan = api.load_plan(world, problem, options.plan)
     if plan.change_set is None:
-        screen.warn(f"there is no update to launch ({plan.status}): `cfgplan explain {options.env}` tells why")
+        screen.warn(f"there is no update to launch ({plan.status}): `cfgplan explain {options.env}` says why")
         return OF_STATUS[plan.status]
     about = [
         f"What runs after the update of {Path(options.env).name} ({plan.status}), by cfgplan {__version__}.",

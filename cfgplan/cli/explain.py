@@ -259,7 +259,7 @@ def _briefly(why: Why) -> str:
             return "required or pinned: without it the same cost"
         case Choice.DEMANDED:
             return f"required or pinned: without it {amount(why.decides, -(why.difference or 0))} less"
-    return "not decided: time ran out before it was known what it costs to do without"
+    return "not decided: time ran out before the cost of doing without it was known"
 
 
 def _tree(environment: Environment, reason: Unreachable, opening: str) -> Iterator[str]:
@@ -304,7 +304,7 @@ def _demand(environment: Environment, unfed: Unfed, opening: str) -> Iterator[st
     if unfed.givers:
         yield f"{opening} {unfed.tag}, but what would give it can't run"
         if unfed.undecided:
-            yield f"    nobody has decided yet whether what {some(unfed.undecided)} gives matches"
+            yield f"    not decided yet whether {some(unfed.undecided)} matches"
         return
     yield f"{opening} {unfed.tag}, but no output matches"
     fewest = min((len(offer.missing) for offer in unfed.nearest), default=0)

@@ -101,7 +101,7 @@ class FirstPlan:
         screen.note(f"{count} of an earlier run will be stopped: {named}. Go on? [y/N]", style="bold yellow")
         if sys.stdin.readline().strip().lower() in ("y", "yes"):
             return True
-        screen.note("Nothing was changed; the units of the earlier run go on.")
+        screen.note("Nothing was changed; the units of the earlier run keep running.")
         return False
 
 

@@ -30,7 +30,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        mend = "name a folder that is there, or can be made"
+        mend = "name a folder that exists or can be made"
         raise InputError.of(f"this folder can't be made: {error.strerror}", file=options.folder, mend=mend) from None
     for path in start:
         api.write_file(folder / path.name, path.read_bytes())

@@ -28,14 +28,14 @@ VERBS: Mapping[str, str] = MappingProxyType(
         "suggest": "propose tags for ports from their names, message types and units, with what each would match",
         "ontology": "write a first ontology: a taxonomy of the names that an environment's tags use",
         "solve": "find the cheapest update that meets every target, and prove it",
-        "explain": "say why there is no plan, or why the plan uses what it uses and what doing without would cost",
+        "explain": "say why no plan exists, or why the plan uses a unit and how much a plan without it costs",
         "sensitivity": "find for which horizons, or upkeeps of a transformation, which plan is optimal",
         "graph": "draw the configuration before and after the optimal update, the changes coloured",
-        "run": "start what meets the targets, as processes, and keep it the best there is",
+        "run": "start units that meet the targets, as processes, and keep the configuration optimal",
         "agent": "run units on this computer for a run of several computers",
         "ctl": "steer a run that is under way",
         "page": "serve a page about a run that is under way",
-        "listen": "print what comes on a topic of a running system",
+        "listen": "print the elements of a topic of a running system",
         "replay": "play a recording again: its topics as sources, alone or for the units of an environment",
         "query": "answer a temporal formula over the streams of semantic subscriptions",
         "certificates": "make a fleet's own authority, and a certificate for each of its hosts",
@@ -44,7 +44,7 @@ VERBS: Mapping[str, str] = MappingProxyType(
         "import": "make an environment file of ROS nodes, an MQTT broker, the paper's XML, or a composition test set",
         "export": "write the JSON Schema of environment files, one as YAML or the paper's XML, or a ROS 2 launch file",
         "init": "write a small environment of one's own, with its ontology and unit code",
-        "completion": "print what a shell needs to complete these commands: bash or zsh",
+        "completion": "print a script that completes these commands in bash or zsh",
         "help": "show a page of the manual",
     }
 )
@@ -115,7 +115,7 @@ def _main(arguments: Sequence[str], ending: Ending) -> int:
             raise
         if isinstance(error, OSError) and error.errno in FULL_DISK and not error.filename:
             _say_no_more()
-            fault = Fault(f"what was found can't be written: {error.strerror}", file="standard output")
+            fault = Fault(f"the output can't be written: {error.strerror}", file="standard output")
             Screen(json=False).faults([fault])
             return Exit.BAD_INPUT
         screen.internal_error(error)

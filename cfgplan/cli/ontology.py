@@ -14,7 +14,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "example:\n"
         "  cfgplan ontology new env.yaml --out env.ttl\n"
-        "then write `ontology: env.ttl` into the environment, and say in env.ttl what is also what."
+        "then write `ontology: env.ttl` into the environment, and add subclass axioms to env.ttl."
     )
     parser.add_argument("what", choices=("new",), help="new: a taxonomy of the names in the tags of an environment")
     shared.add_environment(parser)

@@ -45,7 +45,7 @@ def add_page(parser: argparse.ArgumentParser, about: str) -> None:
 
 def add_allow_code(parser: argparse.ArgumentParser) -> None:
     """`--allow-code`: the page may add unit code."""
-    means = "let whoever has the page's token add transformations with a `source`, which run as you"
+    means = "let holders of the page's token add transformations with a `source`, which run with your rights"
     parser.add_argument("--allow-code", action="store_true", help=means)
 
 
@@ -70,7 +70,7 @@ def add_matching(parser: argparse.ArgumentParser) -> None:
         type=positive,
         default=60.0,
         metavar="S",
-        help="seconds for HermiT; what it has not decided by then stays undecided (60)",
+        help="seconds for HermiT; pairs not decided by then stay undecided (60)",
     )
     parser.add_argument("--no-cache", action="store_true", help="neither read nor write the cache of matches")
 
@@ -107,8 +107,10 @@ def add_planning(parser: argparse.ArgumentParser, what_if: str | None = None) ->
 
 
 def add_observed(parser: argparse._ActionsContainer) -> None:
-    """`--observed`: facts and qualities as a run knows them, in place of what is declared."""
-    means = "plan with the facts and qualities that a run has observed: what `cfgplan ctl observed --out FILE` wrote"
+    """`--observed`: plan with the facts and qualities of a run in place of the declared ones."""
+    means = (
+        "plan with the facts and qualities that a run has observed; `cfgplan ctl observed --out FILE` writes the file"
+    )
     parser.add_argument("--observed", metavar="FILE", help=means)
 
 

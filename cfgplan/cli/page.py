@@ -17,7 +17,7 @@ example:
   cfgplan page                (for a run that goes on)
   cfgplan page --address 10.0.0.3 --certificates /etc/cfgplan/base
 
-Whoever opens the address that is printed can steer the run; without what follows its #, only look at it."""
+The printed address allows to steer the run; without the part after its #, it only shows the run."""
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:

@@ -293,7 +293,7 @@ def _reached(environment: Environment, target: Target, name: str, value: int) ->
 
 
 def _amount(host: Host, resource: str, taken: int, horizon_s: int) -> str:
-    """Return what is used of a resource and the limit: `9 % of a core (limit 40 %)`, `300 of 500 MB`, `1 of 2 gpu`."""
+    """Return the use of a resource and its limit: `9 % of a core (limit 40 %)`, `300 of 500 MB`, `1 of 2 gpu`."""
     room = host.room(resource, horizon_s)
     if resource == CPU:
         limit = "" if room is None else f" (limit {core_share(room).removesuffix(' of a core')})"

@@ -41,7 +41,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         "env",
         metavar="ENV",
         nargs="?",
-        help="environment file with what can be started; without it, or with --run or --connect, a run answers",
+        help="environment file with the library; without it, or with --run or --connect, a run answers",
     )
     parser.add_argument(
         "formula",
@@ -59,10 +59,10 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rate", type=shared.positive, metavar="HZ", help="states per second (one for each sample)")
     shared.add_time(parser, "--delay", 0.2, "how long a state waits for its samples (200ms)")
     shared.add_time(parser, "--hold", 1.0, "how long a value holds; then it counts as missing (1s)")
-    shared.add_time(parser, "--tolerance", 0.0, "samples that are at most so far apart make one state (0)")
-    shared.add_time(parser, "--wait", 0.0, "how long to wait for features that nothing gives yet (0)")
+    shared.add_time(parser, "--tolerance", 0.0, "samples within this time make one state (0)")
+    shared.add_time(parser, "--wait", 0.0, "how long to wait for features without a stream (0)")
     add_links(parser)
-    parser.add_argument("--verbose", action="store_true", help="say what happens to the units")
+    parser.add_argument("--verbose", action="store_true", help="print the events of the units")
     shared.add_json(parser)
     parser.set_defaults(run=run)
 
@@ -167,9 +167,7 @@ def _answered(options: argparse.Namespace, screen: Screen, asked: Query, subscri
     try:
         answer = Engine(asked, subscriptions, show).run(for_s=options.span, wait_s=options.wait)
     except UnmetTargetsError as error:
-        screen.faults(
-            [Fault(reason, mend="--wait TIME waits until it can be had") for reason in error.reasons.values()]
-        )
+        screen.faults([Fault(reason, mend="--wait TIME waits for it") for reason in error.reasons.values()])
         return Exit.NO_PLAN
     return _EXITS[answer.verdict]
 

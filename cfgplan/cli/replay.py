@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 _REPLAY_EXAMPLE = """\
 example:
-  cfgplan replay run.mcap                           (its topics again; `cfgplan listen` hears them)
-  cfgplan replay run.mcap detector.yaml --speed 4   (what it has recorded feeds the units of detector.yaml)
+  cfgplan replay run.mcap                           (its topics again, for `cfgplan listen`)
+  cfgplan replay run.mcap detector.yaml --speed 4   (its topics feed the units of detector.yaml)
   cfgplan replay run.mcap --out recorded.yaml       (sources to include, or for `cfgplan ctl add`)
   cfgplan replay run.mcap --extract again           (the run's environment: plan it, run it again)
 
@@ -39,10 +39,10 @@ _LABOR_US, _UPKEEP_US = 1_000, 100
 def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _REPLAY_EXAMPLE
     parser.add_argument("path", metavar="FILE", help="a recording of `cfgplan run --record` (MCAP)")
-    fed = "an environment whose units the recorded topics feed; without it the topics are given again alone"
+    fed = "an environment whose units the recorded topics feed; without it the topics are only played"
     parser.add_argument("env", metavar="ENV", nargs="?", help=fed)
     parser.add_argument("--speed", type=shared.positive, default=1.0, metavar="X", help="play X times as fast (1)")
-    parser.add_argument("--loop", action="store_true", help="begin again when the recording is over")
+    parser.add_argument("--loop", action="store_true", help="repeat the recording when it is over")
     shared.add_several(parser, "--topic", "TOPIC", "only this topic (repeat)")
     written = parser.add_mutually_exclusive_group()
     part = "write the sources as a file to include in an environment, and run nothing"
@@ -50,9 +50,9 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     again = "write the environment of the recorded run, with its ontology, into this folder, and run nothing"
     written.add_argument("--extract", type=Path, metavar="FOLDER", help=again)
     shared.add_span(parser)
-    parser.add_argument("--name", type=shared.run_name, metavar="NAME", help="call the run so")
+    parser.add_argument("--name", type=shared.run_name, metavar="NAME", help="name of the run")
     parser.add_argument("--dry-run", action="store_true", help="say what would be started, and start nothing")
-    parser.add_argument("--record", metavar="FILE", help="record what comes out to FILE (MCAP)")
+    parser.add_argument("--record", metavar="FILE", help="record the results to FILE (MCAP)")
     parser.add_argument("--plain", action="store_true", help="print lines instead of the live view, as when piped")
     shared.add_json(parser)
     parser.set_defaults(run=run)

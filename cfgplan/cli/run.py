@@ -49,7 +49,7 @@ example:
   cfgplan listen /result      (in another terminal)
   cfgplan ctl state           (likewise)
 
-Editing ENV while it runs changes what runs; what it says under `units:` does not count.
+Editing ENV changes the run. `units:` of ENV is ignored: a run starts from nothing.
 Ctrl-C stops and lets units finish, a second one ends them at once.
 Exit codes: 0 stopped with every target met, 12 with one that was not, 30 bad input, 31 internal error,
 130 interrupted at once; --strict and --dry-run: as of solve."""
@@ -60,12 +60,12 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     shared.add_environment(parser)
     shared.add_span(parser)
     parser.add_argument("--dry-run", action="store_true", help="say what would be started, and start nothing")
-    differing = "say how what the run starts differs from the file's `units:`; nothing of them is adopted"
+    differing = "show how the run's first configuration differs from the file's `units:`, which are not adopted"
     parser.add_argument("--from", dest="compared", choices=("units",), help=differing)
     parser.add_argument("--strict", action="store_true", help="start nothing unless every target can be met")
-    named = "call the run so: `cfgplan ctl --name NAME` and `listen --run NAME` find it"
+    named = "name of the run, for `cfgplan ctl --name NAME` and `listen --run NAME`"
     parser.add_argument("--name", type=shared.run_name, metavar="NAME", help=named)
-    yes = "do not ask before units that an earlier run has left are stopped"
+    yes = "stop units that an earlier run has left without asking"
     parser.add_argument("--yes", action="store_true", help=yes)
     parser.add_argument("--plain", action="store_true", help="print lines instead of the live view, as when piped")
     parser.add_argument("--log", metavar="FILE", help="add every event to FILE, one JSON line each")
@@ -83,7 +83,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         "--guess",
         choices=_GUESSES,
         default="declared",
-        help="the cost of what never ran: as declared, low so that it is tried, or high so that it is not (declared)",
+        help="the cost of a transformation that never ran: as declared, low (it is tried soon), or high (declared)",
     )
     kept = parser.add_mutually_exclusive_group()
     kept.add_argument("--estimates", metavar="FILE", help="where estimates are kept between runs (the state folder)")
@@ -98,13 +98,15 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     shared.add_allow_code(parser)
     run_targets.add_to(parser)
     parser.add_argument("--local", action="store_true", help="run all of the file's hosts on this computer")
-    runs = "what units are: processes of ours, or nodes of ROS 1 or ROS 2 (processes)"
+    runs = "run units as processes, or as nodes of ROS 1 or ROS 2 (processes)"
     parser.add_argument("--middleware", choices=("processes", *_ROS), default="processes", help=runs)
     python = "the Python that has rclpy (CFGPLAN_ROS_PYTHON, or that of a sourced setup.bash, or python3)"
     parser.add_argument("--ros-python", metavar="PYTHON", help=python)
     add_links(parser)
     parser.add_argument(
-        "--take-over", action="store_true", help="take the hosts from a run that goes on elsewhere, with what they run"
+        "--take-over",
+        action="store_true",
+        help="take the hosts, with their units, from a run that is still live elsewhere",
     )
     shared.add_planning(parser, "with --dry-run only; a run is changed by editing the file, or by `cfgplan ctl`")
     shared.add_matching(parser)
@@ -130,7 +132,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         raise InputError.of(f"--reload watches {what}", mend="use `cfgplan ctl restart UNIT`")
     if not options.dry_run and (options.without or options.also or options.settings or options.observed):
         mend = "add --dry-run; or edit the file, or use `cfgplan ctl` while it runs"
-        raise InputError.of("--without, --with and --set are for trying out what would be planned", mend=mend)
+        raise InputError.of("--without, --with, --set and --observed only try a plan out", mend=mend)
     loaded = shared.load(options, screen)
     if not options.dry_run and _fleet(options) is None:
         refuse_hosts(loaded)
@@ -149,8 +151,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     said = loaded.environment if options.compared else None
     if loaded.environment.units and said is None:
         count = counted(len(loaded.environment.units), "running unit")
-        mend = "`--from units` says what differs"
-        screen.note(f"The file names {count}, but a run starts from nothing: `units:` does not count; {mend}.")
+        mend = "`--from units` shows the difference"
+        screen.note(f"The file names {count}, but `cfgplan run` ignores them and starts from nothing; {mend}.")
     if told := nothing_wanted(loaded.environment):
         screen.warn(told)
     for line in left_out_lines(loaded.environment):
@@ -251,7 +253,7 @@ def _check_nodes(options: argparse.Namespace, world: World) -> None:
     if _fleet(options) is not None:
         raise InputError.of(f"{ros} nodes are started on this computer only", mend="leave out --local and --connect")
     if observed := [fact.name for fact in world.environment.facts if fact.observed_on is not None]:
-        mend = f"remove its `by` or `topic`, and say what is so: `cfgplan ctl fact {observed[0]}=VALUE`"
+        mend = f"remove its `by` or `topic`, and set it by `cfgplan ctl fact {observed[0]}=VALUE`"
         raise InputError.of(f"a run of {ros} nodes observes no facts ({observed[0]})", file=options.env, mend=mend)
     check_nodes(world.environment, options.env, _ros_unit(options).node_source, ros)
 
@@ -477,7 +479,7 @@ def _fleet(options: argparse.Namespace) -> Fleet | None:
     if not (options.local or options.connect):
         if options.take_over or options.certificates is not None:
             mend = "name one of its agents by --connect"
-            raise InputError.of("--take-over and --certificates: of which fleet?", mend=mend)
+            raise InputError.of("--take-over and --certificates need a fleet", mend=mend)
         return None
     from cfgplan_runtime.fleet.fleet_runtime import Fleet
 

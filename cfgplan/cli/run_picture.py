@@ -64,7 +64,7 @@ def state_text(run: str, environment: str, pid: int, state: Mapping[str, Any]) -
 
 
 def observed_text(state: Mapping[str, Any]) -> RenderableType:
-    """The facts of a run, and a row for each output of which streams have taught something."""
+    """The facts of a run, and a row for each output whose quality was learned from streams."""
     if not (state["facts"] or state["qualities"]):
         return Text("No fact is declared, and no stream says how good it is (`observe:` of an output's quality).")
     parts: list[RenderableType] = [Text(f"Facts: {', '.join(_facts(state))}.")] if state["facts"] else []
@@ -177,14 +177,14 @@ def _headline(run: str, environment: str, facts: Iterable[str], state: Mapping[s
         parts.append(f"horizon in {span(state['horizon_left_s'])}")
     parts.append(core_share(state["cost_us"] / max(1, state["horizon_s"])))
     if state["saving_us"]:
-        parts.append(f"{span(state['saving_us'] / 1e6)} of CPU to save at the horizon")
+        parts.append(f"{span(state['saving_us'] / 1e6)} of CPU could be saved by replanning at the horizon")
     return Text(f"Run {run} of {environment}", style="bold").append("  " + "  ·  ".join(parts), style="dim")
 
 
 def _fault(fault: Mapping[str, Any]) -> Text:
     place = ":".join(str(fault[key]) for key in ("file", "line", "column") if fault[key] is not None)
     said = f"{place}: {fault['message']}" if place else fault["message"]
-    return Text(f"The file can't be used, what it said before holds: {said}", style="bold red")
+    return Text(f"The file has an error; the run keeps the last valid version: {said}", style="bold red")
 
 
 def _crossings(crossings: list[Mapping[str, Any]]) -> RenderableType:

@@ -1,4 +1,4 @@
-"""Where `cfgplan run` publishes targets besides: topics of ROS 2, and of a broker of MQTT."""
+"""Publish the targets of `cfgplan run` outside of it: as topics of ROS 2, and at an MQTT broker."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--ros2", action="store_true", help="publish targets that say their message type as ROS 2 topics"
     )
-    group = parser.add_argument_group("mqtt", "targets as topics of a broker; `cfgplan help mqtt` tells how")
+    group = parser.add_argument_group("mqtt", "publish targets at a broker; see `cfgplan help mqtt`")
     broker = "publish targets under their topics (HOST, HOST:PORT, mqtt://HOST:PORT, or mqtts://HOST:PORT for TLS)"
     group.add_argument("--mqtt", metavar="BROKER", help=broker)
     group.add_argument("--mqtt-retain", action="store_true", help="have the broker keep the last value of each target")
@@ -45,11 +45,11 @@ def check_options(options: argparse.Namespace) -> None:
     given = {**connection(options, _MQTT), "retain": options.mqtt_retain, "status": options.mqtt_status}
     lone = [f"--{_MQTT}{name.replace('_', '-')}" for name, value in given.items() if value]
     if options.mqtt is None and lone:
-        raise InputError.of(f"{', '.join(lone)}: of which broker?", mend="name it by --mqtt")
+        raise InputError.of(f"{', '.join(lone)} without a broker", mend="name the broker by --mqtt")
 
 
 def mqtt_check(options: argparse.Namespace, environment: Environment) -> Callable[[], object] | None:
-    """A check of what is published at a broker; None if nothing is. It raises InputError."""
+    """Return a check of the targets that a broker gets; None without a broker. The check raises InputError."""
     if options.mqtt is None:
         return None
     from cfgplan_runtime.mqtt.targets import check_targets

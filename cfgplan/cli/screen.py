@@ -232,7 +232,7 @@ def append_excerpt(text: Text, fault: Fault, style: str, command: Sequence[str] 
 
 
 def blamed(error: Exception) -> str:
-    """Return who is responsible for an internal error, and what the user can do."""
+    """Return who is responsible for an internal error, and how the user can report it."""
     from cfgplan.planning import PlannerFaultError
 
     planner = error.plan.planner if isinstance(error, PlannerFaultError) else ""

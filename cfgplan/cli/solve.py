@@ -113,7 +113,9 @@ def _solve(options: argparse.Namespace, screen: Screen, task: shared.Task) -> Ex
 
             screen.warn("\n".join(pinned_lines(problem.environment, unit, why)))
         if not is_proven and undecided:
-            screen.warn(f"whether more can be met hangs on {counted(len(undecided), 'pair')} of tags not decided")
+            screen.warn(
+                f"whether more targets can be met depends on {counted(len(undecided), 'pair')} of undecided tags"
+            )
         elif not is_proven:
             screen.warn("time ran out before it was proven that no better set of targets can be met")
         for line in left_out_lines(world.environment):
@@ -127,7 +129,7 @@ def _solve(options: argparse.Namespace, screen: Screen, task: shared.Task) -> Ex
         if options.out:
             screen.note(f"Wrote {options.out}.")
         if plan.status in REFUSED:
-            screen.note(f"`cfgplan explain {options.env}` tells more about why.")
+            screen.note(f"`cfgplan explain {options.env}` says more about the reasons.")
     code = exit_of(plan.status, is_exact=is_proven, is_unmet=bool(given_up))
     return Exit.CHANGES if code is Exit.OK and options.detailed_exitcode and plan.change_set else code
 

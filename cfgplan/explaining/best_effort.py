@@ -231,5 +231,6 @@ class _Search:
                 return f"{wanted} can't be met" + (f": {known}" if known else "")
             if plan.undecided:
                 offered, demanded = plan.undecided[0]
-                return f"target {target.label} wants {target.tag}, but nobody knows yet whether {offered} is {demanded}"
+                unknown = f"it is not decided yet whether {offered} is {demanded}"
+                return f"target {target.label} wants {target.tag}, but {unknown}"
         return f"target {target.label} wants {target.tag}, but time ran out"

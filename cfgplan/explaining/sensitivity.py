@@ -239,7 +239,7 @@ def _refuse_energy(problem: Problem) -> None:
     for host in problem.environment.hosts:
         if host.energy is not None:
             raise InputError.of(
-                f"host {host.name} has an energy: what it bears changes with the horizon, and the least cost jumps",
+                f"host {host.name} has an energy: what it allows changes with the horizon, and the least cost jumps",
                 mend="solve with several --horizon, or leave the energy out",
             )
 

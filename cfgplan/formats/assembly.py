@@ -409,7 +409,7 @@ class _Names:
             return True
         first = self.origins[kind, name]
         what = {"topic": "topic", "unit": "unit id"}.get(kind, f"{kind} label")
-        message = f"the {what} `{name}` is taken: it stands in {first.place.file}, line {first.place.line} already"
+        message = f"the {what} `{name}` is taken: {first.place.file}, line {first.place.line} uses it"
         if first == entry:
             message = f"several expansions of this template have the {'topic' if kind == 'topic' else 'label'} `{name}`"
         entry.at(key).note(message, "give each a name of its own")

@@ -33,9 +33,9 @@ def dump_yaml(data: object) -> str:
 
 
 def imported_text(environment: domain.Environment, ontology: str, heading: Iterable[str]) -> str:
-    """The file (YAML) of an environment that was imported, and whose costs nobody knows, with comments above.
+    """Return the YAML text of an imported environment, whose costs are unknown, with `heading` as comments above.
 
-    It names its ontology file so.
+    `ontology` is the name of its ontology file.
     """
     plain = plain_environment(environment, horizon_s=fields.DEFAULT_HORIZON_S, ontology=[ontology])
     for transformation in plain.get("transformations", ()):
@@ -45,7 +45,7 @@ def imported_text(environment: domain.Environment, ontology: str, heading: Itera
 
 
 def _on_one_line(text: str) -> str:
-    """A text with escapes in place of what would end a comment, or can't stand in one."""
+    """Return a text with escapes for the characters that a comment can't hold."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 

@@ -1,9 +1,9 @@
 """The environment file's fields, a row each, from which readers, checks, writers and the JSON Schema are derived.
 
-A row says the key, its values, their meaning and the default; `to`, the attribute of the domain's value (the key if
-absent); `use`, who looks at it; and `xml`, the attribute of the XML format (the key if absent). XML refuses a value
-that is no text, number or flag, unless it is an ELEMENT. It leaves out an UNSAID value, which means nothing without a
-refused one. Every text of a transformation or a target may hold template variables.
+A row has the key, its values, their meaning and the default; `to`, the attribute of the domain's value (the key if
+absent); `use`, the part of cfgplan that reads it; and `xml`, the attribute of the XML format (the key if absent). XML
+refuses a value that is no text, number or flag, unless it is an ELEMENT. It leaves out an UNSAID value, which means
+nothing without a refused one. Every text of a transformation or a target may hold template variables.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def as_it_is(value: Any) -> Any:
 
 
 class Use(Flag):
-    """Who looks at a field. If its value changes, PLANNING makes another plan, and RUNNING starts units anew."""
+    """The readers of a field: a change of its value makes saved plans stale (PLANNING), or restarts units (RUNNING)."""
 
     NONE = 0
     PLANNING = 1
@@ -162,7 +162,7 @@ class Part(BaseModel):
 
     @classmethod
     def plain(cls, key: str, value: object) -> Any:
-        """What a file says of a domain's value under a key; None if it is the default."""
+        """Return the plain form of a domain's value for a key of the file; None if it is the default."""
         row = cls.rows()[key]
         own = getattr(value, row.to)
         plain = None if own is None else row.plain(own)
@@ -205,7 +205,7 @@ def _row(part: type[Part], key: str, pieces: list[Any]) -> FieldRow:
 
 
 def _pieces(hint: Any) -> Iterator[Any]:
-    """What a type is made of: its plain types, the values of its literals, and what is annotated."""
+    """Yield the parts of a type: its plain types, the values of its literals, and its annotations."""
     if get_origin(hint) in (list, dict):
         yield get_origin(hint)
     elif get_args(hint):
@@ -220,7 +220,7 @@ _QOS = (
     "in ROS 2: the quality of service, such as `best_effort` or `reliable transient_local deadline=0.1`; "
     "`cfgplan check` names pairs that it keeps apart"
 )
-_REMAP = "in ROS: what the node calls its topic or service; the port's name if absent"
+_REMAP = "in ROS: the node's own name of the topic or service; the port's name if absent"
 
 
 class InputPart(Part):
@@ -228,13 +228,15 @@ class InputPart(Part):
 
     model_config = _either({"worth": _ZERO}, {"optional": _IS_TRUE})
 
-    tag: TagText = row("what it needs, a concept in description logic or the paper's P(a)", ..., xml=ELEMENT)
-    distinct: Name | None = row("ports of one group are fed by different transformations")
+    tag: TagText = row(
+        "the information it needs: a concept in description logic, or the paper's P(a)", ..., xml=ELEMENT
+    )
+    distinct: Name | None = row("name of a group of ports; the ports of a group are fed by different transformations")
     feedback: bool = row("this input may close a cycle of the wiring", False)
-    optional: bool = row("it may stay unfed; fed wherever streams of what runs anyway may feed it", False)
-    worth: Cost = row("what it is worth to feed an optional input, CPU seconds per second", 0, "worth_us")
+    optional: bool = row("it may stay unfed; it is fed by units that run anyway, and starts none", False)
+    worth: Cost = row("feeding this optional input is worth so many CPU seconds per second", 0, "worth_us")
     kind: InputKind = row("a service's replies start no step, and may close a cycle", "stream", "service")
-    count: Count = row("how many streams of different units feed it; `all`: every one that matches", 1)
+    count: Count = row("number of streams, of different units, that feed it; `all`: every stream that matches", 1)
     type: Name | None = row(_MESSAGE_TYPE, use=Use.RUNNING, xml="message")
     remap: Name | None = row(_REMAP, use=Use.RUNNING)
     qos: QosText | None = row(_QOS, use=Use.RUNNING)
@@ -245,7 +247,7 @@ class CurvePart(Part):
 
     by: Name = row("the fact, a number", ...)
     points: list[Annotated[list[Micro], Field(min_length=2, max_length=2)]] = row(
-        "two or more pairs, a value of the fact and the one that follows from it; the least fact first",
+        "two or more pairs of a value of the fact and the resulting value, by rising value of the fact",
         ...,
         min_length=2,
     )
@@ -256,7 +258,7 @@ PositiveGiven = Annotated[Annotated[PositiveMicro, _SHORT] | Annotated[CurvePart
 
 
 class ContributionPart(Part):
-    """What an output makes of a quality attribute: exactly one of `add`, `limit`, `scale` and `set`."""
+    """The contribution of an output to a quality attribute: exactly one of `add`, `limit`, `scale` and `set`."""
 
     model_config = _either(*(dict.fromkeys(QualityRule, _IS_UNSAID) | {rule: _IS_SAID} for rule in QualityRule))
 
@@ -265,7 +267,9 @@ class ContributionPart(Part):
     scale: PositiveGiven | None = row("a factor on the value of the inputs")
     set: PositiveGiven | None = row("the value, whatever the inputs are")
     of: Literal["worst", "best", "mean", "sum"] = row("how several inputs count", "worst")
-    observe: Name | None = row("where an element holds how good it is; `pose.error` leads further in", use=Use.RUNNING)
+    observe: Name | None = row(
+        "the field in which an element says its quality; `pose.error` is a nested field", use=Use.RUNNING
+    )
 
 
 QualityGiven = Annotated[Annotated[Micro, _SHORT] | Annotated[ContributionPart, _FULL], _CHOICE]
@@ -274,16 +278,20 @@ QualityGiven = Annotated[Annotated[Micro, _SHORT] | Annotated[ContributionPart, 
 class OutputPart(Part):
     """An output port that says more than a tag."""
 
-    tag: TagText = row("what it gives, a concept in description logic or the paper's P(a)", ..., xml=ELEMENT)
-    quality: dict[Name, QualityGiven] | None = row("attribute to what it makes of it", xml=UNSAID)
-    rate: PositiveMicro = row("elements per second, for what it costs to change hosts", 0, "rate_uhz")
+    tag: TagText = row(
+        "the information it gives: a concept in description logic, or the paper's P(a)", ..., xml=ELEMENT
+    )
+    quality: dict[Name, QualityGiven] | None = row(
+        "quality attribute to its contribution: a number, or a mapping", xml=UNSAID
+    )
+    rate: PositiveMicro = row("elements per second; with `size`, for the cost of streams between hosts", 0, "rate_uhz")
     size: Whole = row("bytes of one element", 0, "size_bytes", ge=0, le=LARGEST_AMOUNT)
-    serves: Whole | None = row("at most so many inputs and topics take its stream", ge=1, le=LONGEST_QUEUE)
+    serves: Whole | None = row("the most inputs and topics that its stream may feed", ge=1, le=LONGEST_QUEUE)
     type: Name | None = row(_MESSAGE_TYPE, use=Use.RUNNING, xml="message")
     remap: Name | None = row(_REMAP, use=Use.RUNNING)
     qos: QosText | None = row(_QOS, use=Use.RUNNING)
     topic: Name | None = row(
-        "in ROS 2: the topic by which nodes outside of the run know it, published while one listens", use=Use.RUNNING
+        "in ROS 2: the topic for nodes outside of the run, published while one subscribes", use=Use.RUNNING
     )
 
 
@@ -300,30 +308,38 @@ class RunPart(Part):
 
     USUAL_USE = Use.RUNNING
 
-    start: PortName = row("what starts a step: all inputs fresh, any input, aligned in time, or a port's name", "all")
-    tolerance: Seconds = row("how far apart aligned inputs may be, in seconds", 0, "tolerance_us")
-    rate: Rate | None = row("how often a source, which has no inputs, gives an element, per second", to="rate_hz")
+    start: PortName = row(
+        "what starts a step: `all` inputs fresh, `any` input, inputs `aligned` in time, or a port's name", "all"
+    )
+    tolerance: Seconds = row(
+        "the largest difference between the times of aligned inputs, in seconds", 0, "tolerance_us"
+    )
+    rate: Rate | None = row("elements per second of a source, which has no inputs", to="rate_hz")
     queue: Whole = row("how many elements may wait at an input", 256, ge=1, le=LONGEST_QUEUE)
     when_full: WhenFull = row("drop the oldest element, or let the producer wait", "drop_oldest", "blocks")
     hang: HangTime | None = row(
-        "kill a unit that is silent for so many seconds, at least 2; 0: never; 10 if absent", to="hang_us"
+        "seconds of silence after which a unit is killed, at least 2; 0: never; 10 if absent", to="hang_us"
     )
     stop: TimeSpan | None = row(
-        "how long a unit that is told to end may take, such as 500ms; then it is killed; 2s if absent", to="stop_us"
+        "time for a unit to end after it was told to, such as 500ms; then it is killed; 2s if absent", to="stop_us"
     )
     format: ProgramFormat = row("how a program reads and writes: lines of JSON, or frames of msgpack", "json")
     memory: Whole | None = row(
         "the most memory that a unit may take, in megabytes", None, "memory_mb", Use.BOTH, ge=1, le=LONGEST_QUEUE
     )
-    state: StateName = row("a new unit goes on with the state of the last; a name: of the last with that name", False)
+    state: StateName = row(
+        "true: a new unit continues with the state of the last one; a name: with the last state under this name", False
+    )
     lifecycle: bool = row("cold spares of this ROS 2 node are configured, and activated when they are needed", False)
 
 
 class ConflictsPart(Part):
     """Transformations that a transformation may not be together with."""
 
-    host: Names | None = row("none of their units is on one host with a unit of it", to="conflicts_on_host")
-    system: Names | None = row("none of their units is there; a list, without a mapping, says these", to="conflicts")
+    host: Names | None = row("none of their units may run on a host with a unit of it", to="conflicts_on_host")
+    system: Names | None = row(
+        "none of their units may run together with a unit of it; `conflicts: [A, B]` means these", to="conflicts"
+    )
 
 
 ConflictsGiven = Annotated[Annotated[Names, _SHORT] | Annotated[ConflictsPart, _FULL], Discriminator(list_or_mapping)]
@@ -351,25 +367,27 @@ class TransformationPart(Part):
     kind: Name | None = row("free text, the paper's type attribute", use=Use.RUNNING, xml="type")
     host: OneOrMoreNames | None = row("where its units run: a host, or a list to choose from", use=Use.BOTH, xml="host")
     on: SelectorText | None = row("the hosts that its units may run on: an expression such as `robot and not spot`")
-    params: Params = row("the configuration its units are started with", {}, use=Use.RUNNING, xml=ELEMENT)
+    params: Params = row("the parameters of its unit code", {}, use=Use.RUNNING, xml=ELEMENT)
     labor: Cost | None = row("CPU seconds of one start", to="labor_us")
     upkeep: Cost | None = row("CPU seconds that a running unit takes per second", to="upkeep_us")
     requires: RequirementText | None = row(
         "its units run only while facts meet it: an expression such as `visibility >= 2.25 and not night`", xml=UNSAID
     )
     pinned: bool = row("running units are kept even where no target needs them", False)
-    required: bool = row("must be used wherever that is possible at all", False)
+    required: bool = row("must be used if any valid plan can use it", False)
     memory: Whole | None = row(
         "megabytes that a unit takes on its host; run.memory if absent", None, "memory_mb", ge=0, le=LONGEST_QUEUE
     )
-    needs: Resources | None = row("how much of other resources of its host a unit takes, by name: whole numbers")
+    needs: Resources | None = row("amounts of other resources of its host that a unit takes, by name: whole numbers")
     # `with` is a word of Python's, so that it can't be written as the others are.
     __annotations__["with"] = "Names | None"
-    locals()["with"] = row("transformations of each of which a unit runs on the host of a running unit", to="beside")
-    conflicts: ConflictsGiven | None = row("transformations that may not be there together with it")
-    min_instances: Whole = row("at least so many of its units run", 0, ge=0, le=MOST_INSTANCES)
-    max_instances: Whole | None = row("at most so many of its units are there", ge=0, le=LARGEST_AMOUNT)
-    per_host: Whole | None = row("at most so many of its units are on one host", ge=1, le=LARGEST_AMOUNT)
+    locals()["with"] = row(
+        "transformations: on each host where a unit of it runs, a unit of each of these runs too", to="beside"
+    )
+    conflicts: ConflictsGiven | None = row("transformations whose units may not run together with its units")
+    min_instances: Whole = row("the least number of its units that run", 0, ge=0, le=MOST_INSTANCES)
+    max_instances: Whole | None = row("the most units of it, spares included", ge=0, le=LARGEST_AMOUNT)
+    per_host: Whole | None = row("the most units of it on one host", ge=1, le=LARGEST_AMOUNT)
     standby: Cost | None = row("CPU seconds per second of a spare that does not run", to="standby_us")
     run: RunPart | None = row("how its units run", use=Use.BOTH, xml=ELEMENT)
     inputs: dict[PortName, InputGiven] | None = row("input ports: name to tag", xml=ELEMENT)
@@ -387,7 +405,7 @@ class UnitPart(Part):
     topics: dict[PortName, Names] | None = row(
         "output port to the topics it is published on", to="publications", xml=ELEMENT
     )
-    host: Name | None = row("where it runs, if hosts are declared")
+    host: Name | None = row("the host it runs on, if hosts are declared")
     standby: bool = row("it is a spare that does not run", False)
 
 
@@ -398,11 +416,11 @@ class WishPart(Part):
 
     at_least: PositiveMicro | None = row("where higher is better: a bound", to="bound")
     at_most: PositiveMicro | None = row("where lower is better: a bound", to="bound")
-    weight: Cost = row("CPU seconds for each unit by which the best is missed", 0, "weight_us")
+    weight: Cost = row("CPU seconds for each unit of the attribute between the value and the best one", 0, "weight_us")
 
 
 OF_A_STREAM = ("topic", "tag", "type", "quality", "host", "silent")
-"""What a target says of the stream that it wants."""
+"""The keys by which a target describes the stream that it wants."""
 
 
 class TargetPart(Part):
@@ -414,15 +432,17 @@ class TargetPart(Part):
     )
 
     label: Name = row("unique; mentions every template variable of the target", ..., xml=ELEMENT)
-    topic: Name | None = row("where its stream is published; unique", xml=ELEMENT)
-    tag: TagText | None = row("what is wanted, a concept in description logic or the paper's P(a)", xml=ELEMENT)
+    topic: Name | None = row("the topic on which its stream is published; unique", xml=ELEMENT)
+    tag: TagText | None = row(
+        "the information that is wanted: a concept in description logic, or the paper's P(a)", xml=ELEMENT
+    )
     type: Name | None = row(f"{_MESSAGE_TYPE}; `cfgplan run --ros2` publishes it", use=Use.RUNNING, xml="message")
-    run: Name | None = row("a transformation of which a unit is wanted, in place of `topic` and `tag`")
+    run: Name | None = row("the label of a transformation that has to run, in place of `topic` and `tag`")
     priority: Whole = row("larger matters more", 0, ge=-LARGEST_AMOUNT, le=LARGEST_AMOUNT)
-    quality: dict[Name, WishPart] | None = row("attribute to what is asked of it")
-    host: Name | None = row("the host that the stream has to come to")
+    quality: dict[Name, WishPart] | None = row("quality attribute to the demand on it")
+    host: Name | None = row("the host to which the stream is sent")
     silent: TimeSpan | None = row(
-        "in a run it counts as unmet when nothing has come for so long: seconds, or 500ms, 5s",
+        "in a run, it counts as unmet after so long without an element: seconds, or 500ms, 5s",
         to="silent_us",
         use=Use.RUNNING,
     )
@@ -439,19 +459,19 @@ class HostPart(Part):
         ge=1,
         le=MOST_COPIES,
     )
-    labels: Names | None = row("what selectors such as `on` choose it by, beside its name")
+    labels: Names | None = row("words by which selectors such as `on` choose it, besides its name")
     cpu: Cost | None = row("CPU seconds per second that units may take; no limit if absent", to="cpu_us")
     memory: Whole | None = row(
         "megabytes that units may take; no limit if absent", to="memory_mb", ge=0, le=LARGEST_AMOUNT
     )
-    offers: Resources | None = row("how much it has of other resources, by name; nothing of what is absent")
-    rent: Cost = row("CPU seconds per second that it costs while a unit is there, spares too", 0, "rent_us")
+    offers: Resources | None = row("amounts of other resources that it has, by name; 0 of a resource that is absent")
+    rent: Cost = row("CPU seconds per second that it costs while it has a unit or a spare", 0, "rent_us")
     energy: Whole | None = row(
         "watt seconds for the `power` (watts) that units there need over the horizon; no limit if absent",
         ge=0,
         le=LARGEST_AMOUNT**2,
     )
-    speed: Speed = row("what the CPU seconds of labor, upkeep and standby are divided by on it", 1)
+    speed: Speed = row("CPU seconds of labor, upkeep and standby are divided by this number on it", 1)
 
 
 class LinkPart(Part):
@@ -461,11 +481,11 @@ class LinkPart(Part):
 
     between: list[SelectorText] = row("two selectors of hosts, for its two ends", ..., min_length=2, max_length=2)
     bandwidth: Whole | None = row(
-        "bytes per second of all that is carried over it; no limit if absent", ge=0, le=LARGEST_AMOUNT**2
+        "bytes per second of all streams over it; no limit if absent", ge=0, le=LARGEST_AMOUNT**2
     )
     price: Cost | None = row("CPU seconds for each megabyte over it; `transfer` if absent", to="price_us")
-    latency: PositiveMicro = row("what it adds to a quality of each stream that it carries", 0)
-    adds: Name | None = row("the attribute that `latency` is added to, one of which less is better")
+    latency: PositiveMicro = row("added to a quality of each stream that it carries", 0)
+    adds: Name | None = row("the attribute to which `latency` is added; its `better` is `lower`")
 
 
 class AttributePart(Part):
@@ -473,9 +493,9 @@ class AttributePart(Part):
 
     name: Name = row("unique", ...)
     better: BetterName = row("which values are better", ...)
-    rule: RuleName = row("what an output that states a number does with it", "add", use=Use.NONE)
-    unit: Name | None = row("what it is measured in, free text", use=Use.NONE)
-    worst: PositiveMicro | None = row("the worst value, and that of sources that state none")
+    rule: RuleName = row("the rule of outputs that state only a number", "add", use=Use.NONE)
+    unit: Name | None = row("its unit of measure, free text", use=Use.NONE)
+    worst: PositiveMicro | None = row("the worst value, which sources have that state none")
     best: PositiveMicro | None = row("the best value, from which weights count")
 
 
@@ -488,14 +508,16 @@ class FactPart(Part):
         dict.fromkeys(("by", "topic", "field", "noise", "silent"), _IS_UNSAID),
     )
 
-    declared: Fact = row("what is so: a number, true, false or a word", ...)
-    unit: Name | None = row("what it is measured in, free text", use=Use.NONE)
-    by: TagText | None = row("the tag of the stream that observes it in a run; what gives it is planned as for targets")
+    declared: Fact = row("its value unless another one is observed or set: a number, true, false or a word", ...)
+    unit: Name | None = row("its unit of measure, free text", use=Use.NONE)
+    by: TagText | None = row("the tag of the stream that observes it in a run; the stream is planned as for a target")
     topic: Name | None = row("in place of `by`: the topic of a target, whose stream observes it", use=Use.RUNNING)
-    field: Name | None = row("where an element holds the value; `pose.x` leads further in", use=Use.RUNNING)
+    field: Name | None = row(
+        "the field of an element that holds the value; `pose.x` is a nested field", use=Use.RUNNING
+    )
     noise: NoiseText | None = row("the standard deviation of a value, or `20 %` of it", use=Use.RUNNING)
     silent: TimeSpan | None = row(
-        "what is declared counts again when nothing has come for so long: seconds, or 500ms, 5s",
+        "the declared value counts again after so long without an element: seconds, or 500ms, 5s",
         to="silent_us",
         use=Use.RUNNING,
     )
@@ -512,12 +534,14 @@ class IncludedPart(Part):
     """A file that an environment includes: transformations and targets only."""
 
     format: Literal["cfgplan/1"] | None = row("the format of the file: cfgplan/1")
-    transformations: list[TransformationPart] | None = row("what can be started", xml=ELEMENT)
-    targets: list[TargetPart] | None = row("what is wanted", xml=ELEMENT)
+    transformations: list[TransformationPart] | None = row(
+        "the library: transformations that can be started", xml=ELEMENT
+    )
+    targets: list[TargetPart] | None = row("the streams and units that are wanted", xml=ELEMENT)
 
 
 class EnvironmentPart(Part):
-    """An environment: the transformations there are, the units that run and the information that is wanted."""
+    """An environment: the library of transformations, the running units, and the targets."""
 
     model_config = ConfigDict(extra="forbid", strict=True, title="cfgplan environment")
 
@@ -525,33 +549,37 @@ class EnvironmentPart(Part):
     ontology: FileNames | None = row("ontology file or files, relative to this file", xml=ELEMENT)
     imports: Imports | None = row(
         "IRI that an ontology imports to a file, relative to this file, or to `ignore`; "
-        "`ignore` alone: all that can't be found"
+        "`ignore` alone skips every import that is not found"
     )
     rules: Literal["ignore"] | None = row("`ignore`: the ontology counts without its rules (SWRL)")
     prefer: OneOrMoreNames | None = row(
-        "prefix or namespace whose name is meant if several ontologies have one; of a list, the first that has it",
+        "prefix or namespace that is meant if several ontologies have a name; in a list, the first that has the name",
         xml=ELEMENT,
     )
-    horizon: Horizon = row("how far ahead upkeep counts: whole seconds, or `10m`, `1h`", DEFAULT_HORIZON_S, "horizon_s")
+    horizon: Horizon = row(
+        "how far ahead a plan looks, for upkeep: whole seconds, or `10m`, `1h`", DEFAULT_HORIZON_S, "horizon_s"
+    )
     max_cost: Cost | None = row("the most that an update may cost, in CPU seconds", to="max_cost_us")
     defaults: DefaultsPart | None = row("costs of transformations that state none", xml=ELEMENT)
     include: FileNames | None = row("file or folder, or several, with more transformations and targets", xml=ELEMENT)
-    hosts: list[HostPart] | None = row("where units run; if absent, nothing is placed")
-    transfer: Cost = row("CPU seconds for each megabyte that goes from host to host", 0, "transfer_us")
-    links: list[LinkPart] | None = row("what carries streams from host to host: the first that fits two hosts")
+    hosts: list[HostPart] | None = row("the computers that units run on; if absent, plans place no units")
+    transfer: Cost = row("CPU seconds for each megabyte sent from host to host", 0, "transfer_us")
+    links: list[LinkPart] | None = row("links between hosts; the first that fits two hosts carries their streams")
     minimise: Objectives = row(
-        "what is minimised, the most important first; the cost follows if it is not named", ["cost"]
+        "the objectives that are minimised, the most important first; the cost follows if it is not named", ["cost"]
     )
     qualities: list[AttributePart] | None = row("the quality attributes of streams")
-    facts: dict[Name, FactPart] | None = row("facts of the world, which `requires` of transformations asks about")
+    facts: dict[Name, FactPart] | None = row("facts of the world, for `requires` of transformations")
     survive: Survived = row("single failures to survive; 1: of hosts where hosts are declared, else of units", 0)
-    transformations: list[TransformationPart] | None = row("what can be started", xml=ELEMENT)
-    units: list[UnitPart] | None = row("what runs", xml=ELEMENT)
-    targets: list[TargetPart] | None = row("what is wanted", xml=ELEMENT)
+    transformations: list[TransformationPart] | None = row(
+        "the library: transformations that can be started", xml=ELEMENT
+    )
+    units: list[UnitPart] | None = row("the running units", xml=ELEMENT)
+    targets: list[TargetPart] | None = row("the streams and units that are wanted", xml=ELEMENT)
 
 
 def what_runs(transformation: Transformation) -> tuple[object, ...]:
-    """What is equal if units of two transformations run alike: the fields that running uses, and the ports."""
+    """Return the ports, and the fields that running uses: units of two transformations with equal ones run equally."""
     ports = [(port.name, *_running(InputPart, port)) for port in transformation.inputs]
     ports += [(port.name, *_running(OutputPart, port)) for port in transformation.outputs]
     observed = [

@@ -97,7 +97,7 @@ class FleetReader:
             return False
         attribute = self._attribute(entry.at("adds"), link.adds, at_key=False)
         if attribute is not None and attribute.better is Better.HIGHER:
-            message = f"a latency can't be added to {link.adds}, of which more is better"
+            message = f"a latency can't be added to {link.adds}, whose higher values are better"
             entry.at("adds").note(message, "name an attribute with `better: lower`")
         return attribute is not None and attribute.better is Better.LOWER
 
@@ -238,7 +238,7 @@ class FleetReader:
 
     def _is_new(self, entry: Passage, name: str, known: Collection[str]) -> bool:
         if name in known:
-            entry.at("name").note(f"`{name}` stands here twice", "remove one of them")
+            entry.at("name").note(f"`{name}` occurs twice", "remove one of them")
         return name not in known
 
 

@@ -56,7 +56,7 @@ def read_json(text: str, file: str) -> Source:
     _refuse_odd_values(data, file)
     locator = _JsonLocator(text)
     faults = [
-        Fault(f"the key `{key}` stands here twice", file, spot.line, spot.column, mend="remove one of the two")
+        Fault(f"the key `{key}` occurs twice", file, spot.line, spot.column, mend="remove one of the two")
         for key, spot in (locator.repeated_keys() if repeats else ())
     ]
     return Source(file, data, locator, tuple(faults))

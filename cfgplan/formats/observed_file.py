@@ -1,6 +1,6 @@
-"""What a run has observed, as JSON: what `ctl observed --out` writes and verbs that plan take by `--observed`.
+"""Observed facts and qualities as JSON: `ctl observed --out` writes the file, and `--observed` of commands reads it.
 
-Qualities are in units of their attributes, factors are plain numbers. Only `facts` and what is `planned` are read back.
+Qualities are in units of their attributes, factors are plain numbers. Only `facts` and `planned` are read back.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from cfgplan.formats.places import Source
 from cfgplan.formats.schema_faults import schema_faults
 from cfgplan.qualities import LARGEST_QUALITY, micro_units
 
-_ANEW = "write the file anew with `cfgplan ctl observed --out FILE`, or remove this"
+_ANEW = "write the file again with `cfgplan ctl observed --out FILE`, or remove this"
 
 
 class _ObservedPart(BaseModel):
@@ -32,7 +32,7 @@ class _ObservedPart(BaseModel):
 
 
 class QualityPart(_ObservedPart):
-    """What streams have taught of one attribute of an output."""
+    """The learned quality of an output in one attribute."""
 
     output: str = Field(description="transformation/port")
     attribute: str
@@ -61,7 +61,10 @@ def observed_text(facts: Mapping[str, str], qualities: list[dict[str, Any]]) -> 
 
 
 def read_observed(path: str | os.PathLike[str], environment: Environment) -> Environment:
-    """The environment with the facts and qualities of a file. Raises InputError, also for what it does not have."""
+    """Return the environment with the facts and qualities of a file.
+
+    Raises InputError, also for facts and qualities that the environment does not have.
+    """
     source = read_json(read_text(FilePath(path)), str(path))
     if source.faults:
         raise InputError(source.faults)
@@ -96,7 +99,7 @@ def _facts(source: Source, part: ObservedPart, environment: Environment, faults:
 def _qualities(
     source: Source, part: ObservedPart, environment: Environment, faults: list[Fault]
 ) -> dict[Statement, int]:
-    """By how much outputs differ from what is stated."""
+    """The deviations of outputs from their stated values, in micro-units."""
     found: dict[Statement, int] = {}
     for index, one in enumerate(part.qualities):
         place = ("qualities", index)

@@ -104,10 +104,10 @@ class PlanPart(_PlanPart):
     ties_proven: bool = Field(default=False, description="no plan of this cost rewires, or then starts, fewer units")
     required_proven: bool = Field(default=False, description="no configuration uses more required transformations")
     undecided: list[tuple[str, str]] = Field(
-        default=[], description="pairs of tags (offered, demanded) that nobody has decided and the bound hangs on"
+        default=[], description="undecided pairs of tags (offered, demanded) on which the bound depends"
     )
     objectives: list[MeasuredPart] = Field(
-        default=[], description="what is minimised, in order, where it is more than the cost"
+        default=[], description="the objectives, in order, if they are more than the cost"
     )
     seconds: dict[str, Any] = Field(default={}, description="wall time of each phase")
     counts: dict[str, int] = Field(default={}, description="the planner's own figures")
@@ -195,7 +195,7 @@ def _plan_in(source: Source, part: PlanPart) -> Plan:
     try:
         return _plan(part)
     except InvalidValueError as error:
-        mend = "write the plan anew with `solve --out` or `ctl plan --out`"
+        mend = "write the plan again with `solve --out` or `ctl plan --out`"
         raise InputError([source.fault(("change_set",), str(error), mend)]) from None
 
 
@@ -204,7 +204,7 @@ def _facts(environment: Environment) -> dict[str, dict[str, object]]:
 
 
 def _qualities(environment: Environment) -> dict[str, dict[str, object]]:
-    """The qualities that differ from what is declared, since streams have said so."""
+    """The declared and used values of the qualities that observed streams have changed."""
     found = {
         str(statement): stated
         for some in environment.taught.values()

@@ -153,11 +153,11 @@ def _unknown_key(source: Source, path: Path, part: type[BaseModel]) -> Fault:
     elif name == "rate" and _has_inputs(source, path):
         mend = "remove it: only a source has a rate (`run: {rate: ...}`); elements of its inputs start its steps"
     elif name.casefold() not in _SYNONYMS and inner is not None:
-        mend = f"it stands under `{inner}`: write `{inner}: {{{name}: ...}}`"
+        mend = f"it belongs under `{inner}`: write `{inner}: {{{name}: ...}}`"
     elif len(meant) > 1 and any(key in _EACH_MEANS for key in meant):
         mend = f"write {' or '.join(f'`{key}` ({_EACH_MEANS[key]})' for key in meant)}"
     elif name == "type" and "kind" in known:
-        mend = "a message type stands at a port: `image: {tag: Image, type: sensor_msgs/Image}`; `kind` is free text"
+        mend = "a message type belongs to a port: `image: {tag: Image, type: sensor_msgs/Image}`; `kind` is free text"
     else:
         mend = f"did you mean `{meant[0]}`?" if meant else f"the keys here are {', '.join(known)}"
     return source.fault(path, f"unknown key `{name}`", mend, at_key=True)

@@ -130,7 +130,7 @@ def _services(file: _SetFile) -> Iterator[Service]:
     for service in file.root.children:
         name = file.name(service)
         if name in names:
-            file.stop(service, f"the service {name} is there twice", "give each service a name of its own")
+            file.stop(service, f"the service {name} occurs twice", "give each service a name of its own")
         names.add(name)
         sides = {side.name: file.instances(side) for side in service.children}
         yield Service(name, sides.get("inputs", ()), sides.get("outputs", ()))
@@ -151,5 +151,5 @@ def _side(file: _SetFile, name: str) -> tuple[str, ...]:
         file.faults.append(Fault(f"<{name}> is missing", file.file, mend="this is not the problem of a set"))
         return ()
     for second in found[1:]:
-        file.stop(second, f"<{name}> is there twice", "a set has one problem")
+        file.stop(second, f"<{name}> occurs twice", "a set has one problem")
     return file.instances(found[0])

@@ -107,7 +107,7 @@ class _XmlReading:
             name = self._required(param, "name")
             if name is not None:
                 if name in params:
-                    self._note(param, f"the param `{name}` is there twice", "remove one of the two")
+                    self._note(param, f"the param `{name}` occurs twice", "remove one of the two")
                 params[name] = self._param(param)
                 self._spots[*path, "params", name] = (param, True)
         if params:
@@ -130,7 +130,7 @@ class _XmlReading:
             key = f"{direction}puts"
             name = normal(port.text)
             if name in ports[key]:
-                self._note(port, f"the port `{name}` is there twice", "remove one of the two or rename it")
+                self._note(port, f"the port `{name}` occurs twice", "remove one of the two or rename it")
             written = self._port(port, (*path, key, name), tags.pop(name, None))
             if written is not None:
                 ports[key][name] = written
@@ -225,7 +225,7 @@ class _XmlReading:
                 mend = did_you_mean(child.name, children, hint)
                 self._note(child, f"unknown element <{child.name}> in <{element.name}>", mend)
             elif child.name in seen and child.name not in several:
-                self._note(child, f"<{child.name}> is there twice", "remove one of the two")
+                self._note(child, f"<{child.name}> occurs twice", "remove one of the two")
             elif child.name in several and element.name in _CHILDREN:
                 self._check(child, _ATTRIBUTES[child.name], ())
             seen.add(child.name)

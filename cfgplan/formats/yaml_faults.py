@@ -49,10 +49,10 @@ def _in_words(problem: str) -> str:
         "could not find expected ':'": "this line has no `: ` between a key and its value",
         "found unexpected end of stream": "the quote that begins here is never closed",
         "found a tab character that violates indentation": "a tab indents this line",
-        "mapping values are not allowed in this context": "a key stands here inside of a value",
+        "mapping values are not allowed in this context": "a key begins here inside of a value",
         "block sequence entries are not allowed in this context": "a list begins in the line of its key",
-        "did not find expected '-' indicator": "this line goes on with no entry of the list above",
-        "did not find expected key": "this goes on with no key of the mapping above",
+        "did not find expected '-' indicator": "this line is no entry of the list above",
+        "did not find expected key": "this is no key of the mapping above",
         "found character that cannot start any token": "no value begins with this character",
     }
     return words.get(problem, problem)

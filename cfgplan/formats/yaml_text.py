@@ -127,7 +127,7 @@ class _YamlReading:
         if value == "<<" and event.implicit[0]:
             self._stop(event, "merge keys (`<<`) are not supported", "write out what is merged, here and further on")
         elif value in mapping:
-            self._note(event, f"the key `{value}` stands here twice", "remove one of the two or rename it")
+            self._note(event, f"the key `{value}` occurs twice", "remove one of the two or rename it")
         return value
 
     def _define(self, event: Any, anchor: str, value: object, size: int) -> None:

@@ -45,7 +45,7 @@ class MatchExplanation:
             *((f"  nothing can be {self.offered}, so that no unit may give it",) if self.is_impossible else ()),
             *(f"  because {step}" for step in self.steps),
             *(f"  it lacks {part}" for part in self.missing),
-            *(f"  nobody has decided yet whether it is {part}" for part in self.undecided),
+            *(f"  not decided yet whether it is {part}" for part in self.undecided),
             *(f"  note: {warning}" for warning in self.warnings),
         )
 
@@ -67,7 +67,7 @@ class Nearest:
         """The missing and the undecided conjuncts, in words."""
         told = [f"lacks {', '.join(self.missing)}"] if self.missing else []
         if self.undecided:
-            told.append(f"nobody has decided yet whether it is {', '.join(self.undecided)}")
+            told.append(f"not decided yet whether it is {', '.join(self.undecided)}")
         return "; ".join(told) or "would match"
 
 
@@ -157,7 +157,7 @@ def _reason(offered: Concept, demanded: Concept, ontology: Ontology, reasoner: s
         return derived
     if not axioms:
         return Derivation((f"it follows from the tags alone, as {name} finds",), ())
-    said = f"it follows from what is listed next, as {name} finds"
+    said = f"it follows from the axioms listed next, as {name} finds"
     return Derivation((said, *map(ontology.shortened, axioms)), axioms)
 
 

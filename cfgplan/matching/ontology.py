@@ -152,7 +152,7 @@ class Ontology:
                 for why, texts in by_reason.items()
             ),
             *(
-                f"the import <{iri}> is ignored: what matches only by what it says does not match"
+                f"the import <{iri}> is ignored: tags that match only by its axioms do not match"
                 for iri in self.ignored
             ),
             *([self._about_ignored_rules()] if self.ignored_rules else []),
@@ -160,7 +160,7 @@ class Ontology:
 
     def _about_ignored_rules(self) -> str:
         rules = "1 rule is" if self.ignored_rules == 1 else f"{self.ignored_rules:,} rules are"
-        return f"{rules} ignored: what matches only by what they say does not match"
+        return f"{rules} ignored: tags that match only by them do not match"
 
     @cached_property
     def _signature(self) -> Signature:

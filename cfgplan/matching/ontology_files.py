@@ -47,7 +47,7 @@ _DL_SAFE: Final = ("ofn", "owx")
 _RULE: Final = "DLSafeRule("
 _BUILT_INS: Final = "<http://www.w3.org/2003/11/swrlb#"
 """Manchester syntax does not tell built-ins from data properties."""
-_NOT_TOLD: Final = "its built-ins are told to no reasoner"
+_NOT_TOLD: Final = "no reasoner gets its built-ins"
 
 _MISSING = "check the path under `ontology:`; it is relative to the environment file, and web addresses are not fetched"
 _NO_IMPORT = (

@@ -110,7 +110,7 @@ class _TagReader(ExpressionReader[Concept]):
         if name.casefold() in KEYWORDS:
             return f"write `{name.casefold()}` in small letters"
         if follows == "/":
-            return f"a message type stands beside the tag: `{{tag: ..., type: {name}/{then}}}`"
+            return f"the message type is written beside the tag: `{{tag: ..., type: {name}/{then}}}`"
         if follows in ("<", ">", "=") and not self._ontology.property_names.has(name):
             return f"a tag compares no numbers: state `{name}` under `quality:`"
         if self._ontology.property_names.has(name):
@@ -136,7 +136,7 @@ class _TagReader(ExpressionReader[Concept]):
     def _mend_here(self, usual: str) -> str:
         token = self._words[self._at]
         if token == "/":
-            return "a message type stands beside the tag, under `type:`"
+            return "the message type is written beside the tag, under `type:`"
         if token in ("<", ">", "="):
             return "a tag compares no numbers: state them under `quality:`"
         return usual

@@ -183,7 +183,7 @@ class _Making:
         kept = [node for node in graph.nodes if node.name not in onlookers]
         noisy = {port.name for node in kept for port in node.ports if table.is_noisy(port)}
         if onlookers:
-            self._guess("nodes", f"left out {', '.join(onlookers)}", "they only look on")
+            self._guess("nodes", f"left out {', '.join(onlookers)}", "tools that only observe")
         if noisy:
             self._guess("topics and services", f"left out {some(sorted(noisy), 3)}", "every graph has them")
         nodes = (replace(node, ports=tuple(p for p in node.ports if not table.is_noisy(p))) for node in kept)
@@ -236,14 +236,14 @@ class _Making:
             self._guess(about, "it may stay unfed", row.why)
         if is_service:
             if not feeds[end] and not optional:
-                self._guess(about, "it may stay unfed", "nobody serves it now, and it is called now and then")
+                self._guess(about, "it may stay unfed", "no node serves it now, and it is called now and then")
             is_optional = optional or not feeds[end]
             return InputPort(
                 end.port, tag, service=True, optional=is_optional, type=_type(port), remap=_own(node, port)
             )
         if self._works and not optional and all(stream.node in self._stopped for stream in feeds[end]):
             optional = True
-            self._guess(about, "it may stay unfed", "nobody feeds it, and the graph works")
+            self._guess(about, "it may stay unfed", "no node feeds it, and the graph works")
         row = self._table.says(node.name, port, "several")
         if self._works and row is not None and not row.several and len(feeds[end]) > 1:
             row = row.model_copy(update={"several": True, "why": "they publish, and the graph works"})
@@ -368,7 +368,7 @@ class _Making:
             return
         needs = {end: streams for end, streams in feeds.items() if not ports[end].starts_nothing}
         for label in _ends(self._labels.values(), needs):
-            self._guess(label, "it is wanted for itself", "nobody needs its streams")
+            self._guess(label, "treated as a target", "nothing subscribes to its streams")
             yield _to_run(label)
 
 

@@ -57,7 +57,9 @@ class InputGuess(_Rows):
     def _has_a_pattern(self) -> InputGuess:
         if self.type is None and self.topic is None and self.node is None:
             mend = "add `type`, `topic` or `node`"
-            raise PydanticCustomError("value", "{text}", {"text": "this row says not of which inputs", "mend": mend})
+            raise PydanticCustomError(
+                "value", "{text}", {"text": "this row does not say which inputs it is about", "mend": mend}
+            )
         return self
 
     def fits(self, node: str, port: RosPort) -> bool:

@@ -63,7 +63,7 @@ def launch_text(
     if not actions:
         which = "there is none" if part == "all" else f"there are no {part}"
         raise InputError.of(
-            f"nothing is to be launched: {which} in what runs", mend="look at what `cfgplan solve` says"
+            f"nothing to launch: {which} in the configuration", mend="look at what `cfgplan solve` says"
         )
     return _file(about, actions)
 

@@ -46,7 +46,7 @@ def master_graph(address: str | None = None) -> RosGraph:
     except (SilentError, TypeError, ValueError) as error:
         mend = f"start it by `roscore`, or name its address: `live`, that is ${MASTER_VARIABLE}, or http://host:11311"
         raise InputError.of(f"no ROS 1 master answers at {address}: {error}", mend=mend) from None
-    notes = ["who calls services, since a ROS 1 master is not told"]
+    notes = ["the callers of services, since a ROS 1 master does not know them"]
     nodes = [_node(name, own, addresses[name], topics, types, notes) for name, own in sorted(ends.items())]
     return RosGraph(tuple(nodes), (f"the ROS 1 master at {address}",), tuple(notes))
 

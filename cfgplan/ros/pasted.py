@@ -78,7 +78,9 @@ class _Pasted:
     def graph(self) -> RosGraph:
         self._end()
         if not self._faults and not self._nodes:
-            self._fault("no node is told", "paste what `ros2 node info /NAME` or `ros2 topic info -v /TOPIC` prints", 1)
+            self._fault(
+                "no node is named", "paste the output of `ros2 node info /NAME` or `ros2 topic info -v /TOPIC`", 1
+            )
         if self._faults:
             raise InputError(self._faults)
         return replace(merged(RosGraph((node,)) for node in self._nodes), sources=(f"the text {self._name}",))
@@ -157,7 +159,7 @@ class _Pasted:
             return
         if self._topic is None:
             mend = "paste the command too: a line `ros2 topic info -v /TOPIC` above what it prints"
-            self._fault("the topic of this endpoint is not told", mend, begin)
+            self._fault("the topic of this endpoint is missing", mend, begin)
             return
         role = _ENDPOINT_ROLES.get(said.get("Endpoint type", ""))
         if role is None:

@@ -32,14 +32,14 @@ def recorded_graph(path: Path) -> RosGraph:
     Bags of ROS 1 usually name the publishers. A player publishes topics without a known publisher.
     """
     connections, seconds = _read(path)
-    notes = [f"who subscribes to topics of {path}: a recording has only what was published"]
+    notes = [f"the subscribers to topics of {path}: a recording has only publications"]
     publishers: dict[str | None, list[RosPort]] = defaultdict(list)
     for one in connections:
         caller = getattr(one.ext, "callerid", None)
         rate_hz = float(f"{one.msgcount / seconds:.3g}") if one.msgcount > 1 and seconds else None
         kind = _type(one.msgtype)
         if kind is None:
-            notes.append(f"the type of {one.topic}, of which {path} says `{one.msgtype}`")
+            notes.append(f"the type of {one.topic}, which {path} calls `{one.msgtype}`")
         publishers[caller].append(
             RosPort(Role.PUBLISHES, one.topic, kind, rate_hz=rate_hz, definition=one.digest or None)
         )
@@ -74,7 +74,7 @@ def _read(path: Path) -> tuple[Sequence[Connection], float]:
         with reader_of(path) as reader:
             return [*reader.connections], reader.duration / 1e9 if reader.message_count else 0.0
     except (rosbag1.ReaderError, rosbag2.ReaderError, OSError) as error:
-        mend = "play it, and record it anew" if path.suffix == _BAG1 else "`ros2 bag reindex` makes its index anew"
+        mend = "play it, and record it again" if path.suffix == _BAG1 else "`ros2 bag reindex` makes a new index"
         raise InputError.of(f"this recording can't be read: {error}", file=str(path), mend=mend) from None
     except Exception as error:  # of a file that is cut off or no recording at all, the readers raise whatever they meet
         mend = "is it a whole recording?"

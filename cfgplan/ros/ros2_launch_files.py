@@ -170,7 +170,7 @@ class _Launch:
         own = self._value(element, "name", state)
         if own is None:
             own = Path(executable).stem
-            self.notes.append(f"the name of the node at {state.file}:{element.line}, for which {own} stands here")
+            self.notes.append(f"the name of the node at {state.file}:{element.line}, which is called {own} here")
         node = self._named(element, state, own, package)
         renamed = [word.split(":=", 1) for word in ros if ":=" in word and not word.startswith("_")]
         more = {resolved(a, state.namespace, node.name): resolved(b, state.namespace, node.name) for a, b in renamed}

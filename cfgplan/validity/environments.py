@@ -119,7 +119,7 @@ def missing_units(environment: Environment) -> Iterator[Violation]:
 
 def _unfit(stream: Stream, offered: str, *, is_open: bool) -> str:
     gives = f"{stream} gives {offered}"
-    return f"and nobody knows whether that is what {gives}" if is_open else f"but {gives}"
+    return f"and it is undecided whether this matches: {gives}" if is_open else f"but {gives}"
 
 
 def _cycles(environment: Environment) -> Iterator[Violation]:
@@ -179,7 +179,7 @@ def instance_violations(environment: Environment) -> Iterator[Violation]:
         for other in transformation.conflicts:
             if label in there and other in there and label != other:
                 unit = next(u for u in environment.units if u.transformation == label)
-                yield Violation(Rule.APART, f"units of {label} and {other} are there, which conflict", unit.id)
+                yield Violation(Rule.APART, f"units of {label} and {other}, which conflict, run together", unit.id)
         if len(running[label]) < transformation.min_instances:
             text = f"{len(running[label])} units of {label} run, but it asks for {transformation.min_instances}"
             yield Violation(Rule.INSTANCES, text)

@@ -198,7 +198,7 @@ def values_of(problem: Problem, after: Environment) -> Mapping[Objective, int]:
 def _bad_objectives(problem: Problem, plan: Plan, after: Environment) -> Iterator[Violation]:
     named = problem.environment.minimise if Feature.ORDER in problem.features else ()
     if tuple(one.objective for one in plan.objectives) != named:
-        yield Violation(Rule.CONSISTENT, f"what is minimised is {', '.join(named)}, but the plan names something else")
+        yield Violation(Rule.CONSISTENT, f"the objectives are {', '.join(named)}, but the plan names others")
         return
     values = values_of(problem, after)
     for one in plan.objectives:
@@ -231,4 +231,4 @@ def _bad_cost(problem: Problem, plan: Plan, after: Environment) -> Iterator[Viol
     if plan.status is Status.FEASIBLE and plan.ties_proven:
         yield Violation(Rule.BOUND, "the plan says that ties are proven, but its cost is not")
     if plan.status is Status.OPTIMAL and plan.undecided:
-        yield Violation(Rule.BOUND, "the plan says optimal, but names pairs of tags that its bound hangs on")
+        yield Violation(Rule.BOUND, "the plan says optimal, but names pairs of tags on which its bound depends")

@@ -29,7 +29,7 @@ def survival_violations(
             text = f"if {what} fails, nothing else can meet target {target.label}"
             yield Violation(Rule.SURVIVES, text, lone, target=target.label)
         if not unmet and not Rewiring(left, similarity, targets).exists():
-            text = f"if {what} fails, what is left can't be wired to meet all targets"
+            text = f"if {what} fails, the remaining units can't be wired to meet all targets"
             yield Violation(Rule.SURVIVES, text, lone)
 
 

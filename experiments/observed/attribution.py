@@ -1,8 +1,8 @@
-"""Is the difference between what streams say and what is declared given to the right transformations?
+"""Are deviations of streams from their declared qualities attributed to the right transformations?
 
-A line of STAGES stages has WAYS transformations for each, with declared errors; the true ones are others. Some
-configurations run, one after the other, and some of the outputs say how good they are. Then the configuration is chosen
-that is best by what was learned. Its regret is by how much its true error exceeds that of the best one.
+A chain of STAGES stages has WAYS transformations for each, whose true errors differ from the declared ones. Some
+configurations run, one after the other, and some of the outputs say their quality. Then the configuration with the
+least learned error is chosen. Its regret is the share by which its true error exceeds the least possible one.
 
     python experiments/observed/attribution.py --draws 200
 """
@@ -73,7 +73,7 @@ def values(rule: QualityRule, table: Table, configuration: Configuration) -> lis
 
 
 def regret(rule: QualityRule, table: Table, true: Table) -> float:
-    """By how much the true error of what is best by a table exceeds the best one's, as a share."""
+    """Return the share by which the true error of the best configuration of a table exceeds the least true error."""
     configurations = list(itertools.product(range(WAYS), repeat=STAGES))
     chosen = min(configurations, key=lambda one: values(rule, table, one)[-1])
     truth = [values(rule, true, one)[-1] for one in configurations]
@@ -81,7 +81,7 @@ def regret(rule: QualityRule, table: Table, true: Table) -> float:
 
 
 def draw(seed: int, rule: QualityRule, share: float, runs: int) -> tuple[float, float]:
-    """The regrets by what is declared, and by what `runs` configurations have taught."""
+    """Return the regrets of a choice by declared values, and by values learned from `runs` configurations."""
     rng = random.Random(f"{seed} {rule} {share} {runs}")
     low, high = (0.5, 1.5) if rule is QualityRule.SCALE else (0.1, 1.0)
     places = list(itertools.product(range(STAGES), range(WAYS)))

@@ -21,17 +21,17 @@ from cfgplan_runtime.outside.units import say
 _TIMEOUT_S: Final = 5.0
 _LOGIN: Final = ("username", "password_env", "password_file", "token_env", "token_file")
 _LONGEST: Final = 1 << 26
-"""Bytes of an answer; a longer one is none."""
+"""Bytes of an answer; a longer one is an error."""
 
 
 class Poller:
     """A source: gives the value of the resource at `url` (http or https) each time that it is called.
 
     `payload` is the form of answers (json, text, number or bytes). An element is the value of an answer, or of its
-    `field`: a key of JSON, or a list of keys that lead further in. A resource that can't be had is told once with the
-    reason, and once when it is there again; it gives nothing meanwhile. `username` goes with a password in a variable
-    of the environment or in a file; `token_env` and `token_file` hold a bearer's token. `ca` is a file of TLS, relative
-    to the working folder. Raises InputError.
+    `field`: a key of JSON, or a list of keys that lead further in. A resource that does not answer, or with an error,
+    is reported once with the reason, and once when it answers again; it gives no elements meanwhile. `username` goes
+    with a password in a variable of the environment or in a file; `token_env` and `token_file` hold a bearer's token.
+    `ca` is a file of TLS, relative to the working folder. Raises InputError.
     """
 
     def __init__(
@@ -44,7 +44,7 @@ class Poller:
     ) -> None:
         check_names("HTTP", _LOGIN, login)
         self._reader = PayloadReader(payload, field, say)
-        # A header that is not redirected: who is asked further on learns no password.
+        # Not sent to the target of a redirection, which must not learn the password.
         self._request = Request(_checked(url))
         if (authorization := _authorization(**login)) is not None:
             self._request.add_unredirected_header("Authorization", authorization)
@@ -64,7 +64,7 @@ class Poller:
         if len(payload) > _LONGEST:
             return self._away(f"answers more than {_LONGEST} bytes")
         if self._is_away:
-            say(f"{self._url} is there again")
+            say(f"{self._url} answers again")
         self._is_away = False
         values = self._reader.values(self._url, payload)
         return values[0] if values else None
@@ -84,7 +84,7 @@ def _authorization(
     token_env: str | None = None,
     token_file: str | None = None,
 ) -> str | None:
-    """The header of that name; None if nobody asks for it. Raises InputError."""
+    """Return the Authorization header; None without a user name or token. Raises InputError."""
     if username is not None:
         word = f"{username}:{read_password(password_env, password_file) or ''}"
         return f"Basic {b64encode(word.encode()).decode()}"
@@ -99,7 +99,7 @@ def _checked(url: str) -> str:
         raise InputError.of(f"`{url}` is no URL of a resource", mend="write http://HOST/PATH or https://HOST/PATH")
     if "@" in address.netloc:
         mend = "remove it, and write `username` with `password_env` or `password_file`"
-        raise InputError.of("the name and password do not belong into a URL", mend=mend)
+        raise InputError.of("a URL can't hold the name and password", mend=mend)
     return url
 
 

@@ -14,14 +14,14 @@ from cfgplan_runtime.children.unit_code import At
 from cfgplan_runtime.operating.recorded import recorded, values
 
 _ORDERS_AGAIN_S = 0.05
-"""A source whose next value is not due looks for orders so often."""
+"""A source looks for orders so often while its next value is not due."""
 
 
 class Source:
     """Gives the values of `topic` in the recording `file`, as far apart as they were, `speed` times as fast.
 
     Times count from the first message of any topic of the recording, and from `begin_ns` (since 1970) on, so that
-    several sources with the same `begin_ns` keep step, and one that is started again goes on where the others are.
+    several sources with the same `begin_ns` stay in step, and a restarted source continues where the others are.
     Without it a source begins when it is constructed. Each value has the time at which it is due. With `loop` the
     recording begins again when it is over, after one second. Raises InputError.
     """
@@ -38,7 +38,7 @@ class Source:
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         if not speed > 0:
-            raise InputError.of(f"a recording is not played {speed:g} times as fast", mend="write a speed above 0")
+            raise InputError.of(f"a recording can't be played {speed:g} times as fast", mend="write a speed above 0")
         self._path, self._topic, self._speed, self._loop = Path(file), topic, speed, loop
         self._now_ns, self._sleep = now_ns, sleep
         found = recorded(self._path)

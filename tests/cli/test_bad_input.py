@@ -42,7 +42,7 @@ def env(write: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch) -> Path:
         ("import ros1 live --objective length --out new.yaml", "--objective: not for `import ros1`", "leave it out"),
         ("import ros1 robot.launch --out new.ttl", "new.ttl: this name does not end as YAML does", "end it in .yaml"),
         ("import ros1 sim:=true --out new.yaml", "there are arguments, but no launch file", "name `live`"),
-        ("init env.yaml", "env.yaml: this folder can't be made", "name a folder that is there, or can be made"),
+        ("init env.yaml", "env.yaml: this folder can't be made", "name a folder that exists or can be made"),
         ("agent --name a/b", "--name: 'a/b' can't be the name of a host", "without /"),
     ],
 )

@@ -138,8 +138,8 @@ def test_a_slip_in_json_is_told_likewise(run: Run, wrong: str, column: int, mend
 @pytest.mark.parametrize(
     ("tag", "mend", "mended"),
     [
-        ("some hasPlace Kitchen", "the property stands first: `hasPlace some Kitchen`", "hasPlace some Kitchen"),
-        ("geometry_msgs/Pose", "a message type stands beside the tag, under `type:`", "Pose"),
+        ("some hasPlace Kitchen", "the property comes first: `hasPlace some Kitchen`", "hasPlace some Kitchen"),
+        ("geometry_msgs/Pose", "the message type is written beside the tag, under `type:`", "Pose"),
         ("Image and frequency > 10", "state them under `quality:`", "Image"),
         ("Image AND Ball", "did you mean `and`?", "Image and Ball"),
         ("Image || Ball", "write `or` once", "Image or Ball"),

@@ -103,7 +103,7 @@ def test_a_full_disk_is_told() -> None:
         done = [start(*verb, stdout=full) for verb in (["export", "schema"], ["solve", "nothere.yaml", "--json"])]
     for each in done:
         assert each.returncode == 30
-        assert b"error: standard output: what was found can't be written: No space left" in each.stderr
+        assert b"error: standard output: the output can't be written: No space left" in each.stderr
 
 
 def test_a_package_that_is_missing_is_named(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -106,7 +106,7 @@ def test_a_host_that_is_added_is_listed_by_all_and_nothing_else_is_written_over(
     assert main(["certificates", str(folder), "r1=10.0.0.1,r1.local", "base", "--passes-on", "base"]) == 0
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file() and path.suffix != ".json"}
     assert main(["certificates", str(folder), "r1"]) == 30
-    assert "r1: is there already, and not written over" in capsys.readouterr().err
+    assert "r1: exists already, and is not overwritten" in capsys.readouterr().err
     assert main(["certificates", str(folder), "r2"]) == 0
     assert {path: path.read_bytes() for path in before} == before
     for host in ("r1", "r2", "base", "manager"):
@@ -198,7 +198,7 @@ def test_a_certificate_that_has_ended_is_refused_with_its_file_and_the_mend(
     assert main(["agent", "--name", "r1", "--certificates", str(folder), "--listen", "tls/127.0.0.1:0"]) == 30
     said = " ".join(capsys.readouterr().err.split())
     assert f"{folder}/host.pem: this certificate was valid until " in said
-    assert "make a folder anew by `cfgplan certificates`" in said
+    assert "make a new folder by `cfgplan certificates`" in said
 
 
 def test_a_certificate_that_ends_within_a_month_is_told_once_a_day(

@@ -195,4 +195,4 @@ def test_units_are_put_in_the_group_of_their_host_or_it_is_said_that_there_is_no
         runtime.apply(ChangeSet(started=(unit("count.1", "r1"), unit("count.2", "r2")), **there))
         told = {file.parent.name: file.read_text() for file in tmp_path.glob("*/cgroup.procs")}
         assert told == ({"r1": str(runtime.pid("count.1"))} if is_allowed else {})
-    assert said == ([] if is_allowed else ["`cpu` of hosts is planned with, but not held: no group"])
+    assert said == ([] if is_allowed else ["`cpu` of hosts limits plans, but not running units: no group"])

@@ -339,6 +339,4 @@ def test_a_key_in_two_spellings_stands_there_twice_and_what_is_no_name_is_left_a
         assert world.environment.library[0].params == {composed: decomposed}
         assert world.ontology_paths == (tmp_path / f"{decomposed}.ttl",)
         twice = text.replace('"params": {', f'"params": {{"{decomposed}": 1, ')
-        assert [f"`{composed}` stands here twice" in fault.message for fault in faults_of(tmp_path, twice, name)] == [
-            True
-        ]
+        assert [f"`{composed}` occurs twice" in fault.message for fault in faults_of(tmp_path, twice, name)] == [True]

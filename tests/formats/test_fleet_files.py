@@ -143,7 +143,12 @@ def test_a_library_may_say_more_of_quality_and_hosts_than_an_environment_asks(tm
         ("survive: 1", "links: [{between: [base, piff], latency: 2}]", "what the latency is added to", "error, rate"),
         ("survive: 1", "links: [{between: [base, piff], adds: error}]", "has no latency", "add `latency:`"),
         ("survive: 1", "links: [{between: [base, piff], latency: 2, adds: eror}]", "attribute `eror`", "mean `error`?"),
-        ("survive: 1", "links: [{between: [base, piff], latency: 2, adds: rate}]", "more is better", "`better: lower`"),
+        (
+            "survive: 1",
+            "links: [{between: [base, piff], latency: 2, adds: rate}]",
+            "higher values are",
+            "`better: lower`",
+        ),
         ("memory: 20", "with: [othr]", "no transformation `othr`", "did you mean `other`?"),
         ("memory: 20", "on: robot and", "the selector ends where a label is wanted", "write a label"),
         ("conflicts: [other]", "conflicts: {host: [camera(piff)]}", "conflicts with itself", "per_host: 1"),
@@ -163,7 +168,7 @@ def test_a_library_may_say_more_of_quality_and_hosts_than_an_environment_asks(tm
         ("at_most: 0.3", "at_most: -0.3", "-0.3 is negative", "0 or more"),
         ("at_most: 0.3", "at_most: 0.0000001", "finer than a millionth", "at most six decimals"),
         ("worst: 5", "worst: 5, best: 6", "the scale of error is wrong", "exchange worst and best"),
-        ("{name: piff}]", "{name: piff}, {name: base}]", "`base` stands here twice", "remove one of them"),
+        ("{name: piff}]", "{name: piff}, {name: base}]", "`base` occurs twice", "remove one of them"),
         ("standby: true}", "standby: true, topics: {image: [/t]}}", "it can't have inputs or topics", None),
         ("memory: 20", "memory: 20\n    needs: {memory: 3}", "is written under `memory`", "remove it here"),
         ("memory: 20", "needs: {cpu: 3}", "how much cpu a unit takes is written under `upkeep`", "remove it here"),
@@ -226,8 +231,8 @@ def test_copies_are_hosts_with_numbers_whose_name_stands_for_all(tmp_path: Path)
 @pytest.mark.parametrize(
     ("line", "message", "mend"),
     [
-        ("hosts: [{name: a, copies: 2}, {name: a.2}]", "`a.2` stands here twice", "remove one of them"),
-        ("hosts: [{name: a, copies: 2}, {name: a}]", "`a` stands here twice", "remove one of them"),
+        ("hosts: [{name: a, copies: 2}, {name: a.2}]", "`a.2` occurs twice", "remove one of them"),
+        ("hosts: [{name: a, copies: 2}, {name: a}]", "`a` occurs twice", "remove one of them"),
         (
             "hosts: [{name: a, copies: 2}]\ntargets: [{label: t, topic: /t, tag: T, host: a}]",
             "`a` is 2 hosts",
@@ -245,4 +250,4 @@ def test_a_name_of_several_hosts_is_taken_and_is_no_one_host(
 def test_no_host_has_the_name_of_who_gives_orders_to_hosts(tmp_path: Path) -> None:
     fault = only_fault(tmp_path, "format: cfgplan/1\nhosts: [{name: base}, {name: manager}]\n")
     assert (fault.line, fault.mend) == (2, "name it otherwise")
-    assert fault.message == "no host can be called 'manager': that is who gives orders to hosts"
+    assert fault.message == "no host can be called 'manager': the manager has this name"

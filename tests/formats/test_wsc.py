@@ -96,7 +96,7 @@ def test_the_files_that_are_written_say_the_same_as_the_direct_way(tmp_path: Pat
         ("services", 'name="c1"', 'name="c9"', "services.xml:2:73: the instance c9 is not in the taxonomy"),
         ("problem", 'name="t1"', 'name="t9"', "problem.xml:1:35: the instance t9 is not in the taxonomy"),
         ("problem", "wanted>", "desired>", "problem.xml: <wanted> is missing"),
-        ("services", 'name="name"', 'name="ask"', "services.xml:4:3: the service ask is there twice"),
+        ("services", 'name="name"', 'name="ask"', "services.xml:4:3: the service ask occurs twice"),
         ("services", '<service name="name">', "<service>", "services.xml:3:3: <service> has no name"),
         ("services", "inputs>", "input>", "services.xml:2:26: unknown element <input> here"),
         ("taxonomy", 'name="c2"', 'name="c1"', "taxonomy.xml:2:88: the instance c1 is in two concepts"),

@@ -205,10 +205,10 @@ def test_cold_spares_are_started_when_they_are_needed() -> None:
         life.ask(KillUnit(min(spares)))
     lose(life, "r2")
     assert life.met == {"obstacles"}
-    assert "what is there does not survive every failure" in life.reviews[-1].warnings
+    assert "the configuration does not survive every failure" in life.reviews[-1].warnings
     join(life, "r2")
     assert any(unit.standby for unit in life.runtime.environment.units)
-    assert "what is there does not survive every failure" not in life.reviews[-1].warnings
+    assert "the configuration does not survive every failure" not in life.reviews[-1].warnings
 
 
 THREE = (Host("r1"), Host("r2"), Host("r3"), Host("base"))

@@ -54,7 +54,7 @@ def test_a_review_names_what_is_not_decided_and_calls_nothing_proven() -> None:
     assert life.units == {"dear.1"}
     record = review_record(review)
     assert record["undecided"] == [["C", "W"]]
-    assert "nobody knows whether C is W: if so, there may be a better update" in record["says"]
+    assert "it is undecided whether C is W: if so, a better update may exist" in record["says"]
 
 
 def test_what_only_saves_cost_is_asked_when_a_review_optimises() -> None:
@@ -76,7 +76,7 @@ def test_a_target_that_an_open_pair_may_meet_is_unmet_but_not_impossible() -> No
     other = Target("u", "C", "/u")
     (review,) = living(CHEAP, reasoner="el", targets=(TARGET, other)).reviews
     assert (review.met, review.is_proven, review.undecided) == (("u",), False, (("C", "W"),))
-    assert review.unmet == {"t": "target t wants W, but nobody knows yet whether C is W"}
+    assert review.unmet == {"t": "target t wants W, but it is not decided yet whether C is W"}
 
 
 def test_a_contradiction_that_is_found_late_is_told_and_what_runs_goes_on() -> None:

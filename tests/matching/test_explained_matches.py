@@ -48,7 +48,7 @@ def test_a_match_that_only_the_reference_finds_names_the_axioms_it_needs(
     told = explain_match("RawRGB", "¬Device", streams)
     assert told.matches
     assert told.steps == (
-        "it follows from what is listed next, as hermit finds",
+        "it follows from the axioms listed next, as hermit finds",
         "DisjointClasses(Image Device)",
         "SubClassOf(RawRGB Image)",
     )
@@ -61,10 +61,10 @@ def test_what_could_not_be_decided_is_told_apart(streams: Ontology) -> None:
     assert (told.missing, told.undecided) == (("Camera",), ("¬Device",))
     assert told.lines()[0] == "Image  does not feed  Camera ⊓ ¬Device"
     told = explain_match("Image", "Image ⊓ ¬Device", streams, reasoner="el")
-    assert told.lines()[:2] == ("Image  may feed  Image ⊓ ¬Device", "  nobody has decided yet whether it is ¬Device")
+    assert told.lines()[:2] == ("Image  may feed  Image ⊓ ¬Device", "  not decided yet whether it is ¬Device")
     ((near,),) = near_offers(["Image ⊓ ¬Device"], ["Image"], streams, reasoner="el").values()
     assert (near.missing, near.undecided) == ((), ("¬Device",))
-    assert near.verdict == "nobody has decided yet whether it is ¬Device"
+    assert near.verdict == "not decided yet whether it is ¬Device"
 
 
 def test_the_nearest_offers_lack_least(streams: Ontology) -> None:

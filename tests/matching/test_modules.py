@@ -163,7 +163,7 @@ def test_the_rule_that_stands_in_the_way_is_named_and_can_be_ignored(solve: Call
     world = solve(MISSION + FAILING, offered="Sensing", demanded="Failed", rules="rules: ignore\n")
     plan, told = planned(world)
     assert (plan.status, plan.cost_us) == (Status.OPTIMAL, 2_000_000)
-    assert "2 rules are ignored: what matches only by what they say does not match" in told
+    assert "2 rules are ignored: tags that match only by them do not match" in told
 
 
 @settings(max_examples=60, deadline=None)

@@ -462,7 +462,7 @@ def test_an_import_is_named_or_ignored_in_the_environment_file(tmp_path: Path) -
         assert "Lidar" not in ontology.classes
         found = match(["Device"], ["Camera"], ontology)
         assert not found.similarity.open
-        assert found.warnings == (f"the import <{iri}> is ignored: what matches only by what it says does not match",)
+        assert found.warnings == (f"the import <{iri}> is ignored: tags that match only by its axioms do not match",)
     with pytest.raises(InputError, match=r"env\.yaml:3:.*imports.*missing\.ttl.*does not exist"):
         loaded(f"imports: {{{iri}: missing.ttl}}\n")
 
@@ -545,10 +545,10 @@ def test_a_file_beside_is_looked_into_once_and_no_further_than_its_name_however_
 
 def test_warnings_of_one_kind_are_one_line_with_a_count() -> None:
     dropped = {f"`a{number} sub ...` in x.ttl": "that is no axiom of OWL 2" for number in range(2303)}
-    warnings = Ontology(dropped={**dropped, "a rule": "its built-ins are told to no reasoner"}).warnings
+    warnings = Ontology(dropped={**dropped, "a rule": "no reasoner gets its built-ins"}).warnings
     assert warnings == (
         "the ontology says more than cfgplan reads: `a0 sub ...` in x.ttl and 2,302 more: that is no axiom of OWL 2",
-        "the ontology says more than cfgplan reads: a rule: its built-ins are told to no reasoner",
+        "the ontology says more than cfgplan reads: a rule: no reasoner gets its built-ins",
     )
 
 

@@ -102,7 +102,7 @@ def test_what_can_not_survive_every_failure_is_started_anyway_and_the_dry_run_sa
     assert main(["run", str(env), "--dry-run", "--no-estimates"]) == 0
     said = capsys.readouterr()
     assert "+ start   cam.1" in said.out
-    assert "what is there does not survive every failure" in said.err
+    assert "the configuration does not survive every failure" in said.err
     (review,) = begun(cfgplan.load(env)).snapshot().reviews
     assert [unit.id for unit in review.change_set.started] == ["cam.1"]
 

@@ -156,14 +156,14 @@ def test_a_broker_that_is_away_or_dies_is_told_once_and_the_run_goes_on(broker: 
     with running(env, "--mqtt", broker.name) as process:
         assert "does not answer" in await_warning(process, f"the broker {broker.name}")
         broker.start()
-        await_warning(process, f"{broker.name} is there again")
+        await_warning(process, f"{broker.name} is connected again")
         with hearing(broker, "house/#", STATUS) as heard:
             await_message(heard, STATUS, "online")
             number = json.loads(await_message(heard, "house/number"))["number"]
         broker.stop(signal.SIGKILL)
         assert "is lost" in await_warning(process, f"the broker {broker.name}")
         broker.start()
-        await_warning(process, f"{broker.name} is there again")
+        await_warning(process, f"{broker.name} is connected again")
         with hearing(broker, "house/#", STATUS) as heard:
             await_message(heard, STATUS, "online")
             assert json.loads(await_message(heard, "house/number"))["number"] > number
@@ -229,7 +229,7 @@ def test_nothing_is_lost_while_a_subscribers_process_is_replaced(broker: Broker,
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--mqtt-retain", "--mqtt-ca", "x.pem"), "--mqtt-ca, --mqtt-retain: of which broker?"),
+        (("--mqtt-retain", "--mqtt-ca", "x.pem"), "--mqtt-ca, --mqtt-retain without a broker"),
         (("--mqtt", "http://house"), "`http://house` is no broker"),
         (("--mqtt", "house", "--mqtt-status", "a/#"), "`a/#` is no topic to publish on"),
         (("--mqtt", "house", "--mqtt-password-env", "X"), "there is a password without a name"),

@@ -424,7 +424,7 @@ def test_what_if_is_for_dry_runs(env: Path, capsys: pytest.CaptureFixture[str]) 
     assert main(["run", str(env), "--dry-run", *what_if]) == 0
     assert "over the horizon of 60 s" in capsys.readouterr().out
     assert main(["run", str(env), *what_if]) == 30
-    assert "are for trying out" in capsys.readouterr().err
+    assert "only try a plan out" in capsys.readouterr().err
     with pytest.raises(SystemExit):
         main(["run", "--help"])
     assert "what if:\n  with --dry-run only" in capsys.readouterr().out
@@ -434,7 +434,7 @@ def test_units_that_the_file_says_run_are_not_believed(env: Path, capsys: pytest
     env.write_text(ENVIRONMENT + "units:\n  - {id: camera(piff).7, transformation: camera(piff)}\n")
     assert main(["run", str(env), "--dry-run", "--no-estimates"]) == 0
     captured = capsys.readouterr()
-    assert "names 1 running unit, but a run starts from nothing" in captured.err
+    assert "names 1 running unit, but `cfgplan run` ignores them" in captured.err
     assert "Update: 2 to start, 0 to rewire, 0 to stop" in captured.out
 
 
@@ -515,7 +515,7 @@ def test_a_recording_that_takes_no_more_is_told_while_it_runs(env: Path, tmp_pat
         warning = await_event(process, "Warning")
         process.send_signal(signal.SIGINT)
         recorded = await_event(process, "Recorded", failure="File too large")
-    assert warning["text"] == f"{tmp_path / 'run.mcap'} takes no more: File too large; what is lost is counted"
+    assert warning["text"] == f"{tmp_path / 'run.mcap'} takes no more: File too large; losses are counted"
     assert recorded["lost"] > 0
 
 

@@ -182,7 +182,7 @@ def test_what_a_run_can_not_decide_is_named_to_whoever_asks_for_it(
     axioms = ["SubClassOf(<#A> <#W>)", "SubClassOf(<#B> <#W>)", "SubClassOf(<#C> ObjectUnionOf(<#A> <#B>))"]
     cheap = Transformation("cheap", (), (OutputPort("o", "C"),), labor_us=1, source="camera.py:camera")
     world = cfgplan.world(Environment((), (cheap,), ()), horizon_s=60, ontology=Ontology(axioms))
-    why = "wants W, but nobody knows yet whether C is W"
+    why = "wants W, but it is not decided yet whether C is W"
     more = tmp_path / "more.yaml"
     more.write_text("targets: [{label: t, topic: /t, tag: W}]")
     with Runtime(folder=PITCH) as runtime, Manager(world, runtime, policy=Policy(reasoner="el")) as manager:
@@ -195,7 +195,7 @@ def test_what_a_run_can_not_decide_is_named_to_whoever_asks_for_it(
             told = capsys.readouterr().out
             assert "no decision: it is not decided whether there is a plan" in told
             assert f"t is not met: target t {why}" in told
-            assert "nobody knows whether C is W: if so, there may be a better update" in told
+            assert "it is undecided whether C is W: if so, a better update may exist" in told
             assert "in time" not in told
             assert main(["ctl", "state"]) == 12
             assert f"target t {why}" in capsys.readouterr().out

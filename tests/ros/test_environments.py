@@ -64,7 +64,7 @@ def test_every_guess_is_told_and_stands_above_the_file() -> None:
         ("input initialpose of amcl", "it may stay unfed"),
         ("input tf of amcl", "takes every stream"),
         ("input odom of move_base", "closes a cycle"),
-        ("watch", "it is wanted for itself"),
+        ("watch", "treated as a target"),
     } <= told
     comments = [line for line in found.text("x.ttl").splitlines() if line.startswith("#")]
     assert all(any(about in line and guess in line for line in comments) for about, guess in told)
@@ -157,7 +157,7 @@ def test_a_graph_that_works_is_planned_to_stay_as_it_is(tmp_path: Path) -> None:
     assert {fault.suspicion.name for fault in faults(odd, tmp_path) if fault.violation} == {"NUMBER", "TAKEN"}
     found = imported(odd, guess_table(), works=True)
     told = {(guess.about, guess.guess, guess.why) for guess in found.guesses}
-    assert ("input points of mapper", "it may stay unfed", "nobody feeds it, and the graph works") in told
+    assert ("input points of mapper", "it may stay unfed", "no node feeds it, and the graph works") in told
     assert ("input cmd_vel of base", "takes every stream", "they publish, and the graph works") in told
     change = api.plan(api.match(api.load(written(found, tmp_path)))).change_set
     assert change is not None
@@ -227,7 +227,7 @@ def test_the_manuals_file_of_guesses_is_read_and_believed_first(tmp_path: Path) 
     ("text", "said"),
     [
         ("inputs: [{topc: x}]", "unknown key `topc`"),
-        ("inputs: [{optional: true}]", "says not of which inputs"),
+        ("inputs: [{optional: true}]", "does not say which inputs"),
         ("nodes: {a/b: {publishes: {x: Odometry}}}", "is no message type"),
         ("inputs: {}", "this must be a list"),
         ("inputs: [{type: a/b, several: 2}]", "true or false"),

@@ -251,7 +251,7 @@ def test_inputs_hear_just_what_feeds_them_and_topics_have_just_their_stream(envi
     try:
         actions = actions_of(launch_text(environment))
     except InputError as error:
-        assert "nothing is to be launched" in str(error)
+        assert "nothing to launch" in str(error)
         assert all("external" in str(each.source) for each in environment.library)
         return
     for kind, said in actions:

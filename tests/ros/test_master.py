@@ -109,7 +109,7 @@ def test_a_live_graph_has_its_nodes_with_types_and_services(master: Master) -> N
     types = {port.name: str(port.type) for port in nodes["/planner"].ports}
     assert (types["/scan"], types["/map"]) == ("std_msgs/msg/Float64", "std_msgs/msg/String")
     assert not any("/robot/lidar" in note for note in found.notes)
-    assert any("who calls services" in note for note in found.notes)
+    assert any("the callers of services" in note for note in found.notes)
 
     lidar.kill()
     lidar.wait()

@@ -127,7 +127,7 @@ def test_rosnode_info_tells_topics_and_services(tmp_path: Path) -> None:
             "the topic of this endpoint",
         ),
         ("$ ros2 topic info -v /x\nType: a/msg/B\nNode name: n\n", 3, "this endpoint says not whether"),
-        ("hello\n", 1, "no node is told"),
+        ("hello\n", 1, "no node is named"),
     ],
 )
 def test_a_fault_in_pasted_text_is_told_with_its_line_and_a_mend(text: str, line: int, message: str) -> None:
@@ -141,7 +141,7 @@ def test_a_fault_in_pasted_text_is_told_with_its_line_and_a_mend(text: str, line
 
 def test_a_second_topic_without_its_command_is_not_taken_for_the_first() -> None:
     second = MIXED[MIXED.index("Type: sensor") :]
-    with pytest.raises(InputError, match="topic of this endpoint is not told"):
+    with pytest.raises(InputError, match="topic of this endpoint is missing"):
         graph_of_text(MIXED + second, "text", 2)
 
 

@@ -60,9 +60,7 @@ def test_a_bag_of_ros_1_tells_who_published_what_and_how_often(tmp_path: Path) -
     }
     (player,) = [each for each in whole.nodes if each.player]
     assert (player.package, player.executable, player.arguments) == ("rosbag", "play", (f"{tmp_path}/drive.bag",))
-    assert whole.notes == (
-        f"who subscribes to topics of {tmp_path}/drive.bag: a recording has only what was published",
-    )
+    assert whole.notes == (f"the subscribers to topics of {tmp_path}/drive.bag: a recording has only publications",)
 
 
 @pytest.mark.parametrize("storage", [*rosbag2.StoragePlugin])
@@ -110,7 +108,7 @@ def test_the_command_makes_a_valid_environment_of_a_recording(
 ) -> None:
     file = tmp_path / "robot.yaml"
     assert main(["import", "ros1", str(bag1(tmp_path / "a.bag", {"/words": "/talker"})), "--out", str(file)]) == 0
-    assert "who subscribes to topics" in capsys.readouterr().err
+    assert "the subscribers to topics" in capsys.readouterr().err
     (output,) = api.load(file).environment.transformation["talker"].outputs
     assert (output.rate_uhz, output.type) == (10_500_000, "std_msgs/msg/String")
     assert main(["check", str(file)]) == 0

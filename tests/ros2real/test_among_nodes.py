@@ -111,7 +111,7 @@ def test_a_helper_that_dies_is_begun_anew_and_topics_go_on(env: Path, observer: 
         assert len(helpers) == 4, "one for each unit, and one for the targets"
         for helper in helpers:
             helper.kill()
-        assert "the ROS 2 helper has ended (-9) and is begun anew" in await_event(process, "Warning")["text"]
+        assert "the ROS 2 helper has ended (-9) and is started again" in await_event(process, "Warning")["text"]
         eventually(lambda: observer.gives("/replies"))
         eventually(lambda: observer.gives("/place"))
         process.terminate()
@@ -136,7 +136,7 @@ def test_a_helper_that_dies_is_begun_anew_and_topics_go_on(env: Path, observer: 
         ("topic: /place", "topic: /a place", "target place: `/a place` can't be the name of a ROS 2 topic"),
         ("geometry_msgs/Point", "far_msgs/Place", "put its definition into far_msgs/msg/Place.msg here"),
         ("geometry_msgs/Point", "Place", "target place: `Place` is no message type"),
-        (", type: geometry_msgs/Point", "", "no target says as what message `type` it is to be published in ROS 2"),
+        (", type: geometry_msgs/Point", "", "no target has a message `type` for ROS 2"),
     ],
 )
 def test_what_is_wrong_is_told_before_anything_starts(

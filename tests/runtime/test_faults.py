@@ -135,7 +135,7 @@ def test_what_a_unit_prints_without_end_is_left_out_and_counted_and_stops_nobody
     runtime = run_units(source(), worker("chatty", "Chatterer"), worker())
     feeds = unit("chatty.1", x="count.1/n")
     runtime.apply(start(unit("count.1"), feeds, unit("work.1", topic="/result", x="count.1/n")))
-    left_out = "at most 500 a second are told"
+    left_out = "at most 500 a second are shown"
     eventually(lambda: any(event.line.endswith(left_out) for event in seen(runtime, UnitPrinted)))
     listener = Listener("/result")
     eventually(lambda: len(listener.received) > 20)
@@ -164,7 +164,7 @@ def test_a_unit_that_writes_into_foreign_descriptors_takes_nobody_with_it(
     runtime.apply(start(unit("count.1"), feeds, unit("work.1", topic="/result", x="count.1/n")))
     eventually(lambda: bool(seen(runtime, UnitDied)))
     assert {event.unit for event in seen(runtime, UnitDied)} == {"scribbler.1"}
-    assert "descriptors that are not its own" in seen(runtime, UnitDied)[0].cause
+    assert "descriptors of others" in seen(runtime, UnitDied)[0].cause
     listener = Listener("/result")
     eventually(lambda: len(listener.received) > 20)
 

@@ -39,7 +39,7 @@ pytestmark = pytest.mark.parametrize("form", get_args(ProgramFormat))
         ("floods with lines", UnitFailed, "y"),
         ("floods with a line", UnitHung, ""),
         ("floods with answers", UnitFailed, "not asked for"),
-        ("floods its log", UnitPrinted, "at most 500 a second are told"),
+        ("floods its log", UnitPrinted, "at most 500 a second are shown"),
         ("promises", UnitHung, ""),
         ("hang", UnitHung, ""),
         ("memory", UnitDied, "exit status 1" if sys.platform == "linux" else ""),

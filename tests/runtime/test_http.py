@@ -80,7 +80,7 @@ def test_a_resource_that_can_not_be_had_is_told_once_and_again_when_it_is_there(
     assert capsys.readouterr().out == f"{server.url}/x answers 404 Not Found; it is tried again\n"
     server.answers["/x"] = 200, b"7"
     assert [poller(), poller()] == [7, 7]
-    assert capsys.readouterr().out == f"{server.url}/x is there again\n"
+    assert capsys.readouterr().out == f"{server.url}/x answers again\n"
     server.close()
     assert [poller(), poller()] == [None, None]
     told = capsys.readouterr().out
@@ -116,9 +116,9 @@ def test_a_password_goes_to_the_resource_and_not_to_where_it_leads(
     ("params", "message"),
     [
         ({"url": "file:///etc/passwd"}, "is no URL of a resource"),
-        ({"url": "http://bob:secret@house"}, "do not belong into a URL"),
+        ({"url": "http://bob:secret@house"}, "a URL can't hold the name"),
         ({"payload": "yaml"}, "is no form of a payload"),
-        ({"password": "secret"}, "a password does not belong into an environment file"),
+        ({"password": "secret"}, "an environment file can't hold a password"),
         ({"usrname": "bob"}, "did you mean `username`"),
         ({"password_env": "NO_SUCH"}, "a password without a name"),
         ({"token_env": "NO_SUCH"}, "the variable NO_SUCH is not set"),

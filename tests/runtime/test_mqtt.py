@@ -397,7 +397,7 @@ def test_a_broker_that_is_not_there_yet_is_told_once(
     assert heard.next() == 1
     told += capsys.readouterr().out
     assert told.count("does not answer") == 1
-    assert f"{broker.name} is there again" in told
+    assert f"{broker.name} is connected again" in told
 
 
 def test_names_and_passwords_are_read_from_elsewhere_and_wrong_ones_end_it(
@@ -434,7 +434,7 @@ def test_a_broker_is_spoken_to_by_tls(tmp_path: Path, hear: Hear, publish: Publi
     [
         ({"broker": "http://house"}, "`http://house` is no broker"),
         ({"broker": "house:many"}, "`house:many` is no broker"),
-        ({"broker": "mqtt://bob:secret@house"}, "do not belong into its address"),
+        ({"broker": "mqtt://bob:secret@house"}, "address of a broker can't hold"),
         ({"topic": "a/#/b"}, "is no filter of topics"),
         ({"topic": "a+/b"}, "is no filter of topics"),
         ({"topic": ""}, "is no filter of topics"),
@@ -443,7 +443,7 @@ def test_a_broker_is_spoken_to_by_tls(tmp_path: Path, hear: Hear, publish: Publi
         ({"field": []}, r"`\[\]` is no field"),
         ({"field": {"a": 1}}, "is no field"),
         ({"field": "a", "payload": "number"}, "a message that is a number has no fields"),
-        ({"password": "secret"}, "a password does not belong into an environment file"),
+        ({"password": "secret"}, "an environment file can't hold a password"),
         ({"usrname": "bob"}, "did you mean `username`"),
         ({"username": "bob", "password_env": "NO_SUCH_VARIABLE"}, "the variable NO_SUCH_VARIABLE is not set"),
         ({"username": "bob", "password_file": "/absent"}, "the password can't be read"),

@@ -1,4 +1,4 @@
-"""How bad a target's stream must be, whatever is wired, unless units run that are better than estimated.
+"""The best quality that any wiring gives a target's stream, unless running units are better than estimated.
 
 The value of a stream is made along a chain of units, and every unit adds its part to what its worst input has. Choose a
 *potential* for each demand: an estimate of how bad the stream is that meets it. A unit is *ahead* by as much as its

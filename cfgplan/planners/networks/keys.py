@@ -1,4 +1,4 @@
-"""How good a configuration is, in the order of optimality (Definition 10 and its ties), and what need not change."""
+"""The key of a configuration in the order of optimality (Definition 10 and its ties), and its parts that may stay."""
 
 from __future__ import annotations
 

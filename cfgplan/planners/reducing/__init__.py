@@ -1,1 +1,1 @@
-"""The problem less what no plan can use, and less the words that can't matter."""
+"""The problem without the parts that no plan can use, and without the keys that can't matter."""

@@ -1,4 +1,4 @@
-"""`reduce` leaves out of a problem what no plan can use, and words that can't bind.
+"""`reduce` removes the parts of a problem that no plan can use, and the keys that can't bind.
 
 The library loses transformations that can't be started or that nothing wanted can need, with all that they say. Limits,
 qualities and hosts go if no configuration can reach them. Optional inputs without worth cost nothing and start nothing:

@@ -1,4 +1,4 @@
-"""The time that is left, the tuning that says how to spend it, and what each phase took."""
+"""The remaining time, the tuning that divides it, and the time of each phase."""
 
 from __future__ import annotations
 

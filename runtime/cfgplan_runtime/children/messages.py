@@ -238,7 +238,7 @@ class PortCounts(msgspec.Struct, frozen=True):
 
 
 class Quality(msgspec.Struct, frozen=True):
-    """What the elements of an output said of a quality attribute since the last sign of life, in units of it.
+    """The qualities that an output's elements said since the last sign of life, in units of the attribute.
 
     `squares` is the sum of the squares of the distances from the mean.
     """

@@ -238,7 +238,7 @@ class ProgramCode:
         """The moment of the step that is answered. Raises ProgramFaultError."""
         step = answers[0].step if answers else None
         if step is None:
-            told = f"it lacks the `step` of what it answers, now {self._asked[0].step}"
+            told = f"it lacks the `step` that it answers, now {self._asked[0].step}"
             raise ProgramFaultError("no answer", told, message.shown)
         if any(answer.step not in (None, step) for answer in answers):
             raise ProgramFaultError("no answer", "a list answers one step", message.shown)
@@ -280,7 +280,7 @@ class ProgramCode:
         try:
             return ProgramEndedError(f"the program: {end_of_process(self._process.wait(_END_S))}")
         except subprocess.TimeoutExpired:
-            return ProgramEndedError("the program has closed its standard input or output, and goes on")
+            return ProgramEndedError("the program has closed its standard input or output, but still runs")
 
 
 _NOT_ASKED = "not asked for"

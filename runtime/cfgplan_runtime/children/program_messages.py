@@ -60,7 +60,7 @@ _Answers = Answer | list[Answer]
 
 
 class Message:
-    """A message of a program; of one that is too large only the beginning is kept.
+    """A message of a program; a message that is too large keeps only its beginning.
 
     Text that can't have been meant as an answer `is_stray`.
     """

@@ -1,4 +1,4 @@
-"""How good the elements of a unit say they are: sums of what their fields say, from one sign of life to the next."""
+"""Sums of the qualities that a unit's elements say, from one sign of life to the next."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _GOOD_AGAIN: Final = 100
 
 @dataclass(frozen=True, slots=True)
 class _Missing:
-    """A value does not have this field."""
+    """The field that a value does not have."""
 
     field: str
 
@@ -39,7 +39,7 @@ class SaidQualities:
         }
         self._sums: dict[tuple[str, str], Quality] = {}
         self._faulty: dict[tuple[str, str], int] = {}
-        """By output and attribute whose fault was told: how many good values have come in a row since."""
+        """By output and attribute with a reported fault: the number of good values in a row since then."""
 
     def take(self, port: str, value: object, beside: Mapping[str, float]) -> list[str]:
         """Take in a value of an output. Returns faults in words, each once until 100 values in a row are good."""
@@ -60,9 +60,9 @@ class SaidQualities:
         return found
 
     def _taken(self, port: str, attribute: str, said: object) -> str:
-        """Take in what is said of an attribute. Returns why it can't be used; empty if it can."""
+        """Add a value of an attribute. Returns why it can't be used; empty if it can."""
         if attribute not in self._stated.get(port, ()):
-            return f"says its {attribute}, which the environment does not state of it"
+            return f"says its {attribute}, which the environment does not state for it"
         if isinstance(said, _Missing):
             return f"does not say its {attribute}: a value has no field {said.field!r}"
         try:
@@ -85,7 +85,7 @@ class SaidQualities:
 
 
 def _within(value: object, steps: Sequence[str]) -> object:
-    """What a value holds in a field that several steps lead to."""
+    """Return the value of a nested field; `_Missing` if it is absent."""
     for step in steps:
         if not isinstance(value, Mapping) or step not in value:
             return _Missing(".".join(steps))
@@ -94,7 +94,7 @@ def _within(value: object, steps: Sequence[str]) -> object:
 
 
 def _after(sums: Quality, number: float) -> Quality:
-    """The sums with a number more (Welford)."""
+    """Return the sums with another number (Welford)."""
     elements = sums.elements + 1
     distance = number - sums.mean
     mean = sums.mean + distance / elements

@@ -120,7 +120,7 @@ class _Module:
         return InputError([Fault(message, str(self.path), line, self._column(node), mend=mend)])
 
     def _column(self, node: ast.AST | None) -> int | None:
-        """The column, from 1, where a node stands; of a function or class that of its name."""
+        """The column, from 1, of a node; for a function or class, the column of its name."""
         number, offset = getattr(node, "lineno", 0), getattr(node, "col_offset", 0)
         if not 0 < number <= len(self.lines):
             return None

@@ -195,7 +195,7 @@ class UnitChild:
 
     @property
     def _has_work(self) -> bool:
-        """Whether a step has begun and not ended, or waits."""
+        """Whether a step is under way or waits."""
         return self._results is not None or self._has_replies or self._owes or self._pending is not None
 
     @property
@@ -320,7 +320,7 @@ class UnitChild:
             self._fail(error)
 
     def _moment_of(self, given: Given) -> Moment:
-        """Moments rise along a stream: of equal times, the later element takes the next turn."""
+        """Return a result's moment. Moments rise along a stream: at equal times, later elements get later turns."""
         if given.time_ns is not None:
             moment = (given.time_ns, 0)
         elif self._moment is not None:

@@ -61,7 +61,7 @@ def save(estimator: LearningEstimator, path: Path, now_s: float) -> None:
     except OSError as error:
         with suppress(OSError):
             new.unlink(missing_ok=True)
-        raise EstimatesError(f"{path}: what was learned can't be kept: {error.strerror}") from None
+        raise EstimatesError(f"{path}: the estimates can't be kept: {error.strerror}") from None
 
 
 def load(estimator: LearningEstimator, path: Path, now_s: float) -> None:
@@ -76,7 +76,7 @@ def load(estimator: LearningEstimator, path: Path, now_s: float) -> None:
     except FileNotFoundError:
         return
     except OSError as error:
-        raise EstimatesError(f"{path}: what was learned can't be read: {error.strerror}") from None
+        raise EstimatesError(f"{path}: the estimates can't be read: {error.strerror}") from None
     try:
         kept = msgspec.json.decode(data, type=_Kept)
         if kept.format != ESTIMATES_FORMAT:
@@ -90,7 +90,7 @@ def load(estimator: LearningEstimator, path: Path, now_s: float) -> None:
         with suppress(OSError):
             path.replace(aside)
         raise EstimatesError(
-            f"{path}: damaged ({error}); it was renamed to {aside.name}, and learning begins anew"
+            f"{path}: damaged ({error}); it was renamed to {aside.name}, and learning starts again"
         ) from None
     fresh = estimator.settings
     for part in parts:
@@ -115,7 +115,7 @@ def _refuse_what_is_no_file(path: Path) -> None:
     except OSError:
         return  # reading or writing says what is wrong
     if is_other:
-        raise EstimatesError(f"{path}: what was learned can't be kept here: it is no file")
+        raise EstimatesError(f"{path}: the estimates can't be kept here: it is no file")
 
 
 def _sync_folder(folder: Path) -> None:

@@ -38,7 +38,7 @@ _AUTHORITY_DAYS = 3650
 
 _SOON = timedelta(days=30)
 """The time before the end of a certificate from which a warning is given once a day."""
-_ANEW = "make a folder anew by `cfgplan certificates` where the authority is, copy it here, and start again"
+_ANEW = "make a new folder by `cfgplan certificates` where the authority is, copy it here, and start again"
 
 
 class _Access(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -230,8 +230,8 @@ def _refuse_names(names: Iterable[str]) -> None:
 
 
 def _refuse_overwriting(folders: Iterable[Path]) -> None:
-    mend = "name another folder, or remove this one to make it anew"
-    there = [Fault("is there already, and not written over", file=str(path), mend=mend) for path in folders
+    mend = "name another folder, or remove this one first"
+    there = [Fault("exists already, and is not overwritten", file=str(path), mend=mend) for path in folders
              if os.path.lexists(path)]  # fmt: skip
     if there:
         raise InputError(there)

@@ -123,5 +123,5 @@ def _cpu_groups(environment: Environment, say: Callable[[str], None]) -> Mapping
     try:
         return cpu_groups(limits_us) if limits_us else {}
     except RuntimeFaultError as error:
-        say(f"`cpu` of hosts is planned with, but not held: {error}")
+        say(f"`cpu` of hosts limits plans, but not running units: {error}")
         return {}

@@ -77,7 +77,7 @@ class ReplaceWorld:
 
 @dataclass(frozen=True, slots=True)
 class KillUnit:
-    """End a unit at once. Nobody is blamed, so the review that follows may start its transformation again."""
+    """End a unit at once. It does not count as a failure, so the next review may start its transformation again."""
 
     unit: str
 

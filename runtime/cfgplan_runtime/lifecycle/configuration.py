@@ -230,7 +230,7 @@ def environment_to_plan(scene: Scene, avoided: Mapping[str, str], costs: Mapping
 
 
 def _where_it_may(scene: Scene, transformation: Transformation) -> Transformation:
-    """The transformation without the hosts that are there, and where it keeps failing."""
+    """Return the transformation without the reachable hosts on which it keeps failing."""
     world, situation = scene.world.environment, scene.situation
     if not situation.back_offs.places_of(transformation.label) or not world.hosts or transformation.host is not None:
         return transformation

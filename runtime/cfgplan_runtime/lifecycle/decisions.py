@@ -196,7 +196,7 @@ def _tick(turn: Turn, time_s: float) -> Turn:
 
 
 def _look_begun(turn: Turn, time_s: float) -> Turn:
-    """Have a look planned at what was found too bad and was not seen for long."""
+    """Have a look planned at a transformation that was found too bad and was not observed for long."""
     state, at_s = turn.state, turn.at_s
     planning = Planning(state.number + 1, at_s, time_s, 0.0, state.living.world, plans=1)
     unmet = state.reviews[-1].unmet if state.reviews else {}
@@ -205,7 +205,7 @@ def _look_begun(turn: Turn, time_s: float) -> Turn:
 
 
 def _looked(turn: Turn, looked: Looked) -> Turn:
-    """Start what is to be looked at, unless nothing is. A look is put off if something has happened meanwhile."""
+    """Start the units of a planned look. If something has happened meanwhile, the look is planned again later."""
     state, planning = turn.state, turn.state.doing
     assert isinstance(planning, Planning)
     if state.entries or state.is_closing or state.stops:
@@ -221,7 +221,7 @@ def _looked(turn: Turn, looked: Looked) -> Turn:
 
 
 def _look_ended(turn: Turn) -> Turn:
-    """A look is over: a review decides whether its units stay."""
+    """End a look whose time is over; a review decides whether its units stay."""
     state, looks = turn.state, turn.state.looks
     if looks.until_s > turn.at_s:
         return turn

@@ -71,7 +71,7 @@ class Thought:
 
 @dataclass(frozen=True)
 class Looked:
-    """What starts so that a transformation can be looked at; None if none would be chosen, however good it is."""
+    """The planned look at a transformation; `thought` is None if no plan would use any, even if it were as declared."""
 
     label: str = ""
     thought: Thought | None = None
@@ -159,9 +159,9 @@ class Deliberation:
         )
 
     def look(self, scene: Scene, labels: Iterable[str], unmet: Mapping[str, str], *, stop: threading.Event) -> Looked:
-        """What to start to look at the first of some transformations that would be chosen if it were as declared.
+        """Plan a look at the first of some transformations that a plan would use if it were as good as declared.
 
-        The new units feed no topic. `unmet` has the targets that are not met as it is, with the reasons.
+        The new units feed no topic. `unmet` has the targets that are not met now, with the reasons.
         """
         self._stop = stop
         for label in labels:
@@ -180,7 +180,7 @@ class Deliberation:
         return Looked()
 
     def _run_for_nobody(self, scene: Scene, change_set: ChangeSet) -> Thought | None:
-        """Starting units that no target needs, if that breaks no other rule."""
+        """Return the start of units that no target needs; None if it breaks another rule."""
         thought, new = self._begun(scene), {unit.id for unit in change_set.started}
         wanted = self.problem(thought.planned, scene.world)
         for problem in (wanted, *(less for less, _ in _asking_less(wanted))):
@@ -322,7 +322,7 @@ def _asking_less(problem: Problem) -> Iterator[tuple[Problem, str]]:
         yield problem, "a link between hosts carries less than its streams need"
     if problem.survive is not None:
         problem = replace(problem, survive=None)
-        yield problem, "what is there does not survive every failure"
+        yield problem, "the configuration does not survive every failure"
     if any(transformation.min_instances for transformation in problem.environment.library):
         library = tuple(replace(t, min_instances=0) if t.min_instances else t for t in problem.environment.library)
         problem = replace(problem, environment=replace(problem.environment, library=library))

@@ -72,7 +72,7 @@ class FileWatch:
         try:
             call()
         except Exception:
-            LOG.exception("what has changed could not be taken in; files are watched on")
+            LOG.exception("a change could not be applied; files are still watched")
 
     def _watch(self, folders: list[Path]) -> None:
         """Look at each change in `folders`, and every LOOK_MS, until the set of folders changes."""
@@ -113,7 +113,7 @@ class FileWatch:
 
 
 def _folders(paths: Iterable[Path]) -> list[Path]:
-    """The folders to watch: those among `paths`, and those of the files, as far as they exist."""
+    """The existing folders to watch: the folders among `paths`, and the parents of the files."""
     folders = {path if path.is_dir() else path.parent for path in paths}
     return sorted(folder for folder in folders if folder.is_dir()) or [Path()]
 
@@ -187,7 +187,7 @@ class WorldWatch(FileWatch):
             self._give(world, str(self._path))
 
     def _tell_of_wait(self) -> None:
-        what = f"it has not been read for {SLOW_S:g} s; what it said before holds"
+        what = f"it has not been read for {SLOW_S:g} s; the run keeps the last valid version"
         mend = "see whether one of its files is a pipe, or on a disk that does not answer"
         self._refuse(str(self._path), (Fault(what, str(self._path), mend=mend),))
 

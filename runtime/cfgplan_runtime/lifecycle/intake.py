@@ -202,7 +202,7 @@ def _noted(turn: Turn, unit: str, note: Note) -> Turn:
 
 
 def _unnoted(turn: Turn, unit: str) -> Turn:
-    """Forget what was noted of a unit that is gone, or whose id another unit has now."""
+    """Forget the notes about a unit that has ended, or whose id another unit has now."""
     left = {other: note for other, note in turn.state.notes.items() if other != unit}
     return turn.to(replace(turn.state, notes=left, seen=turn.state.seen.without(unit)))
 
@@ -336,12 +336,14 @@ def _to_be_restarted(turn: Turn, units: tuple[str, ...], request: Asked) -> Turn
         _check_runs(state, unit)
         label = state.running.unit[unit].transformation
         if label not in library:
-            raise InputError.of(f"unit {unit!r} can't be restarted: its transformation {label!r} is there no more")
+            raise InputError.of(
+                f"unit {unit!r} can't be restarted: its transformation {label!r} does not exist any more"
+            )
         if is_external(library[label]):
             mend = "restart the node where it was started"
             raise InputError.of(f"unit {unit!r} can't be restarted: others have started its node", mend=mend)
         if label in situation.code_faults:
-            mend = "it goes on with the code from before; mend the code"
+            mend = "it keeps running the old code; correct the new code"
             raise InputError.of(f"unit {unit!r} can't be restarted: {situation.code_faults[label]}", mend=mend)
     return turn.to(replace(state, given=(*state.given, request)))
 

@@ -1,8 +1,8 @@
-"""Looks: a way that was found too bad runs for a moment beside what runs, for nobody knows how good it is by now.
+"""Looks: a transformation that was found too bad runs for some seconds, to see whether it has become better.
 
-Nobody observes a transformation that does not run. So one that streams have said to be worse than declared runs for
-LOOK_S seconds, its streams used by nobody, if it would be chosen were it as good as declared; a slow stream is looked
-at until it has said enough. A look that teaches nothing new makes the next one later.
+A transformation that does not run is not observed. If streams have said that it is worse than declared, and the planner
+would choose it if it were as good as declared, it runs for LOOK_S seconds without subscribers; a slow stream is looked
+at until it has given enough elements. If a look finds nothing new, the next one comes later.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ LONGEST_LOOK_S: Final = 60.0
 """A stream that has said too little by then is not waited for."""
 LONGEST_GAP_S: Final = 960.0
 NEW: Final = 0.2
-"""A look teaches something if what it finds differs by this share from what was known."""
+"""A look finds something new if a quality differs by more than this share from its known value."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,32 +30,32 @@ class Looks:
 
     not_before_s: float = 0.0
     gap_s: float = 0.0
-    """From the last look to the next; 0 before the first."""
+    """Seconds from the last look to the next; 0 before the first."""
     units: tuple[str, ...] = ()
-    """Units that run to be looked at."""
+    """The units of the look."""
     since_s: float = 0.0
     until_s: float = inf
     looked_s: Mapping[str, float] = field(default_factory=dict)
     """By transformation: when it was looked at last, whether it said anything or not."""
     known: Mapping[Statement, int] = field(default_factory=dict)
-    """What was known before of what is looked at, in micro-units."""
+    """The deviations of the observed outputs that were known before the look, in micro-units."""
 
     def begun(self, at_s: float, least_gap_s: float) -> Looks:
-        """A look was planned: the next one is not before twice the gap is over."""
+        """Note that a look was planned: the next one comes after twice the gap, at least."""
         gap_s = min(max(2 * self.gap_s, least_gap_s), LONGEST_GAP_S)
         return Looks(at_s + gap_s, gap_s, looked_s=self.looked_s)
 
     def at(self, label: str, qualities: Mapping[Statement, int], at_s: float) -> Looks:
-        """The look is at this transformation."""
+        """Look at this transformation, and keep its known deviations for comparison."""
         known = {one: seen for one, seen in qualities.items() if one.transformation == label}
         return replace(self, known=known, looked_s={**self.looked_s, label: at_s})
 
     def running(self, units: tuple[str, ...], at_s: float) -> Looks:
-        """The units of a look run from now on."""
+        """Note that the units of the look run from now on."""
         return replace(self, units=units, since_s=at_s, until_s=at_s + LOOK_S)
 
     def longer(self, running: Environment, seen: SeenQualities) -> Looks:
-        """The look goes on while what is looked at runs, but has said too little; at most for LONGEST_LOOK_S."""
+        """Continue a look at running units that have given too few elements, for LONGEST_LOOK_S at most."""
         sampled = {
             Statement(running.unit[stream.unit].transformation, stream.port, attribute)
             for (stream, attribute), window in seen.windows.items()
@@ -68,7 +68,7 @@ class Looks:
         return replace(self, until_s=self.until_s + LOOK_S)
 
     def over(self, world: Environment, qualities: Mapping[Statement, int], least_gap_s: float) -> Looks:
-        """The look is over: if it has taught something, the next one is due sooner."""
+        """End the look; if it has found something new, the next one comes sooner."""
         has_taught = any(
             abs(qualities.get(one, 0) - seen) > NEW * abs(stated.stated + seen)
             for one, seen in self.known.items()
@@ -79,7 +79,7 @@ class Looks:
 
 
 def worse_seen_s(world: Environment, qualities: Mapping[Statement, int], estimates: Estimates) -> dict[str, float]:
-    """By transformation that is known to be worse than declared: when it was observed last."""
+    """Return when each transformation that is known to be worse than declared was last observed, by label."""
     found: dict[str, float] = {}
     for statement, seen in qualities.items():
         attribute, known = world.quality.get(statement.attribute), estimates.get(statement)

@@ -127,19 +127,19 @@ class LinkMeasured(Perturbation, frozen=True):
 
 
 class LookDue(Perturbation, frozen=True):
-    """Nobody knows how good a transformation is by now that was found too bad: it runs for a moment, for nobody."""
+    """A transformation that was found too bad runs for some seconds, to see whether it has become better."""
 
     transformation: str
 
 
 class LookOver(Perturbation, frozen=True):
-    """Units have run to be looked at; what they were found to be decides whether they stay."""
+    """The units of a look have run for its time; their observed qualities decide whether they stay."""
 
     units: tuple[str, ...]
 
 
 class CodeChanged(Perturbation, frozen=True):
-    """The code of units has changed: that of those `left_out` can't be started, that of those `back` may be again."""
+    """The code of units has changed: the code of `left_out` can't be loaded, the code of `back` can again."""
 
     left_out: tuple[str, ...] = ()
     back: tuple[str, ...] = ()

@@ -70,7 +70,7 @@ class Estimator(Protocol):
         """Learn that a unit of a transformation could not start, died, hung or kept failing."""
 
     def labor_us(self, transformation: Transformation, horizon_s: int, host: Host | None = None) -> int:
-        """CPU time of one start, in microseconds, with what failures cost. There is a `host` if the world has hosts."""
+        """CPU time of one start and of failures, in microseconds. `host` is None if the world has no hosts."""
 
     def upkeep_us(self, transformation: Transformation, horizon_s: int, host: Host | None = None) -> int:
         """CPU time per second, in microseconds, as the mean over the horizon from now."""

@@ -1,4 +1,4 @@
-"""What streams have said of how good they are, and what was learned of it, as one value."""
+"""The qualities that streams say, and the estimates learned from them, as one value."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from cfgplan_runtime.supervision.events import UnitStatus
 
 @dataclass(frozen=True, slots=True)
 class SeenQualities:
-    """What streams have said of quality attributes since the last update, and what was learned ever."""
+    """The qualities that streams have said since the last update, and the estimates learned in the whole run."""
 
     windows: Mapping[Said, Window] = field(default_factory=dict)
     heard: frozenset[str] = frozenset()
-    """Units that have spoken since the last update; the first time, they may speak of streams before it."""
+    """Units that have reported since the last update; their first report may be about elements before it."""
     taught_s: Mapping[Said, float] = field(default_factory=dict)
-    """When each stream last taught, since the last update, though nothing was new."""
+    """When each stream last confirmed the estimates, since the last update."""
     is_new: bool = False
-    """Whether something was said of which nobody has learned."""
+    """Whether streams have said something since the last lesson."""
     estimates: Estimates = field(default_factory=dict)
 
     def after_status(self, status: UnitStatus, at_s: float) -> SeenQualities:
-        """Take in what the outputs of a unit said."""
+        """Take in the qualities in a unit's report."""
         if not status.qualities:
             return self
         if status.unit not in self.heard:
@@ -42,17 +42,17 @@ class SeenQualities:
         return replace(self, windows=windows, is_new=True)
 
     def after_lesson(self, lesson: Lesson, fresh: Collection[Said], at_s: float) -> SeenQualities:
-        """Keep what was learned. What was news begins anew, so that its mean is soon of what is so now."""
+        """Keep the learned estimates. Clear the windows of streams with news: their means then follow it."""
         windows = {said: window for said, window in self.windows.items() if said not in lesson.news}
         taught_s = {**self.taught_s, **dict.fromkeys(fresh, at_s)}
         return replace(self, windows=windows, taught_s=taught_s, is_new=False, estimates=lesson.estimates)
 
     def after_update(self, started: Iterable[str]) -> SeenQualities:
-        """Begin anew: units have other inputs now. What was learned stays. The first word of new units counts."""
+        """Clear the windows, since units have other inputs now. Reports of new units count from the first."""
         return SeenQualities(heard=frozenset(started), estimates=self.estimates)
 
     def without(self, unit: str) -> SeenQualities:
-        """Forget what the outputs of a unit said that has ended."""
+        """Forget the reports of a unit that has ended."""
         if unit not in self.heard:
             return self
         windows = {said: window for said, window in self.windows.items() if said[0].unit != unit}

@@ -95,7 +95,7 @@ class Updating:
 
     @property
     def starting(self) -> frozenset[str]:
-        """Ids of the new units. Their deaths are dealt with at the update's end; that of another unit can't wait."""
+        """Ids of the new units. Their deaths wait for the update's end; the death of another unit abandons it."""
         return frozenset(unit.id for unit in self.change_set.started)
 
 

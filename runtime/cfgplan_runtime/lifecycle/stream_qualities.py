@@ -1,4 +1,4 @@
-"""How good streams say they are, and what that teaches of the transformations that give them."""
+"""Learn the qualities of transformations from the qualities that their streams say."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cfgplan_runtime.lifecycle.turns import Turn
 
 
 def qualities_learned(turn: Turn) -> Turn:
-    """Learn from what streams have said. A review is due if one is better or worse for sure than was known."""
+    """Learn from the qualities that streams have said. A significant change makes a review due."""
     state, at_s = turn.state, turn.at_s
     seen, situation = state.seen, state.situation
     if not seen.is_new:
@@ -35,7 +35,7 @@ def qualities_learned(turn: Turn) -> Turn:
 
 
 def qualities_faded(turn: Turn) -> Turn:
-    """Let the next plan know what is left of what was learned of streams that nobody has seen for long."""
+    """Use the faded estimates of streams that were not observed for long in the next plan."""
     state, situation = turn.state, turn.state.situation
     if not state.seen.estimates:
         return turn
@@ -62,7 +62,7 @@ def qualities_restated(turn: Turn, before: Environment) -> Turn:
 
 
 def quality_views(world: Environment, state: State, at_s: float) -> tuple[QualityView, ...]:
-    """What was learned of each output of a world with stated qualities, by name."""
+    """Return the learned quality of each output of a world with stated qualities, sorted by name."""
     found = []
     for statement, known in sorted(state.seen.estimates.items()):
         stated = world.stated(statement)

@@ -1,4 +1,4 @@
-"""A connection to a broker of MQTT 5, which is made again and again, and the messages that are on their way to it."""
+"""A connection to an MQTT 5 broker that reconnects by itself, and the messages that wait for it."""
 
 from __future__ import annotations
 
@@ -170,7 +170,7 @@ class Connection:
                 self._tell_away(f"refuses the connection: {code}")
             return
         if self.away:
-            self._say(f"{self.name} is there again")
+            self._say(f"{self.name} is connected again")
         self.away = ""
         self.on_begin()
         with self.changed:
@@ -279,7 +279,7 @@ def _address(broker: str) -> Any:
         raise InputError.of(f"`{broker}` is no broker", mend=mend)
     if found.password is not None or found.username is not None:
         mend = "remove it, and write `username` with `password_env` or `password_file`"
-        raise InputError.of("the name and password of a broker do not belong into its address", mend=mend)
+        raise InputError.of("the address of a broker can't hold the name and password", mend=mend)
     if port is not None:
         return found
     return found._replace(netloc=f"{found.hostname}:{_PORTS[found.scheme]}")

@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from paho.mqtt.client import Client, MQTTMessage
 
 _ANSWER_S: Final = 10.0
-"""A broker that has not let a client in after so many seconds is none."""
+"""Seconds in which a broker has to accept the client."""
 _LOOK_S: Final = 0.05
 
 
 class Listening:
     """Collects the messages on topics of a broker, and the discovery messages that it keeps.
 
-    Nothing is published, and nothing is confirmed: whoever listens besides misses nothing. For the other parameters see
+    It neither publishes nor confirms, so that other subscribers miss nothing. For the other parameters see
     `Connection`. Raises InputError.
     """
 
@@ -79,10 +79,10 @@ class Listening:
             raise InputError.of(f"{name}: {refusal.partition(';')[0]}", mend=mend)
         mend = "start it, or name the address of one that runs: HOST:PORT, or mqtts://HOST:PORT for TLS"
         if away and not self._was_there:
-            ended = f"what listens at {name} is no broker of MQTT 5, or speaks TLS: it ended the connection"
+            ended = f"the program at {name} is no broker of MQTT 5, or speaks TLS: it ended the connection"
             raise InputError.of(ended if away.startswith("is lost") else f"the broker {name} {away}", mend=mend)
         if not self._is_subscribed:
-            raise InputError.of(f"what listens at {name} does not answer as a broker of MQTT 5 does", mend=mend)
+            raise InputError.of(f"the program at {name} does not answer like a broker of MQTT 5", mend=mend)
         if len(self._refused) == len(self._topics):
             mend = "name what it may read: --topic house/#"
             raise InputError.of(f"{name} lets this client read nothing of {some(self._refused)}", mend=mend)

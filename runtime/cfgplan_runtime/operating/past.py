@@ -1,4 +1,4 @@
-"""The last events of a run, for `cfgplan ctl events --last` and for whoever asks after they have happened."""
+"""The last events of a run, for `cfgplan ctl events --last` and `--since`."""
 
 from __future__ import annotations
 

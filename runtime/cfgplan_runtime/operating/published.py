@@ -15,10 +15,10 @@ from cfgplan_runtime.streams.element import Element
 
 
 class Outside(Protocol):
-    """Where targets are published. It tells by itself what it can't publish."""
+    """Where targets are published. It reports by itself the elements that it can't publish."""
 
     def wanted(self, environment: Environment) -> Iterable[Target]:
-        """The targets of an environment that are to be published."""
+        """The targets of an environment that have to be published."""
         ...
 
     def begin(self, target: Target) -> bool:
@@ -30,7 +30,7 @@ class Outside(Protocol):
         ...
 
     def put(self, topic: str, element: Element) -> None:
-        """Publish an element of a target that was begun, or has just been ended."""
+        """Publish an element of a target that is published, or has just been ended."""
         ...
 
     def close(self) -> None: ...

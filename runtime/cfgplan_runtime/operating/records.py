@@ -53,7 +53,7 @@ def snapshot_record(snapshot: reports.Snapshot, flows: Mapping[str, Record] | No
 
 
 def _quality(view: reports.QualityView) -> Record:
-    """What streams have taught of an output, in units of the attribute."""
+    """The learned quality of an output, in units of the attribute."""
     return {
         "output": f"{view.transformation}/{view.output}",
         "attribute": view.attribute,

@@ -59,9 +59,9 @@ def sentence(report: Report) -> str | None:
             where, there = ("", "") if backing_off.host is None else (f" on {backing_off.host}", " there")
             return f"{label} has failed {times}{where} and is not started{there} for {span(backing_off.left_s)}"
         case WorldRefused(_, faults) if faults:
-            return f"the environment file can't be used, what it said before holds: {faults[0]}"
+            return f"the environment file has an error; the run keeps the last valid version: {faults[0]}"
         case WorldRefused():
-            return "the environment file is well again"
+            return "the environment file is valid again"
         case FactSilent(fact, silent_s, declared):
             return f"nothing has observed {fact} for {span(silent_s)}: it counts as {declared}, as declared"
         case Ended(cause) if cause:
@@ -122,8 +122,8 @@ def review_sentence(review: Review) -> str:
         parts.append(f"without {some(f'{label} ({why})' for label, why in review.avoided.items())}")
     if review.undecided:
         (offered, demanded), more = review.undecided[0], len(review.undecided) - 1
-        others = f", nor of {more} more such pairs" if more else ""
-        parts.append(f"nobody knows whether {offered} is {demanded}{others}: if so, there may be a better update")
+        others = f" (and {more} more such pairs)" if more else ""
+        parts.append(f"it is undecided whether {offered} is {demanded}{others}: if so, a better update may exist")
     parts.append(f"cause: {_because(review)}")
     took = {phase: seconds for phase, seconds in review.seconds.items() if seconds >= 0.0005}
     if took:
@@ -148,7 +148,7 @@ def decision(review: Review) -> str:
             return "nothing to change"
         case Decision.DEFERRED:
             saving = span((review.cost_before_us - (review.cost_us or 0)) / 1e6)
-            return f"all is well; {saving} of CPU could be saved at the horizon"
+            return f"no change needed now; replanning at the horizon would save {saving} of CPU"
         case Decision.FAILED:
             return f"the update failed: {short(review.cause)}"
     return f"no decision: {short(review.cause)}"
@@ -179,7 +179,7 @@ def _cause(perturbation: kinds.Perturbation) -> str:
         case kinds.LinkMeasured(between, rate):
             return f"the link between {_ends(between)} carries {'as declared' if rate is None else mbit(rate)}"
         case kinds.QualitiesObserved():
-            return "streams are better or worse than was known"
+            return "observed qualities have changed"
         case kinds.LookDue(transformation):
             return f"a look at {transformation}"
         case kinds.LookOver(units):
@@ -193,7 +193,7 @@ def _cause(perturbation: kinds.Perturbation) -> str:
         case kinds.RestartAsked(units):
             return f"restart of {named(units)}"
         case kinds.PlanGiven(by):
-            return f"{by} was to be carried out"
+            return f"{by} was given to apply"
     return "asked for"
 
 
@@ -214,7 +214,7 @@ def preview_sentence(thought: Thought) -> str:
     parts = [f"A review would now {'change nothing' if is_kept else _changes(changes, external, _INFINITIVES)}"]
     if thought.cost_us is not None:
         before_us = thought.cost_before_us
-        parts.append(f"{thought.cost_us / 1e6:.4g} s of CPU over the horizon, {before_us / 1e6:.4g} s as it is")
+        parts.append(f"{thought.cost_us / 1e6:.4g} s of CPU over the horizon, now {before_us / 1e6:.4g} s")
     parts += [f"{label} is not met: {reason}" for label, reason in sorted(thought.unmet.items())]
     return "; ".join(parts)
 
@@ -249,7 +249,7 @@ def _perturbation(perturbation: kinds.Perturbation) -> str | None:
             how = "as much as declared" if rate is None else f"about {mbit(rate)}"
             return f"the link between {_ends(between)} carries {how}: plans go by that"
         case kinds.QualitiesObserved(outputs):
-            return f"streams say how good they are: {'; '.join(outputs)}"
+            return f"observed qualities: {'; '.join(outputs)}"
         case kinds.FactsChanged(left_out, back, requalified):
             how = "gives another quality" if len(requalified) == 1 else "give another quality"
             parts = [(left_out, "may not run any more"), (back, "may run again"), (requalified, how)]
@@ -288,9 +288,9 @@ def _event(event: events.Event) -> str | None:
         case events.UnitDied(unit, cause):
             return f"{unit} died: {short(cause)}"
         case events.SpareUsed(unit, spare):
-            return f"{unit} begins where {spare} was prepared"
+            return f"{unit} starts in the prepared spare {spare}"
         case events.SpareLost(unit, cause):
-            return f"the cold spare {unit} is not prepared any more, and will be again: {short(cause)}"
+            return f"the cold spare {unit} was lost and is prepared again: {short(cause)}"
         case events.UnitFailed(unit, kind, step, text, suppressed):
             if suppressed:
                 return f"{unit} failed {_times(suppressed)} more, up to step {step}, such as ({kind}): {short(text)}"
@@ -299,7 +299,7 @@ def _event(event: events.Event) -> str | None:
             return f"{unit} gave no sign of life for {span(silent_s)} and is killed"
         case events.UnitCutShort(unit, after_s, waiting):
             lost = f"; {counted(waiting, 'element')} that waited are lost" if waiting else ""
-            return f"{unit} was told to end, has not within {after_s:g} s and is killed (`run: {{stop: ...}}`){lost}"
+            return f"{unit} was told to end, did not within {after_s:g} s, and is killed (`run: {{stop: ...}}`){lost}"
         case events.UnitTooLarge(unit, memory_bytes):
             return f"{unit} takes {memory_bytes >> 20} MB and is killed"
         case events.UnitPrinted(unit, line):
@@ -309,9 +309,9 @@ def _event(event: events.Event) -> str | None:
         case events.InputLost(unit, port, _):
             return f"{unit} lost its input {port}"
         case events.SourceExhausted(unit):
-            return f"{unit} has no more to give"
+            return f"{unit} has given its last element"
         case events.HelperHung(helper, silent_s):
-            return f"the {helper} gave no sign of life for {span(silent_s)} and is made anew"
+            return f"the {helper} gave no sign of life for {span(silent_s)} and is restarted"
         case events.OutOfDescriptors(cause):
             return cause
         case events.CertificateEnds():
@@ -319,11 +319,11 @@ def _event(event: events.Event) -> str | None:
 
             return ending(event)
         case events.OutletsLost(cause):
-            return f"the topics' addresses were lost and are made anew: {cause}"
+            return f"the topics' addresses were lost and are created again: {cause}"
         case events.ClockMoved(host, ahead_us):
             return f"the clock of {host} is {span(ahead_us / 1e6)} from this one now; times of elements are not moved"
         case events.ElementsLost(host, elements):
-            return f"{host} is back; of what it had given to other hosts, {elements} elements were lost on the way"
+            return f"{host} is back; {elements} of its elements for other hosts were lost on the way"
     return None
 
 

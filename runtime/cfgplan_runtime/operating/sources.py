@@ -1,4 +1,4 @@
-"""Watches the code of units: broken code is told once, and its transformation is left out until the code changes."""
+"""Watches the code of units: broken code is reported once, and its transformation left out until it changes."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ def check_names(protocol: str, known: Iterable[str], given: Mapping[str, object]
     known = tuple(known)
     if "password" in given:
         mend = "write `password_env: VARIABLE` or `password_file: FILE`"
-        raise InputError.of("a password does not belong into an environment file", mend=mend)
+        raise InputError.of("an environment file can't hold a password", mend=mend)
     for name in given:
         if name not in known:
             there = did_you_mean(name, known, f"there are {', '.join(known)}")

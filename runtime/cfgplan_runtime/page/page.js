@@ -81,7 +81,7 @@ function facts() {
   const met = state.targets.filter((target) => target.met).length;
   const said = [state.phase, `${met} of ${state.targets.length} targets met`, `${state.units.length} units`,
     `${(state.cost_us / 1e6).toPrecision(3)} s of CPU per ${span(state.horizon_s)}`];
-  if (state.saving_us) said.push(`${(state.saving_us / 1e6).toPrecision(3)} s to save at the horizon`);
+  if (state.saving_us) said.push(`${(state.saving_us / 1e6).toPrecision(3)} s could be saved by replanning at the horizon`);
   if (state.horizon_left_s !== null) said.push(`horizon in ${span(state.horizon_left_s)}`);
   for (const [name, value] of Object.entries(state.facts)) said.push(`${name} is ${value}`);
   for (const [label, why] of Object.entries(state.left_out)) said.push(`left out for now: ${label}, ${why}`);
@@ -89,7 +89,7 @@ function facts() {
   byId("facts").textContent = said.join("  ·  ");
   const fault = state.faults[0];
   byId("fault").hidden = !fault;
-  if (fault) byId("fault").textContent = `The file can't be used, what it said before holds: ${fault.message}`;
+  if (fault) byId("fault").textContent = `The file has an error; the run keeps the last valid version: ${fault.message}`;
 }
 function targets() {
   byId("targets").tBodies[0].replaceChildren(...state.targets.map((target) => {

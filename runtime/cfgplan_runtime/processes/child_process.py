@@ -77,7 +77,7 @@ class PrintedLines:
             return ""
         self._second_s, self._told, self._bytes = now_s, 0, 0
         number, self._left_out = self._left_out, 0
-        return f"cfgplan: {number:,} more lines are left out: at most {MOST_LINES} a second are told" if number else ""
+        return f"cfgplan: {number:,} more lines are left out: at most {MOST_LINES} a second are shown" if number else ""
 
     def _told_of(self, lines: list[bytes]) -> list[str]:
         """The text of the lines within this second's limit; the others are counted."""
@@ -157,7 +157,7 @@ def cause_of_end(child: ChildProcess, status: int) -> str:
     if child.trouble:
         return child.trouble
     if child.control.is_garbled:
-        return "what it sent is no message: some code of it writes into descriptors that are not its own"
+        return "it sent bytes that are no message: its code writes into descriptors of others"
     end = end_of_process(status)
     return f"{end} (in step {child.steps} or later)" if child.steps else end
 

@@ -114,7 +114,7 @@ def _syntax_fault(error: Any, text: str) -> Fault:
         found, line, column = repr(str(token)), token.line, token.column
     if not text.strip():
         return Fault("the formula is empty", FILE, 1, 1, mend="write one, such as `always ball.x > 0`")
-    message = f"{found} can't stand here" if found else "the formula ends too early"
+    message = f"{found} is not expected here" if found else "the formula ends too early"
     before = text[: len(text) if error.pos_in_stream is None else error.pos_in_stream + 1]
     foreign = [word for word in re.findall(r"\w+", before) if word in SPELLED]
     if foreign:

@@ -77,7 +77,7 @@ def check_targets(environment: Environment, folder: Path) -> None:
     typed = _typed(environment)
     if not typed:
         mend = "add one to a target, such as `type: nav_msgs/Odometry`, or leave out --ros2"
-        raise InputError.of("no target says as what message `type` it is to be published in ROS 2", mend=mend)
+        raise InputError.of("no target has a message `type` for ROS 2", mend=mend)
     faults = list[Fault]()
     for target in typed:
         try:

@@ -200,7 +200,7 @@ class RosTopics:
                 if self._is_over:
                     return
                 words = f": {link.last_words}" if link.last_words else ""
-                self._once.tell("end", f"the ROS 2 helper has ended ({status}) and is begun anew{words}")
+                self._once.tell("end", f"the ROS 2 helper has ended ({status}) and is started again{words}")
             until = time.monotonic() + _ANEW_S
             while not self._is_over and time.monotonic() < until:
                 time.sleep(_ANEW_S / 20)

@@ -89,7 +89,7 @@ class ZenohLink:
         except self._zenoh.ZError as error:
             if listen:
                 raise InputError.of(f"can't listen on {', '.join(listen)}: {_first_line(error)}") from None
-            mend = "see that one listens there, and that both have certificates of one authority, or none"
+            mend = "check that an agent listens there, and that both have certificates of one authority, or none"
             raise InputError.of(f"no agent can be reached at {', '.join(connect)}", mend=mend) from None
 
     @property

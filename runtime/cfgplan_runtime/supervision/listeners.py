@@ -30,4 +30,6 @@ class Listeners(Generic[News]):
             except Exception:
                 if listener not in self._failed:
                     self._failed.add(listener)
-                    LOG.exception("%r has failed at %r, and is not told of again", listener, type(news).__name__)
+                    LOG.exception(
+                        "%r has failed at %r; its next failures are not logged", listener, type(news).__name__
+                    )

@@ -243,7 +243,7 @@ class Supervisor:
             if self.is_ending:
                 raise
             if not may_be_undone:
-                LOG.exception("%s has failed, and the update goes on", type(command).__name__)
+                LOG.exception("%s has failed, and the update continues", type(command).__name__)
             return error
         return None
 

@@ -1,4 +1,4 @@
-"""A session of Zenoh that units have: with routers and peers at endpoints, linked again and again."""
+"""A unit's Zenoh session with routers and peers at endpoints; lost links are tried again."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ if TYPE_CHECKING:
     import zenoh
 
 FIRST_S: Final = 2.0
-"""Seconds that a session has to be linked for the first time: then it is told, and no publisher waits longer."""
+"""Seconds for the first link: then its absence is reported, and publishers wait no longer."""
 _RETRY_MS: Final = (500, 2000)
-"""Milliseconds from a link that failed to the next try: at first, and at most."""
+"""Milliseconds from a failed link to the next try: at first, and at most."""
 _ENDPOINT: Final = re.compile(r"(tcp|tls|udp|quic|ws|serial|vsock|unixpipe|unixsock-stream)/\S+")
 
 
 class ZenohUnitSession:
-    """A session that links to the endpoints of `connect` and is linked to at those of `listen`.
+    """A session that connects to the endpoints of `connect` and accepts links at the endpoints of `listen`.
 
     An endpoint is `tcp/HOST:PORT`, `tls/HOST:PORT`, or of another protocol of Zenoh; one or a list. A session that only
-    connects is linked with the first of its endpoints that answers, and with another one if that dies. `ca`,
+    connects uses the first of its endpoints that answers, and another one if that one dies. `ca`,
     `certificate` and `key` are files of TLS, relative to the working folder. `say` is called with lines for the user:
     once if a session that connects has no link, and once if it has one again. Raises InputError.
     """
@@ -51,7 +51,7 @@ class ZenohUnitSession:
         self._connect, self._listen = _endpoints(connect), _endpoints(listen)
         if not (self._connect or self._listen):
             mend = "write `connect: tcp/HOST:7447` for a router or peer, or `listen`"
-            raise InputError.of("a session of Zenoh without endpoints is linked with nobody", mend=mend)
+            raise InputError.of("a Zenoh session needs an endpoint", mend=mend)
         self._say = say
         self._config = _config(self._connect, self._listen)
         if username is not None:
@@ -60,7 +60,7 @@ class ZenohUnitSession:
         if ca is not None or certificate is not None:
             self._config["transport"]["link"] = {"tls": _tls(ca, certificate, key)}
         self.on_open: Callable[[zenoh.Session], None] = lambda _: None
-        """Called with the session, once it is there, to declare what is heard or put."""
+        """Called with the open session, to declare subscribers and publishers."""
         self._where = ", ".join(self._connect or self._listen)
         self._linked: set[str] = set()
         self._is_away = self._is_closed = False
@@ -132,7 +132,7 @@ class ZenohUnitSession:
             self._changed.notify_all()
         if is_linked:
             if self._is_away:
-                self._say(f"the peer of Zenoh at {self._where} is there again")
+                self._say(f"the Zenoh peer at {self._where} is linked again")
             self._is_away = False
         elif not self._linked:
             self._tell_away("is lost")
@@ -142,11 +142,11 @@ class ZenohUnitSession:
             self._tell_away("does not answer, or does not let this session in")
 
     def _tell_away(self, what: str) -> None:
-        """Tell once that there is no link."""
+        """Report once that the session has no link."""
         if not self._connect or self._is_away or self._is_closed:
             return
         self._is_away = True
-        self._say(f"the peer of Zenoh at {self._where} {what}; it is tried again")
+        self._say(f"the Zenoh peer at {self._where} {what}; it is tried again")
 
 
 def check_parameters(session: Mapping[str, Any]) -> None:
@@ -164,7 +164,7 @@ def key_expression(text: str, *, is_plain: bool = False) -> str:
         mend = "write chunks with slashes between; `*` stands for one chunk, `**` for any number of them"
         raise InputError.of(f"`{text}` is no key expression: {plain(error)}", mend=mend) from None
     if is_plain and "*" in found:
-        raise InputError.of(f"`{text}` is no key to put at", mend="it has no wildcards")
+        raise InputError.of(f"`{text}` can't be published to", mend="write a key without wildcards")
     return found
 
 

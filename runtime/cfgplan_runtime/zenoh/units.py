@@ -25,8 +25,7 @@ class Subscriber:
 
     `payload` is the form of values (json, text, number or bytes). An element is a value, or its `field`: a key of JSON,
     or a list of keys that lead further in. With wildcards, or if `with_key` is true, an element is a mapping with `key`
-    and `value`. Deletions are passed over. For the other parameters see `ZenohUnitSession`. Raises
-    InputError.
+    and `value`. Deletions are ignored. For the other parameters see `ZenohUnitSession`. Raises InputError.
     """
 
     def __init__(
@@ -81,8 +80,8 @@ class Subscriber:
 class Publisher:
     """A sink: puts each value that comes at its one input at `key_expr`, in the form that `payload` says.
 
-    Where the link has no room a value is dropped, or, if `when_full` is `block`, waits for room. A value is lost while
-    there is no link. For the other parameters see `ZenohUnitSession`. Raises InputError.
+    If the link is full, a value is dropped, or waits for room if `when_full` is `block`. A value that is put
+    without a link is lost. For the other parameters see `ZenohUnitSession`. Raises InputError.
     """
 
     def __init__(
@@ -94,14 +93,14 @@ class Publisher:
         check_parameters(session)
         check_form(payload)
         if when_full not in get_args(WhenFull):
-            raise InputError.of(f"`{when_full}` is nothing to do where a link is full", mend="write drop or block")
+            raise InputError.of(f"`when_full` can't be `{when_full}`", mend="write drop or block")
         self._payload = payload
         self._key_expr = key_expression(key_expr, is_plain=True)
         self._session = ZenohUnitSession(say, **session)
         congestion = zenoh.CongestionControl
         self._congestion = congestion.BLOCK if when_full == "block" else congestion.DROP
         self._publisher: zenoh.Publisher | None = None
-        """None until the session is there."""
+        """None until the session is open."""
         self._session.on_open = self._declare
         self._session.open()
         self._session.wait(FIRST_S)

@@ -1,4 +1,4 @@
-"""Tells when nodes are there: when the ports of those that start have matched, and when those of others have gone."""
+"""Reports nodes that are ready or gone: a starting node's ports have matched, or another one's have vanished."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class AttendedNode:
 
 
 class Attendance:
-    """All nodes of a run that are there or starting."""
+    """All nodes of a run that run or start."""
 
     def __init__(self, host: Host, relays: Relays) -> None:
         self._host, self._relays = host, relays

@@ -1,4 +1,4 @@
-"""Qualities of service of the helper's endpoints: such that everyone on a topic can be heard, and hears."""
+"""Qualities of service of the helper's endpoints, which are compatible with every endpoint of a topic."""
 
 from __future__ import annotations
 
