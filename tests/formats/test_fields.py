@@ -108,6 +108,7 @@ def test_an_attribute_without_a_row_is_one_that_no_key_says_alone() -> None:
     assert {holder: names for holder, names in without_row.items() if names} == {
         Transformation: {"hosts", "seen_us"},  # `host` says a list too; what is seen of costs in a run is in no file
         InputPort: {"name"},
+        Link: {"is_measured", "declared"},  # what a run has found of links is in no file
         OutputPort: {"name"},
         Wish: {"attribute"},
     }
