@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -96,3 +97,31 @@ def test_a_value_without_the_field_is_told_once_with_output_and_field(tmp_path: 
     with running(env) as process:
         told = await_event(process, "UnitFailed")
         assert "output p does not say its error: a value has no field 'how.error'" in json.dumps(told)
+
+
+PROGRAM = """\
+import json, sys
+from pathlib import Path
+
+print('{"ready": true}', flush=True)
+for line in sys.stdin:
+    error = float(Path("water").read_text() or 0.2)
+    answer = {"step": json.loads(line)["step"], "outputs": {"p": {"x": 1.0}}, "quality": {"p": {"error": error}}}
+    print(json.dumps(answer), flush=True)
+"""
+
+
+def test_a_program_says_how_good_its_results_are_beside_them(tmp_path: Path) -> None:
+    env = write(tmp_path)
+    (tmp_path / "sonar.py").write_text(PROGRAM)
+    text = env.read_text().replace("units.py:sonar", f"program:{sys.executable} sonar.py").replace("how.error", "none")
+    env.write_text(text.replace(", observe: none", ""))
+    with running(env) as process:
+        run = await_event(process, "Running")["run"]
+        (tmp_path / "water").write_text("0.8")
+        applied = await_event(process, "Reviewed", decision="applied")
+        while not applied["change_set"]["stopped"]:
+            applied = await_event(process, "Reviewed", decision="applied")
+        assert [unit["transformation"] for unit in applied["change_set"]["started"]] == ["camera"]
+        (sonar,) = json.loads(said("ctl", "--run", run, "observed", "--json"))["qualities"]
+    assert (sonar["output"], sonar["planned"] > 0.5) == ("sonar/p", True)

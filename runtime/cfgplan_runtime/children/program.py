@@ -290,7 +290,7 @@ def _given(answers: list[Answer]) -> Iterator[Given]:
     for answer in answers:
         for port, value in answer.outputs.items():
             if value is not None:
-                yield Given(port, value, answer.time_ns)
+                yield Given(port, value, answer.time_ns, answer.quality.get(port, {}))
 
 
 def _start(order: UnitOrder) -> tuple[Path, subprocess.Popen[bytes], int, int]:

@@ -35,10 +35,11 @@ _MOST_NS = (1 << 63) - 1
 
 
 class Answer(msgspec.Struct, forbid_unknown_fields=True):
-    """Results of a step or of a source, one for each port at most."""
+    """Results of a step or of a source, one for each port at most; `quality` is that of each, by port and attribute."""
 
     step: int | None = None
     outputs: dict[str, Any] = {}
+    quality: dict[str, dict[str, float]] = {}
     time_ns: Annotated[int, msgspec.Meta(ge=-_MOST_NS, le=_MOST_NS)] | None = None
 
 
