@@ -7,7 +7,7 @@ from tempfile import gettempdir
 import pytest
 
 from cfgplan.errors import InputError
-from cfgplan.matching import REASONERS, MatchingError, Ontology, match
+from cfgplan.matching import REASONERS, MatchingError, Ontology, justifications, match
 
 
 def leftovers() -> set[Path]:
@@ -39,7 +39,10 @@ def test_hermit_says_that_an_ontology_contradicts_itself(streams: Ontology) -> N
     assert not leftovers()
 
 
-def test_a_contradiction_that_only_hermit_finds_names_the_axioms_that_clash_and_no_others(streams: Ontology) -> None:
+def test_a_contradiction_that_only_hermit_finds_names_the_axioms_that_clash_and_no_others(
+    streams: Ontology, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(justifications, "EXPLANATION_PATIENCE_S", 300.0)  # whatever else the computer does
     clash = (
         "ClassAssertion(ObjectUnionOf(<w#Device> <w#Room>) <w#thing>)",
         "ClassAssertion(ObjectComplementOf(<w#Device>) <w#thing>)",
