@@ -582,6 +582,17 @@ class Environment:
         port = None if transformation is None else transformation.output.get(statement.output)
         return next((each for each in port.quality if each.attribute == statement.attribute), None) if port else None
 
+    @property
+    def observable(self) -> tuple[Statement, ...]:
+        """Return the statements whose elements say how good they are by a field."""
+        return tuple(
+            Statement(transformation.label, port.name, each.attribute)
+            for transformation in self.library
+            for port in transformation.outputs
+            for each in port.quality
+            if each.observe is not None
+        )
+
     @cached_property
     def taught(self) -> Mapping[str, tuple[Statement, ...]]:
         """The statements that observed streams have changed, by the labels of the transformations that have any."""

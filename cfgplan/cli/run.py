@@ -142,6 +142,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     _check_can_start(options, loaded)
     if not options.dry_run and options.middleware in _ROS:
         _check_nodes(options, loaded)
+        if unheard := [str(each) for each in loaded.environment.observable]:
+            screen.warn(f"a run of ROS nodes observes no qualities: `observe` has no effect ({some(unheard)})")
     else:
         if not options.dry_run:
             _refuse_nodes(options, loaded)
