@@ -45,7 +45,7 @@ class WithQuality:
     """
 
     value: object
-    quality: Mapping[str, float]
+    quality: Mapping[str, float] = field(hash=False)
 
 
 @dataclass(frozen=True, slots=True)
