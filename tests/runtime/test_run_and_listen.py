@@ -67,7 +67,8 @@ def cfgplan(*arguments: object) -> subprocess.Popen[str]:
 def test_what_is_planned_runs_until_it_is_interrupted(env: Path, end: signal.Signals, capsys: Any) -> None:
     with cfgplan("run", env, "--json", "--log", env.parent / "log") as running:
         assert running.stdout is not None
-        begin = json.loads(running.stdout.readline())
+        plan, begin = (json.loads(running.stdout.readline()) for _ in range(2))
+        assert plan["event"] == "Planned"
         assert (begin["event"], begin["units"]) == ("Running", 2)
         assert main(["listen", "/result", "--count", "3", "--json", "--run", begin["run"], "--wait", "30s"]) == 0
         lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
@@ -169,7 +170,8 @@ def test_a_step_gets_a_list_where_an_input_takes_several_streams(env: Path, caps
     env.write_text(several.replace("units.py:Detector", "units.py:firsts"))
     with cfgplan("run", env, "--json") as running:
         assert running.stdout is not None
-        begin = json.loads(running.stdout.readline())
+        plan, begin = (json.loads(running.stdout.readline()) for _ in range(2))
+        assert plan["event"] == "Planned"
         assert (begin["event"], begin["units"]) == ("Running", 3)
         assert main(["listen", "/result", "--count", "2", "--json", "--run", begin["run"], "--wait", "30s"]) == 0
         assert [json.loads(line)["value"] for line in capsys.readouterr().out.splitlines()] == [[7, 7], [7, 7]]
