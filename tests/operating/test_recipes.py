@@ -73,7 +73,7 @@ def first_value(env: Path, topic: str) -> Any:
     """The first value on a topic of a run, which then ends well."""
     with running(env) as process:
         run = await_event(process, "Running")["run"]
-        with subscribe(topic, run=run, wait_s=60) as subscription:
+        with subscribe(topic, run=run, wait_s=60, timeout_s=60) as subscription:
             value = next(iter(subscription)).value
         process.terminate()
         process.communicate(timeout=60)
