@@ -16,6 +16,7 @@ from cfgplan.cli.screen import Screen
 from cfgplan.errors import InputError
 
 if TYPE_CHECKING:
+    from cfgplan.formats.imported import ImportedSources
     from cfgplan.ros.graph import RosGraph
 
 _LISTEN_S = 10.0
@@ -134,8 +135,6 @@ def _import_mqtt(broker: str, options: argparse.Namespace, screen: Screen) -> Ex
     with screen.phase("listen"):
         traffic = listening.traffic(span_s)
     found = mqtt_imported(traffic, {"broker": broker, **params})
-    shared.put(found.ontology, str(ontology), screen)
-    shared.put(found.text(ontology.name), options.out, screen)
     shown = Table("topic", "field", "payload", "every", "retained", "tag", box=None, pad_edge=False)
     for source in found.sources:
         period_s, path = source.topic.period_s, ".".join(map(str, source.path))
@@ -143,6 +142,13 @@ def _import_mqtt(broker: str, options: argparse.Namespace, screen: Screen) -> Ex
         kept = "yes" if source.topic.is_retained else "no"
         shown.add_row(source.topic.name, path, source.topic.form, every, kept, source.tag)
     screen.show(shown)
+    return _written(found, ontology, options, screen)
+
+
+def _written(found: ImportedSources, ontology: Path, options: argparse.Namespace, screen: Screen) -> Exit:
+    """Write the two files of an import, and tell the user what is left to do."""
+    shared.put(found.ontology, str(ontology), screen)
+    shared.put(found.text(ontology.name), options.out, screen)
     for note in found.notes:
         screen.warn(f"not taken over: {note}")
     for hint in found.hints:
@@ -163,15 +169,7 @@ def _import_wot(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan.wot.environments import wot_imported
 
     ontology = _beside(options.out, "things become two files, the environment and its ontology", ".ttl")
-    found = wot_imported(map(Path, options.path), dict(options.context))
-    shared.put(found.ontology, str(ontology), screen)
-    shared.put(found.text(ontology.name), options.out, screen)
-    for note in found.notes:
-        screen.warn(f"not taken over: {note}")
-    for hint in found.hints:
-        screen.note(f"hint: {hint}")
-    screen.note(f"{found.size}. It has no targets yet: the head of {options.out} shows how to add them.")
-    return Exit.OK
+    return _written(wot_imported(map(Path, options.path), dict(options.context)), ontology, options, screen)
 
 
 def _beside(out: str | None, message: str, ending: str) -> Path:

@@ -22,7 +22,6 @@ from cfgplan.planning import Failures
 from cfgplan.qualities import Better, Contribution, Over, QualityAttribute, Wish
 
 _LISTS = ("transformations", "units", "targets")
-_COSTS = ("labor", "upkeep")
 _DUMPER: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
@@ -30,23 +29,6 @@ def dump_yaml(data: object) -> str:
     """Return plain data as YAML text; Decimal is written exactly, and a text that looks like another type is quoted."""
     text: str = yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=2**20)
     return text
-
-
-def imported_text(environment: domain.Environment, ontology: str, heading: Iterable[str]) -> str:
-    """Return the YAML text of an imported environment, whose costs are unknown, with `heading` as comments above.
-
-    `ontology` is the name of its ontology file.
-    """
-    plain = plain_environment(environment, horizon_s=fields.DEFAULT_HORIZON_S, ontology=[ontology])
-    for transformation in plain.get("transformations", ()):
-        for cost in _COSTS:
-            transformation.pop(cost, None)
-    return "".join(f"# {_on_one_line(line)}".rstrip() + "\n" for line in heading) + dump_yaml(plain)
-
-
-def _on_one_line(text: str) -> str:
-    """Return a text with escapes for the characters that a comment can't hold."""
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def as_yaml(document: Document) -> str:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import ceil
 from typing import Any, Final
 
 from cfgplan.domain import Environment, OutputPort, Transformation
 from cfgplan.errors import InputError
-from cfgplan.formats.dump import imported_text
+from cfgplan.formats.imported import ImportedSources
 from cfgplan.mqtt.discovery import Entity, Path
 from cfgplan.mqtt.traffic import HeardTopic, Traffic
 from cfgplan.mqtt.vocabulary import MqttVocabulary
@@ -39,37 +39,11 @@ class MqttSource:
     is_silent: bool
 
 
-@dataclass(frozen=True)
-class MqttImported:
-    """The environment of a broker, its ontology in Turtle, notes on topics left out, and hints worth a look."""
+@dataclass(frozen=True, kw_only=True)
+class MqttImported(ImportedSources):
+    """The environment of a broker."""
 
-    traffic: Traffic
     sources: tuple[MqttSource, ...]
-    environment: Environment
-    ontology: str
-    notes: tuple[str, ...]
-    hints: tuple[str, ...]
-
-    @property
-    def size(self) -> str:
-        """The size of the import, in words."""
-        told = sum(source.entity is not None for source in self.sources)
-        return f"{counted(len(self.sources), 'source')}, {told} of them described by discovery messages"
-
-    def text(self, ontology: str) -> str:
-        """Return the environment file (YAML), which imports `ontology`; comments at its top list notes and hints."""
-        return imported_text(self.environment, ontology, self._heading())
-
-    def _heading(self) -> Iterator[str]:
-        yield f"Imported from the broker {self.traffic.broker} in {self.traffic.span_s:g} s: {self.size}."
-        yield from (f"Not taken over: {note}." for note in self.notes)
-        yield from (f"Hint: {hint}." for hint in self.hints)
-        wanted = next((source for source in self.sources if source.entity and source.entity.kind), self.sources[0])
-        yield "Nothing is wanted yet. Say it so; with `silent` another source of the kind takes over from a dead one:"
-        yield "  targets:"
-        silent = "" if wanted.topic.period_s is None else f", silent: {_silent_s(wanted.topic.period_s)}s"
-        tag = wanted.tag.rpartition(" and ")[0] or wanted.tag
-        yield f"    - {{label: {wanted.label}, topic: /{wanted.label}, tag: {tag}{silent}}}"
 
 
 def mqtt_imported(traffic: Traffic, params: Mapping[str, Any]) -> MqttImported:
@@ -107,7 +81,26 @@ def mqtt_imported(traffic: Traffic, params: Mapping[str, Any]) -> MqttImported:
     if not sources:
         mend = "listen longer (--for 60s), or name other topics (--topic)"
         raise InputError.of(f"nothing that came from {traffic.broker} can be a source: {'; '.join(notes)}", mend=mend)
-    return MqttImported(traffic, tuple(sources), environment, words.text, notes, tuple(_hints(sources)))
+    described_too = sum(source.entity is not None for source in sources)
+    return MqttImported(
+        origin=f"the broker {traffic.broker} in {traffic.span_s:g} s",
+        size=f"{counted(len(sources), 'source')}, {described_too} of them described by discovery messages",
+        environment=environment,
+        ontology=words.text,
+        example=_example(sources),
+        notes=notes,
+        hints=tuple(_hints(sources)),
+        remark="; with `silent` another source of the kind takes over from a dead one",
+        sources=tuple(sources),
+    )
+
+
+def _example(sources: Sequence[MqttSource]) -> str:
+    """Return a target, as YAML, for the first source whose kind is known, or else the first."""
+    wanted = next((source for source in sources if source.entity and source.entity.kind), sources[0])
+    silent = "" if wanted.topic.period_s is None else f", silent: {_silent_s(wanted.topic.period_s)}s"
+    tag = wanted.tag.rpartition(" and ")[0] or wanted.tag
+    return f"{{label: {wanted.label}, topic: /{wanted.label}, tag: {tag}{silent}}}"
 
 
 def _silent(entity: Entity) -> HeardTopic:

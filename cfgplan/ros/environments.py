@@ -23,7 +23,7 @@ from cfgplan.domain import (
     Target,
     Transformation,
 )
-from cfgplan.formats.dump import imported_text
+from cfgplan.formats.imported import imported_text
 from cfgplan.qualities import MICRO
 from cfgplan.ros.code.package_sources import SourcePorts, ports_of_sources
 from cfgplan.ros.graph import RosGraph, RosNode, RosPort

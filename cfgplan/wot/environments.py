@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import unquote, urlsplit
 
 from cfgplan.domain import Environment, OutputPort, Transformation
 from cfgplan.errors import Fault, InputError
-from cfgplan.formats.dump import imported_text
+from cfgplan.formats.imported import ImportedSources
 from cfgplan.small_ontology import SmallOntology, plain_word
 from cfgplan.summary import counted, some
 from cfgplan.transformations import RunOptions
@@ -35,39 +34,7 @@ _LOGIN: Final = {"basic": "`username` with `password_env`", "bearer": "`token_en
 """Schemes of security, and the params of units for them."""
 
 
-@dataclass(frozen=True)
-class WotImported:
-    """The environment of things, its ontology (Turtle), and notes and hints for the user."""
-
-    things: tuple[Thing, ...]
-    environment: Environment
-    ontology: str
-    notes: tuple[str, ...]
-    hints: tuple[str, ...]
-
-    @property
-    def size(self) -> str:
-        """How much was imported, in words."""
-        return f"{counted(len(self.environment.library), 'source')} of {counted(len(self.things), 'thing')}"
-
-    def text(self, ontology: str) -> str:
-        """The environment file (YAML), which names its ontology file so; comments above tell the rest."""
-        return imported_text(self.environment, ontology, self._heading())
-
-    def _heading(self) -> Iterator[str]:
-        files = some(sorted({Path(thing.file).name for thing in self.things}))
-        yield f"Imported from {files}: {self.size}."
-        yield from (f"Not taken over: {note}." for note in self.notes)
-        yield from (f"Hint: {hint}." for hint in self.hints)
-        library = self.environment.library
-        wanted = next((each for each in library if each.source and not _tag(each).startswith("ofThing ")), library[0])
-        yield "Nothing is wanted yet. Say it so:"
-        yield "  targets:"
-        tag = _tag(wanted).rpartition(" and ")[0]
-        yield f"    - {{label: {wanted.label}, topic: /{wanted.label}, tag: {tag}}}"
-
-
-def wot_imported(paths: Iterable[Path], contexts: Mapping[str, Path]) -> WotImported:
+def wot_imported(paths: Iterable[Path], contexts: Mapping[str, Path]) -> ImportedSources:
     """The environment of the things that files describe: a source for each property that can be read, and each event.
 
     `contexts` are files that stand for contexts of JSON-LD. Raises InputError.
@@ -92,7 +59,22 @@ def wot_imported(paths: Iterable[Path], contexts: Mapping[str, Path]) -> WotImpo
         for url in sorted(known.unread)
     )
     environment = Environment(units=(), library=tuple(making.library), targets=())
-    return WotImported(things, environment, making.ontology.text, (*unread, *making.notes), tuple(making.hints()))
+    return ImportedSources(
+        origin=some(sorted({Path(thing.file).name for thing in things})),
+        size=f"{counted(len(environment.library), 'source')} of {counted(len(things), 'thing')}",
+        environment=environment,
+        ontology=making.ontology.text,
+        example=_example(environment.library),
+        notes=(*unread, *making.notes),
+        hints=tuple(making.hints()),
+    )
+
+
+def _example(library: Sequence[Transformation]) -> str:
+    """Return a target, as YAML, for the first source with unit code and a semantic type, or else the first."""
+    wanted = next((each for each in library if each.source and not _tag(each).startswith("ofThing ")), library[0])
+    tag = _tag(wanted).rpartition(" and ")[0]
+    return f"{{label: {wanted.label}, topic: /{wanted.label}, tag: {tag}}}"
 
 
 def _terms(thing: Thing) -> Iterator[str]:
