@@ -7,21 +7,22 @@ are equal exactly when they mean the same, whatever order they were written in.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
 from itertools import groupby
 from operator import attrgetter
 from types import MappingProxyType
-from typing import Annotated, TypeVar
+from typing import TypeVar
 
-from cfgplan.arguments import AtLeast, Natural, checked
-from cfgplan.canonical import fields_of, refuse_duplicates, store_resources, store_sorted
+from cfgplan.arguments import Natural, checked
+from cfgplan.canonical import fields_of, refuse_duplicates, store_sorted
 from cfgplan.errors import InvalidValueError
 from cfgplan.facts import Comparison, Fact, FactValue, requirement, why_left_out
+from cfgplan.hosts import MANAGER as MANAGER
+from cfgplan.hosts import Host as Host
+from cfgplan.hosts import Link as Link
 from cfgplan.qualities import (
-    LARGEST_QUALITY,
-    MICRO,
     Better,
     Contribution,
     Curve,
@@ -30,8 +31,8 @@ from cfgplan.qualities import (
     Wish,
     units,
 )
-from cfgplan.selectors import check_selector, selector
-from cfgplan.summary import Summary, counted, cpu, summarised, summary
+from cfgplan.similarity import Similarity as Similarity
+from cfgplan.summary import counted, cpu, summarised, summary
 from cfgplan.transformations import ALL as ALL
 from cfgplan.transformations import CPU as CPU
 from cfgplan.transformations import MEMORY as MEMORY
@@ -46,9 +47,6 @@ from cfgplan.transformations import amount_of as amount_of
 from cfgplan.transformations import as_taught
 
 T = TypeVar("T")
-
-MANAGER = "manager"
-"""The name of the sender of orders to a fleet's hosts; no host may have it."""
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -180,139 +178,6 @@ def observing(fact: Fact) -> Target | None:
     if fact.by is None or fact.observed_on is None:
         return None
     return Target(f"fact {fact.name}", fact.by, fact.observed_on, LOWEST_PRIORITY)
-
-
-@dataclass(frozen=True)
-@checked
-class Host:
-    """A computer: the CPU time (microseconds each second) and megabytes that units may take; None: no limit.
-
-    `offers` gives the amounts of other resources as integers; a resource that is not listed has amount 0. A unit takes
-    the CPU time of its transformation divided by `speed`, which is in millionths. Selectors choose a host by its name
-    and its `labels`. It costs `rent_us` each second, at any speed, as long as it has a running unit or a cold spare. It
-    has `energy` (watt seconds; None: no limit) for the power that its units take over the horizon.
-    """
-
-    name: str
-    cpu_us: Natural | None = None
-    memory_mb: Natural | None = None
-    offers: Mapping[str, Natural] = field(default_factory=dict, hash=False)
-    speed: Annotated[int, AtLeast(1)] = MICRO
-    labels: tuple[str, ...] = ()
-    rent_us: Natural = 0
-    energy: Natural | None = None
-
-    def __post_init__(self) -> None:
-        store_sorted(self, "labels", dict.fromkeys(self.labels), str)
-        if self.name == MANAGER:
-            raise InvalidValueError(f"no host can be called {MANAGER!r}: the manager has this name")
-        store_resources(self, "offers", {CPU: "cpu_us", MEMORY: "memory_mb"})
-
-    def fits(self, text: str) -> bool:
-        """Whether a selector, an expression over labels, chooses the host. Raises TagError."""
-        return selector(text)((self.name, *self.labels))
-
-    def room(self, resource: str, horizon_s: int = 0) -> int | None:
-        """How much units may take there in all of what `Transformation.takes` names, over a horizon; None: no limit."""
-        if resource in (CPU, MEMORY):
-            return self.cpu_us if resource == CPU else self.memory_mb
-        if resource != POWER:
-            return self.offers.get(resource, 0)
-        lasting = None if self.energy is None or not horizon_s else self.energy // horizon_s
-        return min((most for most in (self.offers.get(POWER), lasting) if most is not None), default=None)
-
-
-@dataclass(frozen=True, slots=True)
-@checked
-class Link:
-    """A network link between the hosts that one selector fits and the hosts that the other fits, in both directions.
-
-    All transfers over it together carry at most `bandwidth` bytes per second (None: no limit); a stream is transferred
-    once to each host that needs it. A megabyte costs `price_us`; if that is None, the environment's `transfer_us`. A
-    transfer adds `latency` (micro-units) to a stream's value of the quality attribute `adds`.
-    """
-
-    between: tuple[str, str]
-    bandwidth: Natural | None = None
-    price_us: Natural | None = None
-    latency: Natural = 0
-    adds: str | None = None
-    is_measured: bool = False
-    declared: Natural | None = None
-    """The declared bandwidth, if the link was found to carry less."""
-
-    def __post_init__(self) -> None:
-        for text in self.between:
-            check_selector(text)
-        if self.latency > LARGEST_QUALITY or (self.adds is None) != (self.latency == 0):
-            raise InvalidValueError("a link has a `latency` of 0 or more and names the attribute that it `adds` to")
-
-    def joins(self, one: Host, other: Host) -> bool:
-        """Whether it carries streams between two hosts."""
-        first, second = self.between
-        return (one.fits(first) and other.fits(second)) or (one.fits(second) and other.fits(first))
-
-
-def _similarity_summary(similarity: Similarity) -> Summary:
-    pairs, still = sum(map(len, similarity.offers.values())), sum(map(len, similarity.open.values()))
-    line = f"{counted(pairs, 'pair')} of tags match, {still} open"
-    return summary(
-        line,
-        ("demanded", "offered"),
-        ((tag, ", ".join(sorted(offered))) for tag, offered in sorted(similarity.offers.items())),
-    )
-
-
-@summarised(_similarity_summary)
-@dataclass(frozen=True)
-@checked
-class Similarity:
-    """The relation ~ between tags (Definition 5): it says which offered tag may feed which demanded tag.
-
-    `offers` maps each demanded tag to the offered tags that it accepts; collected over the ports of a library this is
-    the paper's validity matrix. `open` maps a demanded tag to offered tags that no reasoner has decided; an open pair
-    does not match, and no claim may depend on it. If a row of `offers` and one of `open` share a tag, it matches.
-    """
-
-    offers: Mapping[str, frozenset[str]] = field(hash=False)
-    open: Mapping[str, frozenset[str]] = field(default_factory=dict, hash=False)
-
-    __getstate__ = fields_of
-
-    def holds(self, offered: str, demanded: str) -> bool:
-        """Whether an output tagged `offered` may feed an input or a target tagged `demanded`."""
-        return offered in self.offers.get(demanded, ())
-
-    def is_open(self, offered: str, demanded: str) -> bool:
-        """Return whether it is still undecided if `offered` may feed `demanded`."""
-        return offered in self.open.get(demanded, ()) and not self.holds(offered, demanded)
-
-    def open_pairs(self) -> Iterator[tuple[str, str]]:
-        """The (offered, demanded) pairs that are not decided, sorted by the demanded tag."""
-        for demanded, offered in sorted(self.open.items()):
-            for each in sorted(offered - self.offers.get(demanded, frozenset())):
-                yield each, demanded
-
-    @cached_property
-    def decided(self) -> Similarity:
-        """The relation in which no open pair matches."""
-        return Similarity(self.offers) if self.open else self
-
-    @cached_property
-    def optimistic(self) -> Similarity:
-        """The relation in which every open pair matches: no plan is cheaper than the optimum under it."""
-        if not self.open:
-            return self
-        rows = {tag: self.offers.get(tag, frozenset()) | more for tag, more in self.open.items()}
-        return Similarity({**self.offers, **rows})
-
-    def refined(self, later: Similarity) -> Similarity:
-        """The same relation with what a later one has decided of its open pairs."""
-        rows = {tag: row for tag, row in self.open.items() if tag in later.offers}
-        matching = {tag: self.offers.get(tag, frozenset()) | (row & later.offers[tag]) for tag, row in rows.items()}
-        still = {tag: row & later.open.get(tag, frozenset()) for tag, row in rows.items()}
-        open_rows = {tag: row for tag, row in {**self.open, **still}.items() if row}
-        return Similarity({**self.offers, **matching}, open_rows)
 
 
 @dataclass(frozen=True)

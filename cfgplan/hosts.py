@@ -1,0 +1,88 @@
+"""Computers on which units run, and the network links between them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated
+
+from cfgplan.arguments import AtLeast, Natural, checked
+from cfgplan.canonical import store_resources, store_sorted
+from cfgplan.errors import InvalidValueError
+from cfgplan.qualities import LARGEST_QUALITY, MICRO
+from cfgplan.selectors import check_selector, selector
+from cfgplan.transformations import CPU, MEMORY, POWER
+
+MANAGER = "manager"
+"""The name of the sender of orders to a fleet's hosts; no host may have it."""
+
+
+@dataclass(frozen=True)
+@checked
+class Host:
+    """A computer: the CPU time (microseconds each second) and megabytes that units may take; None: no limit.
+
+    `offers` gives the amounts of other resources as integers; a resource that is not listed has amount 0. A unit takes
+    the CPU time of its transformation divided by `speed`, which is in millionths. Selectors choose a host by its name
+    and its `labels`. It costs `rent_us` each second, at any speed, as long as it has a running unit or a cold spare. It
+    has `energy` (watt seconds; None: no limit) for the power that its units take over the horizon.
+    """
+
+    name: str
+    cpu_us: Natural | None = None
+    memory_mb: Natural | None = None
+    offers: Mapping[str, Natural] = field(default_factory=dict, hash=False)
+    speed: Annotated[int, AtLeast(1)] = MICRO
+    labels: tuple[str, ...] = ()
+    rent_us: Natural = 0
+    energy: Natural | None = None
+
+    def __post_init__(self) -> None:
+        store_sorted(self, "labels", dict.fromkeys(self.labels), str)
+        if self.name == MANAGER:
+            raise InvalidValueError(f"no host can be called {MANAGER!r}: the manager has this name")
+        store_resources(self, "offers", {CPU: "cpu_us", MEMORY: "memory_mb"})
+
+    def fits(self, text: str) -> bool:
+        """Whether a selector, an expression over labels, chooses the host. Raises TagError."""
+        return selector(text)((self.name, *self.labels))
+
+    def room(self, resource: str, horizon_s: int = 0) -> int | None:
+        """How much units may take there in all of what `Transformation.takes` names, over a horizon; None: no limit."""
+        if resource in (CPU, MEMORY):
+            return self.cpu_us if resource == CPU else self.memory_mb
+        if resource != POWER:
+            return self.offers.get(resource, 0)
+        lasting = None if self.energy is None or not horizon_s else self.energy // horizon_s
+        return min((most for most in (self.offers.get(POWER), lasting) if most is not None), default=None)
+
+
+@dataclass(frozen=True, slots=True)
+@checked
+class Link:
+    """A network link between the hosts that one selector fits and the hosts that the other fits, in both directions.
+
+    All transfers over it together carry at most `bandwidth` bytes per second (None: no limit); a stream is transferred
+    once to each host that needs it. A megabyte costs `price_us`; if that is None, the environment's `transfer_us`. A
+    transfer adds `latency` (micro-units) to a stream's value of the quality attribute `adds`.
+    """
+
+    between: tuple[str, str]
+    bandwidth: Natural | None = None
+    price_us: Natural | None = None
+    latency: Natural = 0
+    adds: str | None = None
+    is_measured: bool = False
+    declared: Natural | None = None
+    """The declared bandwidth, if the link was found to carry less."""
+
+    def __post_init__(self) -> None:
+        for text in self.between:
+            check_selector(text)
+        if self.latency > LARGEST_QUALITY or (self.adds is None) != (self.latency == 0):
+            raise InvalidValueError("a link has a `latency` of 0 or more and names the attribute that it `adds` to")
+
+    def joins(self, one: Host, other: Host) -> bool:
+        """Whether it carries streams between two hosts."""
+        first, second = self.between
+        return (one.fits(first) and other.fits(second)) or (one.fits(second) and other.fits(first))
