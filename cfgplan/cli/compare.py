@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from cfgplan.comparing import Run
 
 
+_NARROW = 100.0
 _ROW_HEIGHT = 3.5
 """Inches that the plot of an environment is high."""
 _LONGEST_WAIT_S = 1_000_000.0
@@ -127,6 +128,8 @@ def _draw(found: Mapping[str, Sequence[Run]], rows: Sequence[Axes]) -> None:
 
     A cross marks the first plan, a circle a proof; the legend has the outcomes, those without a plan too.
     """
+    from matplotlib.ticker import LogLocator
+
     for axis, (env, runs) in zip(rows, found.items(), strict=True):
         for number, one in enumerate(runs):
             colour = f"C{number % 10}"
@@ -143,9 +146,12 @@ def _draw(found: Mapping[str, Sequence[Run]], rows: Sequence[Axes]) -> None:
                     axis.plot([at_s], [(first_us if mark == "x" else one.cost_us) / 1e6], mark, color=colour)
         axis.set_xscale("log")
         axis.xaxis.set_major_formatter(lambda seconds, _: span(seconds))
+        low, high = axis.get_xlim()
+        if high < _NARROW * low:  # powers of ten alone would be one tick, or none
+            axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axis.xaxis.set_minor_formatter(lambda *_: "")
         axis.set_title(env, fontsize=10)
-        axis.set_xlabel("time since the planner was called")
+        axis.set_xlabel("time since the call of the planner (× first plan, ● proof; solid: best cost, dotted: bound)")
         axis.set_ylabel("cost over the horizon (CPU seconds)")
         axis.grid(alpha=0.3)
         axis.legend(fontsize=8)

@@ -58,11 +58,11 @@ def _events(control: Control, screen: Screen, options: argparse.Namespace) -> Ex
         if follows:
             control.subscribe()
         if has_past:
-            asked = {"last": options.last, "since_s": options.since}
-            past = control.call("events", timeout_s=60, **asked)["events"]
-            for event in past:
-                told = event["number"]
+            past = control.call("events", timeout_s=60, since_s=options.since)["events"]
+            shown = [event for event in past if screen.json or event["says"] is not None]
+            for event in _last(shown, options.last):
                 _tell_event(event, screen)
+            told = past[-1]["number"] if past else 0
             if not past and not follows:
                 screen.note("nothing has happened in that time" if options.since else "nothing has happened yet")
         for event in control.events() if follows else ():
@@ -71,6 +71,11 @@ def _events(control: Control, screen: Screen, options: argparse.Namespace) -> Ex
     except KeyboardInterrupt:
         screen.note("stopped")
     return Exit.OK
+
+
+def _last(records: Sequence[Mapping[str, Any]], number: int | None) -> Sequence[Mapping[str, Any]]:
+    """Return the last records, so many at most; None stands for all."""
+    return records if number is None else records[max(0, len(records) - number) :]
 
 
 def _tell_event(event: Mapping[str, Any], screen: Screen) -> None:
@@ -87,8 +92,7 @@ def _logs(control: Control, screen: Screen, options: argparse.Namespace) -> Exit
 
     name, after = options.operand, 0
     lines = control.call("logs", timeout_s=60, unit=name)["lines"]
-    if options.last is not None:
-        lines = lines[max(0, len(lines) - options.last) :]
+    lines = _last(lines, options.last)
     if not lines and not options.follow:
         screen.note(f"{name} has printed nothing")
     try:

@@ -11,7 +11,7 @@ from cfgplan.amounts import core_share
 from cfgplan.cli.screen import counted, decided_by
 from cfgplan.costs import keep_cost_us, labor_us, standby_cost_us, upkeep_us
 from cfgplan.domain import CPU, MEMORY, POWER, ChangeSet, ComputationUnit, Environment, Host, Stream, Target
-from cfgplan.figures import amount, cost_parts, link_loads, loads, told_qualities, transfers
+from cfgplan.figures import CostParts, amount, cost_parts, link_loads, loads, told_qualities, transfers
 from cfgplan.planners import IGNORING_REQUIRED
 from cfgplan.planning import Failures, Plan, Problem, Status
 from cfgplan.qualities import Better, Wish
@@ -160,10 +160,12 @@ def _summary(problem: Problem, plan: Plan, given_up: Collection[str]) -> Iterato
             if u.transformation in library and not u.standby
         )
         assert plan.cost_us is not None
-        rest = "upkeep" if problem.is_plain else "all else"
+        parts = CostParts(labor, plan.cost_us - labor)
+        if not problem.is_plain:
+            parts = cost_parts(problem, before.update(changes).units)
         yield Text(
-            f"Cost over the horizon of {horizon_s} s: {cpu(plan.cost_us)} of CPU = labor {cpu(labor)} "
-            f"+ {rest} {cpu(plan.cost_us - labor)}. What runs now costs {cpu(now)} of upkeep."
+            f"Cost over the horizon of {horizon_s} s: {cpu(plan.cost_us)} of CPU = {_terms(parts)}. "
+            f"What runs now costs {cpu(now)} of upkeep."
         )
         yield from fleet_lines(problem, before.update(changes))
         if plan.objectives:
@@ -254,21 +256,22 @@ def verdict(problem: Problem, plan: Plan) -> Text:
             )
 
 
+def _terms(parts: CostParts) -> str:
+    """Return the parts of a cost as a sum: labor, upkeep, and every other part that is not 0."""
+    named = {"transfers": parts.transfer_us, "cold spares": parts.standby_us, "quality missed": parts.quality_us}
+    named |= {"rent": parts.rent_us, "optional inputs unfed": parts.unfed_us}
+    more = [f"{name} {cpu(cost_us)}" for name, cost_us in named.items() if cost_us]
+    return " + ".join([f"labor {cpu(parts.labor_us)}", f"upkeep {cpu(parts.upkeep_us)}", *more])
+
+
 MOST_TRANSFERS = 10
 """The most transfers listed; if more, only their number is shown."""
 
 
 def fleet_lines(problem: Problem, after: Environment) -> Iterator[Text]:
-    """Yield a configuration's costs, qualities, and loads of hosts and links; nothing for a problem as in the paper."""
+    """Yield a configuration's qualities, and loads of hosts and links; nothing for a problem as in the paper."""
     if problem.is_plain:
         return
-    parts = cost_parts(problem, after.units)
-    named = {"transfers": parts.transfer_us, "cold spares": parts.standby_us, "quality missed": parts.quality_us}
-    named |= {"rent": parts.rent_us, "optional inputs unfed": parts.unfed_us}
-    more = [f"{name} {cpu(cost_us)}" for name, cost_us in named.items() if cost_us]
-    if more:
-        both = [f"labor {cpu(parts.labor_us)}", f"upkeep {cpu(parts.upkeep_us)}"]
-        yield Text(f"The cost is {' + '.join([*both, *more])}.")
     yield from _qualities(after)
     yield from _hosts(problem, after)
     if problem.survive is not None:

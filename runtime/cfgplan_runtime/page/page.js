@@ -79,7 +79,7 @@ function refresh() {
 }
 function facts() {
   const met = state.targets.filter((target) => target.met).length;
-  const said = [state.phase, `${met} of ${state.targets.length} targets met`, `${state.units.length} units`,
+  const said = [state.phase, `${met} of ${state.targets.length} targets met`, state.units.length === 1 ? "1 unit" : `${state.units.length} units`,
     `${(state.cost_us / 1e6).toPrecision(3)} s of CPU per ${span(state.horizon_s)}`];
   if (state.saving_us) said.push(`${(state.saving_us / 1e6).toPrecision(3)} s could be saved by replanning at the horizon`);
   if (state.horizon_left_s !== null) said.push(`horizon in ${span(state.horizon_left_s)}`);
