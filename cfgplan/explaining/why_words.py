@@ -28,9 +28,9 @@ def why_lines(why: Why) -> Iterator[str]:
 
 
 def forced_by(why: Why) -> str:
-    """The streams that need it."""
+    """Return what can't be met without it."""
     if why.otherwise.reasons:
-        return "; ".join(why.otherwise.reasons.values())
+        return f"without it, {'; '.join(why.otherwise.reasons.values())}"
     demands = f"{named_labels('target', why.targets)} with the others" if why.targets else "all that has to run"
     return f"no valid configuration without it meets {demands}"
 

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given, reject, settings
 from hypothesis import strategies as st
-from kinds import KINDS
+from kinds import KINDS, LeftOpenError
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @settings(max_examples=10, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_the_planner_is_as_good_as_the_oracle_on_each_kind(kind: str, data: st.DataObject) -> None:
-    assert KINDS[kind].differences(data.draw(KINDS[kind].drawn)) == []
+    drawn = data.draw(KINDS[kind].drawn)
+    try:
+        assert KINDS[kind].differences(drawn) == []
+    except LeftOpenError:
+        reject()

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, reject
 from hypothesis import strategies as st
-from kinds import KINDS, sets_of_units
+from kinds import KINDS, LeftOpenError, sets_of_units
 from plain_model import MOST_UNITS, Optimum, TooLargeError, number_of_units, optimum
 from test_toys import ANSWERS, problem_of
 from worlds import examples, oracle_of
@@ -30,7 +30,11 @@ def test_the_plain_model_equals_the_enumeration(kind: str, data: st.DataObject) 
 @examples(20)
 @given(data=st.data())
 def test_the_planner_equals_the_plain_model(kind: str, data: st.DataObject) -> None:
-    assert KINDS[kind].differences(data.draw(KINDS[kind].drawn)) == []
+    drawn = data.draw(KINDS[kind].drawn)
+    try:
+        assert KINDS[kind].differences(drawn) == []
+    except LeftOpenError:
+        reject()
 
 
 @pytest.mark.parametrize("name", ANSWERS)
