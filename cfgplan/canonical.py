@@ -39,6 +39,14 @@ def fields_of(value: Any) -> dict[str, Any]:
     return {field.name: getattr(value, field.name) for field in fields(value)}
 
 
+def with_fields(value: T, **changed: object) -> T:
+    """Return a copy of a frozen dataclass with other fields, which are not checked: they must be allowed."""
+    copy = object.__new__(type(value))
+    for name, held in (fields_of(value) | changed).items():
+        object.__setattr__(copy, name, held)
+    return copy
+
+
 def refuse_duplicates(what: str, names: list[str]) -> None:
     """Raise InvalidValueError if a name occurs twice; `what` is the noun in its message."""
     if len(set(names)) != len(names):

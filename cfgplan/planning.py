@@ -119,8 +119,11 @@ class Problem:
         return not self.features
 
     def with_parts(self, **parts: Any) -> Problem:
-        """The problem with other `units`, another `library` or other `targets`."""
-        return replace(self, environment=replace(self.environment, **parts))
+        """Return the problem with other parts of the environment; the same one if they are as they were."""
+        environment = self.environment
+        if all(getattr(environment, name) == part for name, part in parts.items()):
+            return self
+        return replace(self, environment=replace(environment, **parts))
 
     def after(self, plan: Plan) -> Environment:
         """Return the environment after a plan's update; the plan must have a change set."""

@@ -12,6 +12,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+from cfgplan.canonical import with_fields
 from cfgplan.costs import labor_us, start_cost_us, taken, transfer_cost_us, upkeep_us
 from cfgplan.domain import (
     ALL,
@@ -41,6 +42,9 @@ class Numbered(Problem):
     """A part of a problem. A plan starts `most` units of each transformation, as many as in the whole problem."""
 
     most: Mapping[str, int] = field(default_factory=dict, hash=False)
+
+    def __post_init__(self) -> None:
+        """Check nothing: no plan of a part costs more than one of the whole, which was checked."""
 
     def most_new(self, transformation: Transformation) -> int:
         return self.most[transformation.label]
@@ -261,14 +265,14 @@ def _without_wide_limits(problem: Problem, use: _Use) -> Problem:
     def freed(t: Transformation) -> Transformation:
         most, here = (t.max_instances, t.per_host)
         outputs = tuple(
-            port if port.serves is None or takers[port.tag] > port.serves else replace(port, serves=None)
+            port if port.serves is None or takers[port.tag] > port.serves else with_fields(port, serves=None)
             for port in t.outputs
         )
         most = None if most is not None and use.units[t.label] <= most else most
         here = None if here is not None and use.units[t.label] <= here else here
         if (most, here, outputs) == (t.max_instances, t.per_host, t.outputs):
             return t
-        return replace(t, outputs=outputs, max_instances=most, per_host=here)
+        return with_fields(t, outputs=outputs, max_instances=most, per_host=here)
 
     return problem.with_parts(library=tuple(map(freed, problem.environment.library)))
 
