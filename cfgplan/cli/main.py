@@ -45,7 +45,7 @@ VERBS: Mapping[str, str] = MappingProxyType(
         "export": "write the JSON Schema of environment files, one as YAML or the paper's XML, or a ROS 2 launch file",
         "init": "write a small environment of one's own, with its ontology and unit code",
         "completion": "print a script that completes these commands in bash or zsh",
-        "help": "show a page of the manual",
+        "help": "show a page of the manual, or search all pages for words",
     }
 )
 """The verbs and their help. A verb's module, or its function of `_OTHER_HOMES`, is imported only when it is called."""

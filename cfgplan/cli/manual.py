@@ -1,11 +1,11 @@
-"""`cfgplan help`: the manual's pages in the terminal, and their Python reference, made of docstrings."""
+"""`cfgplan help`: the manual's pages in the terminal, their search, and the reference, made of docstrings."""
 
 from __future__ import annotations
 
 import argparse
 import inspect
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import is_dataclass
 from enum import Enum
 from functools import cached_property
@@ -14,36 +14,69 @@ from pathlib import Path
 from typing import Any
 
 from cfgplan.cli.exits import Exit
-from cfgplan.cli.screen import Screen
-from cfgplan.errors import known
+from cfgplan.cli.manual_search import asked_stems, found, sections, unknown_words
+from cfgplan.cli.screen import Screen, counted
+from cfgplan.errors import InputError, known
 
 _PAGES = Path(__file__).parents[1] / "manual"
 _INDEX = "index"
 """The page that groups the others: the site begins with it."""
 _DOCSTRINGS = re.compile(r"<!-- docstrings of (\w+): (.*?) -->", re.DOTALL)
 _SIGNATURE_WIDTH = 80
+_MOST_FOUND = 8
+"""Sections that a search shows."""
+_LONGEST_SHOWN = 200
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
-        "example:\n  cfgplan help\n  cfgplan help environment\n\n`cfgplan VERB --help` has the options of a verb."
+        "example:\n  cfgplan help\n  cfgplan help environment\n  cfgplan help restart a unit\n\n"
+        "`cfgplan VERB --help` has the options of a verb."
     )
-    parser.add_argument("manual_page", metavar="TOPIC", nargs="?", help="a page; without one they are listed")
+    told = "a page, or words to search for; without any the pages are listed"
+    parser.add_argument("manual_page", metavar="TOPIC", nargs="*", help=told)
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from rich.markdown import Markdown
 
-    pages = manual_pages()
-    if options.manual_page is None:
+    pages, topic = manual_pages(), options.manual_page
+    if not topic:
         screen.write(
-            f"`cfgplan help TOPIC` shows a page, `cfgplan VERB --help` the options of a verb.\n{_listed(pages)}"
+            f"`cfgplan help TOPIC` shows a page, `cfgplan help WORDS` searches them, `cfgplan VERB --help` shows the "
+            f"options of a verb.\n{_listed(pages)}"
         )
-        return Exit.OK
-    page = pages[known(options.manual_page, pages, "page")]
-    screen.show(Markdown(with_docstrings(page.read_text(encoding="utf-8")), hyperlinks=False))
+    elif len(topic) == 1 and topic[0] in pages:
+        page = pages[topic[0]]
+        screen.show(Markdown(with_docstrings(page.read_text(encoding="utf-8")), hyperlinks=False))
+    else:
+        _search(pages, topic, screen)
     return Exit.OK
+
+
+def _search(pages: Mapping[str, Path], words: Sequence[str], screen: Screen) -> None:
+    """Print the sections that have all words, the best ones first. Raises InputError if there are none."""
+    from rich.text import Text
+
+    every = list(sections(pages))
+    asked = asked_stems(words)
+    best = found(every, asked)
+    if not best:
+        if len(words) == 1:
+            known(words[0], pages, "page")
+        missing = " or ".join(f"`{word}`" for word in unknown_words(every, words))
+        told = f"the manual has no word {missing}" if missing else "no section of the manual has all of these words"
+        raise InputError.of(told, mend="write fewer words, or other ones; `cfgplan help` lists the pages")
+    for section in best[:_MOST_FOUND]:
+        screen.show(Text(f"{section.page}: {' > '.join([*section.under[1:], section.heading])}", style="bold"))
+        screen.write(f"  {_shortened(section.best_sentence(asked))}\n")
+    number, more = min(len(best), _MOST_FOUND), f" (of {len(best)})" if len(best) > _MOST_FOUND else ""
+    screen.note(f"{counted(number, 'section')}{more}. `cfgplan help {best[0].page}` shows the first one's page.")
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN].rpartition(' ')[0]} ..."
 
 
 def manual_pages() -> dict[str, Path]:
