@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
+from typing import NamedTuple
 
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.screen import Screen
@@ -12,9 +15,69 @@ from cfgplan.errors import Fault, InputError
 _START = Path(__file__).parents[1] / "manual" / "start"
 
 
+class _Template(NamedTuple):
+    """A folder of `manual/start`: its subject, and the commands to go on with, where `ENV` stands for its file."""
+
+    subject: str
+    next: tuple[str, ...]
+
+
+_FIRST = "kitchen"
+TEMPLATES: Mapping[str, _Template] = MappingProxyType(
+    {
+        _FIRST: _Template(
+            "the tutorial's fire alarm, with two ways to a temperature",
+            (
+                "cfgplan solve ENV",
+                "cfgplan solve ENV --without thermometer",
+                "cfgplan run ENV          and in another terminal: cfgplan listen /fire",
+                "cfgplan help tutorial",
+            ),
+        ),
+        "robot": _Template(
+            "a robot that drives on the better of two positions, by their quality",
+            (
+                "cfgplan solve ENV",
+                "cfgplan run ENV          and in another terminal: cfgplan listen /cmd_vel, cfgplan ctl observed",
+                "cfgplan ctl kill scan_matcher.1",
+                "cfgplan help observed",
+            ),
+        ),
+        "building": _Template(
+            "rooms with a thermostat each, by templates",
+            (
+                "cfgplan solve ENV",
+                "cfgplan run ENV          and in another terminal: cfgplan listen /boiler",
+                "cfgplan help mqtt",
+            ),
+        ),
+        "warehouse": _Template(
+            "two robots and a base station, with spares for every unit",
+            (
+                "cfgplan solve ENV",
+                "cfgplan run ENV --local  (extra `fleet`) and in another terminal: cfgplan listen /map",
+                "cfgplan ctl lose-host r1",
+                "cfgplan help hosts",
+            ),
+        ),
+        "ros2": _Template(
+            "nodes of ROS 2 that are started, wired and replaced",
+            (
+                "cfgplan solve ENV",
+                "cfgplan run ENV --middleware ros2",
+                "cfgplan help ros2_tutorial",
+            ),
+        ),
+    }
+)
+
+
 def add_to(parser: argparse.ArgumentParser) -> None:
-    parser.epilog = "example:\n  cfgplan init kitchen"
+    parser.epilog = "templates:\n" + "".join(f"  {name:11}{each.subject}\n" for name, each in TEMPLATES.items())
+    parser.epilog += "\nexample:\n  cfgplan init kitchen\n  cfgplan init myrobot --template robot"
     parser.add_argument("folder", metavar="FOLDER", nargs="?", default=".", help="where to write it (this folder)")
+    told = f"what to begin with ({_FIRST})"
+    parser.add_argument("--template", choices=list(TEMPLATES), default=_FIRST, metavar="NAME", help=told)
     parser.set_defaults(run=run)
 
 
@@ -22,7 +85,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan import api
 
     folder = Path(options.folder)
-    start = sorted(path for path in _START.iterdir() if path.is_file())
+    start = sorted(path for path in (_START / options.template).iterdir() if path.is_file())
     there = [folder / path.name for path in start if (folder / path.name).exists()]
     if there:
         mend = "name another folder: nothing is overwritten"
@@ -34,12 +97,9 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         raise InputError.of(f"this folder can't be made: {error.strerror}", file=options.folder, mend=mend) from None
     for path in start:
         api.write_file(folder / path.name, path.read_bytes())
-    env = folder / "env.yaml"
-    screen.write(
-        f"Wrote {', '.join(str(folder / path.name) for path in start)}. Next:\n"
-        f"  cfgplan solve {env}\n"
-        f"  cfgplan solve {env} --without thermometer\n"
-        f"  cfgplan run {env}          and in another terminal: cfgplan listen /fire\n"
-        "  cfgplan help tutorial\n"
-    )
+        if path.read_bytes().startswith(b"#!"):
+            (folder / path.name).chmod(0o755)
+    env = str(folder / "env.yaml")
+    steps = "".join(f"  {step.replace('ENV', env)}\n" for step in TEMPLATES[options.template].next)
+    screen.write(f"Wrote {', '.join(str(folder / path.name) for path in start)}. Next:\n{steps}")
     return Exit.OK

@@ -101,3 +101,14 @@ def test_a_run_of_nodes_says_that_it_observes_no_qualities(env: Path) -> None:
         process.terminate()
         _, said = process.communicate()
     assert "observes no qualities: `observe` has no effect (talker/words error)" in said
+
+
+def test_the_template_of_ros_2_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["init", str(tmp_path), "--template", "ros2"]) == 0
+    assert "--middleware ros2" in capsys.readouterr().out
+    with observing() as observer, running("--middleware", "ros2", tmp_path / "env.yaml") as process:
+        await_event(process, "Running")
+        eventually(lambda: {"/front_lidar_1", "/guard_1"} <= set(observer.look()["nodes"]))
+        process.terminate()
+        process.communicate()
+    assert process.returncode == 0
