@@ -18,6 +18,7 @@ _EXTRA_OF = {
     "prometheus_client": "metrics",
     "pygraphviz": "graph",
     "rosbags": "ros2",
+    "shapely": "queries",
     "shtab": "completion",
     "simpleeval": "ros1",
     "starlette": "page",

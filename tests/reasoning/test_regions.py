@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import pytest
 from cfgplan_runtime.reasoning.conditions import RCC8
+from cfgplan_runtime.reasoning.parser import parse
+from cfgplan_runtime.reasoning.reader import Vocabulary
 from cfgplan_runtime.reasoning.regions import NotARegionError, Region, point_from, rcc8, region_from
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+
+from cfgplan.errors import InputError
 
 Box = tuple[int, int, int, int]
 
@@ -95,3 +99,12 @@ def test_points_are_mappings_or_lists(value: object) -> None:
 def test_what_is_no_region_is_refused(value: object, message: str) -> None:
     with pytest.raises(NotARegionError, match=message):
         region_from(value)
+
+
+def test_without_shapely_a_region_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cfgplan.extras.find_spec", lambda _: None)
+    with pytest.raises(InputError) as refused:
+        region((0, 0, 1, 1))
+    assert refused.value.faults[0].mend == "pip install 'cfgplan[queries]'"
+    with pytest.raises(InputError, match="shapely"):
+        parse("in(ball, hull)", Vocabulary(("ball", "hull")))

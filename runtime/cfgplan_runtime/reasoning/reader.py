@@ -9,6 +9,7 @@ from decimal import Decimal
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from cfgplan.errors import Fault, did_you_mean
+from cfgplan.extras import needed
 from cfgplan_runtime.reasoning import syntax
 from cfgplan_runtime.reasoning.conditions import (
     RCC8,
@@ -234,6 +235,7 @@ class Reader:
                 known = [*self._vocabulary.regions, *self._vocabulary.features]
                 self._unknown_name(node, "region", known, "{box: [x, y, x, y]}")
                 return None
+        needed("regions", "shapely")
         return self._field_of(node, "a region")
 
     def _has_two(self, node: Any, what: str) -> bool:

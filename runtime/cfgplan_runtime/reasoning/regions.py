@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from cfgplan.errors import CfgplanError
+from cfgplan.extras import needed
 
 if TYPE_CHECKING:
     from shapely import Polygon
@@ -51,8 +52,9 @@ class Region:
 def region_from(value: Any) -> Region:
     """The region of a value: a list of three or more points, or a mapping with `polygon`, `circle` or `box`.
 
-    Raises NotARegionError.
+    Raises NotARegionError, and InputError without the package shapely.
     """
+    needed("regions", "shapely")
     from shapely import Polygon, box
 
     if not isinstance(value, Mapping):
