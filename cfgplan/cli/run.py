@@ -41,7 +41,7 @@ _ROS = {ROS1: "ROS 1", ROS2: "ROS 2"}
 _HOSTS_S = 5.0
 """Seconds after the start until a fleet's backend must have reported each host."""
 _MOST_NAMED = 4
-_ESTIMATORS = ("declared", "latest", "average", "trend", "holt")
+_ESTIMATORS = ("declared", "latest", "trend")
 _GUESSES = ("declared", "optimistic", "pessimistic")
 _RUN_EXAMPLE = """\
 example:

@@ -7,18 +7,25 @@ from __future__ import annotations
 
 import argparse
 import random
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
+sys.path.append(str(Path(__file__).parents[2]))
+
 from cfgplan_runtime import SimulatedBackend, Supervisor
-from cfgplan_runtime.estimating.estimator import ESTIMATORS, LearningEstimator, make_estimator
+from cfgplan_runtime.estimating.estimator import ESTIMATORS, LearningEstimator
+from cfgplan_runtime.estimating.forecasters import Average
 from cfgplan_runtime.supervision.events import Event, UnitDied
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, OutputPort, Transformation
+from experiments.estimating.holt import Holt
 
+COMPARED = {**ESTIMATORS, "average": Average, "holt": Holt}
+"""The product's forecasters, and the two that are not better."""
 WORK = Transformation(
     "work", outputs=(OutputPort("y", "Y"),), labor_us=500_000, upkeep_us=50_000, source="units.py:Work"
 )
@@ -148,7 +155,9 @@ def main() -> None:
         "|---|---|---|---|---|---|",
     ]
     for scenario, panel in zip(SCENARIOS, panels.flat, strict=True):
-        moments, found = estimates(scenario, {name: make_estimator(name) for name in ESTIMATORS})
+        moments, found = estimates(
+            scenario, {name: LearningEstimator(forecaster) for name, forecaster in COMPARED.items()}
+        )
         panel.set_title(scenario.name)
         panel.plot(moments, [scenario.expected_us(moment) / 1e3 for moment in moments], "k:", label="right")
         for name, values in found.items():

@@ -10,6 +10,7 @@ from cfgplan_runtime.children.messages import PortCounts
 from cfgplan_runtime.estimating.estimator import ESTIMATORS, LearningEstimator, make_estimator
 from cfgplan_runtime.estimating.evidence import family
 from cfgplan_runtime.estimating.expectations import Origin
+from cfgplan_runtime.estimating.forecasters import Average
 from cfgplan_runtime.estimating.settings import Learning
 from cfgplan_runtime.lifecycle.configuration import EstimatedLibrary
 from cfgplan_runtime.supervision.simulated_backend import Behaviour, SimulatedBackend
@@ -50,7 +51,7 @@ def test_nothing_is_learned_from_a_unit_that_gives_nothing() -> None:
 
 
 def test_what_a_unit_used_while_it_gave_nothing_counts_once_it_gives_again() -> None:
-    estimator = make_estimator("average")
+    estimator = LearningEstimator(Average)
     for now_s in range(61):
         elements, cpu_us = (min(now_s, 10), 5_000 * now_s) if now_s < 60 else (11, 5_000 * now_s)
         seen = replace(observation("work.1", 100_000 + cpu_us), outputs={"y": PortCounts(elements=elements + 1)})
@@ -83,7 +84,7 @@ def test_an_estimate_is_not_negative_and_no_further_off_than_the_range_again(nam
 @settings(max_examples=25)
 @given(upkeeps=st.lists(st.integers(0, 2_000_000), min_size=1, max_size=80))
 def test_an_average_is_within_the_range_of_what_was_observed(upkeeps: list[int]) -> None:
-    estimator = make_estimator("average")
+    estimator = LearningEstimator(Average)
     Watched(estimator).run_once(upkeeps)
     assert min(upkeeps) - 1 <= estimator.estimate(WORK, HORIZON_S).running_us <= max(upkeeps) + 1
 
@@ -100,7 +101,7 @@ def test_after_a_step_every_estimator_converges_to_the_new_constant(name: str, b
 
 
 def test_units_of_one_transformation_share_an_estimate() -> None:
-    estimator = make_estimator("average")
+    estimator = LearningEstimator(Average)
     for second in range(40):
         estimator.observe(
             [observation("work.1", 100_000 + 1000 * second), observation("work.2", 100_000 + 3000 * second)], second

@@ -5,10 +5,12 @@ from __future__ import annotations
 import random
 
 import pytest
-from cfgplan_runtime.estimating.forecasters import FORECASTERS, Average, Damped, Forecast, Holt, Latest, Trend, damped
+from cfgplan_runtime.estimating.forecasters import FORECASTERS, Average, Damped, Forecast, Latest, Trend, damped
 from cfgplan_runtime.estimating.history import CostSample, History
 from hypothesis import given
 from hypothesis import strategies as st
+
+from experiments.estimating.holt import Holt
 
 MEMORY_S = 60.0
 values = st.floats(0, 1e7)

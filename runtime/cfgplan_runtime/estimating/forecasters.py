@@ -71,9 +71,9 @@ class Average:
     memory: float
 
     def __call__(self, samples: Sequence[CostSample]) -> Forecast:
-        weights = _recent_weights(samples, self.memory)
+        weights = recent_weights(samples, self.memory)
         level = _weighted_mean([one.value for one in samples], weights)
-        return Forecast(level, _standard_error([one.value - level for one in samples], weights, level))
+        return Forecast(level, standard_error([one.value - level for one in samples], weights, level))
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,14 +90,14 @@ class Trend:
         flat = Average(self.memory)(samples)
         if len(samples) < _FEWEST_FOR_A_LINE:
             return flat
-        weights = _recent_weights(samples, self.memory)
+        weights = recent_weights(samples, self.memory)
         middle = _weighted_mean([one.at for one in samples], weights)
         spread = _weighted_mean([(one.at - middle) ** 2 for one in samples], weights)
         if spread <= 0:
             return flat
         slope = _weighted_mean([(one.at - middle) * (one.value - flat.level) for one in samples], weights) / spread
         left = [one.value - flat.level - slope * (one.at - middle) for one in samples]
-        error = _standard_error(left, weights, 0.0)
+        error = standard_error(left, weights, 0.0)
         slope *= _share_beyond_noise(slope, error / math.sqrt(spread))
         low, high = min(one.value for one in samples), max(one.value for one in samples)
         level = min(max(flat.level + slope * (samples[-1].until - middle), low), high)
@@ -105,43 +105,16 @@ class Trend:
         return Forecast(level, error, slope, self.memory, max(0.0, 2 * low - high), 2 * high - low)
 
 
-@dataclass(frozen=True, slots=True)
-class Holt:
-    """Double exponential smoothing: a level and a trend, each moved towards the observations (Holt 1957).
-
-    The level forgets twice as fast as `memory`, the trend as fast as it. Samples may be at any distance (Wright 1986).
-    """
-
-    memory: float
-
-    def __call__(self, samples: Sequence[CostSample]) -> Forecast:
-        level, slope, before = samples[0].value, 0.0, samples[0].at
-        misses = []
-        for one in samples[1:]:
-            gap = max(one.at - before, 1e-9)
-            expected = level + slope * gap
-            misses.append(one.value - expected)
-            to_value = 1 - 0.5 ** (2 * gap / self.memory)
-            to_slope = 1 - 0.5 ** (gap / self.memory)
-            new = expected + to_value * (one.value - expected)
-            slope += to_slope * ((new - level) / gap - slope)
-            level, before = new, one.at
-        low, high = min(one.value for one in samples), max(one.value for one in samples)
-        level = min(max(level + slope * (samples[-1].until - before), low), high)
-        weights = _recent_weights(samples[1:], self.memory / 2)
-        error = _standard_error(misses, weights, level) if misses else abs(level)
-        return Forecast(level, error, slope, self.memory, max(0.0, 2 * low - high), 2 * high - low)
-
-
 FORECASTERS: Mapping[str, Callable[[float], Forecaster]] = MappingProxyType(
-    {"latest": lambda _: Latest(), "average": Average, "trend": Trend, "holt": Holt}
+    {"latest": lambda _: Latest(), "trend": Trend}
 )
 """By name: a function from a memory, which is a half-life in seconds, to a forecaster."""
 
 _FEWEST_FOR_A_LINE = 4
 
 
-def _recent_weights(samples: Sequence[CostSample], memory: float) -> list[float]:
+def recent_weights(samples: Sequence[CostSample], memory: float) -> list[float]:
+    """Return the samples' weights; a sample that is `memory` older than the newest one has half of its own."""
     newest = samples[-1].until if samples else 0.0
     return [one.weight * 0.5 ** ((newest - one.until) / memory) for one in samples]
 
@@ -151,7 +124,7 @@ def _weighted_mean(values: Sequence[float], weights: Sequence[float]) -> float:
     return min(max(mean, min(values)), max(values))
 
 
-def _standard_error(misses: Sequence[float], weights: Sequence[float], level: float) -> float:
+def standard_error(misses: Sequence[float], weights: Sequence[float], level: float) -> float:
     """The standard error of a weighted mean. With a single sample it is the level itself, as nothing is known."""
     number = math.fsum(weights) ** 2 / math.fsum(weight * weight for weight in weights)
     if number < 1.5:
