@@ -13,7 +13,8 @@ export function choose(what) {
   drawnKey = "";
   if (what?.kind === "stream") peek(what.id);
   detail(state);
-  if (what && byId("chosen").getBoundingClientRect().top > innerHeight) byId("chosen").scrollIntoView({ block: "nearest" });
+  const { top, bottom } = byId("chosen").getBoundingClientRect();
+  if (what && (top > innerHeight || bottom < 0)) byId("chosen").scrollIntoView({ block: "nearest" });
 }
 export function detail(now) {
   state = now;
