@@ -101,8 +101,8 @@ def _watched(tab: Any, manager: FakeManager, units: int, seconds: int) -> str:
         idle_s += time.process_time() - cpu_s
     shown = frames() - shown
     browser_s = busy_s() - before_s
-    each_ms = idle_s / shown * 1e3
-    return f"{shown / seconds:.1f} | {each_ms:.1f} ms | {idle_s / seconds:.1%} of a core | {browser_s / shown * 1e3:.1f} ms"
+    server = f"{idle_s / shown * 1e3:.1f} ms | {idle_s / seconds:.1%} of a core"
+    return f"{shown / seconds:.1f} | {server} | {browser_s / shown * 1e3:.1f} ms"
 
 
 def kills_shown_ms(kills: int) -> list[float]:
