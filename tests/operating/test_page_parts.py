@@ -24,7 +24,7 @@ WELL = building(31)
 
 
 def said(snapshot: Snapshot, **flows: Any) -> tuple[str, str]:
-    told = health(snapshot_record(snapshot, {topic: flow for topic, flow in flows.items()}))
+    told = health(snapshot_record(snapshot, flows))
     return told["level"], told["says"]
 
 
@@ -142,7 +142,8 @@ def test_an_error_of_a_unit_has_the_last_line_of_its_own_code(tmp_path: Path) ->
     import cfgplan_runtime
 
     ours = Path(cfgplan_runtime.__file__).parent / "children" / "steps.py"
-    text = f'Traceback ...\n  File "{code}", line 2, in step\n    y\n  File "{ours}", line 3, in run\nZeroDivisionError: no\n'
+    frames = f'  File "{code}", line 2, in step\n    y\n  File "{ours}", line 3, in run\n'
+    text = f"Traceback ...\n{frames}ZeroDivisionError: no\n"
     assert error_record(text) == {
         "message": "ZeroDivisionError: no",
         "place": f"{code}:2",
