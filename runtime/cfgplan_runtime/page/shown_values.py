@@ -66,7 +66,7 @@ def _image(value: Any) -> str | None:
 
 
 def _bytes_of(pixels: NDArray[Any]) -> NDArray[Any]:
-    """Pixels as uint8; those of other types are scaled from their least to their greatest value."""
+    """Return pixels as uint8. Pixels of other types are scaled from their least to their greatest value."""
     import numpy
 
     if pixels.dtype == numpy.uint8:

@@ -1,4 +1,4 @@
-"""The source lines of faults, as the terminal draws them: of files that can't be read, and of unit code that raises."""
+"""The source lines of faults in environment files and of errors in unit code, as the terminal draws them."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ ToViewer = tuple[str, str]
 
 @dataclass(eq=False)
 class Viewer:
-    """An open page: its messages, and the stream that it peeks into. Nobody else knows its `name`."""
+    """An open page: its messages, and the stream that it peeks into. Its `name` is secret."""
 
     loop: AbstractEventLoop
     messages: Queue[ToViewer] = field(default_factory=Queue)
