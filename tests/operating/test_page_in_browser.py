@@ -29,7 +29,8 @@ from cfgplan.amounts import core_share, rate, span
 from cfgplan.domain import ChangeSet, ComputationUnit, Publication, Stream, Subscription
 
 MARKUP = "<img src=x onerror=alert(1)> & \\N"
-WINDOWS = [{"width": 1400, "height": 900}, {"width": 400, "height": 800}]
+WINDOWS = [{"width": 1400, "height": 1500}, {"width": 400, "height": 3000}]
+"""High enough for the whole page: the browser reports shifts only of what the window shows."""
 
 
 @pytest.fixture
