@@ -153,6 +153,18 @@ def test_a_page_does_what_it_lists_and_no_other_method_of_a_run(page: PageServer
     assert {asking(page, method).status_code for method in others} == {400}
 
 
+def test_a_peek_ends_with_the_page_that_looks(page: PageServer) -> None:
+    def peeks() -> list[str]:
+        return [thread.name for thread in threading.enumerate() if thread.name.startswith("cfgplan-peek")]
+
+    origin = page.url.partition("#")[0]
+    with httpx.stream("GET", f"{origin}messages", timeout=PATIENCE_S) as told:
+        run = next(json.loads(line.partition(": ")[2]) for line in told.iter_lines() if line.startswith("data"))
+        httpx.post(f"{origin}peek", json={"viewer": run["viewer"], "stream": "/nothing"})
+        assert peeks() == ["cfgplan-peek /nothing"]
+    eventually(lambda: not peeks())
+
+
 def test_a_page_beyond_loopback_is_served_by_tls_or_refused(server: ControlServer, tmp_path: Path) -> None:
     assert server is not None
     with pytest.raises(InputError, match="--certificates"):
