@@ -72,10 +72,13 @@ def update_costs(units: int, seconds: int) -> str:
     manager = FakeManager(building(units))
     with own_runs():
         folder = RunFolder()
-        with ControlServer(folder.path, Methods(manager).by_name(), "/building.yaml"), PageServer(connect) as page:
-            with browser(page, viewport={"width": 1400, "height": 900}) as (tab, _):
-                first_s = tab.evaluate("performance.now()") / 1e3
-                row = _watched(tab, manager, units, seconds)
+        with (
+            ControlServer(folder.path, Methods(manager).by_name(), "/building.yaml"),
+            PageServer(connect) as page,
+            browser(page, viewport={"width": 1400, "height": 900}) as (tab, _),
+        ):
+            first_s = tab.evaluate("performance.now()") / 1e3
+            row = _watched(tab, manager, units, seconds)
         folder.close()
     return f"{first_s:.1f} s | {row}"
 

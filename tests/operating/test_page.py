@@ -159,7 +159,8 @@ def test_a_peek_ends_with_the_page_that_looks(page: PageServer) -> None:
 
     origin = page.url.partition("#")[0]
     with httpx.stream("GET", f"{origin}messages", timeout=PATIENCE_S) as told:
-        run = next(json.loads(line.partition(": ")[2]) for line in told.iter_lines() if line.startswith("data"))
+        lines = told.iter_lines()
+        run = json.loads(next(line for line in lines if line.startswith("data")).partition(": ")[2])
         httpx.post(f"{origin}peek", json={"viewer": run["viewer"], "stream": "/nothing"})
         assert peeks() == ["cfgplan-peek /nothing"]
     eventually(lambda: not peeks())
