@@ -52,8 +52,11 @@ def test_a_wrong_argument_is_found_by_mypy(said: list[str]) -> None:
     assert '"int" has no attribute "upper"' in second
 
 
-def test_the_wheel_says_that_it_has_types(tmp_path: Path) -> None:
+def test_the_wheel_says_that_it_has_types_and_holds_the_files_of_the_page(tmp_path: Path) -> None:
     from hatchling.builders.wheel import WheelBuilder
 
     (wheel,) = WheelBuilder(str(ROOT)).build(directory=str(tmp_path), versions=["standard"])
-    assert {"cfgplan/py.typed", "cfgplan_runtime/py.typed"} <= {*ZipFile(wheel).namelist()}
+    files = {*ZipFile(wheel).namelist()}
+    assert {"cfgplan/py.typed", "cfgplan_runtime/py.typed", "cfgplan_runtime/page/page.js"} <= files
+    runtime = ROOT / "runtime"
+    assert {path.relative_to(runtime).as_posix() for path in runtime.glob("cfgplan_runtime/page/*.*s")} <= files

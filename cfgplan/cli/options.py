@@ -51,7 +51,7 @@ def add_allow_code(parser: argparse.ArgumentParser) -> None:
 
 def needed_for_pages() -> None:
     """Raises InputError if what pages need is not installed."""
-    needed("pages", "pygraphviz", "starlette", "uvicorn")
+    needed("pages", "starlette", "uvicorn")
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:

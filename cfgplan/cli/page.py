@@ -36,6 +36,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     shared.needed_for_pages()
     from cfgplan_runtime.operating.control_client import connect
     from cfgplan_runtime.page.server import PageServer, is_loopback
+    from cfgplan_runtime.streams.subscription import subscribe
 
     is_local = not options.connect and not is_loopback(options.address)
     certificates = None if options.certificates is None else Path(options.certificates)
@@ -47,6 +48,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
             options.port,
             certificates=None if is_loopback(options.address) else certificates,
             allows_code=options.allow_code,
+            subscribe=subscribe if fleet is None else fleet.subscribe,
         ) as server,
     ):
         screen.tell(f"The page is at {server.url}; Ctrl-C ends it, not the run.")

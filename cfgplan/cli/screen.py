@@ -223,7 +223,7 @@ class Screen:
 
 def append_excerpt(text: Text, fault: Fault, style: str, command: Sequence[str] = ()) -> None:
     """Append the line that a fault is about, with carets below it, if it is about one."""
-    from cfgplan.cli.excerpts import drawn, excerpt
+    from cfgplan.excerpts import drawn, excerpt
 
     if (found := excerpt(fault, command)) is not None:
         line, space, carets = drawn(found)

@@ -10,7 +10,7 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Protocol, TypeVar
 
-from cfgplan.domain import ChangeSet, Environment, Target, Transformation
+from cfgplan.domain import ChangeSet, Environment, Stream, Target, Transformation
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.streams.closable import Closable
 from cfgplan_runtime.supervision.backend import Backend
@@ -214,6 +214,17 @@ class Runtime(Closable):
     def cut(self, unit: str | None, port: str) -> None:
         """Remove the stream of an input, or of a topic (`unit` is None), as if it had been lost. Raises KeyError."""
         self._executor.call(lambda: self.supervisor.cut(unit, port))
+
+    def tap(self, stream: Stream) -> str:
+        """Show a unit's stream on a topic of its own until `untap`, and return the topic.
+
+        A call for an open tap connects it again: the unit may have been replaced by another of the same name.
+        """
+        return self._executor.call(lambda: self.supervisor.taps.open(stream))
+
+    def untap(self, stream: Stream) -> None:
+        """Remove the topic that `tap` has made. Does nothing without one."""
+        self._executor.call(lambda: self.supervisor.taps.close(stream))
 
     def pid(self, unit: str) -> int | None:
         """The process id of a unit."""

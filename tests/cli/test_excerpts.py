@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from command import Run
 
-from cfgplan.cli.excerpts import drawn, excerpt
 from cfgplan.errors import Fault
+from cfgplan.excerpts import drawn, excerpt
 
 
 def shown(fault: Fault, command: Sequence[str] = ()) -> list[str] | None:

@@ -93,6 +93,7 @@ FORESEEN_IN = Environment(
 class FakeManager:
     def __init__(self, snapshot: Snapshot = SNAPSHOT) -> None:
         self.requested: list[Change] = []
+        self.supposed: list[Change] = []
         self.listeners: list[Callable[[Report], None]] = []
         self.refuse: Exception | None = None
         self.is_slow = False
@@ -117,6 +118,10 @@ class FakeManager:
             problem = Problem(FORESEEN_IN, Similarity({tag: frozenset({tag}) for tag in ("Image", "Ball")}), 60)
             future.set_result(Preview(thought, problem, {"unit": {"camera.1": "1234"}}))
         return future
+
+    def suppose(self, change: Change) -> Thought:
+        self.supposed.append(change)
+        return self.foreseen or Thought(Environment((CAMERA,)), Environment(), cause="no time")
 
     def snapshot(self) -> Snapshot:
         return self._snapshot

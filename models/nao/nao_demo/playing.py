@@ -23,6 +23,8 @@ from cfgplan_runtime.operating.flows import Flows
 from cfgplan_runtime.operating.methods import Methods
 from cfgplan_runtime.operating.records import report_record
 from cfgplan_runtime.operating.sentences import sentence
+from cfgplan_runtime.operating.stream_rates import StreamRates
+from cfgplan_runtime.operating.taps import LeasedTaps
 from cfgplan_runtime.runtime import Runtime
 from cfgplan_runtime.streams.run_folder import base_folder
 
@@ -93,10 +95,14 @@ def play(story: Sequence[Step], step_s: float, audience: Audience, port: int | N
 @contextmanager
 def _served(manager: Manager, runtime: Runtime, port: int | None, audience: Audience) -> Iterator[None]:
     """The manager at work; `cfgplan ctl` reaches it, and a page shows it where a port is named."""
-    flows, world = Flows(), str(WORLD / "0-target-only.yaml")
+    flows, rates, taps, world = Flows(), StreamRates(), LeasedTaps(runtime), str(WORLD / "0-target-only.yaml")
     runtime.listen(flows.hear)
+    manager.listen(rates.hear)
+    manager.listen(taps.hear)
     with (
-        ControlServer(base_folder() / runtime.id, Methods(manager, flows).by_name(), world) as server,
+        ControlServer(
+            base_folder() / runtime.id, Methods(manager, flows, rates=rates, taps=taps).by_name(), world
+        ) as server,
         ExitStack() as more,
     ):
         manager.listen(lambda report: server.publish({**report_record(report), "says": sentence(report)}))

@@ -12,6 +12,7 @@ from typing import TypeVar
 from cfgplan.api import World
 from cfgplan.costs import labor_us, upkeep_us
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Host, Statement, Transformation
+from cfgplan.errors import InputError
 from cfgplan.facts import FactValue
 from cfgplan.planning import fresh_units
 from cfgplan.ros.sources import NodeSource
@@ -133,6 +134,14 @@ def hosts_of(world: Environment) -> tuple[str, ...]:
     if world.hosts:
         return tuple(world.host)
     return tuple(sorted({t.host for t in world.library if t.host is not None}))
+
+
+def check_host(world: Environment, host: str) -> None:
+    """Raise InputError if a world has no host of this name."""
+    hosts = hosts_of(world)
+    if host not in hosts:
+        mend = f"choose one of {', '.join(hosts)}" if hosts else "no transformation names a host"
+        raise InputError.of(f"there is no host {host!r}", mend=mend)
 
 
 class EstimatedLibrary:

@@ -20,7 +20,7 @@ from cfgplan_runtime.lifecycle.changes import (
     SetFact,
     Stop,
 )
-from cfgplan_runtime.lifecycle.configuration import hosts_of, is_external
+from cfgplan_runtime.lifecycle.configuration import check_host, hosts_of, is_external
 from cfgplan_runtime.lifecycle.differences import difference
 from cfgplan_runtime.lifecycle.fact_values import fact_set
 from cfgplan_runtime.lifecycle.inbox import Asked, Outcome
@@ -110,7 +110,7 @@ def asked(turn: Turn, request: Asked) -> Turn:
             case RestartUnits(units):
                 return _to_be_restarted(turn, units, request)
             case LoseHost(host, cause):
-                _check_host(state, host)
+                check_host(state.living.world.environment, host)
                 given_up = replace(situation, given_up_hosts=situation.given_up_hosts | {host})
                 return turn.situated(given_up).perturbed(HostGone(host, cause), outcomes)
             case RegainHost(host):
@@ -363,10 +363,3 @@ def _check_runs(state: State, unit: str) -> None:
         raise InputError.of(f"no unit {unit!r} runs", mend=f"these run: {known}" if known else None)
     if running[unit].standby:
         raise InputError.of(f"unit {unit!r} is a cold spare, and does not run")
-
-
-def _check_host(state: State, host: str) -> None:
-    hosts = hosts_of(state.living.world.environment)
-    if host not in hosts:
-        mend = f"choose one of {', '.join(hosts)}" if hosts else "no transformation names a host"
-        raise InputError.of(f"there is no host {host!r}", mend=mend)

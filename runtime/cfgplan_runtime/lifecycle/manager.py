@@ -32,7 +32,7 @@ from cfgplan_runtime.lifecycle.basis import Preview, preview_of
 from cfgplan_runtime.lifecycle.changes import Change, Stop
 from cfgplan_runtime.lifecycle.configuration import as_it_runs
 from cfgplan_runtime.lifecycle.decisions import BreakIn, breaks_in, decide, first_state
-from cfgplan_runtime.lifecycle.deliberation import Deliberation
+from cfgplan_runtime.lifecycle.deliberation import Deliberation, Thought
 from cfgplan_runtime.lifecycle.guarded_estimator import GuardedEstimator
 from cfgplan_runtime.lifecycle.inbox import Asked, FactSeen, Inbox, Item, Leave, Outcome, PreviewAsked, Unusable
 from cfgplan_runtime.lifecycle.perturbations import Started
@@ -41,6 +41,7 @@ from cfgplan_runtime.lifecycle.reports import Report, Snapshot, UnitEvent
 from cfgplan_runtime.lifecycle.seams import DeclaredCosts, Estimator, Middleware, SystemClock, TimeSource
 from cfgplan_runtime.lifecycle.state import State
 from cfgplan_runtime.lifecycle.stream_qualities import quality_views
+from cfgplan_runtime.lifecycle.supposing import Supposing
 from cfgplan_runtime.lifecycle.turns import Effect, Happened, Happening
 from cfgplan_runtime.lifecycle.views import saving_us, target_views, unit_views
 from cfgplan_runtime.lifecycle.warm_matching import WarmMatching
@@ -93,6 +94,7 @@ class Manager:
             lambda: self._interrupt.is_set() or self._ending.is_set(),
         )
         self._first = first
+        self._supposing = Supposing(planner, policy)
         self._is_busy = False
         self._thread: threading.Thread | None = None
         self._quiet = threading.Condition()
@@ -126,6 +128,14 @@ class Manager:
         if self._state.is_over:
             self._turn_away()
         return outcome
+
+    def suppose(self, change: Change) -> Thought:
+        """Return the plan of a review after a change, with the costs of the last review. The run is not changed.
+
+        It is made in the calling thread, and no review waits for it. Only changes of the world and of the hosts in
+        service can be supposed. Raises InputError for others, and for a bad one.
+        """
+        return self._supposing.think(self._state, change)
 
     def observe_fact(self, name: str, value: FactValue) -> None:
         """Pass on a stream's value of a fact of the world. Thread-safe."""

@@ -105,9 +105,14 @@ def record_message(topic: str, record: Mapping[str, Any], schema: Mapping[str, A
     return Message(topic, f"cfgplan.{topic.rpartition('/')[2].capitalize()}", schema, record)
 
 
+def compressed_kind(data: bytes) -> str | None:
+    """The form of a compressed image, `jpeg` or `png`; None for other bytes."""
+    return next((kind for magic, kind in _MAGIC.items() if data.startswith(magic)), None)
+
+
 def _image(topic: str, value: Any, time_ns: int) -> Message | None:
     if isinstance(value, bytes):
-        kind = next((kind for magic, kind in _MAGIC.items() if value.startswith(magic)), None)
+        kind = compressed_kind(value)
         if kind is None:
             return None
         body = {"timestamp": _time(time_ns), "frame_id": topic, "data": _base64(value), "format": kind}

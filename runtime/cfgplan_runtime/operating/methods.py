@@ -4,30 +4,35 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError, Future
 from concurrent.futures import TimeoutError as FutureTimeoutError
+from contextlib import contextmanager
+from types import MappingProxyType
 from typing import Any, Protocol, TypeVar
 
 import msgspec
 
 from cfgplan import answers
-from cfgplan.errors import CfgplanError, InputError
+from cfgplan.domain import Stream
+from cfgplan.errors import CfgplanError, InputError, did_you_mean
 from cfgplan.explaining.why_words import why_lines
 from cfgplan.formats.plan_file import read_run_plan
 from cfgplan_runtime.children.messages import Flow
 from cfgplan_runtime.lifecycle import changes
 from cfgplan_runtime.lifecycle.basis import Preview, plan_text, previewed
+from cfgplan_runtime.lifecycle.deliberation import Thought
 from cfgplan_runtime.lifecycle.reports import Review, Snapshot
 from cfgplan_runtime.operating.control_server import Method
-from cfgplan_runtime.operating.declaration import declaration
+from cfgplan_runtime.operating.declaration import Declared, declaration
 from cfgplan_runtime.operating.flows import Flows
 from cfgplan_runtime.operating.past import Past
 from cfgplan_runtime.operating.printed import Printed
 from cfgplan_runtime.operating.protocol import Record, RefusedError
-from cfgplan_runtime.operating.records import review_record, snapshot_record, wired
-from cfgplan_runtime.operating.sentences import preview_sentence
+from cfgplan_runtime.operating.records import change_record, review_record, snapshot_record, wired
+from cfgplan_runtime.operating.sentences import preview_sentence, supposed_sentence
 from cfgplan_runtime.operating.stream_rates import StreamRates
+from cfgplan_runtime.operating.taps import LeasedTaps
 
 REQUEST_PATIENCE_S = 60.0
 """Seconds that a reply waits for the review of a change."""
@@ -45,14 +50,32 @@ class Controlled(Protocol):
 
     def preview(self) -> Future[Preview]: ...
 
+    def suppose(self, change: changes.Change) -> Thought: ...
+
     def snapshot(self) -> Snapshot: ...
+
+
+_ONE_NAME: Mapping[str, tuple[str, Callable[[str], changes.Change]]] = MappingProxyType(
+    {
+        "withdraw": ("name", changes.Withdraw),
+        "remove_target": ("label", lambda label: changes.Remove(targets=(label,))),
+        "remove_transformation": ("label", lambda label: changes.Remove(transformations=(label,))),
+        "remove_individual": ("name", lambda name: changes.Remove(individuals=(name,))),
+        "restore": ("name", lambda name: changes.Restore((name,))),
+        "kill": ("unit", changes.KillUnit),
+        "restart": ("unit", lambda unit: changes.RestartUnits((unit,), "the control socket")),
+        "lose_host": ("host", lambda host: changes.LoseHost(host, "told through the control socket")),
+        "regain_host": ("host", changes.RegainHost),
+    }
+)
+"""The methods that have one parameter: its key, and the change for its value."""
 
 
 class Methods:
     """The methods of a manager by name.
 
     `flows` gives rate and latency by topic, `rates` the rate of each output of a unit, `printed` what units have
-    printed, and `past` the last events.
+    printed, and `past` the last events. Without `taps`, only streams that are on topics can be looked at.
     """
 
     def __init__(
@@ -62,26 +85,17 @@ class Methods:
         printed: Printed | None = None,
         past: Past | None = None,
         rates: StreamRates | None = None,
+        taps: LeasedTaps | None = None,
     ) -> None:
         self._manager = manager
         self._flows = flows or Flows()
         self._printed = printed or Printed()
         self._past = past or Past()
         self._rates = rates or StreamRates()
+        self._taps = taps
 
     def by_name(self) -> dict[str, Method]:
         """The methods for the control server; `cfgplan/manual/control.md` has their params and results."""
-        one_name: dict[str, tuple[str, Callable[[str], changes.Change]]] = {
-            "withdraw": ("name", changes.Withdraw),
-            "remove_target": ("label", lambda label: changes.Remove(targets=(label,))),
-            "remove_transformation": ("label", lambda label: changes.Remove(transformations=(label,))),
-            "remove_individual": ("name", lambda name: changes.Remove(individuals=(name,))),
-            "restore": ("name", lambda name: changes.Restore((name,))),
-            "kill": ("unit", changes.KillUnit),
-            "restart": ("unit", lambda unit: changes.RestartUnits((unit,), "the control socket")),
-            "lose_host": ("host", lambda host: changes.LoseHost(host, "told through the control socket")),
-            "regain_host": ("host", changes.RegainHost),
-        }
         return {
             "state": self._state,
             "add": self._add,
@@ -93,8 +107,10 @@ class Methods:
             "logs": self._logs,
             "events": self._events,
             "topics": self._topics,
+            "tap": self._tap,
+            "what_if": self._what_if,
             "stop": self._stop,
-            **{name: self._changing(key, change) for name, (key, change) in one_name.items()},
+            **{name: self._changing(key, change) for name, (key, change) in _ONE_NAME.items()},
         }
 
     def _state(self, params: Mapping[str, Any]) -> Record:
@@ -108,16 +124,15 @@ class Methods:
         _only(params, "name", "text", "wait_s", "while_connected")
         if not isinstance(params.get("while_connected", False), bool):
             raise RefusedError("bad_params", "`while_connected` is neither true nor false", "write true or false")
-        name = _text(params, "name", self._free_name())
+        declared = self._declared(params)
+        with _placed_in(declared):
+            return {"name": declared.change.name, **self._ask(declared.change, params)}
+
+    def _declared(self, params: Mapping[str, Any]) -> Declared:
         try:
-            declared = declaration(name, _text(params, "text"))
+            return declaration(_text(params, "name", self._free_name()), _text(params, "text"))
         except InputError as error:
             raise _refusal(error) from None
-        try:
-            return {"name": name, **self._ask(declared.change, params)}
-        except RefusedError as error:
-            faults = sorted(map(declared.placed, error.faults), key=lambda fault: (fault.line or 0, fault.column or 0))
-            raise RefusedError(error.code, error.message, error.mend, faults) from None
 
     def _free_name(self) -> str:
         taken = self._manager.snapshot().declared
@@ -203,6 +218,64 @@ class Methods:
         ]
         return {"topics": topics, "streams": self._rates.records()}
 
+    def _tap(self, params: Mapping[str, Any]) -> Record:
+        _only(params, "stream")
+        text, snapshot = _text(params, "stream"), self._manager.snapshot()
+        running = [view.unit for view in snapshot.units if not view.unit.standby]
+        library = snapshot.environment.transformation
+        given = {
+            str(Stream(unit.id, port.name))
+            for unit in running
+            if unit.transformation in library
+            for port in library[unit.transformation].outputs
+        }
+        topics = {str(Stream(unit.id, one.port)): one.topic for unit in running for one in unit.publications}
+        if text in topics:
+            return {"topic": topics[text]}
+        if text not in given:
+            raise RefusedError("refused", f"no unit that runs gives {text!r}", did_you_mean(text, given))
+        if self._taps is None:
+            mend = "give it a target, whose topic can be looked at"
+            raise RefusedError("refused", f"{text} is on no topic, and this run is on hosts or of ROS nodes", mend)
+        return {"topic": self._taps.renew(Stream.parse(text))}
+
+    def _what_if(self, params: Mapping[str, Any]) -> Record:
+        _only(params, "change", "params")
+        method, asked = _text(params, "change"), params.get("params")
+        if not isinstance(asked, Mapping):
+            raise RefusedError("bad_params", "`params` is missing or no mapping", "give the params of the method")
+        if method == "add":
+            _only(asked, "name", "text")
+            declared = self._declared(asked)
+            with _placed_in(declared):
+                return self._supposed(declared.change)
+        if method not in _ONE_NAME:
+            known = ", ".join(sorted({"add", *_ONE_NAME}))
+            raise RefusedError(
+                "bad_params", f"there is no change {method!r} that can be supposed", f"give one of {known}"
+            )
+        key, change = _ONE_NAME[method]
+        _only(asked, key)
+        return self._supposed(change(_text(asked, key)))
+
+    def _supposed(self, change: changes.Change) -> Record:
+        snapshot = self._manager.snapshot()
+        try:
+            thought = self._manager.suppose(change)
+        except CfgplanError as error:
+            raise _refusal(error) from None
+        met = {target.label for target in snapshot.targets if target.is_met}
+        return {
+            "says": supposed_sentence(thought, snapshot),
+            "cost_us": thought.cost_us,
+            "cost_now_us": snapshot.cost_us,
+            "bound_us": thought.bound_us,
+            "is_proven": thought.is_proven,
+            "change_set": None if thought.change_set is None else change_record(thought.change_set),
+            "unmet": dict(thought.unmet),
+            "newly_unmet": sorted(met & thought.unmet.keys()),
+        }
+
     def _apply(self, params: Mapping[str, Any]) -> Record:
         _only(params, "text", "name", "wait_s")
         name = _text(params, "name", "the plan")
@@ -236,6 +309,16 @@ class Methods:
         except FutureTimeoutError:
             return {"review": None, "is_waiting": True}
         return {"review": None if review is None else review_record(review), "is_waiting": False}
+
+
+@contextmanager
+def _placed_in(declared: Declared) -> Iterator[None]:
+    """Give the faults of a refusal their places in the declaration."""
+    try:
+        yield
+    except RefusedError as error:
+        faults = sorted(map(declared.placed, error.faults), key=lambda fault: (fault.line or 0, fault.column or 0))
+        raise RefusedError(error.code, error.message, error.mend, faults) from None
 
 
 def _waited_for(future: Future[T], params: Mapping[str, Any]) -> T:

@@ -42,6 +42,7 @@ from cfgplan_runtime.operating.recording import Recorder
 from cfgplan_runtime.operating.records import logging_to
 from cfgplan_runtime.operating.sources import SourceCheck, Sources
 from cfgplan_runtime.operating.stream_rates import StreamRates
+from cfgplan_runtime.operating.taps import LeasedTaps
 from cfgplan_runtime.runtime import Runtime
 from cfgplan_runtime.streams.closable import Closable
 from cfgplan_runtime.streams.run_folder import base_folder, claim_name
@@ -226,7 +227,10 @@ class Operation(Closable):
         printed, self.rates, self._past = Printed(), StreamRates(), Past()
         self.manager.listen(printed.hear)
         self.manager.listen(self.rates.hear)
-        methods = Methods(self.manager, self.flows, printed, self._past, self.rates).by_name()
+        taps = LeasedTaps(self.runtime) if settings.runtime is None else None
+        if taps is not None:
+            self.manager.listen(taps.hear)
+        methods = Methods(self.manager, self.flows, printed, self._past, self.rates, taps).by_name()
         self._observed = ObservedFacts(self.id, self.manager, self.show)
         stack.callback(self._observed.close)
         self._server = ControlServer(base_folder() / self.id, methods, str(self._path.resolve()))

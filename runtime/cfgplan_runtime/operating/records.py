@@ -157,6 +157,8 @@ def _target(target: reports.TargetView, flow: Record | None) -> Record:
 def _unit(view: reports.UnitView, environment: Environment) -> Record:
     record = {**wired(view.unit), "host": view.host}
     transformation = environment.transformation.get(view.unit.transformation)
+    if transformation is not None:
+        record["outputs"] = [port.name for port in transformation.outputs]
     if view.unit.standby:
         record["prepared"] = view.is_prepared
     elif transformation is not None:

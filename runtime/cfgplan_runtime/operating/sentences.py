@@ -22,6 +22,7 @@ from cfgplan_runtime.lifecycle.reports import (
     Report,
     Review,
     Reviewed,
+    Snapshot,
     UnitEvent,
     WorldRefused,
 )
@@ -216,6 +217,21 @@ def preview_sentence(thought: Thought) -> str:
         before_us = thought.cost_before_us
         parts.append(f"{thought.cost_us / 1e6:.4g} s of CPU over the horizon, now {before_us / 1e6:.4g} s")
     parts += [f"{label} is not met: {reason}" for label, reason in sorted(thought.unmet.items())]
+    return "; ".join(parts)
+
+
+def supposed_sentence(thought: Thought, now: Snapshot) -> str:
+    """The plan for a supposed change: the units it changes, its cost and the present one, and unmet targets."""
+    if thought.change_set is None:
+        return f"No plan was found: {thought.cause}"
+    is_kept = thought.decision is Decision.KEPT or not thought.change_set
+    parts = ["No other unit would change" if is_kept else f"It would {_changes(thought.change_set, (), _INFINITIVES)}"]
+    if thought.cost_us is not None:
+        more_us = thought.cost_us - now.cost_us
+        more = f"{abs(more_us) / 1e6:.3g} s {'more' if more_us > 0 else 'less'} than now" if more_us else "as now"
+        parts.append(f"{thought.cost_us / 1e6:.4g} s of CPU over the horizon, {more}")
+    parts.append("proven: no plan is cheaper" if thought.is_proven else "not proven to be the cheapest")
+    parts += [f"{label} would not be met: {reason}" for label, reason in sorted(thought.unmet.items())]
     return "; ".join(parts)
 
 

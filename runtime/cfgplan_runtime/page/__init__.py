@@ -1,3 +1,1 @@
-"""A page about a run, served to browsers: the running configuration with its rates, drawn again at each change, and
-buttons to steer it.
-"""
+"""A control room for a run, served to browsers: health, figures, the picture of units, peeks, reviews, what-if."""

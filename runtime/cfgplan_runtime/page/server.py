@@ -11,6 +11,7 @@ import threading
 from collections.abc import AsyncIterator, Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import uvicorn
 from starlette.applications import Starlette
@@ -26,7 +27,9 @@ from cfgplan_runtime.fleet.certificates import shown
 from cfgplan_runtime.operating.control_client import Control
 from cfgplan_runtime.operating.declaration import declaration
 from cfgplan_runtime.operating.protocol import RefusedError
+from cfgplan_runtime.page.peeks import Subscribe
 from cfgplan_runtime.page.watched import Watched
+from cfgplan_runtime.streams.subscription import subscribe
 
 THIS_COMPUTER = "127.0.0.1"
 METHODS = (
@@ -40,6 +43,7 @@ METHODS = (
     "restore",
     "review",
     "stop",
+    "what_if",
     "why",
     "withdraw",
 )
@@ -47,6 +51,7 @@ METHODS = (
 _ALIVE_S = 5.0
 _LARGEST_REQUEST = 1_000_000
 _FILES = Path(__file__).parent
+_KINDS = {".html": "text/html", ".js": "text/javascript", ".css": "text/css"}
 _HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
     "img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
@@ -66,8 +71,8 @@ class PageServer:
 
     On a loopback address viewing needs no token; on other addresses it does. Changing the run always needs the token.
     An address other than loopback needs the folder of a host's `certificates`. The page adds transformations with a
-    `source`, which is code, only if it `allows_code`. Port 0 takes any free port. Raises InputError if the address
-    can't be used, ControlError if no run is live.
+    `source`, which is code, only if it `allows_code`. `subscribe` reaches topics, by default those of this computer.
+    Port 0 takes any free port. Raises InputError if the address can't be used, ControlError if no run is live.
     """
 
     def __init__(
@@ -78,6 +83,7 @@ class PageServer:
         *,
         certificates: Path | None = None,
         allows_code: bool = False,
+        subscribe: Subscribe = subscribe,
     ) -> None:
         self._allows_code = allows_code
         self._token = secrets.token_urlsafe(16)
@@ -95,7 +101,7 @@ class PageServer:
         except (OSError, OverflowError) as error:
             self._socket.close()
             raise InputError.of(f"{address}:{port} can't be served: {error}", mend="name another port") from None
-        self.watched = Watched(reach)
+        self.watched = Watched(reach, subscribe)
         try:
             self.watched.start()
         except BaseException:
@@ -106,10 +112,10 @@ class PageServer:
         hosts = [name, "localhost"] if self._is_open else ["*"]
         app = Starlette(
             routes=[
-                Route("/", self._file("page.html", "text/html")),
-                Route("/page.js", self._file("page.js", "text/javascript")),
-                Route("/page.css", self._file("page.css", "text/css")),
+                Route("/", _file(_FILES / "page.html")),
+                *(Route(f"/{path.name}", _file(path)) for path in sorted(_FILES.iterdir()) if path.suffix in _KINDS),
                 Route("/messages", self._messages),
+                Route("/peek", self._peek, methods=["POST"]),
                 Route("/do", self._do, methods=["POST"]),
             ],
             middleware=[Middleware(TrustedHostMiddleware, allowed_hosts=hosts)],
@@ -141,12 +147,6 @@ class PageServer:
         self._socket.close()
         self.watched.close()
 
-    def _file(self, name: str, media_type: str) -> Callable[[Request], Response]:
-        def get(_: Request) -> Response:
-            return FileResponse(_FILES / name, media_type=media_type, headers=_HEADERS)
-
-        return get
-
     def _may(self, token: str | None) -> bool:
         return token is not None and hmac.compare_digest(token.encode(), self._token.encode())
 
@@ -157,29 +157,40 @@ class PageServer:
 
     async def _told(self) -> AsyncIterator[str]:
         system = self.watched.system
-        yield _event("run", json.dumps({"run": system.run, "environment": Path(system.environment).name}))
-        with self.watched.viewer(asyncio.get_running_loop()) as messages:
+        with self.watched.viewer(asyncio.get_running_loop()) as viewer:
+            run = {"run": system.run, "environment": Path(system.environment).name, "name": system.name}
+            yield _event("run", json.dumps({**run, "viewer": viewer.name}))
             while not self._server.should_exit:
                 with suppress(TimeoutError):
-                    kind, data = await asyncio.wait_for(messages.get(), _ALIVE_S)
+                    kind, data = await asyncio.wait_for(viewer.messages.get(), _ALIVE_S)
                     yield _event(kind, data)
                     if kind == "ended":
                         return
+
+    async def _peek(self, request: Request) -> Response:
+        """Let a viewer peek into a stream: `{"viewer": ..., "stream": ...}`. The viewer's name is known to it alone."""
+        asked = await _body(request)
+        if asked is None or not isinstance(asked.get("stream"), str | None):
+            return JSONResponse({"message": "this is no request"}, 400, headers=_HEADERS)
+        viewer = str(asked.get("viewer", ""))
+        if not await asyncio.to_thread(self.watched.peek, viewer, asked["stream"]):
+            return JSONResponse({"message": "no page of this name looks"}, 403, headers=_HEADERS)
+        return JSONResponse({}, headers=_HEADERS)
 
     async def _do(self, request: Request) -> Response:
         """Change the run: `{"method": ..., "params": {...}}`, accepted only from this page and with its token."""
         origin = request.headers.get("origin")
         if not self._may(request.headers.get("x-token")) or (self._is_open and origin != self._origin):
             return JSONResponse({"message": "only the page with its token may do this"}, 403, headers=_HEADERS)
-        body = await request.body()
-        try:
-            asked = json.loads(body[:_LARGEST_REQUEST])
-            method, params = asked["method"], dict(asked.get("params", {}))
-        except (ValueError, KeyError, TypeError):
+        asked = await _body(request)
+        if asked is None or "method" not in asked or not isinstance(params := asked.get("params", {}), dict):
             return JSONResponse({"message": "this is no request"}, 400, headers=_HEADERS)
+        method = asked["method"]
         if method not in METHODS:
             return JSONResponse({"message": f"the page does not do {method}"}, 400, headers=_HEADERS)
-        if method == "add" and not self._allows_code and _names_code(params.get("text")):
+        added = params.get("params") if method == "what_if" else params
+        text = added.get("text") if isinstance(added, dict) else None
+        if not self._allows_code and _names_code(text):
             refused = "a `source` is code, which this page does not add: use `cfgplan ctl add`, or --allow-code"
             return JSONResponse({"refused": refused}, headers=_HEADERS)
         try:
@@ -190,6 +201,23 @@ class PageServer:
             refused = str(error)
         # What the run refuses is an answer, and none of the page's own errors, which browsers tell.
         return JSONResponse({"refused": refused}, headers=_HEADERS)
+
+
+def _file(path: Path) -> Callable[[Request], Response]:
+    def get(_: Request) -> Response:
+        return FileResponse(path, media_type=_KINDS[path.suffix], headers=_HEADERS)
+
+    return get
+
+
+async def _body(request: Request) -> dict[str, Any] | None:
+    """The JSON object of a request; None if it has none, or too large a one."""
+    body = await request.body()
+    try:
+        asked = json.loads(body[:_LARGEST_REQUEST])
+    except ValueError:
+        return None
+    return asked if isinstance(asked, dict) else None
 
 
 def _names_code(text: object) -> bool:

@@ -3,34 +3,29 @@
 from __future__ import annotations
 
 import json
+import secrets
 import threading
 import time
 from asyncio import AbstractEventLoop, Queue
 from collections import deque
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import replace
+from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
-from cfgplan.domain import (
-    A_UNIT_OF,
-    ChangeSet,
-    ComputationUnit,
-    Environment,
-    Host,
-    Target,
-)
-from cfgplan.drawing import picture
-from cfgplan.formats.dump import unit_of
 from cfgplan_runtime.errors import ControlError
 from cfgplan_runtime.operating.control_client import Control
-from cfgplan_runtime.operating.protocol import Record
+from cfgplan_runtime.operating.protocol import Record, RefusedError
+from cfgplan_runtime.page.health import health
+from cfgplan_runtime.page.peeks import Peek, Subscribe
+from cfgplan_runtime.page.source_lines import error_record, fault_record
 
 FRAME_S = 0.1
-"""Seconds from one state message to the next."""
-MARKED_S = 5.0
-"""Seconds for which the picture marks what an update has changed."""
-_MOST_NEWS = 100
+"""Seconds from one state message to the next, at least."""
+REFRESH_S = 0.5
+"""Seconds from one state message to the next, at most. A message comes sooner if something happens."""
+_MOST_NEWS = 300
 _MOST_WAITING = 200
 """The most messages that wait for a viewer; older ones are dropped."""
 _RUN_S = 10.0
@@ -41,19 +36,35 @@ ToViewer = tuple[str, str]
 """A kind and its data as JSON."""
 
 
+@dataclass(eq=False)
+class Viewer:
+    """An open page: its messages, and the stream that it peeks into. Its `name` is secret."""
+
+    loop: AbstractEventLoop
+    messages: Queue[ToViewer] = field(default_factory=Queue)
+    name: str = field(default_factory=lambda: secrets.token_urlsafe(16))
+    peek: Peek | None = None
+
+    def tell(self, message: ToViewer) -> None:
+        """Send a message. Thread-safe."""
+        with suppress(RuntimeError):  # its loop has just been closed
+            self.loop.call_soon_threadsafe(_put, self.messages, message)
+
+
 class Watched:
     """Fetches the state of a run for its viewers. `reach` connects to the run's control socket."""
 
-    def __init__(self, reach: Callable[[], Control]) -> None:
+    def __init__(self, reach: Callable[[], Control], subscribe: Subscribe) -> None:
         self._reach = reach
+        self._subscribe = subscribe
         self._lock = threading.Lock()
-        self._viewers: dict[Queue[ToViewer], AbstractEventLoop] = {}
+        self._viewers: dict[str, Viewer] = {}
         self._somebody_looks = threading.Event()
+        self._is_due = threading.Event()
+        """Set when the next state message need not wait any longer."""
         self._events: deque[ToViewer] = deque(maxlen=_MOST_NEWS)
-        self._picture: ToViewer | None = None
+        self._reviews: ToViewer | None = None
         self._end: ToViewer | None = None
-        self._wanted: tuple[Environment, Environment] | None = None
-        self._is_wanted = threading.Condition(self._lock)
         self.has_ended = threading.Event()
         self._controls: tuple[Control, ...] = ()
 
@@ -68,38 +79,73 @@ class Watched:
             raise
         self.system = events.system
         self._controls = events, states
-        for work in (lambda: self._hear(events), lambda: self._look(states), self._draw):
+        self._keep_past(states)
+        for work in (lambda: self._hear(events), lambda: self._look(states)):
             threading.Thread(target=self._until_the_end, args=(work,), daemon=True).start()
 
     def close(self) -> None:
         """Tell all threads to end."""
         self.has_ended.set()
         self._somebody_looks.set()
+        self._is_due.set()
         for control in self._controls:
             control.hang_up()
 
     @contextmanager
-    def viewer(self, loop: AbstractEventLoop) -> Iterator[Queue[ToViewer]]:
-        """Give a queue of messages for one viewer: the picture, the last events, the end if the run is over, news."""
-        messages: Queue[ToViewer] = Queue()
+    def viewer(self, loop: AbstractEventLoop) -> Iterator[Viewer]:
+        """Add a viewer. It first gets the reviews, the last events, and the end if the run is over, then news."""
+        viewer = Viewer(loop)
         with self._lock:
-            for message in (self._picture, *self._events, self._end):
+            for message in (self._reviews, *self._events, self._end):
                 if message is not None:
-                    messages.put_nowait(message)
-            self._viewers[messages] = loop
+                    viewer.messages.put_nowait(message)
+            self._viewers[viewer.name] = viewer
             self._somebody_looks.set()
+            self._is_due.set()
         try:
-            yield messages
+            yield viewer
         finally:
             with self._lock:
-                del self._viewers[messages]
+                del self._viewers[viewer.name]
+                peek, viewer.peek = viewer.peek, None
                 if not self._viewers:
                     self._somebody_looks.clear()
+            if peek is not None:
+                threading.Thread(target=peek.close, daemon=True).start()
+
+    def peek(self, name: str, stream: str | None) -> bool:
+        """Let a viewer peek into a stream, and into no other; None: into none. Returns False for an unknown viewer."""
+        with self._lock:
+            viewer = self._viewers.get(name)
+            if viewer is None:
+                return False
+            before, viewer.peek = viewer.peek, None
+        if before is not None:
+            before.close()
+        if stream is not None:
+            give = viewer.tell
+            subscribe = partial(self._subscribe, run=self.system.run)
+            peek = Peek(stream, self._topic_of, subscribe, lambda told: give(("peek", json.dumps(told))))
+            with self._lock:
+                is_there = self._viewers.get(name) is viewer and viewer.peek is None
+                if is_there:
+                    viewer.peek = peek
+            if not is_there:
+                peek.close()
+        return True
 
     def call(self, method: str, params: dict[str, Any]) -> Any:
         """Call a method of the run's control socket. Raises RefusedError and ControlError."""
         with self._reach() as control:
             return control.call(method, timeout_s=_REVIEWED_S, **params)
+
+    def _topic_of(self, stream: str) -> str:
+        """The topic that has a stream, which may itself be written as a topic. Raises RefusedError and ControlError."""
+        if stream.startswith("/"):
+            return stream
+        with self._reach() as control:
+            topic: str = control.call("tap", timeout_s=_RUN_S, stream=stream)["topic"]
+        return topic
 
     def _until_the_end(self, work: Callable[[], None]) -> None:
         try:
@@ -109,104 +155,67 @@ class Watched:
                 self.has_ended.set()
                 self._tell(("ended", "null"))
 
+    def _keep_past(self, control: Control) -> None:
+        """Keep the events that happened before the page was served."""
+        with suppress(RefusedError):
+            for event in control.call("events", timeout_s=_RUN_S, last=_MOST_NEWS)["events"]:
+                self._take(event)
+
     def _hear(self, control: Control) -> None:
         with control:
             for event in control.events():
-                message = ("event", json.dumps({"at": time.time(), **event}))
-                if event.get("says") is not None:
-                    self._tell(message)
+                if event["kind"] != "UnitPrinted":
+                    self._is_due.set()
+                self._take(event)
+
+    def _take(self, event: Record) -> None:
+        """Tell of an event, unless it has no sentence, or is a review: the state has these."""
+        if event.get("says") is not None and event["kind"] not in ("Reviewed", "UnitPrinted"):
+            told = {key: event.get(key) for key in ("kind", "says", "unit", "number")}
+            self._tell(("event", json.dumps({"time_s": time.time(), **told} | _time(event))))
 
     def _look(self, control: Control) -> None:
-        shown: Environment | None = None
-        reviewed, marked_s = None, 0.0
         with control, suppress(ControlError):
             while not self.has_ended.is_set():
                 self._somebody_looks.wait()
-                began_s = time.monotonic()
+                self._is_due.clear()
                 state = control.call("state", timeout_s=_RUN_S)
-                now = configuration(state)
-                last = state["reviews"][-1] if state["reviews"] else None
-                if shown is None or now != shown or (last and last["number"] != reviewed):
-                    # A unit that died and is there again may be the same at both looks.
-                    fresh = anew(last) if shown and last and last["number"] != reviewed else ()
-                    self._want(without(shown or now, fresh), now)
-                    marked_s, shown = began_s + MARKED_S, now
-                    reviewed = last and last["number"]
-                elif marked_s and began_s > marked_s:
-                    self._want(now, now)
-                    marked_s = 0.0
-                self._tell(("state", json.dumps(state)))
-                time.sleep(max(0.0, FRAME_S - (time.monotonic() - began_s)))
-
-    def _want(self, before: Environment, now: Environment) -> None:
-        with self._is_wanted:
-            self._wanted = (before, now)
-            self._is_wanted.notify()
-
-    def _draw(self) -> None:
-        """Draw the latest wanted picture, again and again: a large one takes longer than a frame."""
-        while not self.has_ended.is_set():
-            with self._is_wanted:
-                self._is_wanted.wait_for(lambda: self._wanted is not None, timeout=1.0)
-                wanted, self._wanted = self._wanted, None
-            if wanted is not None:
-                self._tell(("picture", json.dumps(svg(*wanted))))
+                reviews = ("reviews", json.dumps(state.pop("reviews")))
+                if reviews != self._reviews:
+                    self._tell(reviews)
+                self._tell(("state", json.dumps(_seen(state))))
+                if not self.has_ended.wait(FRAME_S):
+                    self._is_due.wait(REFRESH_S - FRAME_S)
 
     def _tell(self, message: ToViewer) -> None:
         """Send a message to all viewers, once each, and keep it if later viewers need it too."""
         with self._lock:
             if message[0] == "event":
                 self._events.append(message)
-            elif message[0] == "picture":
-                self._picture = message
+            elif message[0] == "reviews":
+                self._reviews = message
             elif message[0] == "ended":
                 self._end = message
-            viewers = list(self._viewers.items())
-        for messages, loop in viewers:
-            with suppress(RuntimeError):  # its loop has just been closed
-                loop.call_soon_threadsafe(_put, messages, message)
+            viewers = list(self._viewers.values())
+        for viewer in viewers:
+            viewer.tell(message)
 
 
 def _put(messages: Queue[ToViewer], message: ToViewer) -> None:
-    while messages.qsize() >= _MOST_WAITING:
+    while messages.qsize() >= _MOST_WAITING + _MOST_NEWS:
         messages.get_nowait()
     messages.put_nowait(message)
 
 
-def configuration(state: Record) -> Environment:
-    """The units and targets of a run's state (`cfgplan/manual/control.md`), without any library."""
-    units = tuple(map(unit_of, state["units"]))
-    return Environment(units, targets=tuple(map(_target, state["targets"])), hosts=_hosts(units))
+def _time(event: Record) -> Record:
+    return {"time_s": event["time_s"]} if "time_s" in event else {}
 
 
-def anew(review: Record) -> tuple[str, ...]:
-    """The ids of the units that a review has started."""
-    return tuple(unit["id"] for unit in (review["change_set"] or {"started": ()})["started"])
-
-
-def without(environment: Environment, units: Collection[str]) -> Environment:
-    """The environment without some units. Inputs that they fed still name them."""
-    return replace(environment, units=tuple(unit for unit in environment.units if unit.id not in units))
-
-
-def svg(before: Environment, now: Environment) -> str:
-    """The running configuration as SVG, with the units started, rewired and stopped since `before` marked."""
-    there, was = now.unit, before.unit
-    changes = ChangeSet(
-        started=tuple(unit for unit in now.units if unit.id not in was),
-        rewired=tuple(unit for unit in now.units if unit.id in was and was[unit.id] != unit),
-        stopped=tuple(unit.id for unit in before.units if unit.id not in there),
-    )
-    hosts = _hosts((*before.units, *now.units))
-    text = picture(Environment(before.units, targets=now.targets, hosts=hosts), changes).render("svg").decode()
-    return text[text.index("<svg") :]
-
-
-def _hosts(units: Iterable[ComputationUnit]) -> tuple[Host, ...]:
-    return tuple(map(Host, sorted({unit.host for unit in units if unit.host is not None})))
-
-
-def _target(target: Record) -> Target:
-    if not target["topic"]:
-        return Target(target["label"], run=target["tag"].removeprefix(A_UNIT_OF))
-    return Target(target["label"], target["tag"], target["topic"], target["priority"])
+def _seen(state: Record) -> Record:
+    """A state as viewers get it: with its health, and with the source lines of faults."""
+    del state["transformations"]
+    units = [
+        {**unit, "last_error": error_record(unit["last_error"])} if unit.get("last_error") else unit
+        for unit in state["units"]
+    ]
+    return {**state, "units": units, "faults": list(map(fault_record, state["faults"])), "health": health(state)}

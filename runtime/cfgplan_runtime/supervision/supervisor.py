@@ -17,6 +17,7 @@ from cfgplan_runtime.supervision.backend import Backend, Found, Inlet
 from cfgplan_runtime.supervision.listeners import LOG
 from cfgplan_runtime.supervision.observation import Observation, UnitRecord
 from cfgplan_runtime.supervision.spares import MEGABYTE, Spares
+from cfgplan_runtime.supervision.taps import Taps
 from cfgplan_runtime.supervision.wiring import Wire, Wiring, without_feed
 
 HANG_S = 10.0
@@ -45,6 +46,7 @@ class Supervisor:
         self.environment = environment
         self.wiring = Wiring(backend)
         self.spares = Spares(backend)
+        self.taps = Taps(backend, self.wiring.fresh_id)
         self.alive: set[str] = set()
         self.ready: set[str] = set()
         self.topics: dict[str, str | None] = {}
@@ -355,6 +357,7 @@ class Supervisor:
             case events.InputLost(_, _, wire):
                 lost = self.wiring.note_loss(wire)
                 if lost is None:
+                    self.taps.note_loss(wire)
                     return False
                 self.environment = without_feed(self.environment, lost.inlet, lost.stream)
             case events.UnitStatus(unit):
@@ -367,6 +370,7 @@ class Supervisor:
                 return False
             case events.OutletsOpened():
                 self._restore_outlets()
+                self.taps.note_new_outlets()
             case events.HostLost(host, cause):
                 self.hosts[host] = event
                 self._lose(host, cause)

@@ -47,12 +47,16 @@ class Wiring:
 
     def connect(self, stream: Stream, inlet: Inlet, receiver: Transformation | None) -> None:
         """Let a stream feed an inlet as the successor of its present source, if any. `receiver` is None for a topic."""
-        self._last_id += 1
-        wire = Wire(self._last_id, stream, inlet, self.feeds.get(inlet))
+        wire = Wire(self.fresh_id(), stream, inlet, self.feeds.get(inlet))
         self._wires[wire.id] = self.feeds[inlet] = wire
         # Nobody outside may make a unit wait.
         queue, blocks = (OUTLET_QUEUE, False) if receiver is None else (receiver.run.queue, receiver.run.blocks)
         self._backend.connect(wire.id, stream, inlet, queue=queue, blocks=blocks)
+
+    def fresh_id(self) -> int:
+        """Return an id that no wire has."""
+        self._last_id += 1
+        return self._last_id
 
     def disconnect(self, inlet: Inlet) -> None:
         """Leave an inlet without a source."""

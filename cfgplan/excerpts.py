@@ -14,7 +14,7 @@ from cfgplan.errors import Fault
 _WIDTH = 120
 _MARGIN = 40
 """The most characters of a long line that are shown before the place."""
-_WORD = re.compile(r'"(?:[^"\\]|\\.)*"|\'[^\']*\'|\$\{[^}]*\}|[^\s,:{}\[\]()"\']+|\S')
+_MARKED_WORD = re.compile(r'"(?:[^"\\]|\\.)*"|\'[^\']*\'|\$\{[^}]*\}|[^\s,:{}\[\]()"\']+|\S')
 _OPTION = re.compile(r"(?:^|argument |\s)(--?[\w-]+)")
 _VALUE = re.compile(r"^argument [^:]*: (\S+)")
 _QUOTED = re.compile(r"`([^`]+)`|'([^']*)'")
@@ -54,7 +54,7 @@ def _of_file(file: str, number: int, column: int | None) -> Excerpt | None:
         return Excerpt(line, start, max(1, len(line) - start), number)
     if column > len(line) + 1:
         return None
-    word = _WORD.match(line, column - 1)
+    word = _MARKED_WORD.match(line, column - 1)
     return Excerpt(line, column - 1, len(word[0]) if word else 1, number)
 
 

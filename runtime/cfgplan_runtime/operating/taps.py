@@ -1,0 +1,47 @@
+"""Taps of streams that are on no topic. Each ends by itself soon after its last renewal, however its viewer ended."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+from cfgplan.domain import Stream
+from cfgplan_runtime.lifecycle.reports import Observed, Report
+
+TAP_S = 6.0
+"""Seconds for which a tap stays open after it was asked for."""
+
+
+class Tapped(Protocol):
+    """A runtime that shows streams on topics of their own."""
+
+    def tap(self, stream: Stream) -> str: ...
+
+    def untap(self, stream: Stream) -> None: ...
+
+
+class LeasedTaps:
+    """Opens taps and closes those that nobody has renewed. Thread-safe."""
+
+    def __init__(self, runtime: Tapped, now_s: Callable[[], float] = time.monotonic) -> None:
+        self._runtime = runtime
+        self._now_s = now_s
+        self._lock = threading.Lock()
+        self._until_s: dict[Stream, float] = {}
+
+    def renew(self, stream: Stream) -> str:
+        """Show a stream on a topic for TAP_S seconds from now, and return the topic."""
+        with self._lock:
+            self._until_s[stream] = self._now_s() + TAP_S
+            return self._runtime.tap(stream)
+
+    def hear(self, report: Report) -> None:
+        """Listen to a manager: with each observation, close the taps whose time is over."""
+        if isinstance(report, Observed) and self._until_s:
+            with self._lock:
+                now_s = self._now_s()
+                for stream in [stream for stream, until_s in self._until_s.items() if until_s <= now_s]:
+                    del self._until_s[stream]
+                    self._runtime.untap(stream)

@@ -1,0 +1,118 @@
+// Targets, units and hosts in rows that are made once: afterwards only their texts and lines change.
+import { attribute, byId, button, made, put } from "./dom.js";
+import { bytes, percent, rate, span } from "./figures.js";
+import { draw, spark } from "./history.js";
+import { suppose } from "./what_if.js";
+
+class Rows {
+  constructor(id, cells) {
+    this.box = byId(id);
+    this.cells = cells;
+    this.rows = new Map();
+    this.seen = new IntersectionObserver((entries) => {
+      for (const entry of entries) entry.target.inView = entry.isIntersecting;
+    }, { root: this.box, rootMargin: "100px" });
+  }
+  // `items` are [key, item], in their order.
+  show(items, choose) {
+    const wanted = new Set(items.map(([key]) => key));
+    for (const [key, row] of this.rows) if (!wanted.has(key)) { this.seen.unobserve(row); row.remove(); this.rows.delete(key); }
+    let before = null;
+    for (const [key, item] of items) {
+      const row = this.rows.get(key) || this.add(key, () => choose(key, this.rows.get(key).item));
+      row.item = item;
+      const place = before ? before.nextSibling : this.box.firstChild;
+      if (place !== row) this.box.insertBefore(row, place);
+      before = row;
+    }
+  }
+  add(key, act) {
+    const row = made("div", "", "row");
+    row.setAttribute("role", "listitem");
+    row.parts = {};
+    row.parts.name = button("", act, "name");
+    row.append(row.parts.name);
+    for (const [name, hasLine] of Object.entries(this.cells)) {
+      const cell = made("span", "", `cell ${name}`);
+      row.parts[name] = made("span", "", "value");
+      cell.append(row.parts[name]);
+      if (hasLine) cell.append((row.parts[`${name} line`] = spark()));
+      row.append(cell);
+    }
+    this.rows.set(key, row);
+    this.seen.observe(row);
+    return row;
+  }
+  *visible() {
+    for (const row of this.rows.values()) if (row.inView !== false) yield row;
+  }
+}
+const targetRows = new Rows("targets", { rate: true, about: false, quality: true });
+const unitRows = new Rows("units", { cpu: true, rate: true, memory: true, quality: true, wrong: false });
+const found = (text) => text.toLowerCase().includes(byId("find").value.trim().toLowerCase());
+
+export function targets(state, choose) {
+  const isOnly = byId("only-unmet").checked;
+  const shown = state.targets.filter((target) => !(isOnly && target.met) && found(target.label));
+  shown.sort((a, b) => a.met - b.met);
+  targetRows.show(shown.map((target) => [target.label, target]), (label) => choose({ kind: "target", id: label }));
+  const qualities = byOutput(state);
+  for (const row of targetRows.visible()) {
+    const target = row.item, parts = row.parts;
+    attribute(row, "class", target.met ? "row" : "row unmet");
+    name(parts.name, `${target.met ? "✓" : "✗"} ${target.label}`);
+    put(parts.rate, target.rate_hz == null || target.stream === null ? "" : rate(target.rate_hz));
+    draw(parts["rate line"], `target ${target.label}`);
+    const last = target.silent_s == null ? "nothing came yet" : target.silent_s > 2 ? `last ${span(target.silent_s)} ago` : target.latency_ms == null ? "" : `${span(target.latency_ms / 1000)} old`;
+    name(parts.about, target.met ? [target.stream ?? target.unit, target.stream ? last : ""].filter(Boolean).join(" · ") : target.reason || "not met");
+    quality(parts, qualities.get(output(state, target.stream))?.[0]);
+  }
+}
+export function units(state, choose) {
+  const shown = state.units.filter((unit) => found(unit.id) || found(unit.host || ""));
+  unitRows.show(shown.map((unit) => [unit.id, unit]), (id) => choose({ kind: "unit", id }));
+  const qualities = byOutput(state);
+  for (const row of unitRows.visible()) {
+    const unit = row.item, parts = row.parts;
+    name(parts.name, unit.host ? `${unit.id} · ${unit.host}` : unit.id);
+    put(parts.cpu, unit.standby ? "spare" : unit.upkeep_us === undefined ? "starting" : percent(unit.upkeep_us));
+    put(parts.rate, unit.steps_per_s === undefined ? "" : rate(unit.steps_per_s));
+    put(parts.memory, unit.memory_bytes ? bytes(unit.memory_bytes) : "");
+    for (const figure of ["cpu", "rate", "memory"]) draw(parts[`${figure} line`], `${figure} ${unit.id}`);
+    quality(parts, [...qualities].find(([key]) => key.startsWith(`${unit.transformation}/`))?.[1][0]);
+    put(parts.wrong, unit.unfed?.length ? "unfed" : unit.errors ? `${unit.errors} errors` : unit.dropped ? `${unit.dropped} lost` : "");
+  }
+}
+function name(element, text) {
+  put(element, text);
+  attribute(element, "title", text);
+}
+function byOutput(state) {
+  const found = new Map();
+  for (const one of state.qualities) found.set(one.output, [...(found.get(one.output) || []), one]);
+  return found;
+}
+function output(state, stream) {
+  if (!stream) return "";
+  const at = stream.lastIndexOf("/"), unit = state.units.find((each) => each.id === stream.slice(0, at));
+  return unit ? `${unit.transformation}/${stream.slice(at + 1)}` : "";
+}
+function quality(parts, one) {
+  parts.quality.parentElement.hidden = !one;
+  if (!one) return;
+  name(parts.quality, `${one.attribute} ${Number(one.estimate.toPrecision(3))}`);
+  draw(parts["quality line"], `quality ${one.output} ${one.attribute}`);
+}
+export function hosts(state, token) {
+  const names = [...new Set([...state.units.map((unit) => unit.host), ...state.lost_hosts])].filter(Boolean).sort();
+  byId("hosts").hidden = !names.length;
+  const key = JSON.stringify([names, state.lost_hosts]), list = byId("hosts").querySelector("ul");
+  if (list.dataset.key === key) return;
+  list.dataset.key = key;
+  list.replaceChildren(...names.map((host) => {
+    const isLost = state.lost_hosts.includes(host), row = made("li", "", isLost ? "wrong" : "");
+    row.append(made("span", isLost ? `${host} (gone)` : host));
+    if (token) row.append(button(isLost ? "What if it is used again?" : "What if it is lost?", () => suppose(isLost ? "regain_host" : "lose_host", { host }, isLost ? `with ${host} again` : `without ${host}`)));
+    return row;
+  }));
+}
