@@ -5,16 +5,16 @@ import math
 
 
 def lidar():
-    """A source: distances to the wall ahead, which the robot approaches, in metres."""
+    """A source: distances to the wall ahead, in metres; the robot leaves it and comes back every four minutes."""
     for step in itertools.count():
         ahead = 4 - _driven(step)
         yield [round(ahead / math.cos(math.radians(angle)), 3) for angle in range(-30, 31, 5)]
 
 
 def scan_matcher(scan):
-    """The pose, and the error of it in metres: the nearer the wall, the better."""
+    """The pose, and the error of it in metres: far from the wall there is nothing to match."""
     ahead = min(scan)
-    return {"x": 4 - ahead, "y": 0.0, "error": 0.02 + ahead / 100}
+    return {"x": 4 - ahead, "y": 0.0, "error": 0.05 if ahead < 3 else 0.8}
 
 
 def camera():
@@ -42,5 +42,5 @@ class Driver:
 
 
 def _driven(step):
-    """Metres at a step: the robot goes to and fro between 0 and 3."""
-    return 1.5 - 1.5 * math.cos(step / 50)
+    """Metres at a step: the robot goes to and fro between 3 and 0."""
+    return 1.5 + 1.5 * math.cos(step / 400)
