@@ -142,8 +142,6 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     _check_can_start(options, loaded)
     if not options.dry_run and options.middleware in _ROS:
         _check_nodes(options, loaded)
-        if unheard := [str(each) for each in loaded.environment.observable]:
-            screen.warn(f"a run of ROS nodes observes no qualities: `observe` has no effect ({some(unheard)})")
     else:
         if not options.dry_run:
             _refuse_nodes(options, loaded)
@@ -498,14 +496,14 @@ def _runtime(
         from cfgplan_runtime.ros1.ros1_backend import Ros1Backend
         from cfgplan_runtime.runtime import Runtime
 
-        return lambda _, folder: Runtime(backend=lambda: Ros1Backend(folder=folder))
+        return lambda _, folder: Runtime(backend=lambda: Ros1Backend(folder=folder, file=options.env))
     if options.middleware == ROS2:
         from cfgplan_runtime.ros2.ros2_backend import Ros2Backend
         from cfgplan_runtime.ros2.ros_python import ros_python
         from cfgplan_runtime.runtime import Runtime
 
         python = ros_python(options.ros_python)
-        return lambda _, folder: Runtime(backend=lambda: Ros2Backend(folder=folder, python=python))
+        return lambda _, folder: Runtime(backend=lambda: Ros2Backend(folder=folder, python=python, file=options.env))
     if fleet is None:
         return None
     from cfgplan_runtime.fleet.fleet_runtime import fleet_runtime

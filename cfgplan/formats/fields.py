@@ -268,7 +268,8 @@ class ContributionPart(Part):
     set: PositiveGiven | None = row("the value, whatever the inputs are")
     of: Literal["worst", "best", "mean", "sum"] = row("how several inputs count", "worst")
     observe: Name | None = row(
-        "the field in which an element says its quality; `pose.error` is a nested field", use=Use.RUNNING
+        "the field in which an element says its quality; `pose.error` is a nested field, `covariance.0` a list's value",
+        use=Use.RUNNING,
     )
 
 

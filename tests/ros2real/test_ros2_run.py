@@ -90,14 +90,3 @@ def test_what_is_wrong_is_told_before_anything_starts(
     env.write_text(ENVIRONMENT.replace(old, new))
     assert main(["run", "--middleware", "ros2", str(env)]) == 30
     assert told in " ".join(capsys.readouterr().err.split())
-
-
-def test_a_run_of_nodes_says_that_it_observes_no_qualities(env: Path) -> None:
-    quality = "remap: chatter, quality: {error: {set: 0.2, observe: data}}}"
-    attribute = "qualities: [{name: error, better: lower}]\n"
-    env.write_text(attribute + ENVIRONMENT.replace("remap: chatter}", quality))
-    with running("--middleware", "ros2", env) as process:
-        await_event(process, "Running")
-        process.terminate()
-        _, said = process.communicate()
-    assert "observes no qualities: `observe` has no effect (talker/words error)" in said
