@@ -140,7 +140,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         mend = "name them under `hosts:`, or leave out --local and --connect"
         raise InputError.of("the file has no hosts", file=options.env, mend=mend)
     _check_can_start(options, loaded)
-    if not options.dry_run and options.middleware in _ROS:
+    if options.middleware in _ROS:
         _check_nodes(options, loaded)
     else:
         if not options.dry_run:
@@ -191,7 +191,8 @@ def _first_plan(options: argparse.Namespace, world: World, settings: Settings, s
     adjusted = _adjusted(options, world)
     with screen.phase("plan"):
         running = Environment() if left is None else left.running
-        preview = first_review(adjusted, settings, matches, _folder(options), running, screen.warn)
+        of_code = {"warn_of_code": screen.warn} if options.dry_run else {}  # a run reports it by itself
+        preview = first_review(adjusted, settings, matches, _folder(options), running, screen.warn, **of_code)
     found = preview.thought.found
     reasons = () if found is None else found.plan.reasons.values()
     for warning in preview.thought.warnings:
@@ -239,7 +240,7 @@ def _refuse_nodes(options: argparse.Namespace, world: World) -> None:
 
 
 def _check_nodes(options: argparse.Namespace, world: World) -> None:
-    """Raise all faults of ROS nodes before the first start."""
+    """Raise all faults of ROS nodes before the first start, in a dry run too."""
     from cfgplan_runtime.nodes.unit_checks import check_nodes
 
     ros, bag = _ROS[options.middleware], "rosbag record" if options.middleware == ROS1 else "ros2 bag record"

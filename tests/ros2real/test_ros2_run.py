@@ -88,5 +88,29 @@ def test_what_is_wrong_is_told_before_anything_starts(
     env: Path, old: str, new: str, told: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     env.write_text(ENVIRONMENT.replace(old, new))
-    assert main(["run", "--middleware", "ros2", str(env)]) == 30
-    assert told in " ".join(capsys.readouterr().err.split())
+    for dry in ([], ["--dry-run"]):
+        assert main(["run", "--middleware", "ros2", *dry, str(env)]) == 30
+        assert told in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize("dry", [[], ["--dry-run"]])
+def test_a_python_without_rclpy_is_told_before_anything_starts(
+    env: Path, dry: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["run", "--middleware", "ros2", "--ros-python", "/bin/false", *dry, str(env)]) == 30
+    assert "error: --ros-python: /bin/false: fails" in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_dry_run_plans_and_starts_nothing_and_names_nodes_that_are_not_there(
+    env: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["run", "--middleware", "ros2", "--dry-run", str(env)]
+    assert main(command) == 0
+    said = capsys.readouterr()
+    assert "+ start   talker.1" in said.out
+    assert "left out" not in said.err
+    assert not psutil.Process().children()
+    env.write_text(ENVIRONMENT.replace("./talking.py talker", "./silent.py"))
+    assert main(command) == 12
+    said = capsys.readouterr()
+    assert "talker is left out until its code changes: silent.py: there is no file ./silent.py" in said.err
