@@ -60,7 +60,7 @@ from cfgplan.formats.schema_values import (
 )
 from cfgplan.planning import MOST_INSTANCES
 from cfgplan.qualities import QualityRule
-from cfgplan.transformations import ProgramFormat
+from cfgplan.transformations import ContainerKind, ProgramFormat
 
 FORMAT: Final = "cfgplan/1"
 LONGEST_QUEUE = 1_000_000
@@ -332,6 +332,11 @@ class RunPart(Part):
         "true: a new unit continues with the state of the last one; a name: with the last state under this name", False
     )
     lifecycle: bool = row("cold spares of this ROS 2 node are configured, and activated when they are needed", False)
+    container: ContainerKind = row(
+        "the container of this ROS 2 component: rclcpp's plain one, one with several threads (`mt`), or one that runs"
+        " each component by itself (`isolated`)",
+        "plain",
+    )
 
 
 class ConflictsPart(Part):

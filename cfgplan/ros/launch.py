@@ -16,6 +16,7 @@ import yaml
 
 from cfgplan.domain import Environment
 from cfgplan.errors import InputError
+from cfgplan.ros.sources import CONTAINER_EXECUTABLES, CONTAINER_PACKAGE, container_faults
 from cfgplan.ros.topic_names import NodeUnit, TopicNames, word
 
 LaunchPart: TypeAlias = Literal["all", "nodes", "components"]
@@ -56,6 +57,8 @@ def launch_text(
     names = TopicNames(environment)
     units = [each for each in names.units if each.unit.host == host and not each.is_foreign]
     nodes = [] if part == "components" else [each for each in units if each.source.kind == "node"]
+    if faults := [*container_faults(each.transformation for each in units)]:
+        raise InputError(faults)
     components = [] if part == "nodes" else [each for each in units if each.source.kind == "component"]
     actions = [*_nodes(nodes, names, folder), *_containers(components, names)]
     if part != "components" and host in (None, environment.hosts[0].name if environment.hosts else None):
@@ -89,7 +92,8 @@ def _nodes(units: Sequence[NodeUnit], names: TopicNames, folder: str) -> Iterato
 def _containers(units: Sequence[NodeUnit], names: TopicNames) -> Iterator[_Call]:
     groups = defaultdict[str, list[NodeUnit]](list)
     for each in units:
-        groups[each.source.group or _CONTAINER].append(each)
+        kind = each.transformation.run.container
+        groups[each.source.group or (_CONTAINER if kind == "plain" else f"{_CONTAINER}_{kind}")].append(each)
     for name, members in sorted(groups.items()):
         inside = [
             _Call(
@@ -99,8 +103,8 @@ def _containers(units: Sequence[NodeUnit], names: TopicNames) -> Iterator[_Call]
             for each in members
         ]
         arguments = {
-            "package": "rclcpp_components",
-            "executable": "component_container",
+            "package": CONTAINER_PACKAGE,
+            "executable": CONTAINER_EXECUTABLES[members[0].transformation.run.container],
             "name": word(name),
             "namespace": _Code("''"),
             "composable_node_descriptions": inside,

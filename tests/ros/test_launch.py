@@ -99,6 +99,22 @@ def env(tmp_path: Path) -> Path:
     return path
 
 
+def test_containers_are_of_the_kind_that_their_components_ask_for(env: Path) -> None:
+    for label in ("rectify", "thinker"):
+        env.write_text(env.read_text().replace(f"label: {label}\n", f"label: {label}\n    run: {{container: mt}}\n"))
+    found = {said["name"]: said["executable"] for kind, said in exported(env) if kind == "ComposableNodeContainer"}
+    assert found == {"eyes": "component_container_mt", "cfgplan_container_mt": "component_container_mt"}
+
+
+def test_a_container_can_not_be_of_two_kinds(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    eyes = ENVIRONMENT.replace("brain::Thinker", "brain::Thinker@eyes\n    run: {container: isolated}")
+    env.write_text(eyes)
+    assert main(["export", "launch", str(env)]) == 30
+    said = " ".join(capsys.readouterr().err.split())
+    assert "share the container `eyes`" in said
+    assert "`thinker` asks for isolated" in said
+
+
 def exported(env: Path, *options: str) -> Actions:
     out = env.parent / "launch" / "robot.launch.py"
     out.parent.mkdir(exist_ok=True)

@@ -114,3 +114,15 @@ def test_a_dry_run_plans_and_starts_nothing_and_names_nodes_that_are_not_there(
     assert main(command) == 12
     said = capsys.readouterr()
     assert "talker is left out until its code changes: silent.py: there is no file ./silent.py" in said.err
+
+
+def test_no_warning_of_rclpy_about_quality_of_service_reaches_the_screen(env: Path) -> None:
+    nodes = ENVIRONMENT.replace("talking.py talker", "talking.py whisperer")
+    env.write_text(nodes.replace("talking.py shouter", "talking.py eager"))
+    with observing() as observer, running("--middleware", "ros2", env) as process:
+        shouts = observer.listen("/shout")
+        await_event(process, "Running")
+        next(shouts)
+        process.terminate()
+        said, _ = process.communicate()
+    assert "incompatible QoS" not in said

@@ -33,6 +33,7 @@ from cfgplan_runtime.ros2.host_messages import (
     Told,
     Unloaded,
 )
+from cfgplan_runtime.ros2.quality_warnings import QualityWarnings
 from cfgplan_runtime.ros2.ros2_unit import Ros2Unit, message_of, node_source
 from cfgplan_runtime.ros2.ros_python import RosPython, ros_python
 from cfgplan_runtime.ros2.warm_nodes import WarmNode, is_python
@@ -96,7 +97,8 @@ class Ros2Backend:
         """Transformations whose nodes fail to begin in a process that waited."""
         self._messages: set[str] = set()
         """The message types of nodes that were started."""
-        self._processes = WatchedProcesses(self._ends, self._events)
+        self._warnings = QualityWarnings()
+        self._processes = WatchedProcesses(self._ends, self._events, self._shown)
         self._unnumbered: set[str] = set()
         """Transformations whose nodes fail to start with a participant number of their own."""
         self._wires = RelayedWires(self._ends, self._events, self._start_host, self._attend_all, self._hear, file)
@@ -484,9 +486,15 @@ class Ros2Backend:
         if spare:
             self._events.append(events.SpareLost(spare, cause))
 
+    def _shown(self, unit: str, line: str) -> str | None:
+        """Return the line to report for one that a unit's node has printed; None for none."""
+        node = self._nodes.get(unit)
+        return line if node is None else self._warnings.line(unit, line, node.ros.remappings)
+
     def _bury(self, node: _UnitNode, cause: str) -> None:
         """Forget a node that has ended or was given up."""
         del self._nodes[node.unit]
+        self._warnings.forget(node.unit)
         self._wires.close_inlets(node.unit)
         if node.unit in self._containers:
             self._containers.remove(node.unit)
