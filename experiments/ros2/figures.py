@@ -212,12 +212,14 @@ def arrivals(kind: str, runtime: Runtime) -> Iterator[list[float]]:
                     came.append(int(line) / 1e9)
 
         lines.readline()  # it is up
-        threading.Thread(target=collect, daemon=True).start()
+        collecting = threading.Thread(target=collect, daemon=True)
+        collecting.start()
         time.sleep(1.0)  # until the run's nodes know it
         try:
             yield came
         finally:
             listener.kill()
+            collecting.join()
 
 
 def changes(kind: str) -> dict[str, float]:
