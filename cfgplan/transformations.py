@@ -23,6 +23,8 @@ ALL = 0
 
 ProgramFormat: TypeAlias = Literal["json", "msgpack"]
 """How a program that is a unit reads and writes messages."""
+ContainerKind: TypeAlias = Literal["plain", "mt", "isolated"]
+"""How a container of ROS 2 components runs them: in one thread, in several, or each by an executor of its own."""
 
 DEFAULT_LABOR_US = 1_000_000
 """The labor of a transformation that declares none, in microseconds: a start is never free."""
@@ -136,7 +138,8 @@ class RunOptions:
     more than `memory_mb` megabytes is killed; so is one that does not end within `stop_us` of being told to (None: the
     runtime's default, 2 s). With `state`, a new unit continues with the last unit's state; transformations with the
     same name as `state` share it. A `lifecycle` node of ROS 2 is configured as a cold spare, and activated as a unit.
-    A unit that is a program reads and writes messages in `format`.
+    A `container` of a ROS 2 component is the plain one of rclcpp, one with several threads (`mt`), or one that gives
+    each component its own executor (`isolated`). A unit that is a program reads and writes messages in `format`.
     Raises InvalidValueError for a `hang_us` of less than 2 s.
     """
 
@@ -151,6 +154,7 @@ class RunOptions:
     lifecycle: bool = False
     stop_us: Natural | None = None
     format: ProgramFormat = "json"
+    container: ContainerKind = "plain"
 
     def __post_init__(self) -> None:
         if isinstance(self.state, str) and not re.fullmatch(STATE_NAME, self.state):

@@ -42,7 +42,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan.explaining import Suspicion
 
     world, every, noisy = _faults(options, screen)
-    faulty = [*shared.code_faults(world, world.environment.transformation)]
+    faulty = [*shared.code_faults(world, world.environment.transformation), *shared.field_faults(world)]
     for warning in noisy:
         screen.warn(warning)
     for code_fault in faulty:

@@ -238,6 +238,8 @@ def add_export(parser: argparse.ArgumentParser) -> None:
     launch = parser.add_argument_group("launch")
     launch.add_argument("--plan", metavar="FILE", help="a plan saved by `cfgplan solve --out FILE`")
     launch.add_argument("--only", choices=("nodes", "components"), help="nodes alone, or containers of components")
+    include = "a launch file for the exported one to include, such as that of drivers; 'FILE NAME:=VALUE' (repeat)"
+    shared.add_several(launch, "--include", "FILE", include)
     launch.add_argument("--host", metavar="NAME", help="only the units of this host, if the file has hosts")
     shared.add_out(parser)
     parser.set_defaults(run=_export)
@@ -246,8 +248,10 @@ def add_export(parser: argparse.ArgumentParser) -> None:
 def _export(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan import api
 
-    if options.what != "launch" and (options.plan or options.only or options.host):
-        raise InputError.of("--plan, --only and --host say what to launch", mend="write `cfgplan export launch ENV`")
+    if options.what != "launch" and (options.plan or options.only or options.host or options.include):
+        raise InputError.of(
+            "--plan, --only, --include and --host say what to launch", mend="write `cfgplan export launch ENV`"
+        )
     if options.what == "schema":
         if options.env is not None:
             raise InputError.of("the schema is the same for all files", file=options.env, mend="leave the file out")
@@ -264,7 +268,7 @@ def _export(options: argparse.Namespace, screen: Screen) -> Exit:
 
 def _export_launch(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan import __version__, api
-    from cfgplan.ros.launch import launch_text
+    from cfgplan.ros.launch import IncludedLaunch, launch_text
 
     with screen.phase("load"):
         world = api.load(options.env)
@@ -285,7 +289,12 @@ def _export_launch(options: argparse.Namespace, screen: Screen) -> Exit:
     folder = env if env.is_dir() else env.parent
     here = folder if options.out is None else Path(options.out).parent
     text = launch_text(
-        problem.after(plan), about, part=options.only or "all", host=options.host, folder=relpath(folder, here)
+        problem.after(plan),
+        about,
+        part=options.only or "all",
+        host=options.host,
+        folder=relpath(folder, here),
+        includes=[IncludedLaunch.read(each, str(here)) for each in options.include],
     )
     shared.put(text, options.out, screen)
     return Exit.OK

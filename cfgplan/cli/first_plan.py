@@ -112,11 +112,12 @@ def first_review(
     folder: Path,
     running: Environment = _NO_UNITS,
     warn: Callable[[str], None] = lambda _: None,
+    warn_of_code: Callable[[str], None] = lambda _: None,
 ) -> Preview:
     """Plan as the first review of a run would, with the estimates that earlier runs have kept.
 
     Code is in `folder`; `running` are the units of an earlier run that this one adopts. `warn` is told if the estimates
-    can't be used.
+    can't be used, and `warn_of_code` of each transformation that is left out since its code can't be started.
     """
     from cfgplan_runtime.estimating.estimates_file import EstimatesError, load
     from cfgplan_runtime.estimating.estimator import make_estimator
@@ -124,7 +125,7 @@ def first_review(
     from cfgplan_runtime.lifecycle.decisions import first_state
     from cfgplan_runtime.lifecycle.deliberation import Deliberation
     from cfgplan_runtime.lifecycle.guarded_estimator import GuardedEstimator
-    from cfgplan_runtime.operating.sources import faults_of
+    from cfgplan_runtime.operating.sources import faults_of, left_out_text
 
     estimator = make_estimator(settings.estimator, settings.guess)
     if settings.estimates is not None:
@@ -137,5 +138,7 @@ def first_review(
     scene = first_state(world, policy).scene
     situation = scene.situation.with_started(running.units, running, time.monotonic())
     faults = faults_of(world.environment.library, folder, settings.check)
+    for label, fault in faults.items():
+        warn_of_code(left_out_text(label, fault))
     scene = replace(scene, running=running, situation=replace(situation, code_faults=faults))
     return preview_of(deliberation, scene, threading.Event())

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from cfgplan.canonical import normal
 from cfgplan.cli.screen import Screen, ShownWork, decided_by
 from cfgplan.errors import Fault, InvalidValueError
-from cfgplan.extras import needed
+from cfgplan.extras import is_there, needed
 from cfgplan.formats.places import Place
 
 if TYPE_CHECKING:
@@ -406,6 +406,20 @@ def duration(text: str) -> float:
     if seconds is None:
         raise argparse.ArgumentTypeError(f"{text!r} is no span of time: write 30s, 5m or 1h")
     return float(seconds)
+
+
+def field_faults(world: api.World) -> Iterator[Fault]:
+    """The fields of `observe` that messages of ROS do not have, each with its place in the environment file."""
+    if world.file is None or not is_there("rosbags"):
+        return
+    from cfgplan_runtime.ros2.observed_fields import field_faults as faults_of
+
+    path = world.file.path
+    for one in faults_of(world.environment, path if path.is_dir() else path.parent):
+        label, port, attribute = one.statement
+        at = world.file.place(transformation=label, port=port) or Place(str(path), 1, 1)
+        message = f"{label}/{port} can't say its {attribute} by `{one.field}`: {one.cause}"
+        yield Fault(message, at.file, at.line, at.column, mend="correct `observe`")
 
 
 def code_faults(world: api.World, labels: Iterable[str]) -> Iterator[Fault]:

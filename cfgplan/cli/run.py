@@ -140,10 +140,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         mend = "name them under `hosts:`, or leave out --local and --connect"
         raise InputError.of("the file has no hosts", file=options.env, mend=mend)
     _check_can_start(options, loaded)
-    if not options.dry_run and options.middleware in _ROS:
+    if options.middleware in _ROS:
         _check_nodes(options, loaded)
-        if unheard := [str(each) for each in loaded.environment.observable]:
-            screen.warn(f"a run of ROS nodes observes no qualities: `observe` has no effect ({some(unheard)})")
     else:
         if not options.dry_run:
             _refuse_nodes(options, loaded)
@@ -193,7 +191,8 @@ def _first_plan(options: argparse.Namespace, world: World, settings: Settings, s
     adjusted = _adjusted(options, world)
     with screen.phase("plan"):
         running = Environment() if left is None else left.running
-        preview = first_review(adjusted, settings, matches, _folder(options), running, screen.warn)
+        of_code = {"warn_of_code": screen.warn} if options.dry_run else {}  # a run reports it by itself
+        preview = first_review(adjusted, settings, matches, _folder(options), running, screen.warn, **of_code)
     found = preview.thought.found
     reasons = () if found is None else found.plan.reasons.values()
     for warning in preview.thought.warnings:
@@ -241,7 +240,7 @@ def _refuse_nodes(options: argparse.Namespace, world: World) -> None:
 
 
 def _check_nodes(options: argparse.Namespace, world: World) -> None:
-    """Raise all faults of ROS nodes before the first start."""
+    """Raise all faults of ROS nodes before the first start, in a dry run too."""
     from cfgplan_runtime.nodes.unit_checks import check_nodes
 
     ros, bag = _ROS[options.middleware], "rosbag record" if options.middleware == ROS1 else "ros2 bag record"
@@ -498,14 +497,14 @@ def _runtime(
         from cfgplan_runtime.ros1.ros1_backend import Ros1Backend
         from cfgplan_runtime.runtime import Runtime
 
-        return lambda _, folder: Runtime(backend=lambda: Ros1Backend(folder=folder))
+        return lambda _, folder: Runtime(backend=lambda: Ros1Backend(folder=folder, file=options.env))
     if options.middleware == ROS2:
         from cfgplan_runtime.ros2.ros2_backend import Ros2Backend
         from cfgplan_runtime.ros2.ros_python import ros_python
         from cfgplan_runtime.runtime import Runtime
 
         python = ros_python(options.ros_python)
-        return lambda _, folder: Runtime(backend=lambda: Ros2Backend(folder=folder, python=python))
+        return lambda _, folder: Runtime(backend=lambda: Ros2Backend(folder=folder, python=python, file=options.env))
     if fleet is None:
         return None
     from cfgplan_runtime.fleet.fleet_runtime import fleet_runtime

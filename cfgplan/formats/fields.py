@@ -60,7 +60,7 @@ from cfgplan.formats.schema_values import (
 )
 from cfgplan.planning import MOST_INSTANCES
 from cfgplan.qualities import QualityRule
-from cfgplan.transformations import ProgramFormat
+from cfgplan.transformations import ContainerKind, ProgramFormat
 
 FORMAT: Final = "cfgplan/1"
 LONGEST_QUEUE = 1_000_000
@@ -268,7 +268,8 @@ class ContributionPart(Part):
     set: PositiveGiven | None = row("the value, whatever the inputs are")
     of: Literal["worst", "best", "mean", "sum"] = row("how several inputs count", "worst")
     observe: Name | None = row(
-        "the field in which an element says its quality; `pose.error` is a nested field", use=Use.RUNNING
+        "the field in which an element says its quality; `pose.error` is a nested field, `covariance.0` a list's value",
+        use=Use.RUNNING,
     )
 
 
@@ -331,6 +332,11 @@ class RunPart(Part):
         "true: a new unit continues with the state of the last one; a name: with the last state under this name", False
     )
     lifecycle: bool = row("cold spares of this ROS 2 node are configured, and activated when they are needed", False)
+    container: ContainerKind = row(
+        "the container of this ROS 2 component: rclcpp's plain one, one with several threads (`mt`), or one that runs"
+        " each component by itself (`isolated`)",
+        "plain",
+    )
 
 
 class ConflictsPart(Part):

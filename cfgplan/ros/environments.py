@@ -18,6 +18,7 @@ from cfgplan.domain import (
     Host,
     InputPort,
     OutputPort,
+    RunOptions,
     Stream,
     Subscription,
     Target,
@@ -352,6 +353,7 @@ class _Making:
                 if port.role.gives
             ),
             source=str(source),
+            run=RunOptions(container=node.container_kind or "plain"),
             params=node.parameters,
             host=self._machine_of(node),
         )

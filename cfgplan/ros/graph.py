@@ -12,6 +12,7 @@ from pathlib import Path
 from cfgplan.canonical import store_sorted
 from cfgplan.ros.qos import ServiceQuality
 from cfgplan.ros.types import MessageType
+from cfgplan.transformations import ContainerKind
 
 
 class Role(StrEnum):
@@ -61,7 +62,8 @@ class RosNode:
     """A node by its full name, such as `/robot1/amcl`.
 
     `package` and `executable` start it (without a package, the executable is a file); `plugin` is the class that the
-    container or nodelet manager `container` loads; each is None if no source names it. `remappings` map the node's own
+    container or nodelet manager `container` loads, in ROS 2 a container of this kind; each is None if no source names
+    it. `remappings` map the node's own
     names to those used, both in full; `parameters` are as a launch file writes them. A `player` stands for the unknown
     publishers of recorded topics. `runs` is None if no source looked whether the node runs. `machine` is the computer
     that it runs on; None: the one that starts the graph. `shared` are the own names in `remappings` that a launch file
@@ -75,6 +77,7 @@ class RosNode:
     executable: str | None = None
     plugin: str | None = None
     container: str | None = None
+    container_kind: ContainerKind | None = None
     arguments: tuple[str, ...] = ()
     remappings: tuple[tuple[str, str], ...] = ()
     parameters: Mapping[str, object] = field(default_factory=dict, hash=False)
@@ -156,7 +159,7 @@ def _joined(one: RosNode, other: RosNode) -> RosNode:
             ports.append(port)
         else:
             ports[same] = _filled(ports[same], port)
-    names = ("package", "executable", "plugin", "container", "machine", "file")
+    names = ("package", "executable", "plugin", "container", "container_kind", "machine", "file")
     known = {name: getattr(one, name) or getattr(other, name) for name in names}
     return replace(
         one,

@@ -20,7 +20,7 @@ from cfgplan.ros.graph import Role, RosNode, RosPort, node_port
 from cfgplan.ros.types import MessageType
 
 TABLE = Path(__file__).with_name("guesses.yaml")
-_ARGUMENT = re.compile(r"\{([1-9])\}")
+_ARGUMENT = re.compile(r"\{([1-9]|--[a-z-]+)\}")
 Feedback: TypeAlias = bool | Literal["in_cycles"]
 """Whether an input may close a cycle: never, always, or where it lies on one."""
 
@@ -115,6 +115,7 @@ class GuessTable(_Rows):
         """Return the ports of a node's plugin or executable, after its remappings; None if the table lacks it.
 
         A name `{1}` stands for the first argument of the command line; the port is omitted if that is missing.
+        `{--namespace}` stands for the value of that option and a slash, or for nothing if the option is missing.
         """
         known = self.nodes.get(node.plugin or f"{node.package}/{node.executable}")
         if known is None:
@@ -122,7 +123,7 @@ class GuessTable(_Rows):
         ports = []
         for role, own, kind in known.ports:
             with suppress(IndexError):
-                meant = _ARGUMENT.sub(lambda found: node.arguments[int(found[1]) - 1], own)
+                meant = _ARGUMENT.sub(lambda found: _said(node.arguments, found[1]), own)
                 ports.append(node_port(node, role, meant, kind))
         return tuple(ports)
 
@@ -133,6 +134,18 @@ class GuessTable(_Rows):
     def is_noisy(self, port: RosPort) -> bool:
         """Whether every graph has such a topic or service."""
         return _any(self.noise.services if port.role.is_service else self.noise.topics, port.name)
+
+
+def _said(arguments: Sequence[str], place: str) -> str:
+    """Return the argument at a place, or an option's value and a slash. Raises IndexError for a missing argument."""
+    if place.isdecimal():
+        return arguments[int(place) - 1]
+    for at, argument in enumerate(arguments):
+        option, equals, value = argument.partition("=")
+        if option == place:
+            value = value if equals else next(iter(arguments[at + 1 :]), "")
+            return value and f"{value.rstrip('/')}/"
+    return ""
 
 
 def _any(patterns: Sequence[str], name: str) -> bool:

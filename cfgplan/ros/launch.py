@@ -6,9 +6,11 @@ Reference: the constructors of launch and launch_ros. Values are written by `rep
 from __future__ import annotations
 
 import re
+import shlex
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from os.path import relpath
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
@@ -16,6 +18,7 @@ import yaml
 
 from cfgplan.domain import Environment
 from cfgplan.errors import InputError
+from cfgplan.ros.sources import CONTAINER_EXECUTABLES, CONTAINER_PACKAGE, container_faults
 from cfgplan.ros.topic_names import NodeUnit, TopicNames, word
 
 LaunchPart: TypeAlias = Literal["all", "nodes", "components"]
@@ -32,10 +35,33 @@ class _Code:
 
 @dataclass(frozen=True)
 class _Call:
-    """A call with keyword arguments; arguments that are None or empty are left out."""
+    """A call with keyword arguments; those that are None or empty are left out. One named "" has no keyword."""
 
     name: str
     arguments: Mapping[str, object]
+
+
+@dataclass(frozen=True)
+class IncludedLaunch:
+    """A launch file to include, relative to the folder of the including one, with its arguments."""
+
+    file: str
+    arguments: Mapping[str, str]
+
+    @classmethod
+    def read(cls, text: str, folder: str) -> IncludedLaunch:
+        """Read `FILE NAME:=VALUE ...`; `folder` is that of the including file. Raises InputError."""
+        try:
+            file, *said = shlex.split(text)
+        except ValueError:
+            mend = "write FILE, or 'FILE NAME:=VALUE ...'"
+            raise InputError.of(f"--include `{text}` names no launch file", mend=mend) from None
+        arguments = dict(each.split(":=", 1) for each in said if ":=" in each)
+        if wrong := next((each for each in said if ":=" not in each), None):
+            raise InputError.of(f"--include: `{wrong}` is no argument of a launch file", mend="write NAME:=VALUE")
+        if not Path(file).is_file():
+            raise InputError.of("there is no such launch file to include", file=file, mend="look at its spelling")
+        return cls(relpath(file, folder), arguments)
 
 
 def launch_text(
@@ -45,17 +71,20 @@ def launch_text(
     part: LaunchPart = "all",
     host: str | None = None,
     folder: str = ".",
+    includes: Sequence[IncludedLaunch] = (),
 ) -> str:
     """Return a launch file of the running configuration; the lines `about` are a comment at its top.
 
     `part` selects nodes or components, `host` the units of one host. Relays are launched with the nodes of the first
-    host. `folder` leads from the launch file's folder to the files of nodes that are files (`node:./FILE`). Raises
-    InputError.
+    host. `folder` leads from the launch file's folder to the files of nodes that are files (`node:./FILE`). The
+    launch files `includes` are included first. Raises InputError.
     """
     _check_host(environment, host)
     names = TopicNames(environment)
     units = [each for each in names.units if each.unit.host == host and not each.is_foreign]
     nodes = [] if part == "components" else [each for each in units if each.source.kind == "node"]
+    if faults := [*container_faults(each.transformation for each in units)]:
+        raise InputError(faults)
     components = [] if part == "nodes" else [each for each in units if each.source.kind == "component"]
     actions = [*_nodes(nodes, names, folder), *_containers(components, names)]
     if part != "components" and host in (None, environment.hosts[0].name if environment.hosts else None):
@@ -65,7 +94,12 @@ def launch_text(
         raise InputError.of(
             f"nothing to launch: {which} in the configuration", mend="look at what `cfgplan solve` says"
         )
-    return _file(about, actions)
+    return _file(about, [*map(_included, includes), *actions])
+
+
+def _included(one: IncludedLaunch) -> _Call:
+    source = _Code(f"AnyLaunchDescriptionSource(str(Path(__file__).parent / {one.file!r}))")
+    return _Call("IncludeLaunchDescription", {"": source, "launch_arguments": list(one.arguments.items())})
 
 
 def _check_host(environment: Environment, host: str | None) -> None:
@@ -89,7 +123,8 @@ def _nodes(units: Sequence[NodeUnit], names: TopicNames, folder: str) -> Iterato
 def _containers(units: Sequence[NodeUnit], names: TopicNames) -> Iterator[_Call]:
     groups = defaultdict[str, list[NodeUnit]](list)
     for each in units:
-        groups[each.source.group or _CONTAINER].append(each)
+        kind = each.transformation.run.container
+        groups[each.source.group or (_CONTAINER if kind == "plain" else f"{_CONTAINER}_{kind}")].append(each)
     for name, members in sorted(groups.items()):
         inside = [
             _Call(
@@ -99,8 +134,8 @@ def _containers(units: Sequence[NodeUnit], names: TopicNames) -> Iterator[_Call]
             for each in members
         ]
         arguments = {
-            "package": "rclcpp_components",
-            "executable": "component_container",
+            "package": CONTAINER_PACKAGE,
+            "executable": CONTAINER_EXECUTABLES[members[0].transformation.run.container],
             "name": word(name),
             "namespace": _Code("''"),
             "composable_node_descriptions": inside,
@@ -163,6 +198,8 @@ _MODULES = {
     "List": "typing",
     "Path": "pathlib",
     "LaunchDescription": "launch",
+    "IncludeLaunchDescription": "launch.actions",
+    "AnyLaunchDescriptionSource": "launch.launch_description_sources",
     "ComposableNodeContainer": "launch_ros.actions",
     "Node": "launch_ros.actions",
     "ComposableNode": "launch_ros.descriptions",
@@ -197,8 +234,8 @@ def _shown(value: object, depth: int) -> str:
         case _Code(text):
             return text
         case _Call(name, arguments):
-            said = ((key, each) for key, each in arguments.items() if each not in (None, "", []))
-            return f"{name}({lines(f'{key}={_shown(each, depth + 1)}' for key, each in said)})"
+            said = ((key and f"{key}=", each) for key, each in arguments.items() if each not in (None, "", []))
+            return f"{name}({lines(f'{keyword}{_shown(each, depth + 1)}' for keyword, each in said)})"
         case Mapping() if value:
             return f"{{{lines(f'{key!r}: {_shown(each, depth + 1)}' for key, each in value.items())}}}"
         case [_, *_] if not all(isinstance(each, str | int | float) for each in value):

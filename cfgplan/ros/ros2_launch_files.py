@@ -33,6 +33,7 @@ from cfgplan.ros.launch_elements import (
     launch_fault,
     words,
 )
+from cfgplan.ros.sources import CONTAINER_EXECUTABLES, CONTAINER_PACKAGE
 from cfgplan.ros.substitutions import (
     PackageMissingError,
     SubstitutionError,
@@ -41,11 +42,16 @@ from cfgplan.ros.substitutions import (
     valued,
     variable,
 )
+from cfgplan.transformations import ContainerKind
 
 XML_FILES, YAML_FILES = (".xml", ".launch"), (".yaml", ".yml")
 _INNERMOST = re.compile(r"\$\(([^()$]*(?:'[^']*'|\"[^\"]*\")?[^()$]*)\)")
 _WHOLE_EVAL = re.compile(r"\$\(\s*eval\s+(.*)\)\s*", re.DOTALL)
 _CONTAINERS = ("node_container", "lifecycle_node_container")
+_KINDS: Mapping[tuple[str, str], ContainerKind] = {
+    (CONTAINER_PACKAGE, executable): kind for kind, executable in CONTAINER_EXECUTABLES.items()
+}
+"""The containers that a run starts itself, by package and executable."""
 _NODES = ("node", "lifecycle_node", *_CONTAINERS)
 _GROUPED = ("param", "remap", "arg", "let", "composable_node", "extra_arg", "env")
 """Keys of YAML under which a list of mappings stands for several elements of that name."""
@@ -72,9 +78,8 @@ def ros2_launch_graph(path: Path, arguments: Mapping[str, str] | None = None) ->
     """
     walk = _Launch()
     walk.file(path, _State(path, dict(arguments or {})))
-    return RosGraph(
-        tuple(walk.nodes), (f"the launch file {path}",), tuple(dict.fromkeys(walk.notes)), tuple(walk.dropped)
-    )
+    nodes = tuple(replace(node, container_kind=walk.containers.get(node.container or "")) for node in walk.nodes)
+    return RosGraph(nodes, (f"the launch file {path}",), tuple(dict.fromkeys(walk.notes)), tuple(walk.dropped))
 
 
 @dataclass
@@ -100,6 +105,8 @@ class _Launch:
         self.nodes: list[RosNode] = []
         self.notes: list[str] = []
         self.dropped: list[str] = []
+        self.containers: dict[str, ContainerKind] = {}
+        """The kinds of containers by full name."""
         self._places = NodePlaces()
 
     def file(self, path: Path, state: _State) -> None:
@@ -174,19 +181,24 @@ class _Launch:
         node = self._named(element, state, own, package)
         renamed = [word.split(":=", 1) for word in ros if ":=" in word and not word.startswith("_")]
         more = {resolved(a, state.namespace, node.name): resolved(b, state.namespace, node.name) for a, b in renamed}
-        self.nodes.append(
-            replace(
-                node,
-                executable=executable,
-                arguments=tuple(said),
-                remappings=(*node.remappings, *((a, b) for a, b in more.items() if a != b)),
+        is_container = element.name.replace("-", "_") in _CONTAINERS
+        kind = _KINDS.get((package, executable)) if is_container else None
+        if kind is not None:
+            self.containers[node.name] = kind
+        else:
+            self.nodes.append(
+                replace(
+                    node,
+                    executable=executable,
+                    arguments=tuple(said),
+                    remappings=(*node.remappings, *((a, b) for a, b in more.items() if a != b)),
+                )
             )
-        )
         for attribute, reason in _NOT_TAKEN_OVER.items():
             value = self._value(element, attribute, state) or self._value(element, attribute.replace("-", "_"), state)
             if value and value.strip().lower() not in FALSE:
                 self.dropped.append(f'{attribute}="{value}" of {node.name}: {reason}')
-        if element.name.replace("-", "_") in _CONTAINERS:
+        if is_container:
             self._components(element, state, node.name)
 
     def _components(self, element: Element, state: _State, container: str) -> None:

@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from cfgplan.errors import InputError
+from cfgplan.errors import Fault, InputError
+from cfgplan.transformations import ContainerKind, Transformation
 
+CONTAINER_PACKAGE = "rclcpp_components"
+CONTAINER_EXECUTABLES: Mapping[ContainerKind, str] = {
+    "plain": "component_container",
+    "mt": "component_container_mt",
+    "isolated": "component_container_isolated",
+}
+"""The containers of ROS 2's components."""
 NodeKind = Literal["node", "nodelet", "component", "external"]
 _FORMS = "node:PACKAGE/EXECUTABLE, node:./FILE, nodelet:PACKAGE/CLASS, component:PACKAGE/PLUGIN or external:/NAME"
 
@@ -55,3 +64,17 @@ class NodeSource:
         first = f"{self.package}/{self.name}" if self.package else self.name
         group = f"@{self.group}" if self.group else ""
         return f"{self.kind}:{' '.join([first + group, *(shlex.quote(each) for each in self.arguments)])}"
+
+
+def container_faults(library: Iterable[Transformation]) -> Iterator[Fault]:
+    """Yield the faults of components that share a container and ask for different kinds of it."""
+    kinds: dict[str, dict[ContainerKind, str]] = {}
+    for transformation in library:
+        source = NodeSource.read(transformation.source)
+        if source is not None and source.kind == "component" and source.group:
+            kinds.setdefault(source.group, {}).setdefault(transformation.run.container, transformation.label)
+    for group, labels in kinds.items():
+        if len(labels) > 1:
+            said = " and ".join(f"`{label}` asks for {kind}" for kind, label in labels.items())
+            mend = "write the same `run: {container: ...}` at all of them, or name two containers"
+            yield from InputError.of(f"components share the container `{group}`: {said}", mend=mend).faults

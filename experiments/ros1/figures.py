@@ -190,7 +190,7 @@ def arrivals(kind: str, runtime: Runtime) -> Iterator[list[float]]:
 
 
 def collect(received: Iterator[object], came: list[float]) -> None:
-    with suppress(OSError):
+    with suppress(OSError, ValueError):  # it is closed while the thread waits
         note = came.append
         for _ in received:
             note(time.monotonic())

@@ -76,6 +76,10 @@ def actions_of(text: str, path: str = "/launches/robot.launch.py") -> Actions:
 
     stubs: dict[str, dict[str, Any]] = {
         "launch": {"LaunchDescription": list},
+        "launch.actions": {
+            "IncludeLaunchDescription": lambda *source, **given: ("Include", {"source": source, **given})
+        },
+        "launch.launch_description_sources": {"AnyLaunchDescriptionSource": str},
         "launch_ros": {},
         "launch_ros.actions": {name: kept(name) for name in ("ComposableNodeContainer", "Node")},
         "launch_ros.descriptions": {"ComposableNode": lambda **given: given},
@@ -97,6 +101,52 @@ def env(tmp_path: Path) -> Path:
     path = tmp_path / "robot.yaml"
     path.write_text(ENVIRONMENT)
     return path
+
+
+def test_launch_files_are_included_before_everything_else_with_their_arguments(env: Path) -> None:
+    drivers = env.parent / "more files" / "drivers.launch.py"
+    drivers.parent.mkdir()
+    drivers.write_text("")
+    said = f"'{drivers}' sim:=true 'name:=two words' url:=a:=b"
+    first, second, *others = exported(env, "--include", said, "--include", f"'{drivers}'")
+    source = (str(env.parent / "launch" / ".." / "more files" / "drivers.launch.py"),)
+    arguments = [("sim", "true"), ("name", "two words"), ("url", "a:=b")]
+    assert first == ("Include", {"source": source, "launch_arguments": arguments})
+    assert second == ("Include", {"source": source})
+    assert others == exported(env)
+
+
+@pytest.mark.parametrize(
+    ("said", "told"),
+    [
+        ("nosuch.launch.py", "nosuch.launch.py: there is no such launch file to include"),
+        ("robot.yaml sim=true", "`sim=true` is no argument of a launch file"),
+        ("'robot", "names no launch file"),
+        ("", "names no launch file"),
+    ],
+)
+def test_what_can_not_be_included_is_told(
+    said: str, told: str, env: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(env.parent)
+    assert main(["export", "launch", str(env), "--include", said]) == 30
+    assert told in " ".join(capsys.readouterr().err.split())
+
+
+def test_containers_are_of_the_kind_that_their_components_ask_for(env: Path) -> None:
+    for label in ("rectify", "thinker"):
+        env.write_text(env.read_text().replace(f"label: {label}\n", f"label: {label}\n    run: {{container: mt}}\n"))
+    found = {said["name"]: said["executable"] for kind, said in exported(env) if kind == "ComposableNodeContainer"}
+    assert found == {"eyes": "component_container_mt", "cfgplan_container_mt": "component_container_mt"}
+
+
+def test_a_container_can_not_be_of_two_kinds(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    eyes = ENVIRONMENT.replace("brain::Thinker", "brain::Thinker@eyes\n    run: {container: isolated}")
+    env.write_text(eyes)
+    assert main(["export", "launch", str(env)]) == 30
+    said = " ".join(capsys.readouterr().err.split())
+    assert "share the container `eyes`" in said
+    assert "`thinker` asks for isolated" in said
 
 
 def exported(env: Path, *options: str) -> Actions:

@@ -10,6 +10,7 @@ from cfgplan import api
 from cfgplan.cli import main
 from cfgplan.errors import InputError
 from cfgplan.ros.graph import RosGraph, RosNode
+from cfgplan.ros.guesses import guess_table
 from cfgplan.ros.origins import ros2_graph
 from cfgplan.ros.ros2_launch_files import ros2_launch_graph
 
@@ -121,10 +122,9 @@ def nodes(file: Path, **arguments: str) -> dict[str, RosNode]:
 
 
 def test_both_forms_name_the_nodes_in_their_namespaces(robot: Path) -> None:
-    names = ["/box", "/front/driver", "/front/rectify", "/front_more", "/late", "/small/resize", "/sums"]
+    names = ["/front/driver", "/front/rectify", "/front_more", "/late", "/small/resize", "/sums"]
     assert sorted(nodes(robot)) == names
     assert sorted(nodes(robot, sim="true", camera="rear")) == [
-        "/box",
         "/late",
         "/rear/rectify",
         "/rear_more",
@@ -155,6 +155,7 @@ def test_components_are_loaded_into_their_container_and_see_what_groups_have_lef
     found = nodes(robot)
     assert (found["/small/resize"].plugin, found["/small/resize"].container) == ("image_proc::ResizeNode", "/box")
     assert found["/late"].container == "/box"
+    assert {found[name].container_kind for name in ("/small/resize", "/late")} == {"plain"}
     assert found["/small/resize"].parameters["width"] == 10
 
 
@@ -234,3 +235,33 @@ def test_a_launch_file_in_python_is_refused_with_what_to_do_instead(tmp_path: Pa
     with pytest.raises(InputError, match="can't be read") as raised:
         ros2_graph([str(file)], RosGraph)
     assert "name `live`" in (raised.value.faults[0].mend or "")
+
+
+@pytest.mark.parametrize("kind", ["mt", "isolated"])
+def test_a_container_of_several_threads_is_asked_for_by_its_components(kind: str, robot: Path) -> None:
+    robot.write_text(robot.read_text().replace("component_container", f"component_container_{kind}"))
+    env = robot.with_name("env.yaml")
+    assert main(["import", "ros2", str(robot), "--out", str(env)]) == 0
+    library = api.load(env).environment.transformation
+    assert {library[label].run.container for label in ("small/resize", "late")} == {kind}
+    assert library["front/rectify"].run.container == "plain"
+    assert "box" not in library, "the run starts the container by itself"
+
+
+def test_a_container_of_its_own_executable_stays_a_node(robot: Path) -> None:
+    robot.write_text(robot.read_text().replace("component_container", "own_container"))
+    assert nodes(robot)["/box"].executable == "own_container"
+    assert nodes(robot)["/late"].container_kind is None
+
+
+def test_a_spawner_calls_the_services_of_its_namespace(tmp_path: Path) -> None:
+    file = tmp_path / "robot.launch.xml"
+    said = {"": "/", "--namespace /arm": "/arm/", "--namespace=arm/": "/arm/"}
+    for arguments, space in said.items():
+        file.write_text(
+            f'<launch><node pkg="controller_manager" exec="spawner" name="s" args="joints {arguments}"/></launch>'
+        )
+        ports = guess_table().ports_of(nodes(file)["/s"])
+        assert ports is not None
+        calls = [f"{space}controller_manager/{each}_controller" for each in ("load", "switch", "unload")]
+        assert [port.name for port in ports] == calls

@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import sys
 import time
+from pathlib import Path
 
 import rospy
-from geometry_msgs.msg import PointStamped
+from geometry_msgs.msg import PointStamped, PoseWithCovarianceStamped
 from roscpp.msg import Logger
 from roscpp.srv import GetLoggers, GetLoggersResponse
 from sensor_msgs.msg import Image
@@ -76,6 +77,19 @@ def asker() -> None:
         rospy.sleep(0.02)
 
 
+def finder() -> None:
+    """Says where it is, with the variance that the file `~water` has; 0.3 without one."""
+    rospy.init_node("finder")
+    poses = rospy.Publisher("pose", PoseWithCovarianceStamped, queue_size=10)
+    water = Path(rospy.get_param("~water", ""))
+    while not rospy.is_shutdown():
+        pose = PoseWithCovarianceStamped()
+        pose.header.stamp = rospy.Time.now()
+        pose.pose.covariance[0] = float(water.read_text() or 0.2) if water.is_file() else 0.3
+        poses.publish(pose)
+        rospy.sleep(0.02)
+
+
 def camera() -> None:
     """Gives white pictures, `~size` pixels wide."""
     rospy.init_node("camera")
@@ -93,4 +107,6 @@ def mute() -> None:
 
 
 if __name__ == "__main__":
-    {each.__name__: each for each in (talker, shouter, clock, mapper, oracle, asker, camera, mute)}[sys.argv[1]]()
+    {each.__name__: each for each in (talker, shouter, clock, mapper, oracle, asker, camera, finder, mute)}[
+        sys.argv[1]
+    ]()

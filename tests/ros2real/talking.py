@@ -6,10 +6,11 @@ from __future__ import annotations
 import sys
 import time
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import rclpy
-from geometry_msgs.msg import PointStamped
+from geometry_msgs.msg import PointStamped, PoseWithCovarianceStamped
 from rclpy.action import ActionClient, ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.lifecycle import LifecycleNode, State, TransitionCallbackReturn
@@ -227,6 +228,36 @@ class Client(Node):
         self.starting.reset()
 
 
+class Finder(Node):
+    """Says where it is, with the variance that the file `water` has; 0.3 without one."""
+
+    def __init__(self) -> None:
+        super().__init__("finder")
+        self.poses = self.create_publisher(PoseWithCovarianceStamped, "pose", DEEP)
+        self.water = Path(self.declare_parameter("water", "").value)
+        self.create_timer(0.02, self.find)
+
+    def find(self) -> None:
+        pose = PoseWithCovarianceStamped()
+        pose.header.stamp, pose.header.frame_id = self.get_clock().now().to_msg(), "map"
+        pose.pose.covariance[0] = float(self.water.read_text() or 0.2) if self.water.is_file() else 0.3
+        self.poses.publish(pose)
+
+
+class Diver(LifecycleNode):
+    """Says where it is while it is active, with the variance 0.3."""
+
+    def on_configure(self, state: State) -> TransitionCallbackReturn:
+        self.poses = self.create_lifecycle_publisher(PoseWithCovarianceStamped, "pose", DEEP)
+        self.create_timer(0.02, self.find)
+        return super().on_configure(state)
+
+    def find(self) -> None:
+        pose = PoseWithCovarianceStamped()
+        pose.pose.covariance[0] = 0.3
+        self.poses.publish(pose)
+
+
 class Mute(Node):
     def __init__(self) -> None:
         sys.exit("has no voice")
@@ -234,8 +265,9 @@ class Mute(Node):
 
 def main() -> None:
     rclpy.init()
-    kinds = (Talker, Whisperer, Shouter, Eager, Clock, Mapper, Worker, Oracle, Asker, Counter, Client, Mute)
-    node = {each.__name__.lower(): each for each in kinds}[sys.argv[1]]()
+    kinds = (Talker, Whisperer, Shouter, Eager, Clock, Mapper, Worker, Oracle, Asker, Counter, Client, Finder, Mute)
+    made = {each.__name__.lower(): each for each in kinds} | {"diver": lambda: Diver("diver")}
+    node = made[sys.argv[1]]()
     with suppress(KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
         rclpy.spin(node)
 

@@ -21,6 +21,8 @@ from operated_world import await_event, eventually, running
 from ros2_venv import PYTHON, VENV
 from ros2_words import Observer, command_of, pid_of, running_nodes
 
+from cfgplan.cli import main
+
 HERE = Path(__file__).parent
 ENVIRONMENT = """\
 format: cfgplan/1
@@ -201,3 +203,26 @@ def test_a_container_that_can_not_be_started_names_the_package(tmp_path: Path, c
         assert "'component_container' of a package 'rclcpp_components'" in told
         run.terminate()
         run.communicate()
+
+
+@pytest.mark.parametrize("group", ["@eyes", ""], ids=["shared", "own"])
+def test_a_container_of_several_threads_is_started_where_it_is_asked_for(
+    group: str, tmp_path: Path, container_package: Path, observer: Observer
+) -> None:
+    container_package.rename(container_package.with_name("component_container_mt"))
+    several = ENVIRONMENT.replace("    params:", "    run: {{container: mt}}\n    params:").replace(
+        "    inputs:", "    run: {{container: mt}}\n    inputs:"
+    )
+    with components(tmp_path, group, several) as run:
+        next(observer.listen("/shout"))
+        children = psutil.Process(run.pid).children(recursive=True)
+        names = [name for one in children for word in command_of(one) if "component_" in (name := Path(word).name)]
+        assert set(names) == {"component_container_mt"}
+
+
+def test_components_of_one_container_agree_on_its_kind(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "env.yaml"
+    path.write_text(ENVIRONMENT.replace("    inputs:", "    run: {{container: mt}}\n    inputs:").format(group="@eyes"))
+    assert main(["run", "--middleware", "ros2", str(path)]) == 30
+    said = " ".join(capsys.readouterr().err.split())
+    assert "share the container `eyes`: `shouter` asks for mt and `talker` asks for plain" in said

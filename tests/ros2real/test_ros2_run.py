@@ -88,19 +88,44 @@ def test_what_is_wrong_is_told_before_anything_starts(
     env: Path, old: str, new: str, told: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     env.write_text(ENVIRONMENT.replace(old, new))
-    assert main(["run", "--middleware", "ros2", str(env)]) == 30
-    assert told in " ".join(capsys.readouterr().err.split())
+    for dry in ([], ["--dry-run"]):
+        assert main(["run", "--middleware", "ros2", *dry, str(env)]) == 30
+        assert told in " ".join(capsys.readouterr().err.split())
 
 
-def test_a_run_of_nodes_says_that_it_observes_no_qualities(env: Path) -> None:
-    quality = "remap: chatter, quality: {error: {set: 0.2, observe: data}}}"
-    attribute = "qualities: [{name: error, better: lower}]\n"
-    env.write_text(attribute + ENVIRONMENT.replace("remap: chatter}", quality))
-    with running("--middleware", "ros2", env) as process:
+@pytest.mark.parametrize("dry", [[], ["--dry-run"]])
+def test_a_python_without_rclpy_is_told_before_anything_starts(
+    env: Path, dry: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["run", "--middleware", "ros2", "--ros-python", "/bin/false", *dry, str(env)]) == 30
+    assert "error: --ros-python: /bin/false: fails" in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_dry_run_plans_and_starts_nothing_and_names_nodes_that_are_not_there(
+    env: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["run", "--middleware", "ros2", "--dry-run", str(env)]
+    assert main(command) == 0
+    said = capsys.readouterr()
+    assert "+ start   talker.1" in said.out
+    assert "left out" not in said.err
+    assert not psutil.Process().children()
+    env.write_text(ENVIRONMENT.replace("./talking.py talker", "./silent.py"))
+    assert main(command) == 12
+    said = capsys.readouterr()
+    assert "talker is left out until its code changes: silent.py: there is no file ./silent.py" in said.err
+
+
+def test_no_warning_of_rclpy_about_quality_of_service_reaches_the_screen(env: Path) -> None:
+    nodes = ENVIRONMENT.replace("talking.py talker", "talking.py whisperer")
+    env.write_text(nodes.replace("talking.py shouter", "talking.py eager"))
+    with observing() as observer, running("--middleware", "ros2", env) as process:
+        shouts = observer.listen("/shout")
         await_event(process, "Running")
+        next(shouts)
         process.terminate()
-        _, said = process.communicate()
-    assert "observes no qualities: `observe` has no effect (talker/words error)" in said
+        said, _ = process.communicate()
+    assert "incompatible QoS" not in said
 
 
 def test_the_template_of_ros_2_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

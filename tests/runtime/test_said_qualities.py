@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from math import isfinite
 
+import numpy
 import pytest
-from cfgplan_runtime.children.said_qualities import SaidQualities
+from cfgplan_runtime.streams.said_qualities import Quality, SaidQualities
 
 
 class _Unconvertible:
@@ -40,3 +41,28 @@ def test_bad_values_between_good_ones_are_told_once() -> None:
     for _ in range(100):
         taken.take("p", {"error": 0.1}, {})
     assert len(taken.take("p", {}, {})) == 1
+
+
+@pytest.mark.parametrize(
+    "value", [{"covariance": [0.3, 9.0]}, {"covariance": (0.3,)}, {"covariance": numpy.array([0.3])}]
+)
+def test_a_number_leads_into_a_list(value: object) -> None:
+    taken = SaidQualities({"p": {"error": "covariance.0"}})
+    assert taken.take("p", value, {}) == []
+    assert taken.taken()["p"]["error"] == (1, 0.3, 0.0)
+
+
+@pytest.mark.parametrize("value", [{"covariance": []}, {"covariance": 0.3}, {"covariance": {"1": 0.3}}])
+def test_a_list_that_is_too_short_has_no_such_field(value: object) -> None:
+    (fault,) = SaidQualities({"p": {"error": "covariance.0"}}).take("p", value, {})
+    assert fault == "output p does not say its error: a value has no field 'covariance.0'"
+
+
+def test_sums_of_two_halves_are_those_of_the_whole() -> None:
+    whole, first, second = (Quality(0, 0.0, 0.0) for _ in range(3))
+    for number in range(10):
+        one = Quality(1, number**1.5, 0.0)
+        whole = whole.with_more(one)
+        first, second = (first.with_more(one), second) if number % 3 else (first, second.with_more(one))
+    assert first.with_more(second) == pytest.approx(whole)
+    assert whole.with_more(Quality(0, 0.0, 0.0)) == whole

@@ -6,6 +6,8 @@ from typing import Any, TypeAlias
 
 import msgspec
 
+from cfgplan_runtime.streams.said_qualities import Quality
+
 
 class UnitOrder(msgspec.Struct, frozen=True, tag=True):
     """All that a child needs to be a unit.
@@ -235,17 +237,6 @@ class PortCounts(msgspec.Struct, frozen=True):
     stale: int = 0
     skipped: int = 0
     waiting: int = 0
-
-
-class Quality(msgspec.Struct, frozen=True):
-    """The qualities that an output's elements said since the last sign of life, in units of the attribute.
-
-    `squares` is the sum of the squares of the distances from the mean.
-    """
-
-    elements: int
-    mean: float
-    squares: float
 
 
 Qualities: TypeAlias = dict[str, dict[str, Quality]]

@@ -16,13 +16,13 @@ from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.ports import Ports, UnitInput, UnitOutput
 from cfgplan_runtime.children.program import ProgramCode
 from cfgplan_runtime.children.program_source import names_program
-from cfgplan_runtime.children.said_qualities import SaidQualities
 from cfgplan_runtime.children.steps import Step, StepQueue
 from cfgplan_runtime.children.unit_code import Given, UnitCode, imported_files
 from cfgplan_runtime.errors import EncodingError, ProgramEndedError, ProgramFaultError, WrongPortsError
 from cfgplan_runtime.streams.element import Element, Moment, Outgoing
 from cfgplan_runtime.streams.inlet import InputQueue, port_of
 from cfgplan_runtime.streams.payload import PayloadEncoder, decode
+from cfgplan_runtime.streams.said_qualities import SaidQualities
 
 STATUS_PERIOD_S = 1.0
 _LONGEST_WORK_NS = 1_000_000

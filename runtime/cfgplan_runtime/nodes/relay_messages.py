@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from cfgplan_runtime.children.messages import Flow, PortCounts
+from cfgplan_runtime.children.messages import Flow, PortCounts, Qualities
 
 
 class Lead(msgspec.Struct, tag=True):
@@ -26,18 +26,35 @@ class Lead(msgspec.Struct, tag=True):
     message: str | None = None
 
 
+class Observe(msgspec.Struct, tag=True):
+    """Read how good an output is: `fields` of its messages on `topic`, by the quality attributes that they say.
+
+    `publisher` is as in Lead.
+    """
+
+    unit: str
+    port: str
+    topic: str
+    fields: dict[str, str]
+    publisher: str | None = None
+
+
 class CloseInlets(msgspec.Struct, tag=True):
-    """A unit has ended: close all inlets that fed it."""
+    """A unit has ended: close all inlets that fed it, and observe its outputs no more."""
 
     unit: str
 
 
 class Passed(msgspec.Struct, tag=True):
-    """A sign of life, with counts since the start: messages by source topic, and elements by inlet and by topic."""
+    """A sign of life, with counts since the start: messages by source topic, and elements by inlet and by topic.
+
+    `qualities` are by unit what its outputs have said since the last sign.
+    """
 
     sources: dict[str, int]
     inlets: dict[str, PortCounts]
     flows: dict[str, Flow]
+    qualities: dict[str, Qualities] = {}
 
 
 class Refused(msgspec.Struct, tag=True):
@@ -45,3 +62,10 @@ class Refused(msgspec.Struct, tag=True):
 
     topic: str
     cause: str
+
+
+class Unsaid(msgspec.Struct, tag=True):
+    """An observed output does not say how good it is."""
+
+    unit: str
+    text: str

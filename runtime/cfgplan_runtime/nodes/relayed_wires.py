@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import socket
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from math import inf
 from typing import Protocol
 
 import msgspec
 
+from cfgplan.transformations import Transformation
 from cfgplan_runtime.children import messages
 from cfgplan_runtime.children.exit_status import clause_of, end_of_process
-from cfgplan_runtime.nodes.relay_messages import CloseInlets, Lead, Passed, Refused
+from cfgplan_runtime.nodes.relay_messages import CloseInlets, Lead, Observe, Passed, Refused, Unsaid
 from cfgplan_runtime.streams.ends import Ends
 from cfgplan_runtime.supervision import events
 from cfgplan_runtime.supervision.backend import Inlet
 from cfgplan_runtime.supervision.delays import doubling_s
 
+ENVIRONMENT_FILE = "the environment file"
+"""What messages call the environment file of a run whose file has no name."""
 _HELPER = "relay of topics"
 _RELAY_S, _START_S = 10.0, 60.0
 """Seconds that the relay may be silent, and that its start may take."""
@@ -45,11 +48,25 @@ class Relay(Protocol):
         """End it. Returns its exit status."""
 
 
+class NodeUnit(Protocol):
+    """A unit's node, by its full name; a foreign one is not the run's."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def transformation(self) -> Transformation: ...
+    @property
+    def is_foreign(self) -> bool: ...
+    def publishes_at(self, port: str) -> str:
+        """Return the topic that an output publishes on."""
+
+
 class RelayedWires:
     """Connects wires through a relay, and appends events about them to `happened`.
 
     `start` makes a relay; it raises OSError if it can't. `begin` is called with each new relay before the wires are
-    sent to it, and `hear` with each message that only this kind of relay sends.
+    sent to it, and `hear` with each message that only this kind of relay sends. `file` is the environment file, as
+    messages name it.
     """
 
     def __init__(
@@ -59,9 +76,14 @@ class RelayedWires:
         start: Callable[[], Relay],
         begin: Callable[[], None],
         hear: Callable[[object], None],
+        file: str,
     ) -> None:
         self._ends, self._happened, self._start_process, self._begin = ends, happened, start, begin
-        self._hear_other = hear
+        self._hear_other, self._file = hear, file
+        self._observed: dict[str, list[Observe]] = {}
+        """The observed outputs by unit."""
+        self._said: dict[str, messages.Qualities] = {}
+        """What the outputs of units have said since the last call of `said_by`."""
         self._leads: dict[int, tuple[Inlet, Lead]] = {}
         """The wires that go through the relay, or will once it has started."""
         self._topics: list[str] = []
@@ -85,6 +107,8 @@ class RelayedWires:
         self._begin()
         for topic in self._topics:
             self.tell(messages.OpenOutlet(topic))
+        for order in (order for orders in self._observed.values() for order in orders):
+            self.tell(order)
         if self._losses:
             self._leads = {wire: one for wire, one in self._leads.items() if not one[0].is_outlet}
             for _, lead in self._leads.values():
@@ -124,8 +148,20 @@ class RelayedWires:
     def switch_now(self, inlet: Inlet) -> None:
         self.tell(messages.SwitchNow(str(inlet)))
 
+    def observe(self, unit: str, node: NodeUnit) -> None:
+        """Read how good a unit's outputs are, where the file names fields that say it, until its inlets are closed."""
+        publisher = node.name if node.is_foreign else None
+        for port in node.transformation.outputs:
+            fields = {stated.attribute: stated.observe for stated in port.quality if stated.observe is not None}
+            if fields:
+                order = Observe(unit, port.name, node.publishes_at(port.name), fields, publisher)
+                self._observed.setdefault(unit, []).append(order)
+                self.tell(order)
+
     def close_inlets(self, unit: str) -> None:
-        """Close all inlets of a unit that has ended."""
+        """Close all inlets of a unit that has ended, and observe its outputs no more."""
+        self._observed.pop(unit, None)
+        self._said.pop(unit, None)
         self.tell(CloseInlets(unit))
 
     def open_outlet(self, topic: str) -> None:
@@ -147,6 +183,10 @@ class RelayedWires:
             for inlet, lead in self._leads.values()
             if inlet.unit == unit and lead.inlet in self._passed.inlets
         }
+
+    def said_by(self, unit: str) -> messages.Qualities:
+        """Return what a unit's outputs have said of their quality since the last call."""
+        return self._said.pop(unit, {})
 
     def unit_at(self, target: str) -> str:
         """The unit that a topic feeds; "" if it feeds none."""
@@ -181,14 +221,18 @@ class RelayedWires:
                 case messages.Lost(_, wire) if wire in self._leads:
                     inlet, _ = self._leads.pop(wire)
                     self._happened.append(events.InputLost(inlet.unit or None, inlet.port, wire))
-                case Passed(_, _, flows):
+                case Passed(_, _, flows, qualities):
                     self._passed = message
+                    self._note_qualities(qualities)
                     self._happened += [events.HelperAlive(_HELPER, _RELAY_S), events.TopicsStatus(flows)]
                     self._losses = 0
                 case Refused(topic, cause):
                     unit = self.unit_at(topic)
                     if unit:
                         self._happened.append(events.UnitPrinted(unit, f"cfgplan: {topic}: {cause}"))
+                case Unsaid(unit, text) if unit in self._observed:
+                    mend = f"correct `observe` of that output in {self._file}"
+                    self._happened.append(events.UnitFailed(unit, "no quality", 0, f"{text}: {mend}"))
                 case _:
                     self._hear_other(message)
         if relay.has_ended:
@@ -206,6 +250,14 @@ class RelayedWires:
                 other: one for other, one in self._leads.items() if other >= wire or one[0] != inlet
             }  # those that it has replaced are gone
         self._happened.append(events.WireSwitched(wire))
+
+    def _note_qualities(self, qualities: Mapping[str, messages.Qualities]) -> None:
+        for unit in qualities.keys() & self._observed.keys():
+            known = self._said.setdefault(unit, {})
+            for port, said in qualities[unit].items():
+                sums = known.setdefault(port, {})
+                for attribute, quality in said.items():
+                    sums[attribute] = sums[attribute].with_more(quality) if attribute in sums else quality
 
     def _plan(self) -> None:
         self._losses += 1

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from cfgplan.domain import Environment
 from cfgplan.errors import Fault, InputError
-from cfgplan.ros.sources import NodeSource
+from cfgplan.ros.sources import NodeSource, container_faults
 from cfgplan.transformations import InputPort, OutputPort, Transformation
 
 _TOPIC = re.compile(r"(/[A-Za-z]\w*)+", re.ASCII)
@@ -42,6 +42,7 @@ def check_nodes(
             mend = "use letters, digits and underscores between slashes, such as /front/image"
             what = f"{label}: `{topic}` can't be the name of a {ros} topic"
             faults += InputError.of(what, mend=mend).faults
+    faults += container_faults(environment.library)
     if faults:
         raise InputError([replace(fault, file=fault.file or file) for fault in faults])
 

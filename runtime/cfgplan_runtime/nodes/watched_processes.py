@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from cfgplan_runtime.children.exit_status import end_of_process
 from cfgplan_runtime.nodes.node_process import NodeProcess
@@ -11,10 +11,18 @@ from cfgplan_runtime.supervision import events
 
 
 class WatchedProcesses:
-    """Appends the output of processes to `happened`, as events."""
+    """Appends the output of processes to `happened`, as events.
 
-    def __init__(self, ends: Ends, happened: list[events.Event]) -> None:
-        self._ends, self._happened = ends, happened
+    `shown` returns the line to report for one that a unit has printed, or None for none.
+    """
+
+    def __init__(
+        self,
+        ends: Ends,
+        happened: list[events.Event],
+        shown: Callable[[str, str], str | None] = lambda _, line: line,
+    ) -> None:
+        self._ends, self._happened, self._shown = ends, happened, shown
 
     def attend(self, process: NodeProcess, end: Callable[[], None], unit: Callable[[], str]) -> None:
         """Report the output of a process as printed by its unit, and call `end` when the process has ended."""
@@ -24,13 +32,17 @@ class WatchedProcesses:
     def last_words(self, process: NodeProcess, unit: str) -> str:
         """End a process, and report its last lines. Returns how it has ended, as a clause."""
         process.kill()
-        self._happened.extend(events.UnitPrinted(unit, line) for line in process.printed.rest())
+        self._note(unit, process.printed.rest())
         self._ends.unwatch(process.ended)
         self._ends.unwatch(process.printed.socket)
         return end_of_process(process.reap())
 
     def _hear_print(self, process: NodeProcess, unit: str) -> None:
         lines, is_open = process.printed.read()
-        self._happened.extend(events.UnitPrinted(unit, line) for line in lines)
+        self._note(unit, lines)
         if not is_open:
             self._ends.unwatch(process.printed.socket)
+
+    def _note(self, unit: str, lines: Iterable[str]) -> None:
+        shown = (self._shown(unit, line) for line in lines)
+        self._happened.extend(events.UnitPrinted(unit, line) for line in shown if line is not None)

@@ -310,7 +310,8 @@ def _event(event: events.Event) -> str | None:
         case events.UnitFailed(unit, kind, step, text, suppressed):
             if suppressed:
                 return f"{unit} failed {_times(suppressed)} more, up to step {step}, such as ({kind}): {short(text)}"
-            return f"{unit} failed in step {step} ({kind}): {short(text)}"
+            where = f" in step {step}" if step else ""
+            return f"{unit} failed{where} ({kind}): {short(text)}"
         case events.UnitHung(unit, silent_s):
             return f"{unit} gave no sign of life for {span(silent_s)} and is killed"
         case events.UnitCutShort(unit, after_s, waiting):

@@ -28,6 +28,11 @@ def faults_of(library: Iterable[Transformation], folder: Path, check: SourceChec
     return {label: str(fault) for label, fault in found if fault is not None}
 
 
+def left_out_text(label: str, fault: str) -> str:
+    """Return how a transformation is reported whose code can't be started."""
+    return f"{label} is left out until its code changes: {fault}"
+
+
 class Sources(FileWatch):
     """A watch of the files that sources name.
 
@@ -81,7 +86,7 @@ class Sources(FileWatch):
         before, self._faults = self._faults, dict(faults)
         for label, fault in faults.items():
             if before.get(label) != fault:
-                self._say(f"{label} is left out until its code changes: {fault}")
+                self._say(left_out_text(label, fault))
         if faults != before or changed:
             self._request(FaultyCode(dict(faults), tuple(sorted(changed))))
 

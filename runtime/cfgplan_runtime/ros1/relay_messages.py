@@ -7,7 +7,7 @@ from typing import TypeAlias
 import msgspec
 
 from cfgplan_runtime.children.messages import CloseOutlet, Cut, End, Finish, Lost, OpenOutlet, Switched, SwitchNow
-from cfgplan_runtime.nodes.relay_messages import CloseInlets, Lead, Passed, Refused
+from cfgplan_runtime.nodes.relay_messages import CloseInlets, Lead, Observe, Passed, Refused, Unsaid
 
 
 class RelayOrder(msgspec.Struct, frozen=True):
@@ -24,5 +24,5 @@ class Listening(msgspec.Struct, tag=True):
     address: str
 
 
-ToTopicRelay: TypeAlias = Lead | Cut | End | SwitchNow | OpenOutlet | CloseOutlet | CloseInlets | Finish
-FromTopicRelay: TypeAlias = Listening | Switched | Lost | Passed | Refused
+ToTopicRelay: TypeAlias = Lead | Cut | End | SwitchNow | OpenOutlet | CloseOutlet | Observe | CloseInlets | Finish
+FromTopicRelay: TypeAlias = Listening | Switched | Lost | Passed | Refused | Unsaid

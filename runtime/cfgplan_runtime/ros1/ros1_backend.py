@@ -20,7 +20,7 @@ from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.exit_status import clause_of
 from cfgplan_runtime.nodes.node_process import NodeProcess
 from cfgplan_runtime.nodes.relay_messages import Lead
-from cfgplan_runtime.nodes.relayed_wires import RelayedWires
+from cfgplan_runtime.nodes.relayed_wires import ENVIRONMENT_FILE, RelayedWires
 from cfgplan_runtime.nodes.watched_processes import WatchedProcesses
 from cfgplan_runtime.processes.child_process import cpu_us, memory_bytes
 from cfgplan_runtime.processes.nursery_link import start_helper
@@ -90,10 +90,10 @@ class Ros1Backend:
     """A backend of ROS 1 nodes. Call all its methods from one thread, which must outlive it.
 
     Its master is that of ROS_MASTER_URI, or one of its own if none answers there. Sources `node:./FILE` are relative to
-    `folder`. Raises InputError.
+    `folder`; `file` is how messages name the environment file. Raises InputError.
     """
 
-    def __init__(self, *, folder: Path | None = None) -> None:
+    def __init__(self, *, folder: Path | None = None, file: str = ENVIRONMENT_FILE) -> None:
         self.master = RosMaster()
         self.run_folder = RunFolder()
         self._folder = (folder or Path.cwd()).resolve()
@@ -109,7 +109,7 @@ class Ros1Backend:
         self._relay_address = ""
         order = RelayOrder(self._relay_node, self.master.address, self.master.host)
         self._wires = RelayedWires(
-            self._ends, self._events, lambda: _Relay(order), lambda: None, self._note_relay_address
+            self._ends, self._events, lambda: _Relay(order), lambda: None, self._note_relay_address, file
         )
         self._to_master = ThreadPoolExecutor(1, "to-master")
         self._watch_master()
@@ -286,7 +286,9 @@ class Ros1Backend:
             for port in node.ros.transformation.outputs
         }
         inputs = self._wires.taken_by(node.unit)
-        return events.UnitStatus(node.unit, sum(counts.elements for counts in outputs.values()), 0, inputs, outputs)
+        steps = sum(counts.elements for counts in outputs.values())
+        said = self._wires.said_by(node.unit)
+        return events.UnitStatus(node.unit, steps, 0, inputs, outputs, qualities=said)
 
     def _note_silence(self, node: _UnitNode) -> None:
         if node.process is None and (node.group is None or node.group.process is None):
@@ -311,6 +313,7 @@ class Ros1Backend:
             node.group = self._group(ros.source.group)
             self._nodes[node.unit], self._units[ros.name] = node, node.unit
             node.group.load(node.unit, ros, lambda cause, labor_us: self._note_load(node, cause, labor_us))
+            self._wires.observe(node.unit, ros)
             return
         if ros.is_foreign:
             self.master.ask_node(ros.name)
@@ -320,6 +323,7 @@ class Ros1Backend:
             self._processes.attend(process, lambda: self._end_of(node, process), lambda: node.unit)
         self._nodes[node.unit] = node
         self._units[ros.name] = node.unit
+        self._wires.observe(node.unit, ros)
         node.watch = NodeWatch(
             self,
             self.master.address,

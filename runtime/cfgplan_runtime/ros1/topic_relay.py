@@ -35,7 +35,9 @@ from cfgplan_runtime.children.messages import (
     Switched,
     SwitchNow,
 )
-from cfgplan_runtime.nodes.relay_messages import CloseInlets, Lead, Passed, Refused
+from cfgplan_runtime.nodes.message_layout import Layout, UnreadableError, ros1_layout
+from cfgplan_runtime.nodes.observed_outputs import ObservedOutputs
+from cfgplan_runtime.nodes.relay_messages import CloseInlets, Lead, Observe, Passed, Refused, Unsaid
 from cfgplan_runtime.processes.nursery import die_with_parent
 from cfgplan_runtime.ros1.relay_api import RelayApi
 from cfgplan_runtime.ros1.relay_messages import FromTopicRelay, Listening, RelayOrder, ToTopicRelay
@@ -106,6 +108,8 @@ class _SourceTopic:
     wanted: set[str] = field(default_factory=set)
     readers: dict[str, MessageReader] = field(default_factory=dict)
     header: Header | None = None
+    layout: Layout | None = None
+    """The layout of its messages; None while it is not known, or can't be read from their definition."""
     has_stamp: bool = False
     messages: int = 0
     latched: Framed | None = None
@@ -134,6 +138,7 @@ class TopicRelay:
         self._inlets: dict[str, _LedInlet] = {}
         self._publications: dict[str, _Publication] = {}
         self._meters: dict[str, Meter] = {}
+        self._observed = ObservedOutputs(lambda unit, text: self._say(Unsaid(unit, text)), is_aligned=False)
         self._is_finishing = False
         self._ends = Ends()
         self._posted = Posted(self._ends)
@@ -206,7 +211,13 @@ class TopicRelay:
                 case CloseOutlet(topic):
                     self._meters.pop(topic, None)
                     self._close_inlet(topic)
+                case Observe(unit, port, topic, fields, publisher):
+                    self._observed.observe(unit, port, topic, fields)
+                    self._source(topic, publisher)
                 case CloseInlets(unit):
+                    gone = self._observed.forget(unit)
+                    for source in [source for source in self._sources.values() if source.topic in gone]:
+                        self._drop_unused(source)
                     for name in [name for name, inlet in self._inlets.items() if inlet.unit == unit]:
                         self._close_inlet(name)
                     for target in [target for target, order in self._services.items() if order.unit == unit]:
@@ -237,11 +248,7 @@ class TopicRelay:
             publication = self._publications.setdefault(order.target, _Publication(order.target, order.queue))
             queue = InputQueue(order.queue)
             self._inlets[order.inlet] = _LedInlet(order.unit, order.inlet, queue, publication)
-        inlet, at = self._inlets[order.inlet], (order.source, order.publisher)
-        if at not in self._sources:
-            self._sources[at] = _SourceTopic(*at)
-            self._to_master.submit(self._subscribe, order.source)
-        source = self._sources[at]
+        inlet, source = self._inlets[order.inlet], self._source(order.source, order.publisher)
         source.wires[order.wire], source.offered[order.wire] = inlet, 0
         inlet.queue.attach(order.wire)
         self._tell_switch(inlet)
@@ -249,6 +256,14 @@ class TopicRelay:
             source.offered[order.wire] = 1
             latched = Element(time.time_ns(), 0, 0, source.latched)
             self._hand_on(inlet, inlet.queue.accept(order.wire, latched))
+
+    def _source(self, topic: str, publisher: str | None) -> _SourceTopic:
+        """Return the source of a topic, or of one publisher there. Subscribe if it is new."""
+        at = topic, publisher
+        if at not in self._sources:
+            self._sources[at] = _SourceTopic(*at)
+            self._to_master.submit(self._subscribe, topic)
+        return self._sources[at]
 
     def _end(self, wire: int, *, drains: bool) -> None:
         found = next((source for source in self._sources.values() if wire in source.wires), None)
@@ -270,7 +285,7 @@ class TopicRelay:
         self._drop_unused(found)
 
     def _drop_unused(self, source: _SourceTopic) -> None:
-        if source.wires:
+        if source.wires or source.topic in self._observed:
             return
         del self._sources[source.topic, source.publisher]
         for address, reader in list(source.readers.items()):
@@ -332,7 +347,10 @@ class TopicRelay:
             end.close()
             return
         source.header, source.latched = header, None
-        source.has_stamp = begins_with_header(header.get("message_definition", ""))
+        definition = header.get("message_definition", "")
+        source.has_stamp, source.layout = begins_with_header(definition), None
+        with suppress(UnreadableError):
+            source.layout = ros1_layout(header["type"], definition)
         reader = source.readers[address] = MessageReader(end)
         self._ends.watch(end, lambda: self._read(source, address, reader))
         for inlet in set(source.wires.values()):
@@ -343,6 +361,8 @@ class TopicRelay:
             source.messages += 1
             if source.header is not None and source.header.get("latching") == "1":
                 source.latched = message
+            if source.topic in self._observed and source.layout is not None:
+                self._observed.take(source.topic, message, source.layout)
             time_ns, turn = source.moment(message, time.time_ns())
             for wire, inlet in list(source.wires.items()):
                 number = source.offered[wire]
@@ -513,7 +533,7 @@ class TopicRelay:
         flows = {}
         for topic, meter in self._meters.items():
             flows[topic] = Flow(**meter.figures(inlets[topic].dropped if topic in inlets else 0, now_s))
-        return Passed(sources, inlets, flows)
+        return Passed(sources, inlets, flows, self._observed.taken())
 
     def _counts(self, inlet: _LedInlet) -> PortCounts:
         publication = inlet.publication

@@ -13,7 +13,8 @@ from cfgplan.errors import InputError, did_you_mean
 from cfgplan.extras import needed
 from cfgplan.onward import reached
 from cfgplan.ros import MessageType
-from cfgplan_runtime.ros2.message_form import MessageForm
+from cfgplan_runtime.nodes.message_layout import Kind, Layout, Several, kind_of
+from cfgplan_runtime.ros2.message_form import FILLER, MessageForm
 
 if TYPE_CHECKING:
     from rosbags.interfaces.typing import Typesdict
@@ -51,6 +52,25 @@ class Definitions:
             self._store.fielddefs[name] = (constants, [(each, _without_char(what)) for each, what in fields])
         type_hash = NO_HASH if self.distribution in _WITHOUT_HASHES else self._store.hash_rihs01(type.ros2)
         return MessageForm(type, type_hash, self._store)
+
+    def layout(self, type: MessageType) -> Layout:  # noqa: A002
+        """Return the layout of a type's messages. Raises InputError if it, or a type in it, is not known."""
+        self._learn(type.ros2, [])
+        return self._layout(type.ros2)
+
+    def _layout(self, name: str) -> Layout:
+        fields = self._store.fielddefs[name][1]
+        return Layout(name, {field: self._kind(what) for field, what in fields if field != FILLER})
+
+    def _kind(self, what: Any) -> Kind:
+        from rosbags.interfaces import Nodetype
+
+        if what[0] == Nodetype.NAME:
+            return self._layout(what[1])
+        if what[0] == Nodetype.BASE:
+            return kind_of(what[1][0], self._layout)
+        inner, size = what[1]
+        return Several(self._kind(inner), size if what[0] == Nodetype.ARRAY else None)
 
     def _learn(self, name: str, path: list[str]) -> None:
         """Register a type and the types of its fields."""

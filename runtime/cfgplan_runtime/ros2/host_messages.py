@@ -7,7 +7,7 @@ from typing import Any, TypeAlias
 import msgspec
 
 from cfgplan_runtime.children.messages import Lost, Switched
-from cfgplan_runtime.nodes.relay_messages import Passed, Refused
+from cfgplan_runtime.nodes.relay_messages import Passed, Refused, Unsaid
 
 
 class PortTopic(msgspec.Struct, frozen=True):
@@ -160,4 +160,5 @@ FromHost: TypeAlias = (
     | Lost
     | Passed
     | Refused
+    | Unsaid
 )

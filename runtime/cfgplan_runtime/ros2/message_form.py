@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _Change: TypeAlias = Callable[[Any], Any]
 _Empty: TypeAlias = Callable[[], Any]
 _HEADER, _TIME = "std_msgs/msg/Header", "builtin_interfaces/msg/Time"
-_FILLER = "structure_needs_at_least_one_member"
+FILLER = "structure_needs_at_least_one_member"
 """The field that a message without fields has on the wire."""
 _MOST_SHOWN = 40
 
@@ -100,7 +100,7 @@ class _Messages:
     def _new(self, name: str) -> _Change:
         make: Any = self._store.types[name]
         rows = [(field, *self._field(what)) for field, what in self._store.fielddefs[name][1]]
-        fields = {field for field, _, _ in rows} - {_FILLER}
+        fields = {field for field, _, _ in rows} - {FILLER}
 
         def change(value: Any) -> Any:
             if isinstance(value, Mapping):
@@ -155,7 +155,7 @@ class _Values:
             rows = [
                 (field, attrgetter(attribute), self._field(what))
                 for (field, what), attribute in zip(fields, attributes, strict=True)
-                if field != _FILLER
+                if field != FILLER
             ]
             self._made[name] = lambda message: {field: change(get(message)) for field, get, change in rows}
         return self._made[name]

@@ -13,7 +13,7 @@ from cfgplan.ros.topic_names import word
 from cfgplan_runtime.children import messages
 from cfgplan_runtime.nodes.node_process import NodeProcess
 from cfgplan_runtime.nodes.relay_messages import Lead
-from cfgplan_runtime.nodes.relayed_wires import RelayedWires
+from cfgplan_runtime.nodes.relayed_wires import ENVIRONMENT_FILE, RelayedWires
 from cfgplan_runtime.nodes.watched_processes import WatchedProcesses
 from cfgplan_runtime.processes.child_process import cpu_us, memory_bytes
 from cfgplan_runtime.ros2.containers import Containers
@@ -33,6 +33,7 @@ from cfgplan_runtime.ros2.host_messages import (
     Told,
     Unloaded,
 )
+from cfgplan_runtime.ros2.quality_warnings import QualityWarnings
 from cfgplan_runtime.ros2.ros2_unit import Ros2Unit, message_of, node_source
 from cfgplan_runtime.ros2.ros_python import RosPython, ros_python
 from cfgplan_runtime.ros2.warm_nodes import WarmNode, is_python
@@ -69,10 +70,18 @@ class Ros2Backend:
     """A backend of ROS 2 nodes. Call all its methods from one thread, which must outlive it.
 
     The helper runs in the Python that has rclpy: `python`, or the one that is found. Sources `node:./FILE` are relative
-    to `folder`. With `warm`, a process waits to replace any node in Python that dies. Raises InputError.
+    to `folder`. With `warm`, a process waits to replace any node in Python that dies. `file` is how messages name the
+    environment file. Raises InputError.
     """
 
-    def __init__(self, *, folder: Path | None = None, python: RosPython | None = None, warm: bool = True) -> None:
+    def __init__(
+        self,
+        *,
+        folder: Path | None = None,
+        python: RosPython | None = None,
+        warm: bool = True,
+        file: str = ENVIRONMENT_FILE,
+    ) -> None:
         self._python = python or ros_python()
         self.run_folder = RunFolder()
         self._folder = (folder or Path.cwd()).resolve()
@@ -88,10 +97,11 @@ class Ros2Backend:
         """Transformations whose nodes fail to begin in a process that waited."""
         self._messages: set[str] = set()
         """The message types of nodes that were started."""
-        self._processes = WatchedProcesses(self._ends, self._events)
+        self._warnings = QualityWarnings()
+        self._processes = WatchedProcesses(self._ends, self._events, self._shown)
         self._unnumbered: set[str] = set()
         """Transformations whose nodes fail to start with a participant number of their own."""
-        self._wires = RelayedWires(self._ends, self._events, self._start_host, self._attend_all, self._hear)
+        self._wires = RelayedWires(self._ends, self._events, self._start_host, self._attend_all, self._hear, file)
         self._containers = Containers(self._wires.tell, self._start_container, self._processes, self._lose)
         self._sign_due_s = self.now()
         self._wires.start()
@@ -341,7 +351,9 @@ class Ros2Backend:
             for port in node.ros.transformation.outputs
         }
         inputs = self._wires.taken_by(node.unit)
-        return events.UnitStatus(node.unit, sum(counts.elements for counts in outputs.values()), 0, inputs, outputs)
+        steps = sum(counts.elements for counts in outputs.values())
+        said = self._wires.said_by(node.unit)
+        return events.UnitStatus(node.unit, steps, 0, inputs, outputs, qualities=said)
 
     # Nodes.
 
@@ -365,6 +377,8 @@ class Ros2Backend:
         self._nodes[node.unit] = node
         try:
             self._attend(node)
+            if not node.is_spare:
+                self._wires.observe(node.unit, ros)
             if ros.source.kind == "component":
                 self._containers.add(node.unit, ros)
             elif not ros.is_foreign:
@@ -414,6 +428,7 @@ class Ros2Backend:
         self._wires.tell(Begin(node.unit, unit))
         node.unit, node.is_spare = unit, False
         self._nodes[unit] = node
+        self._wires.observe(unit, node.ros)
 
     def _watch(self, process: NodeProcess) -> None:
         self._processes.attend(process, lambda: self._end_of(process), lambda: self._unit_of(process))
@@ -471,9 +486,15 @@ class Ros2Backend:
         if spare:
             self._events.append(events.SpareLost(spare, cause))
 
+    def _shown(self, unit: str, line: str) -> str | None:
+        """Return the line to report for one that a unit's node has printed; None for none."""
+        node = self._nodes.get(unit)
+        return line if node is None else self._warnings.line(unit, line, node.ros.remappings)
+
     def _bury(self, node: _UnitNode, cause: str) -> None:
         """Forget a node that has ended or was given up."""
         del self._nodes[node.unit]
+        self._warnings.forget(node.unit)
         self._wires.close_inlets(node.unit)
         if node.unit in self._containers:
             self._containers.remove(node.unit)

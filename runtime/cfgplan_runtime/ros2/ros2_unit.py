@@ -13,7 +13,7 @@ import yaml
 
 from cfgplan.errors import InputError
 from cfgplan.ros.graph import resolved
-from cfgplan.ros.sources import REMAPS, NodeSource
+from cfgplan.ros.sources import CONTAINER_EXECUTABLES, CONTAINER_PACKAGE, REMAPS, NodeSource
 from cfgplan.ros.topic_names import remapped, word
 from cfgplan.ros.types import MessageType
 from cfgplan.transformations import InputPort, OutputPort, Transformation
@@ -86,7 +86,7 @@ class Ros2Unit:
         """The file that the command runs; a component's container. Raises InputError if it can't be found."""
         source = self.source
         if source.kind == "component":
-            return str(executable("rclcpp_components", "component_container"))
+            return str(executable(CONTAINER_PACKAGE, CONTAINER_EXECUTABLES[self.transformation.run.container]))
         return str(executable(source.package, source.name) if source.package else node_file(folder, source.name))
 
     def arguments(self, parameters: Path) -> list[str]:

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 
+from cfgplan_runtime.nodes.message_layout import Layout, kind_of
 from cfgplan_runtime.ros2.host.host import Host
 from cfgplan_runtime.ros2.host.qos import Quality, asked_of, offered_to
 from cfgplan_runtime.streams.element import Moment
@@ -49,6 +50,14 @@ def message_class(kind: str) -> Any:
         package = kind.partition("/")[0]
         text = f"{kind} is not to be had in the Python of ROS: source the workspace that has {package}, or install it"
         raise UnknownTypeError(text) from None
+
+
+def layout_of(cls: Any) -> Layout:
+    """The layout of a message class. Raises UnknownTypeError for a type in it that can't be imported."""
+    fields = cls.get_fields_and_field_types()
+    inner = lambda name: layout_of(message_class(name.replace("/", "/msg/")))  # noqa: E731
+    package = cls.__module__.partition(".")[0]
+    return Layout(f"{package}/{cls.__name__}", {field: kind_of(text, inner) for field, text in fields.items()})
 
 
 def begins_with_header(cls: Any) -> bool:
@@ -92,6 +101,7 @@ class Source:
         self._cls: Any = None
         self._made_kind = ""
         self._has_header = False
+        self._layout: Layout | None = None
         self._stamped: Moment = (0, 0)
         self._timed: Moment = (0, 0)
         self._number: int | None = None
@@ -101,6 +111,13 @@ class Source:
     @property
     def is_open(self) -> bool:
         return self._subscription is not None
+
+    @property
+    def layout(self) -> Layout:
+        """The layout of the messages of an open source. Raises UnknownTypeError for a type that can't be imported."""
+        if self._layout is None:
+            self._layout = layout_of(self._cls)
+        return self._layout
 
     def look(self) -> None:
         """Listen such that all publishers are heard. Raises UnknownTypeError."""
@@ -140,7 +157,7 @@ class Source:
     def _open(self) -> None:
         self._cls = message_class(self.kind)
         self._made_kind = self.kind
-        self._has_header = begins_with_header(self._cls)
+        self._has_header, self._layout = begins_with_header(self._cls), None
         self.close()
         self._number = None
         self._subscription = self._host.node.create_subscription(

@@ -8,7 +8,7 @@ from pathlib import Path
 from types import ModuleType
 
 ROOT = Path(__file__).resolve().parents[2]
-PACKAGES = ("cfgplan_runtime", "cfgplan_runtime.streams", "cfgplan_runtime.ros2", "cfgplan_runtime.ros2.host")
+PACKAGES = tuple(f"cfgplan_runtime{room}" for room in ("", ".streams", ".nodes", ".ros2", ".ros2.host"))
 
 
 def adopt_packages() -> None:

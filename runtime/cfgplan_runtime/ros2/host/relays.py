@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 from typing import Any
 
+from cfgplan_runtime.nodes.observed_outputs import ObservedOutputs
 from cfgplan_runtime.ros2.host.actions import GOAL_TYPE, SEND_GOAL, LedAction
 from cfgplan_runtime.ros2.host.endpoints import Publication, Sample, Source, UnknownTypeError, message_class
 from cfgplan_runtime.ros2.host.host import NAMELESS, Host
@@ -98,6 +99,7 @@ class Relays:
         self._waiting_services: dict[int, dict[str, Any]] = {}
         """Orders to lead services that nobody offers yet, by wire."""
         self.outside = OutsideTopics(host, self)
+        self._observed = ObservedOutputs(lambda unit, text: host.say("Unsaid", unit=unit, text=text), is_aligned=True)
         self._remembered: dict[str, Quality] = {}
         self._refused: set[tuple[str, str]] = set()
         host.handlers.update(
@@ -108,6 +110,7 @@ class Relays:
             OpenOutlet=lambda order: self._meters.update({order["topic"]: Meter(time.monotonic())}),
             CloseOutlet=self._close_outlet,
             CloseInlets=self._close_inlets,
+            Observe=self._observe,
         )
         host.waiting.later(SIGN_S, self._sign)
 
@@ -235,6 +238,11 @@ class Relays:
             self._host.say("Lost", port=inlet.name, wire=wire)
         self._drop_unused(source)
 
+    def _observe(self, order: dict[str, Any]) -> None:
+        """Read from now on what an output's messages say of its quality."""
+        self._observed.observe(order["unit"], order["port"], order["topic"], order["fields"])
+        self._look_at(self._source(order["topic"], order["topic"], None))
+
     def _switch_now(self, order: dict[str, Any]) -> None:
         inlet = self._inlets.get(order["port"])
         if inlet is not None:
@@ -246,6 +254,9 @@ class Relays:
 
     def _close_inlets(self, order: dict[str, Any]) -> None:
         self.outside.remove(order["unit"])
+        for topic in self._observed.forget(order["unit"]):
+            if topic in self._sources:
+                self._drop_unused(self._sources[topic])
         self._close_services(order["unit"])
         for name in [name for name, inlet in self._inlets.items() if inlet.unit == order["unit"]]:
             self._close_inlet(name)
@@ -291,13 +302,19 @@ class Relays:
             publication.close()
 
     def _drop_unused(self, source: Source) -> None:
-        if not source.offered and not source.holders and self._sources.pop(source.topic, None) is source:
+        is_used = source.offered or source.holders or source.topic in self._observed
+        if not is_used and self._sources.pop(source.topic, None) is source:
             source.close()
 
     # What comes from nodes.
 
     def _take(self, sample: Sample) -> None:
         self.outside.pass_on(sample)
+        if sample.source.topic in self._observed:
+            try:
+                self._observed.take(sample.source.topic, sample.raw, sample.source.layout)
+            except UnknownTypeError as error:
+                self._refuse(sample.source.topic, str(error))
         for wire in list(sample.source.offered):
             self._offer(wire, sample)
 
@@ -381,6 +398,7 @@ class Relays:
                 topic: meter.figures(self._inlets[topic].queue.dropped if topic in self._inlets else 0, now_s)
                 for topic, meter in self._meters.items()
             },
+            qualities=self._observed.taken(),
         )
 
 

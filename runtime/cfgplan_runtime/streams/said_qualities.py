@@ -5,17 +5,36 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
-from typing import Final
+from typing import Final, NamedTuple
 
-from cfgplan_runtime.children.messages import Qualities, Quality
-
-_NONE_SAID = Quality(0, 0.0, 0.0)
 _LARGEST_NUMBER: Final = 1e12
 """In units of an attribute, far beyond every scale; larger numbers are cut, since sums of their squares have no end."""
 
-
 _GOOD_AGAIN: Final = 100
 """A fault is told again only after so many good values in a row."""
+
+
+class Quality(NamedTuple):
+    """The qualities that an output's elements said since the last sign of life, in units of the attribute.
+
+    `squares` is the sum of the squares of the distances from the mean.
+    """
+
+    elements: int
+    mean: float
+    squares: float
+
+    def with_more(self, other: Quality) -> Quality:
+        """Return the sums of both (Welford, Chan)."""
+        elements = self.elements + other.elements
+        if not elements:
+            return self
+        distance = other.mean - self.mean
+        squares = self.squares + other.squares + distance**2 * self.elements * other.elements / elements
+        return Quality(elements, self.mean + distance * other.elements / elements, squares)
+
+
+_NONE_SAID = Quality(0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,12 +91,13 @@ class SaidQualities:
         if number is None or not isfinite(number):
             return f"does not say its {attribute}: {said!r:.60} is no finite number"
         number = min(max(number, -_LARGEST_NUMBER), _LARGEST_NUMBER)
-        self._sums[port, attribute] = _after(self._sums.get((port, attribute), _NONE_SAID), number)
+        sums = self._sums.get((port, attribute), _NONE_SAID)
+        self._sums[port, attribute] = sums.with_more(Quality(1, number, 0.0))
         return ""
 
-    def taken(self) -> Qualities:
-        """The sums since the last call."""
-        found: Qualities = {}
+    def taken(self) -> dict[str, dict[str, Quality]]:
+        """The sums since the last call, by output and attribute."""
+        found: dict[str, dict[str, Quality]] = {}
         for (port, attribute), sums in self._sums.items():
             found.setdefault(port, {})[attribute] = sums
         self._sums = {}
@@ -85,17 +105,17 @@ class SaidQualities:
 
 
 def _within(value: object, steps: Sequence[str]) -> object:
-    """Return the value of a nested field; `_Missing` if it is absent."""
+    """Return the value of a nested field or, by its number, of a list; `_Missing` if it is absent."""
     for step in steps:
-        if not isinstance(value, Mapping) or step not in value:
+        try:
+            value = value[step] if isinstance(value, Mapping) else value[_position(step)]  # type: ignore[index]
+        except Exception:  # unit code may give any object, with an index of its own
             return _Missing(".".join(steps))
-        value = value[step]
     return value
 
 
-def _after(sums: Quality, number: float) -> Quality:
-    """Return the sums with another number (Welford)."""
-    elements = sums.elements + 1
-    distance = number - sums.mean
-    mean = sums.mean + distance / elements
-    return Quality(elements, mean, sums.squares + distance * (number - mean))
+def _position(step: str) -> int:
+    """Return the number that a step is. Raises ValueError: a negative one would count from the end."""
+    if not step.isdecimal():
+        raise ValueError(step)
+    return int(step)
