@@ -475,6 +475,18 @@ def test_only_the_user_can_reach_the_topics(run_units: StartRuntime, nothing_is_
     assert (runs.stat().st_mode & 0o777, (runs / runtime.id).stat().st_mode & 0o777) == (0o700, 0o700)
 
 
+@pytest.mark.parametrize("method", ["fork", "forkserver", "spawn"])
+def test_unit_code_may_use_processes_of_its_own(run_units: StartRuntime, method: str) -> None:
+    runtime = run_units(source(rate_hz=10), worker("square", "Pool", method=method))
+    runtime.apply(start(unit("count.1"), unit("square.1", topic="/result", x="count.1/n")))
+    listener = Listener("/result")
+    eventually(lambda: len(listener.values) > 3)
+    assert seen(runtime, UnitFailed) == []
+    runtime.close()
+    listener.join()
+    assert all(round(value**0.5) ** 2 == value for value in listener.values)
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full, a disk that is always full")
 def test_a_full_disk_for_the_log_harms_nothing(run_units: StartRuntime) -> None:
     runtime = run_units(source(), log="/dev/full")

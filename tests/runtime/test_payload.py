@@ -15,6 +15,7 @@ from cfgplan_runtime.streams.payload import PayloadEncoder, decode
 from hypothesis import given
 from hypothesis import strategies as st
 
+MASKED = numpy.ma.masked_array([1.0, 2.0], [False, True])
 VALUES = st.recursive(
     st.none()
     | st.booleans()
@@ -62,7 +63,7 @@ def test_numpy_numbers_arrive_as_plain_ones() -> None:
     assert there_and_back([numpy.float64(1.5), numpy.int32(3), numpy.bool_(True)]) == [1.5, 3, True]
 
 
-@pytest.mark.parametrize("value", [object(), 2**70, {1j: 2}, numpy.array([object()]), lambda: 0])
+@pytest.mark.parametrize("value", [object(), 2**70, {1j: 2}, numpy.array([object()]), lambda: 0, MASKED, [MASKED]])
 def test_what_can_not_travel_is_refused(value: object) -> None:
     with pytest.raises(EncodingError):
         PayloadEncoder().encode(value)

@@ -26,6 +26,8 @@ class UnitOrder(msgspec.Struct, frozen=True, tag=True):
     keeps_state: bool
     state: bytes | None
     memory_bytes: int | None
+    idle_sign_ns: int
+    """Nanoseconds between two signs of life while nothing comes and nothing is done."""
     format: str = "json"
     """How a program reads and writes."""
     folder: str = ""

@@ -26,7 +26,7 @@ from collections.abc import Sequence
 from setproctitle import setproctitle
 
 from cfgplan_runtime.children import messages
-from cfgplan_runtime.children.control import ControlConnection
+from cfgplan_runtime.children.control import ControlConnection, decoder
 from cfgplan_runtime.children.outlet_child import NO_DESCRIPTOR, OutletChild
 from cfgplan_runtime.children.unit_child import UnitChild
 from cfgplan_runtime.children.unit_code import UNIT_VARIABLE
@@ -249,6 +249,7 @@ def main(arguments: Sequence[str]) -> None:
     for name in preload:
         with contextlib.suppress(Exception):  # the units that import it will report what is wrong
             importlib.import_module(name)
+    decoder(messages.ToChild)
     gc.collect()
     gc.freeze()
     Nursery(socket.socket(fileno=int(number)), run).run()
