@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from cfgplan.comparing import Run
 
 
-_NARROW = 100.0
+_NARROW_RANGE = 100.0
 _ROW_HEIGHT = 3.5
 """Inches that the plot of an environment is high."""
 _LONGEST_WAIT_S = 1_000_000.0
@@ -147,7 +147,7 @@ def _draw(found: Mapping[str, Sequence[Run]], rows: Sequence[Axes]) -> None:
         axis.set_xscale("log")
         axis.xaxis.set_major_formatter(lambda seconds, _: span(seconds))
         low, high = axis.get_xlim()
-        if high < _NARROW * low:  # powers of ten alone would be one tick, or none
+        if high < _NARROW_RANGE * low:  # powers of ten alone would be one tick, or none
             axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axis.xaxis.set_minor_formatter(lambda *_: "")
         axis.set_title(env, fontsize=10)

@@ -94,6 +94,8 @@ class UnitChild:
         self._raised: Exception | None = None
         """The last exception of a source that has given nothing since; the cause if the source then ends."""
         self._tick_ns = 0
+        self._is_idle = False
+        """Whether nothing has come and nothing was due since the last sign of life."""
 
     def await_beginning(self) -> str | None:
         """Wait, as a spare, until told to be a unit. Returns its id; None if the supervisor is gone."""
@@ -138,6 +140,7 @@ class UnitChild:
             self._watch_program()
             self._ports.ends.wait(self._patience_s())
             if time.monotonic_ns() < self._status_ns:  # something has come or is due, and will be counted soon
+                self._is_idle = False
                 self._status_ns = min(self._status_ns, self._said_ns + SIGN_NS)
             if time.monotonic_ns() >= self._status_ns:
                 self._give_sign()
@@ -364,7 +367,8 @@ class UnitChild:
 
     def _say_status(self) -> None:
         self._said_ns = time.monotonic_ns()
-        self._status_ns = self._said_ns + self._order.idle_sign_ns
+        self._status_ns = self._said_ns + (self._order.idle_sign_ns if self._is_idle else SIGN_NS)
+        self._is_idle = True
         if self._reported > _MOST_REPORTS:
             kind, text = self._suppressed
             self._ports.say(messages.Trouble(kind, self.step, text, self._reported - _MOST_REPORTS))
