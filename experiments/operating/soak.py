@@ -421,7 +421,9 @@ def anomalies(soak: Soak) -> list[str]:
             found.append(f"{after} at {after_ns} came after {before} at {before_ns}")
         excused = any(before_ns <= end + SLACK_NS and begin - SLACK_NS <= after_ns for begin, end in soak.kills_ns)
         if after != before + 1 and not excused:
-            found.append(f"{after} came after {before} though nothing was killed or stopped")
+            when = [time.strftime("%X", time.localtime(at_ns / 1e9)) for at_ns in (before_ns, after_ns)]
+            told = f"{after} came at {when[1]} after {before} at {when[0]}, though nothing was killed or stopped"
+            found.append(told)
     return found
 
 
