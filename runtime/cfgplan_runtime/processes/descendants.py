@@ -74,7 +74,7 @@ def end_children() -> None:
 
 
 def end_marked(run: str) -> None:
-    """Kill all descendants of a run's children, whoever has adopted them."""
+    """Kill all descendants of a run's children, also those that another process has adopted."""
     killed = set[int]()
     for _ in range(_ROUNDS):  # until none is found that was started before its parent was killed
         found = {pid for pid in _folders("/proc") if serial_of(pid, run) is not None} - killed

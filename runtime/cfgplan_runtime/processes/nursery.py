@@ -1,7 +1,7 @@
 """The process that forks the children. It has imported all modules before, so that a child is ready at once.
 
-However the supervisor ends, the nursery ends too, and kills all children and everything that they have started. If a
-child ends, what it has started is killed.
+However the supervisor ends, the nursery ends too, and kills all children and their descendants. If a child ends, its
+descendants are killed.
 """
 
 from __future__ import annotations
@@ -171,7 +171,7 @@ class Nursery:
         return (pid, os.waitstatus_to_exitcode(status)) if pid else None
 
     def _kill_orphans(self) -> None:
-        """Kill adopted processes of children that have ended. Those that they have started are adopted at their end."""
+        """Kill adopted processes of children that have ended. Their own children are adopted next, and killed too."""
         living = set(self._serials.values())
         for pid in children():
             if pid not in self._serials:
