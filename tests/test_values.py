@@ -31,6 +31,7 @@ PACKAGES = (
 )
 NO_VALUES = {
     "Bench": "holds a middleware",
+    "Endings": "holds functions of a middleware",
     "Hosts": "holds functions of a middleware",
     "Manager": "owns a thread",
     "Matcher": "owns a reasoner",

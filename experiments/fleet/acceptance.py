@@ -286,6 +286,60 @@ def crowded_link(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
     return Seen(told[0] if told else "nothing was told in 40 s", holds and not events(runtime, "HostLost"))
 
 
+def measured_rate(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
+    """32 Mbit/s of pictures over a link that gives 20: the run measures it, and compresses them from then on."""
+    from cfgplan_runtime import Manager
+    from cfgplan_runtime.lifecycle.perturbations import LinkMeasured
+    from cfgplan_runtime.lifecycle.reports import Perturbed, Report
+
+    import cfgplan
+    from cfgplan.domain import Environment, Host, InputPort, OutputPort, RunOptions, Target, Transformation
+
+    size, rate_hz, _ = SLOW_LINKS["2"]
+    raw = OutputPort("n", "Raw", rate_uhz=round(rate_hz * 1e6), size_bytes=size)
+    packed = OutputPort("n", "Packed", rate_uhz=round(rate_hz * 1e6), size_bytes=size // 20)
+    picture = OutputPort("n", "Picture")
+
+    def made(label: str, host: str, upkeep_us: int, output: OutputPort, code: str, needs: str = "") -> Transformation:
+        inputs, run = (InputPort("x", needs),) if needs else (), RunOptions(rate_hz=None if needs else rate_hz)
+        more = {"params": {} if needs else {"size": size}, "source": f"measured_units.py:{code}", "host": host}
+        return Transformation(label, inputs, (output,), 1000, upkeep_us, run=run, **more)
+
+    library = (
+        made("camera", "r1", 1000, raw, "large"),
+        made("pack", "r1", 50_000, packed, "pack", "Raw"),
+        made("unpack", "base", 50_000, picture, "unpack", "Packed"),
+        made("plain", "base", 1000, picture, "same", "Raw"),
+    )
+    target = Target("pictures", "Picture", "/pictures", host="base")
+    environment = Environment(library=library, targets=(target,), hosts=tuple(Host(name) for name in HOSTS))
+    measured = list[LinkMeasured]()
+
+    def note(report: Report) -> None:
+        if isinstance(report, Perturbed) and isinstance(report.perturbation, LinkMeasured):
+            measured.append(report.perturbation)
+
+    with (
+        fleet.runtime(is_empty=True) as runtime,
+        Manager(cfgplan.world(environment, horizon_s=600), runtime, report=note) as manager,
+    ):
+        manager.settle()
+        before = {unit.transformation for unit in runtime.environment.units}
+        pictures = Listener(runtime.id, "/pictures", number=lambda one: int(one[0]))
+        pictures.await_more(4)
+        fleet.network.limit("r1", 20.0)
+        took_s = eventually(lambda: "pack" in {unit.transformation for unit in runtime.environment.units}, 60.0)
+        manager.settle()
+        pictures.await_more(10)
+        now = {unit.transformation for unit in runtime.environment.units}
+        hosts_lost = events(runtime, "HostLost")
+        fleet.network.unlimit("r1")
+    rates = ", ".join(f"{(one.rate or 0) * 8 / 1e6:.0f}" for one in measured)
+    text = f"after {took_s:.0f} s {', '.join(sorted(now))} run; {rates} Mbit/s measured"
+    right = before == {"camera", "plain"} and now == {"camera", "pack", "unpack"}
+    return Seen(text, right and not hosts_lost and all(0 < (one.rate or 0) * 8 / 1e6 <= 24 for one in measured[:1]))
+
+
 def clocks(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
     """A source moves between hosts whose clocks are 0.5 s ahead and behind: silence under 50 ms."""
     from cfgplan.domain import ChangeSet
@@ -489,6 +543,7 @@ CASES: dict[str, tuple[Callable[[Fleet, bool], Seen], float]] = {
     "overload": (overload, LEASE_S),
     "slow links": (slow_links, LEASE_S),
     "crowded link": (crowded_link, LEASE_S),
+    "measured rate": (measured_rate, LEASE_S),
     "agent killed": (agent_killed, LEASE_S),
     "clocks": (clocks, LEASE_S),
     "load": (load, LEASE_S),

@@ -4,11 +4,13 @@ python experiments/operating/soak.py [--minutes 30] [--seed 1]
 
 Each round does every deed once, in a random order: units, outlets and nursery are killed and stopped, the whole run is
 stalled, forks fail, a dead unit leaves a process behind that holds its sockets open, a unit loads slowly, the disk is
-full, the file is edited (well and badly), requests come through the control socket. There is at least one round.
+full, the file is edited (well and badly) and includes a pipe that nobody writes, requests come through the control
+socket, and guests come whose code is hostile (`hostile_guests.py`). There is at least one round.
 
 Checks: elements are lost only while something was killed or stopped, never by an edit, a request, a stall, a slow
-start, a failing fork or a full disk; none comes out of order; every target is met in the end, at exactly the cost that
-`cfgplan solve` finds for the file as it is then; no process, descriptor or thread is left over; memory stays flat.
+start, a failing fork, a full disk or a guest; none comes out of order; what each guest does is told, and a guest that
+sends nothing counts as unmet; every target is met in the end, at exactly the cost that `cfgplan solve` finds for the
+file as it is then; no process, descriptor or thread is left over, nor a daemon of a guest; memory stays flat.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ import argparse
 import json
 import os
 import random
+import re
 import resource
 import signal
 import subprocess
@@ -41,6 +44,8 @@ from cfgplan_runtime.lifecycle.seams import DeclaredCosts
 from cfgplan_runtime.operating.control_client import connect
 from cfgplan_runtime.operating.operation import Operation, Settings
 from cfgplan_runtime.processes.process_backend import OUTLETS
+from cfgplan_runtime.supervision.events import SIGNS, Event
+from hostile_guests import CODE, GUESTS, Guest
 
 from cfgplan import api
 
@@ -103,6 +108,7 @@ class Soak:
     kills_ns: list[tuple[int, int]] = field(default_factory=list)
     upkeep_us: dict[str, int] = field(default_factory=lambda: dict.fromkeys(WORKERS, 500))
     params: dict[str, dict[str, float]] = field(default_factory=lambda: {label: {} for label in WORKERS})
+    told: list[Event] = field(default_factory=list)
 
     def deeds(self) -> list[Callable[[], None]]:
         return [
@@ -121,13 +127,20 @@ class Soak:
             self.other_prices,
             self.other_params,
             self.bad_edit,
+            self.blocked_file,
             self.requests,
+            *map(self._visit, GUESTS),
         ]
 
     def listen(self) -> None:
         for received in subscribe("/result", run=self.operation.id):
             self.times_ns.append(received.time_ns)
             self.values.append(received.value)
+
+    def note(self, event: Event) -> None:
+        """Keep an event for the deed under way."""
+        if not isinstance(event, SIGNS):
+            self.told.append(event)
 
     def kill_unit(self) -> None:
         self._signal([self.randoms.choice(self._unit_pids())], signal.SIGKILL)
@@ -208,6 +221,43 @@ class Soak:
         self.path.write_text("format: cfgplan/1\ntransformations: [{")
         time.sleep(0.5)
         self.write()
+
+    def blocked_file(self) -> None:
+        """An included file that blocks whoever reads it holds up edits, and nothing else."""
+        pipe = self.path.with_name("pipe.yaml")
+        os.mkfifo(pipe)
+        whole = self.path.read_text()
+        self.path.write_text(json.dumps({**json.loads(whole), "include": [pipe.name]}))
+        time.sleep(1.0)
+        self._await_result()
+        _await(lambda: _is_given_to(pipe, "format: cfgplan/1\n"), "nobody reads the pipe")
+        self.write()
+        time.sleep(0.5)
+        pipe.unlink()
+
+    def _visit(self, guest: Guest) -> Callable[[], None]:
+        """The deed of a guest: it comes, its outcome is told, and it leaves nothing behind when it goes."""
+
+        def deed() -> None:
+            mine = re.compile(rf"{guest.label}\.\d+")
+            self.told.clear()
+            self._call("add", name=guest.label, text=guest.text)
+
+            def is_shown() -> bool:
+                of_guest = (one for one in list(self.told) if mine.fullmatch(getattr(one, "unit", None) or ""))
+                return any(map(guest.is_shown_by, of_guest))
+
+            if guest.shows is not None:
+                _await(is_shown, f"what {guest.label} does is not told")
+            if guest.target:
+                _await(lambda: guest.label in self.unmet(), f"{guest.label} sends nothing and counts as met")
+            time.sleep(1.0)
+            self._await_result()
+            self._call("withdraw", name=guest.label)
+            _await(lambda: not any(map(_is_alive, _daemons())), "daemons are left")
+
+        deed.__name__ = guest.label
+        return deed
 
     def requests(self) -> None:
         """A guest comes through the control socket, one target goes and comes back, and the guest leaves."""
@@ -330,6 +380,23 @@ def _is_alive(pid: int) -> bool:
         return False
 
 
+def _daemons() -> list[int]:
+    """The ids that daemons of guests have noted."""
+    file = Path(os.environ["CFGPLAN_SOAK_DAEMONS"])
+    return [int(line) for line in file.read_text().split()] if file.exists() else []
+
+
+def _is_given_to(pipe: Path, text: str) -> bool:
+    """Write to a pipe if somebody reads it. Returns whether somebody does."""
+    try:
+        end = os.open(pipe, os.O_WRONLY | os.O_NONBLOCK)
+    except OSError:
+        return False
+    os.write(end, text.encode())
+    os.close(end)
+    return True
+
+
 def _await(what: Callable[[], bool], else_say: str) -> None:
     deadline = time.monotonic() + PATIENCE_S
     while not what():
@@ -354,7 +421,9 @@ def anomalies(soak: Soak) -> list[str]:
             found.append(f"{after} at {after_ns} came after {before} at {before_ns}")
         excused = any(before_ns <= end + SLACK_NS and begin - SLACK_NS <= after_ns for begin, end in soak.kills_ns)
         if after != before + 1 and not excused:
-            found.append(f"{after} came after {before} though nothing was killed or stopped")
+            when = [time.strftime("%X", time.localtime(at_ns / 1e9)) for at_ns in (before_ns, after_ns)]
+            told = f"{after} came at {when[1]} after {before} at {when[0]}, though nothing was killed or stopped"
+            found.append(told)
     return found
 
 
@@ -388,6 +457,7 @@ def operated(folder: Path, seed: int) -> Iterator[Soak]:
     """A run of the soak's world, with log and recording, and a consumer."""
     path = folder / "env.json"
     (folder / "units.py").write_text(UNITS)
+    (folder / "hostile.py").write_text(CODE)
     written = Soak(None, path, random.Random(seed))  # type: ignore[arg-type]
     written.write()
     policy = Policy(back_off=BackOffRules(most_s=MOST_BACK_OFF_S))
@@ -398,6 +468,7 @@ def operated(folder: Path, seed: int) -> Iterator[Soak]:
         Operation(api.load(path), path, settings) as operation,
     ):
         written.operation = operation
+        operation.runtime.listen(written.note)
         operation.begun.wait(PATIENCE_S)
         listener = threading.Thread(target=written.listen)
         listener.start()
@@ -415,6 +486,7 @@ def soak(minutes: float, seed: int) -> dict[str, object]:
         folder = Path(name)
         os.environ["PYTHONPATH"] = os.pathsep.join([str(RUNTIME), *sys.path])
         os.environ |= {"CFGPLAN_SOAK_FULL": f"{folder}/full", "CFGPLAN_SOAK_HEIR": f"{folder}/heir"}
+        os.environ["CFGPLAN_SOAK_DAEMONS"] = f"{folder}/daemons"
         with operated(folder, seed) as run:
             while not sizes or time.monotonic() < end:
                 deeds = run.deeds()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+import zlib
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -39,6 +40,15 @@ def large(size: int) -> Iterator[Any]:
     while True:
         yield numpy.full(size, number % 256, numpy.uint8)
         number += 1
+
+
+def pack(x: Any) -> bytes:
+    """An array of bytes, compressed."""
+    return zlib.compress(x.tobytes(), 1)
+
+
+def unpack(x: bytes) -> Any:
+    return numpy.frombuffer(zlib.decompress(x), numpy.uint8)
 
 
 def same(x: Any) -> Any:

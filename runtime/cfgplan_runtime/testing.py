@@ -15,7 +15,7 @@ def test_conformance():
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -36,9 +36,11 @@ from cfgplan_runtime.errors import ApplyError, StaleChangeSetError
 from cfgplan_runtime.lifecycle.seams import Middleware
 from cfgplan_runtime.supervision.events import Applied
 
-__all__ = ["Bench", "Hosts", "check_middleware"]
+__all__ = ["Bench", "Endings", "Hosts", "check_middleware"]
 
 TOPIC = "/conformance"
+SOME_WAITING = 5
+"""The elements that wait at a slow unit when it is told to end."""
 FIRST, LAST = "!broken", "~broken"
 """Prefixes of ids of units that can't be started, sorted before and after all others."""
 
@@ -53,6 +55,25 @@ class Hosts:
     join: Callable[[str], object]
 
 
+@dataclass(frozen=True)
+class Endings:
+    """Transformations to test whether unit code is let end. Each has a `run: {stop}`, and at most the worker's input.
+
+    The code of each of `ways` notes the way in which it was let end, by label: for example that its generator or its
+    file was closed. `noted` returns how many units of a transformation have noted that so far. `slow` needs a moment
+    for each element, but less than its `stop` for a full input; `late` needs longer than its `stop`; `stubborn` stays
+    in its first step, whatever it is told. `done` returns how many elements the units of a transformation have
+    processed.
+    """
+
+    ways: Sequence[Transformation]
+    noted: Callable[[str], int]
+    slow: Transformation
+    late: Transformation
+    stubborn: Transformation
+    done: Callable[[str], int]
+
+
 @dataclass
 class Bench:
     """A middleware without units, with the functions that test it.
@@ -62,7 +83,7 @@ class Bench:
     middleware believes: `units` the running units, `topics` the topics that can be subscribed to, `gives` whether an
     element comes on a topic now, and `wires` the streams (`unit/port`) that feed each input (`unit/port`) and topic.
     `wait` lets seconds pass; after `patience_s` a promise counts as broken. Without `hosts` the loss of hosts is not
-    tested; without `wires` connections are tested only by elements.
+    tested, without `endings` the end of unit code; without `wires` connections are tested only by elements.
     """
 
     middleware: Middleware
@@ -77,6 +98,7 @@ class Bench:
     hosts: Hosts | None = None
     wires: Callable[[], Mapping[str, Collection[str]]] | None = None
     patience_s: float = 30.0
+    endings: Endings | None = None
     told: list[events.Event] = field(default_factory=list)
 
     def unit(
@@ -321,6 +343,101 @@ def _stops(bench: Bench) -> None:
     assert not bench.gives(TOPIC), "after stop() elements come"
 
 
+def _lets_code_end(bench: Bench) -> None:
+    """Unit code can clean up, whether its unit is replaced or the run ends."""
+    endings = bench.endings
+    if endings is None:
+        return
+    bench.begin()
+    first = tuple(bench.unit(1, way) for way in endings.ways)
+    bench.apply(ChangeSet(first, added_transformations=tuple(endings.ways)))
+    assert not any(endings.noted(way.label) for way in endings.ways), "code notes its end while its unit runs"
+    second = tuple(bench.unit(2, way) for way in endings.ways)
+    bench.apply(ChangeSet(second, stopped=tuple(unit.id for unit in first)))
+    _expect_noted(bench, endings, 1, "when its unit is replaced")
+    bench.middleware.stop()
+    _expect_noted(bench, endings, 2, "at stop()")
+    cut = {event.unit for event in bench.told if isinstance(event, events.UnitCutShort)}
+    assert not cut, f"{', '.join(sorted(cut))} was killed although its code ends in time"
+
+
+def _expect_noted(bench: Bench, endings: Endings, number: int, when: str) -> None:
+    for way in endings.ways:
+        assert bench._becomes(lambda way=way: endings.noted(way.label) >= number), (  # type: ignore[misc]
+            f"the code of {way.label} is not let end {when}"
+        )
+
+
+def _gives_first_what_was_taken_in(bench: Bench) -> None:
+    endings = bench.endings
+    if endings is None:
+        return
+    unit, taken = _fill(bench, endings.slow)
+    bench.apply(ChangeSet(stopped=(unit,)))
+    done = endings.done(endings.slow.label)
+    assert done >= taken, f"a unit that had got {taken} elements was stopped after {done}"
+    assert not _cuts(bench, unit), "a unit that ends within its `stop` is killed"
+
+
+def _kills_what_does_not_end(bench: Bench) -> None:
+    endings = bench.endings
+    if endings is None:
+        return
+    for transformation, waits in ((endings.late, True), (endings.stubborn, False)):
+        if not bench.middleware.environment.units:
+            bench.begin()
+        if waits:
+            unit, taken = _fill(bench, transformation)
+        else:
+            unit, taken = _feed(bench, transformation), 0
+            done = partial(endings.done, transformation.label)
+            assert bench._becomes(lambda done=done: done() > 0), f"{unit} gets nothing"  # type: ignore[misc]
+        bench.apply(ChangeSet(stopped=(unit,)))
+        cuts = _cuts(bench, unit)
+        assert len(cuts) == 1, f"UnitCutShort of {unit}, which does not end in time, is told {len(cuts)} times"
+        stop_s = (transformation.run.stop_us or 0) / 1e6
+        assert cuts[0].after_s >= stop_s, f"{unit} is killed after {cuts[0].after_s} s, before its `stop` is over"
+        lost, most = cuts[0].waiting, taken - endings.done(transformation.label)
+        assert not waits or lost >= most, f"{lost} elements are told as lost with {unit}, and {most} are"
+        died = [event for event in bench.told if isinstance(event, events.UnitDied) and event.unit == unit]
+        assert not died, f"{unit} was told to end, and its end is told as a death"
+
+
+def _feed(bench: Bench, transformation: Transformation) -> str:
+    """Start a unit of a transformation, fed by the source. Returns its id."""
+    if not bench.middleware.environment.units:
+        bench.begin()
+    unit = bench.unit(1, transformation)
+    bench.apply(ChangeSet((unit,), added_transformations=(transformation,)))
+    return unit.id
+
+
+def _fill(bench: Bench, transformation: Transformation) -> tuple[str, int]:
+    """Start a unit of a transformation, and wait until elements wait at it. Returns its id, and how many it has got."""
+    unit = _feed(bench, transformation)
+    got = [0]
+
+    def is_filled() -> bool:
+        for observation in bench.middleware.observe():
+            if observation.unit == unit:
+                waiting = sum(counts.waiting for counts in observation.inputs.values())
+                got[0] = observation.steps + waiting
+                return waiting >= SOME_WAITING
+        return False
+
+    assert bench._becomes(is_filled), f"observe() tells of no elements that wait at {unit}, which is slow"
+    return unit, got[0]
+
+
+def _cuts(bench: Bench, unit: str) -> list[events.UnitCutShort]:
+    return [event for event in bench.told if isinstance(event, events.UnitCutShort) and event.unit == unit]
+
+
+ENDING_CHECKS: tuple[Callable[[Bench], None], ...] = (
+    _lets_code_end,
+    _gives_first_what_was_taken_in,
+    _kills_what_does_not_end,
+)
 CHECKS: tuple[Callable[[Bench], None], ...] = (
     _applies,
     _rewires,
@@ -332,4 +449,5 @@ CHECKS: tuple[Callable[[Bench], None], ...] = (
     _goes_on_where_nothing_is_waited_for,
     _buries_what_a_lost_host_ran,
     _stops,
+    *ENDING_CHECKS,
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -25,6 +26,21 @@ def count_until(note: str) -> Iterator[int]:
         yield number
         number += 1
     Path(note).write_text(str(number - 1))
+
+
+def count_beside_a_daemon(note: str) -> Iterator[int]:
+    """0, 1, 2, ...; a process of a session of its own, whose parent ends, notes its id in the file `note`."""
+    between = os.fork()
+    if between == 0:
+        os.setsid()
+        if os.fork() == 0:
+            Path(note).write_text(str(os.getpid()))
+            time.sleep(3600)
+        os._exit(0)
+    os.waitpid(between, 0)
+    for number in count():
+        yield number
+        time.sleep(0.1)
 
 
 def same(x: Any) -> Any:

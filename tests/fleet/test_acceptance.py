@@ -20,6 +20,7 @@ CASES = (
     "agent killed",
     "slow links",
     "crowded link",
+    "measured rate",
     "clocks",
     "storm",
     "host returns",

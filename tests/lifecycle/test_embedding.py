@@ -5,23 +5,22 @@ from __future__ import annotations
 import re
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
 import pytest
-from cfgplan_runtime import Manager, NoSuchTopicError, Policy, Runtime, SimulatedRuntime, UnitDied, subscribe
+from cfgplan_runtime import Manager, Policy, SimulatedRuntime, UnitDied
 from cfgplan_runtime.errors import ApplyError, RuntimeFaultError, StaleChangeSetError
 from cfgplan_runtime.lifecycle.changes import Add, KillUnit
 from cfgplan_runtime.lifecycle.reports import Decision, Ended, Report
-from cfgplan_runtime.streams.run_folder import base_folder, topics_of
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
-from cfgplan_runtime.testing import FIRST, LAST, Bench, Hosts, check_middleware
+from cfgplan_runtime.testing import Bench, Hosts, check_middleware
 from living import RESULT, source, worker
-from real_run import PROGRAM, PROGRAMS, UNITS
-from unit_signals import signal_unit
+from real_bench import real_bench
+from real_run import PROGRAMS
 
 from cfgplan import api
 from cfgplan.domain import ChangeSet, Environment, RunOptions, Target, Transformation
@@ -372,35 +371,6 @@ def simulated_bench() -> Iterator[Bench]:
         Hosts("near", "far", runtime.backend.lose_host, runtime.backend.join_host),
         wires,
     )
-
-
-def gives(topic: str, run: str) -> bool:
-    """Whether an element of a run comes on a topic within a second."""
-    with suppress(NoSuchTopicError, TimeoutError), subscribe(topic, run=run, timeout_s=1.0) as subscription:
-        return next(iter(subscription), None) is not None
-    return False
-
-
-@contextmanager
-def real_bench(folder: Path, code: str, run: RunOptions) -> Iterator[Bench]:
-    (folder / "units.py").write_text(UNITS)
-    (folder / "worker_program.py").write_text(PROGRAM)
-    params = {"name": "x"}
-    with Runtime(folder=folder) as runtime:
-        yield Bench(
-            runtime,
-            source(source="units.py:count", run=RunOptions(rate_hz=100)),
-            worker(source=code, params=params, run=run),
-            worker("broken", source=code, params={**params, "deed": "die at start"}, run=run),
-            lambda unit: signal_unit(runtime, unit),
-            lambda: [
-                name
-                for name in ("count.1", "count.2", "work.1", "work.2", FIRST, LAST)
-                if runtime.pid(name) is not None
-            ],
-            lambda: topics_of(base_folder() / runtime.id),
-            lambda topic: gives(topic, runtime.id),
-        )
 
 
 @pytest.mark.parametrize("make", [bench_of_nodelets, simulated_bench])

@@ -15,6 +15,7 @@ from cfgplan_runtime.errors import ControlError, NoSuchRunError
 from cfgplan_runtime.lifecycle import changes
 from cfgplan_runtime.lifecycle.deliberation import Thought
 from cfgplan_runtime.lifecycle.reports import Decision
+from cfgplan_runtime.operating import control_server
 from cfgplan_runtime.operating.control_client import Control, connect, connect_to
 from cfgplan_runtime.operating.control_server import MOST_CLIENTS, MOST_WAITING_EVENTS, ControlServer
 from cfgplan_runtime.operating.protocol import RefusedError
@@ -305,6 +306,25 @@ def test_there_are_not_too_many_clients(run_folder: RunFolder) -> None:
         connect_to(run_folder.path)
     for client in clients:
         client.close()
+
+
+@pytest.mark.usefixtures("server")
+def test_an_idle_client_makes_room_for_another_and_one_that_listens_stays(
+    run_folder: RunFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with connect() as listening:
+        listening.subscribe()
+        idle = [connect() for _ in range(MOST_CLIENTS - 1)]
+        idle[0].call("state")
+        monkeypatch.setattr(control_server, "IDLE_S", 0.0)
+        with connect_to(run_folder.path) as late:
+            assert late.call("state")["phase"] == "stable"
+        with pytest.raises(ControlError, match="has ended"):
+            idle[1].call("state")
+        assert idle[0].call("state")["phase"] == "stable"
+        assert listening.call("state")["phase"] == "stable"
+        for client in idle:
+            client.close()
 
 
 def test_closing_ends_the_clients_and_removes_the_socket(run_folder: RunFolder, server: ControlServer) -> None:

@@ -401,6 +401,24 @@ def test_the_first_interrupt_lets_units_finish_and_the_second_does_not_wait(env:
     assert not list(Path(os.environ["XDG_RUNTIME_DIR"], "cfgplan").iterdir())
 
 
+def test_an_interrupt_does_not_wait_for_a_unit_that_never_loads(env: Path, tmp_path: Path) -> None:
+    begun = tmp_path / "begun"
+    loading = f"from pathlib import Path\nPath({str(begun)!r}).touch()\ndef loads(x):\n    return x\nwhile True: pass\n"
+    (tmp_path / "loads.py").write_text(loading)
+    (tmp_path / "counts.py").write_text("def count():\n    yield from range(10**9)\n")
+    env.write_text(
+        "format: cfgplan/1\ntransformations:\n"
+        "  - {label: count, source: 'counts.py:count', run: {rate: 10}, outputs: {n: N}}\n"
+        "  - {label: loads, source: 'loads.py:loads', inputs: {x: N}, outputs: {y: Y}}\n"
+        "targets: [{label: y, topic: /y, tag: Y}]\n"
+    )
+    with running(env) as process:
+        eventually(begun.exists)
+        process.send_signal(signal.SIGINT)
+        told, _ = process.communicate(timeout=PATIENCE_S)
+    assert "was not ready within" not in told
+
+
 def test_a_dry_run_says_what_it_would_start_and_starts_nothing(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (env.parent / "units.py").write_text(UNITS + "raise SystemError('was started')\n")
     assert main(["run", str(env), "--dry-run", "--no-estimates"]) == 0

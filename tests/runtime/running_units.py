@@ -7,9 +7,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
+from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy
 from cfgplan_runtime import At
@@ -90,6 +92,23 @@ class SameWithHeir:
 
 def add(a: int, b: int) -> int:
     return a + b
+
+
+def square(x: int) -> int:
+    return x * x
+
+
+class Pool:
+    """Squares in a process that it starts by `multiprocessing`."""
+
+    def __init__(self, method: Literal["fork", "forkserver", "spawn"]) -> None:
+        self.pool = ProcessPoolExecutor(1, mp_context=get_context(method))
+
+    def __call__(self, x: int) -> int:
+        return self.pool.submit(square, x).result()
+
+    def close(self) -> None:
+        self.pool.shutdown(cancel_futures=True)
 
 
 class Slow:

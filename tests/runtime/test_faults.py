@@ -153,7 +153,8 @@ def test_who_goes_on_printing_for_a_dead_unit_stops_nobody(run_units: StartRunti
         runtime.apply(start(unit("leaving.2", x="count.1/n")))
         eventually(lambda: any(o.unit == "leaving.2" and o.steps > 5 for o in runtime.observe()))
     finally:
-        os.kill(int(note.read_text()), signal.SIGKILL)
+        with suppress(ProcessLookupError):  # it has ended with its unit
+            os.kill(int(note.read_text()), signal.SIGKILL)
 
 
 def test_a_unit_that_writes_into_foreign_descriptors_takes_nobody_with_it(
@@ -473,6 +474,18 @@ def test_only_the_user_can_reach_the_topics(run_units: StartRuntime, nothing_is_
     runtime = run_units(source())
     runs = nothing_is_left_behind / "cfgplan"
     assert (runs.stat().st_mode & 0o777, (runs / runtime.id).stat().st_mode & 0o777) == (0o700, 0o700)
+
+
+@pytest.mark.parametrize("method", ["fork", "forkserver", "spawn"])
+def test_unit_code_may_use_processes_of_its_own(run_units: StartRuntime, method: str) -> None:
+    runtime = run_units(source(rate_hz=10), worker("square", "Pool", method=method))
+    runtime.apply(start(unit("count.1"), unit("square.1", topic="/result", x="count.1/n")))
+    listener = Listener("/result")
+    eventually(lambda: len(listener.values) > 3)
+    assert seen(runtime, UnitFailed) == []
+    runtime.close()
+    listener.join()
+    assert all(round(value**0.5) ** 2 == value for value in listener.values)
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full, a disk that is always full")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tracemalloc
 from contextlib import suppress
 from typing import Any
 
@@ -15,6 +16,7 @@ from cfgplan_runtime.streams.payload import PayloadEncoder, decode
 from hypothesis import given
 from hypothesis import strategies as st
 
+MASKED = numpy.ma.masked_array([1.0, 2.0], [False, True])
 VALUES = st.recursive(
     st.none()
     | st.booleans()
@@ -62,7 +64,7 @@ def test_numpy_numbers_arrive_as_plain_ones() -> None:
     assert there_and_back([numpy.float64(1.5), numpy.int32(3), numpy.bool_(True)]) == [1.5, 3, True]
 
 
-@pytest.mark.parametrize("value", [object(), 2**70, {1j: 2}, numpy.array([object()]), lambda: 0])
+@pytest.mark.parametrize("value", [object(), 2**70, {1j: 2}, numpy.array([object()]), lambda: 0, MASKED, [MASKED]])
 def test_what_can_not_travel_is_refused(value: object) -> None:
     with pytest.raises(EncodingError):
         PayloadEncoder().encode(value)
@@ -95,6 +97,22 @@ def test_a_channel_gives_what_was_put_in(sizes: list[int]) -> None:
     assert [(one.time_ns, one.number, bytes(one.payload)) for one in got] == [
         (number, number, bytes([number]) * size) for number, size in enumerate(sizes)
     ]
+
+
+@pytest.mark.parametrize("garbage", [b"garbage " * 100, b"\xff" * 100, bytes(100)])
+def test_bytes_that_are_no_element_end_a_channel_and_take_no_memory(garbage: bytes) -> None:
+    ends = socket_pair()
+    sender, receiver = Sender(ends[0], queue=3, blocks=False), Receiver(ends[1])
+    sender.offer(Outgoing(1, 0, [b"whole"]))
+    sender.socket.sendall(garbage)
+    tracemalloc.start()
+    assert [bytes(element.payload) for element in receiver.read()] == [b"whole"]
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert receiver.has_ended
+    assert peak < 1 << 20
+    for end in ends:
+        end.close()
 
 
 def test_a_full_channel_drops_the_oldest_and_the_numbers_tell() -> None:

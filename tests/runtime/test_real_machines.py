@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,7 +33,8 @@ def heir(tmp_path: Path) -> Iterator[str]:
     """Where the process that a unit leaves behind notes its id."""
     note = tmp_path / "heir"
     yield str(note)
-    os.kill(int(note.read_text()), signal.SIGKILL)
+    with suppress(ProcessLookupError):  # it has ended with its unit
+        os.kill(int(note.read_text()), signal.SIGKILL)
 
 
 def kill(runtime: Runtime, unit_id: str) -> None:

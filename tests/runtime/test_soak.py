@@ -19,6 +19,7 @@ def test_whatever_real_machines_do_a_run_ends_up_at_the_cost_of_a_fresh_plan() -
     pytest.importorskip("mcap", reason="the soak records: it needs cfgplan[record]")
     told = soaked("operating", "--minutes", "0", "--seed", "3")
     assert "'stop_nursery': 1" in told
+    assert "'guest_forks': 1" in told
     assert "as a fresh plan" in told
 
 

@@ -8,7 +8,8 @@ import socket
 import struct
 from collections import deque
 from collections.abc import Iterator, Sequence
-from typing import Generic, TypeVar
+from functools import cache
+from typing import Any, Generic, TypeVar
 
 import msgspec
 
@@ -21,6 +22,12 @@ _LONGEST_MESSAGE = 1 << 28
 """The most bytes of a message; the longest ones have the state of a unit."""
 
 
+@cache
+def decoder(incoming: object) -> msgspec.msgpack.Decoder[Any]:
+    """The decoder of the messages of a type. It is kept: a child takes over the one of its nursery."""
+    return msgspec.msgpack.Decoder(incoming)
+
+
 class ControlConnection(Generic[Incoming]):
     """One end of a connection. Sending never blocks: messages wait for `flush` until the socket takes them."""
 
@@ -30,7 +37,7 @@ class ControlConnection(Generic[Incoming]):
         self.has_ended = False
         self.is_garbled = False
         """Whether it has ended because of bytes that were no message."""
-        self._decoder: msgspec.msgpack.Decoder[Incoming] = msgspec.msgpack.Decoder(incoming)
+        self._decoder: msgspec.msgpack.Decoder[Incoming] = decoder(incoming)
         self._received = bytearray()
         self._descriptors: deque[int] = deque()
         self._waiting: deque[tuple[bytes, list[socket.socket]]] = deque()

@@ -40,6 +40,8 @@ class UnitOrder(msgspec.Struct, frozen=True, tag=True):
     """The number of streams of each input that takes several; ALL: every matching one."""
     qualities: dict[str, dict[str, str | None]] = {}
     """By output: the quality attributes that it states, each with the field of a value that says it, if one does."""
+    idle_sign_ns: int = 1_000_000_000
+    """Nanoseconds between two signs of life while nothing comes and nothing is done."""
 
 
 class SpareOrder(msgspec.Struct, frozen=True, tag=True):

@@ -18,13 +18,13 @@ from cfgplan_runtime.children.program import ProgramCode
 from cfgplan_runtime.children.program_source import names_program
 from cfgplan_runtime.children.steps import Step, StepQueue
 from cfgplan_runtime.children.unit_code import Given, UnitCode, imported_files
+from cfgplan_runtime.children.unit_order import SIGN_NS
 from cfgplan_runtime.errors import EncodingError, ProgramEndedError, ProgramFaultError, WrongPortsError
 from cfgplan_runtime.streams.element import Element, Moment, Outgoing
 from cfgplan_runtime.streams.inlet import InputQueue, port_of
 from cfgplan_runtime.streams.payload import PayloadEncoder, decode
 from cfgplan_runtime.streams.said_qualities import SaidQualities
 
-STATUS_PERIOD_S = 1.0
 _LONGEST_WORK_NS = 1_000_000
 """Nanoseconds of back-to-back steps after which sockets are looked at again."""
 _BLOCKED_NS = 500_000_000
@@ -94,6 +94,8 @@ class UnitChild:
         self._raised: Exception | None = None
         """The last exception of a source that has given nothing since; the cause if the source then ends."""
         self._tick_ns = 0
+        self._is_idle = False
+        """Whether nothing has come and nothing was due since the last sign of life."""
 
     def await_beginning(self) -> str | None:
         """Wait, as a spare, until told to be a unit. Returns its id; None if the supervisor is gone."""
@@ -112,7 +114,7 @@ class UnitChild:
         Raises SystemExit if unit code does, and the last exception of a source that gives nothing after it.
         """
         self._ports.say(messages.Ready(self._cpu_ns()))
-        self._status_ns = self._tick_ns = time.monotonic_ns()
+        self._said_ns = self._status_ns = self._tick_ns = time.monotonic_ns()
         try:
             self._go_on()
         except SystemExit:
@@ -137,9 +139,12 @@ class UnitChild:
         while not self._ports.has_ended:
             self._watch_program()
             self._ports.ends.wait(self._patience_s())
-            self._work()
+            if time.monotonic_ns() < self._status_ns:  # something has come or is due, and will be counted soon
+                self._is_idle = False
+                self._status_ns = min(self._status_ns, self._said_ns + SIGN_NS)
             if time.monotonic_ns() >= self._status_ns:
                 self._give_sign()
+            self._work()
             if self._is_finishing and not self._has_work and self._ports.is_flushed:
                 self._close_code()
                 self._say_status()
@@ -355,13 +360,15 @@ class UnitChild:
 
     def _give_sign(self) -> None:
         """Give a sign of life, unless a program is silent though it has been asked."""
-        if self._program is not None and self._program.silent_ns() > STATUS_PERIOD_S * 1e9:
-            self._status_ns = time.monotonic_ns() + int(STATUS_PERIOD_S * 1e9)
+        if self._program is not None and self._program.silent_ns() > SIGN_NS:
+            self._status_ns = time.monotonic_ns() + SIGN_NS
         else:
             self._say_status()
 
     def _say_status(self) -> None:
-        self._status_ns = time.monotonic_ns() + int(STATUS_PERIOD_S * 1e9)
+        self._said_ns = time.monotonic_ns()
+        self._status_ns = self._said_ns + (self._order.idle_sign_ns if self._is_idle else SIGN_NS)
+        self._is_idle = True
         if self._reported > _MOST_REPORTS:
             kind, text = self._suppressed
             self._ports.say(messages.Trouble(kind, self.step, text, self._reported - _MOST_REPORTS))

@@ -164,7 +164,8 @@ def imported_files(folder: Path) -> dict[str, int]:
 def _module_of_file(path: Path) -> ModuleType:
     if not path.is_file():
         raise BadSourceError(f"there is no file {path}")
-    name = f"cfgplan_units_{path.stem}"
+    # Processes that unit code spawns import it by this name, from the folder in sys.path.
+    name = path.stem if path.stem not in sys.modules else f"cfgplan_units_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
         raise BadSourceError(f"{path} is no Python file")

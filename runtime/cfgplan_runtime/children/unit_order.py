@@ -5,6 +5,11 @@ from __future__ import annotations
 from cfgplan.domain import Transformation
 from cfgplan_runtime.children.messages import UnitOrder
 
+SIGN_NS = 1_000_000_000
+"""Nanoseconds between two signs of life of a unit that works."""
+_IDLE_SIGN_NS = 4_000_000_000
+"""The most nanoseconds between two signs of life of an idle unit."""
+
 
 def unit_order(unit: str, transformation: Transformation, state: bytes | None) -> UnitOrder:
     """The order for a unit of a transformation. Its code folder and clock are those of the computer that starts it."""
@@ -31,5 +36,11 @@ def unit_order(unit: str, transformation: Transformation, state: bytes | None) -
             if port.quality
         },
         format=run.format,
+        idle_sign_ns=_idle_sign_ns(run.hang_us),
         memory_bytes=None if run.memory_mb is None else run.memory_mb << 20,
     )
+
+
+def _idle_sign_ns(hang_us: int | None) -> int:
+    """The time between two signs of life of an idle unit: at most a third of the silence after which it is killed."""
+    return _IDLE_SIGN_NS if not hang_us else min(_IDLE_SIGN_NS, max(SIGN_NS, hang_us * 1000 // 3))

@@ -15,6 +15,8 @@ from cfgplan.formats.document import Document, read_document
 from cfgplan_runtime.lifecycle.changes import ReplaceWorld
 from cfgplan_runtime.lifecycle.manager import Manager
 
+_STEP_MS = 100
+"""The thread wakes this often to see whether the system has told of a change."""
 QUIET_S = 0.05
 """A change is reported after this many seconds without another one."""
 LOOK_MS = 1000
@@ -81,7 +83,7 @@ class FileWatch:
         for _ in watch(
             *folders,
             watch_filter=None,
-            step=20,
+            step=_STEP_MS,
             rust_timeout=LOOK_MS,
             yield_on_timeout=True,
             recursive=False,

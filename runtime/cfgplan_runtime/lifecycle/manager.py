@@ -37,7 +37,7 @@ from cfgplan_runtime.lifecycle.guarded_estimator import GuardedEstimator
 from cfgplan_runtime.lifecycle.inbox import Asked, FactSeen, Inbox, Item, Leave, Outcome, PreviewAsked, Unusable
 from cfgplan_runtime.lifecycle.perturbations import Started
 from cfgplan_runtime.lifecycle.policy import Policy
-from cfgplan_runtime.lifecycle.reports import Report, Snapshot, UnitEvent
+from cfgplan_runtime.lifecycle.reports import Report, Snapshot, TargetView, UnitEvent
 from cfgplan_runtime.lifecycle.seams import DeclaredCosts, Estimator, Middleware, SystemClock, TimeSource
 from cfgplan_runtime.lifecycle.state import State
 from cfgplan_runtime.lifecycle.stream_qualities import quality_views
@@ -157,7 +157,7 @@ class Manager:
             now,
             state.phase,
             as_it_runs(world.environment, running),
-            target_views(world.environment, running, state.reviews, situation.silences, now),
+            self.targets,
             unit_views(running, situation, state.observations),
             tuple(entry.perturbation for entry in state.entries),
             state.reviews,
@@ -177,6 +177,13 @@ class Manager:
             seen.qualities_now,
             quality_views(world.environment.with_facts(situation.facts), state, now),
         )
+
+    @property
+    def targets(self) -> tuple[TargetView, ...]:
+        """Each target as it is at this moment: a small part of `snapshot`."""
+        state, running = self._state, self._middleware.environment
+        wanted = state.living.world.environment
+        return target_views(wanted, running, state.reviews, state.situation.silences, self._clock.now())
 
     @property
     def world(self) -> World:

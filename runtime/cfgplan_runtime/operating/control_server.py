@@ -9,6 +9,7 @@ import os
 import queue
 import socket
 import threading
+import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -31,6 +32,8 @@ Method = Callable[[Mapping[str, Any]], Record]
 """Carries out a request with these params and returns the result; raises RefusedError."""
 
 MOST_CLIENTS = 32
+IDLE_S = 5.0
+"""Seconds after which a client that asks for nothing makes room for another, if there are MOST_CLIENTS."""
 MOST_WAITING_EVENTS = 1000
 _CLIENTS_WAITING = 16
 _REQUEST_CHUNK = 1 << 16
@@ -96,6 +99,8 @@ class ControlServer(Closable):
                 threading.Event().wait(0.1)
                 continue
             with self._lock:
+                if len(self._clients) >= MOST_CLIENTS:
+                    self._dismiss_an_idle_one()
                 welcome = len(self._clients) < MOST_CLIENTS and not self._is_closed
                 if welcome:
                     client = _Client(end, self._methods, self._greeting, self._forget)
@@ -107,6 +112,14 @@ class ControlServer(Closable):
                 with suppress(OSError):
                     end.sendall(line(refusal(None, busy)), socket.MSG_DONTWAIT)
                 end.close()
+
+    def _dismiss_an_idle_one(self) -> None:
+        """Disconnect the client that has asked for nothing for the longest time, at least IDLE_S, if there is one."""
+        idle = [client for client in self._clients if client.idle_s() >= IDLE_S]
+        if idle:
+            longest = max(idle, key=_Client.idle_s)
+            self._clients.discard(longest)
+            longest.close()
 
     def _forget(self, client: _Client) -> None:
         with self._lock:
@@ -133,11 +146,20 @@ class _Client:
         self._dropped = 0
         self._brought: list[str] = []
         """Names of what was added only for the time of this connection."""
+        self._is_answering = False
+        self._asked_s = time.monotonic()
+        """When it last got an answer, or connected."""
         self._answerer = threading.Thread(target=self._answer, name="cfgplan-control-client", daemon=True)
         self._teller = threading.Thread(target=self._tell, name="cfgplan-control-events", daemon=True)
 
     def start(self) -> None:
         self._answerer.start()
+
+    def idle_s(self) -> float:
+        """Seconds since its last request; 0 during one, and if it waits for events or has added something."""
+        if self._is_answering or self.is_subscribed or self._brought:
+            return 0.0
+        return time.monotonic() - self._asked_s
 
     def publish(self, event: Record) -> None:
         try:
@@ -154,7 +176,9 @@ class _Client:
         try:
             self._send(self._hello)
             for data in self._lines():
+                self._is_answering = True
                 self._send(self._reply(data))
+                self._is_answering, self._asked_s = False, time.monotonic()
         except OSError:
             pass
         finally:

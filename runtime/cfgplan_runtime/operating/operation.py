@@ -29,7 +29,7 @@ from cfgplan_runtime.lifecycle.changes import ReplaceWorld
 from cfgplan_runtime.lifecycle.file_watch import WorldWatch
 from cfgplan_runtime.lifecycle.manager import Manager
 from cfgplan_runtime.lifecycle.policy import Policy
-from cfgplan_runtime.lifecycle.reports import Decision, Ended, Observed, Report, Reviewed
+from cfgplan_runtime.lifecycle.reports import Decision, Ended, Observed, Phase, Report, Reviewed
 from cfgplan_runtime.operating.control_server import ControlServer
 from cfgplan_runtime.operating.crowded_links import CrowdedLinks
 from cfgplan_runtime.operating.flows import Flows, Following
@@ -161,7 +161,11 @@ class Operation(Closable):
         return self._unmet is not None and not self._unmet | self._silent
 
     def observe(self) -> None:
-        """Note in the ledger what units have used by now. Does nothing after the end."""
+        """Note in the ledger what units have used by now. Does nothing after the end, and during a review, since its
+        update may wait long for a new unit.
+        """
+        if self.manager.snapshot().phase is not Phase.STABLE:
+            return
         with contextlib.suppress(RuntimeFaultError):
             self.ledger.note(self.runtime.observe(), time.monotonic())
 
@@ -299,7 +303,7 @@ class Operation(Closable):
     def _tell_of_silence(self) -> None:
         """Warn once for each met target on whose topic nothing comes, and again if something has come in between."""
         now, flows = time.monotonic(), self.flows.now()
-        for target in self.manager.snapshot().targets:
+        for target in self.manager.targets:
             if not target.topic:
                 continue
             silent_s = flows.get(target.topic, Flow()).silent_s

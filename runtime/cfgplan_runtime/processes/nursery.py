@@ -1,6 +1,7 @@
 """The process that forks the children. It has imported all modules before, so that a child is ready at once.
 
-However the supervisor ends, the nursery ends too and kills all children.
+However the supervisor ends, the nursery ends too, and kills all children and their descendants. If a child ends, its
+descendants are killed.
 """
 
 from __future__ import annotations
@@ -26,12 +27,13 @@ from collections.abc import Sequence
 from setproctitle import setproctitle
 
 from cfgplan_runtime.children import messages
-from cfgplan_runtime.children.control import ControlConnection
+from cfgplan_runtime.children.control import ControlConnection, decoder
 from cfgplan_runtime.children.outlet_child import NO_DESCRIPTOR, OutletChild
 from cfgplan_runtime.children.unit_child import UnitChild
 from cfgplan_runtime.children.unit_code import UNIT_VARIABLE
 from cfgplan_runtime.errors import ProgramEndedError
 from cfgplan_runtime.processes.child_process import kill_group
+from cfgplan_runtime.processes.descendants import adopt_orphans, children, end_children, put_mark, serial_of
 
 DUMP_SIGNAL = signal.SIGUSR1
 INTERRUPT_SIGNAL = signal.SIGUSR2
@@ -63,6 +65,7 @@ class Nursery:
         # A kill from the kernel would leave what the children have started: their groups are killed first.
         signal.signal(signal.SIGTERM, lambda *_: self._leave())
         tell_of_parents_death(signal.SIGTERM)
+        adopt_orphans()
         signal.signal(signal.SIGCHLD, lambda *_: None)
         signal.set_wakeup_fd(self._bell_rope.fileno(), warn_on_full_buffer=False)
         self._selector.register(self._bell, selectors.EVENT_READ)
@@ -86,6 +89,7 @@ class Nursery:
         signal.set_wakeup_fd(-1)
         for pid in self._serials:
             kill_group(pid)
+        end_children()
 
     def _leave(self) -> None:
         self._is_left = True
@@ -102,6 +106,7 @@ class Nursery:
             status = FAILED
             try:
                 self._become_child(parent)
+                put_mark(self._run, serial)
                 status = be_child(order, *sockets, run=self._run)
             finally:
                 os._exit(status)
@@ -136,11 +141,43 @@ class Nursery:
                     os.kill(pid, number)
 
     def _reap(self) -> None:
-        for pid, serial in list(self._serials.items()):
-            status = _end_of(pid)
-            if status is not None:
-                del self._serials[pid]
-                self._control.send(messages.Gone(serial, status))
+        has_ended = False
+        while (ended := self._next_ended()) is not None:
+            has_ended = True
+            pid, status = ended
+            if pid in self._serials:
+                self._control.send(messages.Gone(self._serials.pop(pid), status))
+        if has_ended:
+            self._kill_orphans()
+
+    def _next_ended(self) -> tuple[int, int] | None:
+        """Reap a child that has ended, or an adopted process. Returns its id and exit status; None if none has ended.
+
+        If the system allows it, a child's process group is killed before the child is reaped, as afterwards its number
+        may be reused.
+        """
+        try:
+            if hasattr(os, "waitid"):
+                seen = os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)
+                if seen is None:
+                    return None
+                if seen.si_pid in self._serials:
+                    kill_group(seen.si_pid)
+                pid, status = os.waitpid(seen.si_pid, 0)
+            else:
+                pid, status = os.waitpid(-1, os.WNOHANG)
+        except ChildProcessError:
+            return None
+        return (pid, os.waitstatus_to_exitcode(status)) if pid else None
+
+    def _kill_orphans(self) -> None:
+        """Kill adopted processes of children that have ended. Their own children are adopted next, and killed too."""
+        living = set(self._serials.values())
+        for pid in children():
+            if pid not in self._serials:
+                serial = serial_of(pid, self._run)
+                if serial is not None and serial not in living:
+                    kill_group(pid)
 
 
 def be_child(order: messages.ChildOrder, control_end: socket.socket, printed: socket.socket, *, run: str) -> int:
@@ -226,20 +263,6 @@ def _limit_memory(limit: int | None) -> None:
         resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
 
 
-def _end_of(pid: int) -> int | None:
-    """The exit status of a child that has ended; None while it lives.
-
-    If the system allows it, the child's process group is killed before the child is reaped, as afterwards its number
-    may be reused.
-    """
-    if hasattr(os, "waitid"):
-        if os.waitid(os.P_PID, pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
-            return None
-        kill_group(pid)
-    found, status = os.waitpid(pid, os.WNOHANG)
-    return os.waitstatus_to_exitcode(status) if found == pid else None
-
-
 def main(arguments: Sequence[str]) -> None:
     """Run as a nursery. Arguments: control socket's number, supervisor's process id, run's id, modules to import."""
     number, parent, run, *preload = arguments
@@ -249,6 +272,7 @@ def main(arguments: Sequence[str]) -> None:
     for name in preload:
         with contextlib.suppress(Exception):  # the units that import it will report what is wrong
             importlib.import_module(name)
+    decoder(messages.ToChild)
     gc.collect()
     gc.freeze()
     Nursery(socket.socket(fileno=int(number)), run).run()

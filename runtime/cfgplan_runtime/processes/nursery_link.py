@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.messages import ChildOrder, Fork, FromNursery, Interrupt, Kill
+from cfgplan_runtime.processes.descendants import end_marked
 
 _CODE = "import sys; from cfgplan_runtime.processes.nursery import main; main(sys.argv[1:])"
 _PATIENCE_AT_CLOSE_S = 5.0
@@ -102,3 +103,5 @@ class NurseryLink:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+        if self._process.returncode:  # it was killed, and has ended nothing
+            end_marked(self._run)

@@ -259,7 +259,12 @@ class Ros1Backend:
 
     def note_late(self, node: str, topics: list[str]) -> None:
         line = f"cfgplan: {node} does not publish {', '.join(topics)}: what is it called in its code (`remap`)?"
-        self._post(node, lambda of: self._events.append(events.UnitPrinted(of.unit, line)))
+
+        def tell(of: _UnitNode) -> None:
+            if not of.is_stopping:  # a node that ends withdraws its topics first
+                self._events.append(events.UnitPrinted(of.unit, line))
+
+        self._post(node, tell)
 
     def note_silence(self, node: str) -> None:
         self._post(node, self._note_silence)

@@ -229,9 +229,7 @@ class TopicRelay:
     def _lead_service(self, order: Lead) -> None:
         inlet = self._services.setdefault(order.target, order)
         if inlet is order:
-            self._to_master.submit(
-                self._ask_master, "registerService", order.target, self._service_place, self._api.address
-            )
+            self._to_master.submit(self._offer, order)
         self._service_relay.lead(order.wire, order.source, order.target)
         self._say(Switched(order.inlet, order.wire))
 
@@ -459,10 +457,12 @@ class TopicRelay:
                 end.sendall(header_of({"error": str(error)}))
             end.close()
         else:
-            self._posted.post(lambda: self._add_writer(publication, end))
+            self._posted.post(lambda: self._add_writer(publication, end, header["md5sum"]))
 
-    def _add_writer(self, publication: _Publication, end: socket.socket) -> None:
-        if self._publications.get(publication.topic) is not publication:
+    def _add_writer(self, publication: _Publication, end: socket.socket, md5sum: str) -> None:
+        """Begin to send to a subscriber, unless its topic has ended, or changed its type since they agreed on it."""
+        is_current = self._publications.get(publication.topic) is publication
+        if not is_current or publication.header is None or publication.header["md5sum"] != md5sum:
             end.close()
             return
         writer = MessageWriter(end, publication.queue)
@@ -498,21 +498,65 @@ class TopicRelay:
 
     # What the master is told, in the thread for that.
 
+    def _offer(self, service: Lead) -> None:
+        self._ask_until_answered(
+            "registerService",
+            service.target,
+            self._service_place,
+            self._api.address,
+            is_wanted=lambda: self._services.get(service.target) is service,
+            then=lambda _: None,
+        )
+
     def _subscribe(self, topic: str) -> None:
-        again_s = _CONNECT_AGAIN_S
-        while any(one.topic == topic for one in list(self._sources.values())):
-            publishers = self._ask_master("registerSubscriber", topic, "*", self._api.address)
-            if publishers is not None:
-                self._note_publishers(topic, publishers, adds=True)
-                return
-            time.sleep(again_s)
-            again_s = min(2 * again_s, _MOST_CONNECT_AGAIN_S)
+        self._ask_until_answered(
+            "registerSubscriber",
+            topic,
+            "*",
+            self._api.address,
+            is_wanted=lambda: any(one.topic == topic for one in list(self._sources.values())),
+            then=lambda publishers: self._note_publishers(topic, publishers, adds=True),
+        )
 
     def _register(self, publication: _Publication, kind: str, then: Callable[[], None]) -> None:
-        if not publication.is_known:
-            self._ask_master("registerPublisher", publication.topic, kind, self._api.address)
-        publication.is_known = True
-        self._posted.post(then)
+        if publication.is_known:
+            self._posted.post(then)
+            return
+
+        def registered(_: list[str]) -> None:
+            publication.is_known = True
+            self._posted.post(then)
+
+        self._ask_until_answered(
+            "registerPublisher",
+            publication.topic,
+            kind,
+            self._api.address,
+            is_wanted=lambda: self._publications.get(publication.topic) is publication,
+            then=registered,
+        )
+
+    def _ask_until_answered(
+        self,
+        *call: str,
+        is_wanted: Callable[[], bool],
+        then: Callable[[list[str]], None],
+        again_s: float = _CONNECT_AGAIN_S,
+    ) -> None:
+        """Call the master, and `then` with its answer. Without an answer, call it again after a wait, in which other
+        calls are made, as long as this one `is_wanted`.
+        """
+        if not is_wanted():
+            return
+        answer = self._ask_master(*call)
+        if answer is not None:
+            then(answer)
+            return
+        longer_s = min(2 * again_s, _MOST_CONNECT_AGAIN_S)
+        again = partial(self._ask_until_answered, *call, is_wanted=is_wanted, then=then, again_s=longer_s)
+        timer = threading.Timer(again_s, self._to_master.submit, [again])
+        timer.daemon = True
+        timer.start()
 
     def _ask_master(self, method: str, *arguments: str) -> list[str] | None:
         """The master's answer; None if it does not answer."""

@@ -10,7 +10,7 @@ import socket
 from collections import deque
 from collections.abc import Iterator
 
-from cfgplan_runtime.streams.element import HEADER, LONGEST_PAYLOAD, Buffer, Element, Outgoing
+from cfgplan_runtime.streams.element import HEADER, HEADER_MARK, LONGEST_PAYLOAD, Buffer, Element, Outgoing
 
 MOST_WAITING_BYTES = 32 << 20
 """The most bytes that may wait for one subscriber, whatever the queue's length."""
@@ -166,9 +166,10 @@ class Receiver:
             if self._header is None:
                 if len(data) - start < HEADER.size:
                     break
-                self._header = HEADER.unpack_from(data, start)
+                mark, length, turn, number, time_ns = HEADER.unpack_from(data, start)
+                self._header = length, turn, number, time_ns
                 start += HEADER.size
-                if self._header[0] > LONGEST_PAYLOAD:
+                if mark != HEADER_MARK or length > LONGEST_PAYLOAD:
                     self.has_ended = True
                     return
             length = self._header[0]

@@ -11,8 +11,10 @@ Buffer: TypeAlias = "bytes | bytearray | memoryview"
 Moment: TypeAlias = "tuple[int, int]"
 """An element's time in nanoseconds, and its turn among elements of that time. Moments rise along a stream."""
 
-HEADER = struct.Struct("<IIQq")
-"""Length of the payload, turn, sequence number within the subscription, time in nanoseconds."""
+HEADER = struct.Struct("<IIIQq")
+"""HEADER_MARK, length of the payload, turn, sequence number within the subscription, time in nanoseconds."""
+HEADER_MARK = 0x9E3779B9
+"""The first bytes of a header: what a faulty unit writes into a channel is not taken for the length of an element."""
 
 LONGEST_PAYLOAD = 1 << 31
 
@@ -45,7 +47,7 @@ class Outgoing:
         self.size = sum(map(len, self.parts))
 
     def header(self, number: int) -> bytes:
-        return HEADER.pack(self.size, self.turn, number, self.time_ns)
+        return HEADER.pack(HEADER_MARK, self.size, self.turn, number, self.time_ns)
 
     def own(self) -> None:
         """Copy the parts, once, so that user code may change its arrays while this waits."""

@@ -51,6 +51,8 @@ class PayloadEncoder:
         if numpy is not None and isinstance(value, numpy.ndarray):
             if value.dtype.hasobject or value.dtype.names is not None or value.dtype.subdtype is not None:
                 raise TypeError(f"an array of {value.dtype} has no plain bytes")
+            if (ma := sys.modules.get("numpy.ma")) is not None and isinstance(value, ma.MaskedArray):
+                raise TypeError("a masked array would lose its mask: send value.filled(...), and value.mask beside it")
             solid = numpy.ascontiguousarray(value)
             meta = msgspec.msgpack.encode((value.dtype.str, value.shape, self._size))
             self._append(solid.view(numpy.uint8).reshape(-1).data if solid.size else b"")
