@@ -108,13 +108,14 @@ def test_a_limit_forbids_these_units_and_nothing_that_hosts_can_have(
 ) -> None:
     candidates = Candidates(world("ABCD", *library, hosts=[Host(f"h{n}", memory_mb=6) for n in range(4)]))
     groups = groups_of(candidates)
-    (alike,) = host_kinds(candidates, groups)
+    (alike,) = host_kinds(candidates)
     patterns = Patterns(candidates, groups, alike)
     place = {t.label: i for i, t in enumerate(library)}
-    there = {n: numbers[place[group.label]] for n, group in enumerate(groups)}
+    labels = [candidates.all[group[0]].transformation.label for group in groups]
+    there = {n: numbers[place[label]] for n, label in enumerate(labels)}
     if patterns.is_too_much(there, hosts, Clock()):
         (limit,) = patterns.limits
-        of = [limit.of.get(n, 0) for n in sorted(there, key=lambda n: place[groups[n].label])]
+        of = [limit.of.get(n, 0) for n in sorted(there, key=lambda n: place[labels[n]])]
         assert sum(map(mul, of, numbers)) > limit.most * hosts
         assert all(sum(map(mul, of, one)) <= limit.most for one in product(range(7), repeat=4) if bears(library, one))
     else:
@@ -124,7 +125,7 @@ def test_a_limit_forbids_these_units_and_nothing_that_hosts_can_have(
 def test_four_units_of_which_a_host_bears_one_are_too_much_for_three_hosts() -> None:
     candidates = Candidates(world("A", replace(replicas(4), memory_mb=3), hosts=THREE))
     groups = groups_of(candidates)
-    patterns = Patterns(candidates, groups, *host_kinds(candidates, groups))
+    patterns = Patterns(candidates, groups, *host_kinds(candidates))
     assert not patterns.is_too_much({0: 3}, 3, Clock())
     assert patterns.is_too_much({0: 4}, 3, Clock())
     assert patterns.limits[0].of[0] == patterns.limits[0].most
@@ -133,20 +134,20 @@ def test_four_units_of_which_a_host_bears_one_are_too_much_for_three_hosts() -> 
 def test_new_units_of_a_transformation_are_one_group_and_hosts_alike_are_one_kind() -> None:
     candidates = Candidates(world("A", replicas(4), hosts=THREE))
     groups = groups_of(candidates)
-    assert [len(group.units) for group in groups] == [4]
-    assert [one.names for one in host_kinds(candidates, groups)] == [("h0", "h1", "h2")]
+    assert [*map(len, groups)] == [4]
+    assert [one.names for one in host_kinds(candidates)] == [("h0", "h1", "h2")]
 
 
 def test_a_host_where_something_runs_is_of_its_own_kind() -> None:
     candidates = Candidates(world("A", replicas(4), hosts=THREE, units=(ComputationUnit("s.1", "s", host="h1"),)))
-    kinds = host_kinds(candidates, groups_of(candidates))
+    kinds = host_kinds(candidates)
     assert sorted(one.names for one in kinds) == [("h0", "h2"), ("h1",)]
 
 
 def test_a_host_with_another_price_is_of_another_kind() -> None:
     hosts = (*THREE[:2], replace(THREE[2], rent_us=1))
     candidates = Candidates(world("A", replicas(4), hosts=hosts))
-    assert [one.names for one in host_kinds(candidates, groups_of(candidates))] == [("h0", "h1"), ("h2",)]
+    assert [one.names for one in host_kinds(candidates)] == [("h0", "h1"), ("h2",)]
 
 
 @pytest.mark.parametrize(
