@@ -821,6 +821,13 @@ COUNTING = _room(
         "model.cp.add(model.stays[unit] <= takes[stream])",
         "pass",
     ),
+    ("units that are told apart are counted together", "groups.py", "i if label in apart else label", "label"),
+    (
+        "whom a unit takes several of is counted together",
+        "groups.py",
+        "                if port.count != 1:\n",
+        "                if False:\n",
+    ),
     ("a cycle is counted", "groups.py", "and is_directed_acyclic_graph(_feeds(candidates))", ""),
     (
         "hosts of any room are alike",

@@ -75,12 +75,16 @@ class CountedWiring:
 
     def _demands(self) -> Iterator[_Taker]:
         """The inputs of units that do not stay as they are, and the targets that such units meet."""
+        index_of, group_of = self._candidates.index_of, self._model.candidates.index_of
         for i in sorted(self._host_of.keys() - self._stays.keys()):
             old = {} if (running := self._all[i].running) is None else running.feeds
             for port in self._all[i].transformation.inputs:
-                streams = self._running(port.tag)
-                yield _Taker((self._all[i].id, port.name), port.count, streams, old.get(port.name, ()))
-        index_of, group_of = self._candidates.index_of, self._model.candidates.index_of
+                streams, number = self._running(port.tag), port.count
+                connects = self._model.connects.get((group_of[self._all[i].id], port.name))
+                if connects is not None:
+                    taken = {(group_of[s.unit], s.port) for s, one in connects.items() if self._values[one.index]}
+                    streams, number = [s for s in streams if (group_of[s.unit], s.port) in taken], len(taken)
+                yield _Taker((self._all[i].id, port.name), number, streams, old.get(port.name, ()))
         for target in self._candidates.environment.stream_targets:
             publishes = self._model.publishes[target.label]
             sources = {(group_of[s.unit], s.port) for s, taken in publishes.items() if self._values[taken.index]}

@@ -4,73 +4,80 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import replace
-from itertools import chain
+from typing import Final
 
 from networkx import DiGraph, is_directed_acyclic_graph
 
-from cfgplan.domain import ALL, InputPort
 from cfgplan.onward import grouped
 from cfgplan.planners.exact.candidates import Candidates, HostKind
+from cfgplan.planners.exact.tracking import Tracking
 from cfgplan.planning import Feature
 
-COUNTABLE = frozenset(
-    {
-        Feature.HOSTS,
-        Feature.CONFLICTS,
-        Feature.BESIDE,
-        Feature.INSTANCES,
-        Feature.COUNTS,
-        Feature.LIMITS,
-        Feature.RUNS,
-        Feature.ORDER,
-    }
-)
-"""The features that a model of groups handles."""
+NAMED: Final = frozenset({Feature.QUALITY, Feature.LATENCY, Feature.SURVIVAL})
+"""The features by which it matters which unit feeds which, everywhere."""
 
 
 def is_countable(candidates: Candidates) -> bool:
-    """Whether units are counted: no feature depends on single wires, and units or hosts are interchangeable.
+    """Whether units are counted: many units or hosts may take each other's place, and wirings close no cycles.
 
-    No stream has a price on its way, and wirings close no cycles, whichever of the streams that match are taken.
+    No stream may have a price on its way, and nothing be required or take streams only for nothing.
     """
     problem, environment = candidates.problem, candidates.environment
     kinds = candidates.kinds
     is_carried = any(port.bytes_per_s for kind in kinds.values() for port in kind.outputs)
     return (
-        problem.features <= COUNTABLE
+        NAMED.isdisjoint(problem.features)
         and not environment.required
         and not environment.links
         and not (environment.transfer_us and is_carried and environment.hosts)
         and not (Feature.ORDER in problem.features and problem.max_cost_us is not None)
-        and all(map(_is_usual, chain.from_iterable(kind.inputs for kind in kinds.values())))
-        and _are_there_several(candidates)
+        and not any(port.starts_nothing for kind in kinds.values() for port in kind.inputs)
         and is_directed_acyclic_graph(_feeds(candidates))
+        and _is_much_smaller(candidates)
     )
 
 
-def _is_usual(port: InputPort) -> bool:
-    return not (port.feedback or port.optional or port.distinct is not None or port.count == ALL)
-
-
-def _are_there_several(candidates: Candidates) -> bool:
-    """Whether there are new units of one transformation, or hosts, that may take each other's place."""
-    if len(groups_of(candidates)) < len(candidates.all):
-        return True
-    return not all(kind.is_one for kind in host_kinds(candidates))
+def _is_much_smaller(candidates: Candidates) -> bool:
+    """Whether groups have fewer places than units, and many times fewer if some units are told apart."""
+    firsts = {kind.first for kind in host_kinds(candidates)}
+    grouped_places = sum(len(firsts & candidates.all[group[0]].places.keys()) for group in groups_of(candidates))
+    places = sum(len(candidate.places) for candidate in candidates.all)
+    if _told_apart(candidates):
+        return places >= candidates.clock.tuning.fleet.shared * grouped_places
+    return places > grouped_places
 
 
 def _feeds(candidates: Candidates) -> DiGraph[str]:
-    tags = {port.tag for kind in candidates.kinds.values() for port in kind.inputs}
-    givers = {tag: {candidates.all[i].transformation.label for i in candidates.feeders(tag)} for tag in tags}
-    inputs = [(label, port.tag) for label, kind in candidates.kinds.items() for port in kind.inputs]
+    """Which transformation may feed which; feedback inputs may close cycles."""
+    kinds = candidates.kinds.items()
+    inputs = [(label, port.tag) for label, kind in kinds for port in kind.inputs if not port.feedback]
+    givers = {tag: {candidates.all[i].transformation.label for i in candidates.feeders(tag)} for _, tag in inputs}
     return DiGraph((giver, label) for label, tag in inputs for giver in givers[tag])
 
 
 def groups_of(candidates: Candidates) -> list[tuple[int, ...]]:
-    """The candidates in groups, in their order: the new units of a transformation together, each running one alone."""
+    """The candidates in groups, in their order: the new units of a transformation together, each running one alone.
+
+    New units are alone too if it matters who feeds them.
+    """
+    apart = _told_apart(candidates)
     running = [(i,) for i, candidate in enumerate(candidates.all) if candidate.running is not None]
-    new = grouped((c.transformation.label, i) for i, c in enumerate(candidates.all) if c.running is None)
-    return [*running, *map(tuple, new.values())]
+    new = [(i, c.transformation.label) for i, c in enumerate(candidates.all) if c.running is None]
+    together = grouped((i if label in apart else label, i) for i, label in new)
+    return [*running, *map(tuple, together.values())]
+
+
+def _told_apart(candidates: Candidates) -> set[str]:
+    """The transformations of which each unit has to be known: it is told who feeds an input of it, or whom it feeds."""
+    tracked = {candidates.all[i].transformation.label for i in Tracking.of(candidates).units}
+    found = set(tracked)
+    for label, kind in candidates.kinds.items():
+        for port in kind.inputs:
+            if port.is_told_apart or label in tracked:
+                found.add(label)
+                if port.count != 1:
+                    found.update(candidates.all[i].transformation.label for i in candidates.feeders(port.tag))
+    return found
 
 
 def host_kinds(candidates: Candidates) -> list[HostKind]:

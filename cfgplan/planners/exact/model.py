@@ -8,15 +8,15 @@ input for which the feeder matters is explicit: each stream that may feed it has
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence, Set
+from collections.abc import Callable, Iterable, Sequence
 
 from ortools.sat.python.cp_model import IntVar, LinearExpr, LinearExprT, LiteralT
 
 from cfgplan.costs import transfer_cost_us
 from cfgplan.domain import ALL, InputPort, Objective, Stream
-from cfgplan.onward import grouped, reached
 from cfgplan.planners.exact.best_case import demands_of_quality
 from cfgplan.planners.exact.candidates import ONLY_IN_THE_MODEL, Candidates, HostName
+from cfgplan.planners.exact.tracking import Tracking
 from cfgplan.planners.solving.engine import ExactModel, at_least
 from cfgplan.planners.solving.support import Support
 from cfgplan.planning import Feature
@@ -79,17 +79,12 @@ class Model:
         self.more_costs: list[LinearExprT] = []
         self.missed_by: dict[tuple[str, str], tuple[LinearExprT, int]] = {}
         """By how much each target's stream misses the best of an attribute, in steps, and the size of a step."""
-        self.idle_feeders = _feeders_of_idle_inputs(candidates)
-        """The candidates that may feed inputs which start nothing."""
-        self.keeping_each_other = _keeping_each_other(candidates)
-        """The candidates of which several might need each other only, so that none of them could be left out."""
+        tracking = Tracking.of(candidates)
+        self.idle_feeders, self.keeping_each_other = tracking.idle_feeders, tracking.keeping_each_other
+        self.tracked = tracking.units
+        """The candidates whose feeders matter."""
         self.needed: dict[int, IntVar] = {}
         """By tracked candidate: that what runs needs it, where a rule asks for that."""
-        required = (i for i, c in enumerate(candidates.all) if c.may_run and c.transformation.required)
-        apart = self.idle_feeders | self.keeping_each_other
-        company = candidates.environment.companions if apart else frozenset()
-        self.tracked = _downstream_of(candidates, sorted(apart.union(required)), company)
-        """The candidates whose feeders matter: those downstream of required transformations or of `needed` units."""
         self._demand_of_tag: dict[str, int] = {}
         self._demand_of_streams: dict[tuple[Stream, ...], int] = {}
         self._streams: list[tuple[Stream, ...]] = []
@@ -209,14 +204,14 @@ class Model:
         return (
             self.is_apart
             or port.distinct is not None
-            or (not self.is_grouped and self._takes_several_or_limited(port))
+            or (not self.is_counted(port) and self._takes_several_or_limited(port))
             or (not port.feedback and self.is_apart_for_quality.get(self.demand(port.tag), False))
             or (unit in self.tracked and not self.tracked.isdisjoint(self.candidates.feeders(port.tag)))
         )
 
     def is_counted(self, port: InputPort) -> bool:
         """Whether it matters how many streams an input takes, but not which: units of a group take them together."""
-        return self.is_grouped and self._takes_several_or_limited(port)
+        return self.is_grouped and not port.is_told_apart and self._takes_several_or_limited(port)
 
     def _takes_several_or_limited(self, port: InputPort) -> bool:
         """Whether an input is not usual, or some of the streams that may feed it serve only so many."""
@@ -334,56 +329,3 @@ class Model:
     def number_there(self, unit: int) -> IntVar:
         """How many units of a candidate are there, running or as cold spares: of one unit, a boolean."""
         return self.is_there[unit] if self.candidates.all[unit].size == 1 else self.number[unit]
-
-
-def _feeders_of_idle_inputs(candidates: Candidates) -> frozenset[int]:
-    tags = {port.tag for kind in candidates.kinds.values() for port in kind.inputs if port.starts_nothing}
-    return frozenset(feeder for tag in tags for feeder in candidates.feeders(tag))
-
-
-def _keeping_each_other(candidates: Candidates) -> frozenset[int]:
-    """The candidates that may run in a ring only for a number or for company, each of them needed by another.
-
-    So may those that others run with, or that numbers ask for, if they feed a ring that feedback or company closes.
-    """
-    kinds, asked = candidates.kinds, candidates.environment.companions
-    asked |= {label for label, kind in kinds.items() if kind.min_instances}
-    several = [label for label in sorted(asked & kinds.keys()) if len(candidates.units_of(label)) > 1]
-    if not several:
-        return frozenset()
-    from networkx import MultiDiGraph, strongly_connected_components
-
-    ring_of: dict[str, int] = {}
-    graph: MultiDiGraph[str] = MultiDiGraph()
-    closing = {(other, label) for label, kind in kinds.items() for other in kind.beside if other in kinds}
-    graph.add_edges_from(closing)
-    feeds: set[tuple[str, str]] = set()
-    for label, kind in kinds.items():
-        for port in kind.inputs:
-            givers = {candidates.all[i].transformation.label for i in candidates.feeders(port.tag)}
-            feeds.update((giver, label) for giver in givers if not port.starts_nothing)
-            closing.update((giver, label) for giver in givers if port.feedback and not port.starts_nothing)
-    graph.add_edges_from(feeds)
-    for number, ring in enumerate(strongly_connected_components(graph)):
-        ring_of.update(dict.fromkeys(ring, number))
-    closed = {ring_of[one] for one, other in closing if ring_of[one] == ring_of[other]}
-    feeding = {one for one, other in feeds if ring_of[one] == ring_of[other] and ring_of[one] in closed}
-    return frozenset(i for label in several if label in feeding for i in candidates.units_of(label))
-
-
-def _downstream_of(candidates: Candidates, starts: list[int], company: Set[str]) -> frozenset[int]:
-    """Some candidates and all that they may feed, or run with if they are `company`, directly or through others."""
-    if not starts:
-        return frozenset()
-    inputs = [(i, c.transformation.inputs) for i, c in enumerate(candidates.all) if c.may_run]
-    needing = grouped((port.tag, i) for i, ports in inputs for port in ports)
-    fed_by = grouped((feeder, tag) for tag in needing for feeder in candidates.feeders(tag))
-
-    def users(i: int) -> Iterator[int]:
-        label = candidates.all[i].transformation.label
-        beside = enumerate(candidates.all) if label in company else ()
-        yield from (user for user, c in beside if label in c.transformation.beside and c.may_run)
-        for tag in fed_by[i]:
-            yield from needing.pop(tag, ())
-
-    return frozenset(reached(starts, users))
