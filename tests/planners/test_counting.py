@@ -23,7 +23,7 @@ from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import Tuning
 from cfgplan.planning import Failures, Plan, Problem, Status
 from cfgplan.validity import plan_violations
-from experiments.families.deployments import deployment
+from experiments.families.deployments import deployment, with_one_word
 
 THREE = tuple(Host(f"h{n}", memory_mb=4) for n in range(3))
 
@@ -70,25 +70,17 @@ ONE_WORD = {
 }
 
 
-def with_one_word(problem: Problem, said: Mapping[str, object]) -> Problem:
-    """The problem with an input more at one of its components, which says a word of its own."""
-    library = list(problem.environment.library)
-    more = InputPort("more", "Sc00", **said)  # type: ignore[arg-type]
-    library[5] = replace(library[5], inputs=(*library[5].inputs, more))
-    return replace(problem, environment=replace(problem.environment, library=tuple(library)))
-
-
 @pytest.mark.parametrize("said", ONE_WORD.values(), ids=ONE_WORD)
 def test_one_word_does_not_end_the_counting_of_all_others(said: Mapping[str, object]) -> None:
     """By names these are open after a quarter of a minute."""
-    found = counted(with_one_word(deployment(1, hosts=20, replicas=6), said))
+    found = counted(with_one_word(deployment(1, hosts=20, replicas=6), **said))
     assert found.status is Status.OPTIMAL
     assert found.counts["groups"] <= 18 and found.counts["kinds of hosts"] == 2
 
 
 @pytest.mark.parametrize("said", ONE_WORD.values(), ids=ONE_WORD)
 def test_units_that_are_told_apart_beside_counted_ones_are_proven_as_with_names(said: Mapping[str, object]) -> None:
-    problem = with_one_word(deployment(0, hosts=4), said)
+    problem = with_one_word(deployment(0, hosts=4), **said)
     assert as_good(PlannerSession(ALIKE).plan(problem)) == as_good(named(problem))
 
 
