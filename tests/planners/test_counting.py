@@ -9,7 +9,7 @@ from operator import mul
 
 import pytest
 from fixed import kind, world
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from kinds import ALIKE, COUNTABLE, as_good, differences
 from worlds import oracle_of
@@ -46,7 +46,7 @@ def replicas(number: int, **more: object) -> Transformation:
     return replace(kind("s", gives="A"), min_instances=number, max_instances=number, memory_mb=2, **more)  # type: ignore[arg-type]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.filter_too_much])
 @given(COUNTABLE)
 def test_counting_agrees_with_naming_and_with_the_oracle(problem: Problem) -> None:
     found, alike = PlannerSession().plan(problem), PlannerSession(ALIKE).plan(problem)
