@@ -30,7 +30,7 @@ class _Taker(NamedTuple):
 class CountedWiring:
     """The wiring of counted units: `values` are those of a model of groups, `hosts_of` the hosts of each group's units.
 
-    `candidates` are all units, of which the groups are made.
+    `candidates` are the units of all groups.
     """
 
     def __init__(

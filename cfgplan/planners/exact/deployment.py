@@ -1,6 +1,6 @@
 """Plans made by counting: how many units of each group, then their hosts, then their wiring.
 
-Units that are told apart are groups of their own.
+A unit that is told apart is the only one of its group.
 
 Symmetric hosts are counted first. If the best numbers of units can be placed, the plan is proven; otherwise each host
 is modelled separately.

@@ -48,7 +48,7 @@ def _is_much_smaller(candidates: Candidates) -> bool:
 
 
 def _feeds(candidates: Candidates) -> DiGraph[str]:
-    """Which transformation may feed which; feedback inputs may close cycles."""
+    """The graph of transformations that may feed each other, without feedback inputs."""
     kinds = candidates.kinds.items()
     inputs = [(label, port.tag) for label, kind in kinds for port in kind.inputs if not port.feedback]
     givers = {tag: {candidates.all[i].transformation.label for i in candidates.feeders(tag)} for _, tag in inputs}
@@ -68,7 +68,7 @@ def groups_of(candidates: Candidates) -> list[tuple[int, ...]]:
 
 
 def _told_apart(candidates: Candidates) -> set[str]:
-    """The transformations of which each unit has to be known: it is told who feeds an input of it, or whom it feeds."""
+    """The transformations whose units are no group: the model says for each unit who feeds it, or whom it feeds."""
     tracked = {candidates.all[i].transformation.label for i in Tracking.of(candidates).units}
     found = set(tracked)
     for label, kind in candidates.kinds.items():

@@ -87,7 +87,7 @@ def an_input_told_apart_has_its_feeders(model: Model, unit: int, port: InputPort
 def a_counted_input_has_its_number(model: Model, unit: int, port: InputPort) -> None:
     """As many units run as an input counts; where they serve only so many, the streams that a group takes are counted.
 
-    A unit that stays takes what it took. No unit of the group may feed another, directly or through others.
+    A unit that stays keeps its streams. No unit of the group may feed another, directly or through others.
     """
     streams, size = model.choices(port.tag), model.candidates.all[unit].size
     of_feeders = grouped((model.unit_of(stream), stream) for stream in streams)

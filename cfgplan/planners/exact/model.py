@@ -34,8 +34,7 @@ class Model:
 
     A candidate may be a group of several units, and a host a kind of several (`Candidates.alike`). A group `runs` if
     some of its units do, `number` and `numbers_on` say how many, and `has_on` on how many hosts of a kind; of one unit
-    these are the booleans that it runs. Of kinds of several hosts the model is a relaxation: it bounds the load of all
-    of them together.
+    these are the booleans that it runs. The model relaxes kinds of several hosts: it bounds their load in all.
     """
 
     def __init__(self, candidates: Candidates, rules: Iterable[ModelRule], *, is_apart: bool = False) -> None:
