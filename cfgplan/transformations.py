@@ -72,6 +72,11 @@ class InputPort:
         """Whether it is no reason for a unit to run."""
         return self.optional and not self.worth_us
 
+    @property
+    def is_told_apart(self) -> bool:
+        """Whether two units may differ in how many streams they take there, or from which transformations."""
+        return self.optional or self.distinct is not None or self.count == ALL
+
     def takes(self, number: int) -> bool:
         """Whether it may be fed by so many streams."""
         return (self.optional and not number) or (number > 0 if self.count == ALL else number == self.count)

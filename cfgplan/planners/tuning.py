@@ -26,6 +26,8 @@ TIMED = "timed beside `scale/tables.md`"
 AT_REST = "`benchmark.py replan`"
 FLEETS = "`fleets.py`"
 DEPLOYMENTS = "`deployments.py`, seeds 0 to 4, 200 to 211, 300 to 305, 507"
+MIXED = "the shop, and `deployments.py` with one input that tells apart"
+HARD_ONES = "`deployments.py`, seeds 300, 311 and 323 with 20 hosts"
 TRANSPORTS = "transport and random libraries with costs alike, seeds 0 to 120"
 TOYS = "`toys.py`"
 SERVED = "`count`, `optional` and `serves`, below"
@@ -158,7 +160,9 @@ class Fleets:
     )
     look: float = said(0.5, "the engine's s", "Each look among few takes so long.", FLEETS)
     fewer: float = said(1.2, "times", "A relaxation's labels are looked among if so many are there in all.", FLEETS)
+    shared: int = said(8, "times", "Where some are told apart, others are counted if places get so few.", MIXED)
     place: float = said(1.0, "the engine's s", "Counted units may take so long to be placed.", DEPLOYMENTS)
+    price: float = said(0.05, "the engine's s", "A heaviest pattern of units may take so long.", HARD_ONES)
     recounts: int = said(3, "times", "Units that can't be placed are counted again this often.", DEPLOYMENTS)
     apart: int = said(12, "hosts", "Up to here each is looked at by itself where not all fits.", DEPLOYMENTS)
     company: float = said(10.0, "hosts", "Units with company, or that are it, weigh at most this.", DEPLOYMENTS)

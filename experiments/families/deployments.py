@@ -7,6 +7,7 @@ machines.
 from __future__ import annotations
 
 import random
+from dataclasses import replace
 
 from cfgplan.domain import Environment, Host, InputPort, Objective, OutputPort, Similarity, Target, Transformation
 from cfgplan.planning import Problem
@@ -57,3 +58,11 @@ def deployment(
     targets = [Target(f"t{n}", f"S{kind.label}", f"/t{n}") for n, kind in enumerate(ends)]
     environment = Environment((), tuple(library), tuple(targets), tuple(machines), minimise=minimise)
     return Problem(environment, Similarity({tag: frozenset({tag}) for tag in tags}), 3600)
+
+
+def with_one_word(problem: Problem, **said: object) -> Problem:
+    """The deployment with an input more at one of its components, which says a word of its own."""
+    library = list(problem.environment.library)
+    more = InputPort("more", "Sc00", **said)  # type: ignore[arg-type]
+    library[5] = replace(library[5], inputs=(*library[5].inputs, more))
+    return replace(problem, environment=replace(problem.environment, library=tuple(library)))

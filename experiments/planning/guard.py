@@ -26,6 +26,7 @@ from scale_suite import SCALE
 
 from cfgplan.domain import ChangeSet
 from cfgplan.planning import Problem, Status
+from experiments.families.deployments import deployment, with_one_word
 from experiments.families.random_library import random_library
 from experiments.families.transport import transport
 from experiments.fleet import instances
@@ -77,6 +78,11 @@ OTHERS: dict[str, Callable[[int], Made]] = {
     "3 hosts, 150": lambda seed: [instances.hosted(seed, 150)],
     "3 hosts, 300": lambda seed: [instances.hosted(seed, 300)],
     "3 roomy hosts, 415": lambda seed: [instances.hosted(seed, 415, tight=False)],
+    "deployment, 6 hosts": lambda seed: [deployment(seed)],
+    "deployment, 12 hosts": lambda seed: [deployment(200 + seed, hosts=12, replicas=4)],
+    "deployment, 20 hosts": lambda seed: [deployment(300 + seed, hosts=20, replicas=6)],
+    "deployment, one distinct": lambda seed: [with_one_word(deployment(seed), distinct="d")],
+    "deployment, one optional": lambda seed: [with_one_word(deployment(seed), optional=True, worth_us=1_000)],
     "one failure, 40": lambda seed: [instances.surviving(seed, 40)],
 }
 FAMILIES = PLAIN | OTHERS

@@ -19,6 +19,8 @@ from cfgplan.planners import PLANNERS
 from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.groups import is_countable
+from cfgplan.planners.solving.clock import Clock
+from cfgplan.planners.tuning import Fleets, Tuning
 from cfgplan.planning import Feature, Plan, Problem, Status
 from cfgplan.qualities import MICRO, Contribution, QualityAttribute, QualityRule
 from cfgplan.validity import plan_violations
@@ -149,6 +151,8 @@ RUNS = frozenset({Feature.RUNS})
 ORDER = frozenset({Feature.ORDER})
 OPTIONAL, COUNTS = (frozenset({feature}) for feature in (Feature.OPTIONAL, Feature.COUNTS))
 
+ALIKE = Tuning(fleet=Fleets(apart=0, shared=1))
+"""Hosts alike are limited together, however few they are, and units are counted wherever they can be."""
 LARGER = st.one_of(
     fleets(WIRING | NUMBERS, most=6),
     fleets(WIRING | QUALITY, most=5),
@@ -160,8 +164,10 @@ COUNTABLE = st.one_of(
     fleets(COUNTS | LIMITS | NUMBERS | HOSTS, most=2),
     fleets(COUNTS | LIMITS | NUMBERS | BESIDE | RUNS | ORDER | HOSTS, most=2),
     fleets(COUNTS | LIMITS | NUMBERS, most=3),
-).filter(lambda problem: is_countable(Candidates(problem)))
-"""Problems whose units are counted."""
+    fleets(WIRING | NUMBERS | HOSTS | BESIDE | RUNS, most=2),
+    fleets(WIRING | NUMBERS, most=3),
+).filter(lambda problem: is_countable(Candidates(problem, clock=Clock(tuning=ALIKE))))
+"""Problems whose units are counted with the tuning `ALIKE`."""
 
 KINDS: Mapping[str, Kind] = MappingProxyType(
     {

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
@@ -38,10 +39,34 @@ class OnHost:
 
 
 @dataclass(frozen=True)
+class HostKind:
+    """Interchangeable hosts, or the only place (None) without hosts."""
+
+    names: tuple[HostName, ...]
+    rooms: Mapping[str, int]
+    """How much one host has of each resource that candidates take; resources without a limit are left out."""
+    rent_us: int = 0
+    """The rent of one host over the horizon, in microseconds."""
+
+    @property
+    def first(self) -> HostName:
+        return self.names[0]
+
+    @property
+    def is_one(self) -> bool:
+        return len(self.names) == 1
+
+    def apart(self) -> list[HostKind]:
+        """Each of the hosts as a kind of its own."""
+        return [HostKind((name,), self.rooms, self.rent_us) for name in self.names]
+
+
+@dataclass(frozen=True)
 class Candidate:
     """A unit of the environment, or a new one of a transformation. It `may_run`, or `may_wait` as a cold spare.
 
     `places` are the hosts it may be on: only its own if it exists already; only None without hosts.
+    A candidate of a `size` above 1 stands for a group: so many new units of a transformation.
     """
 
     id: str
@@ -50,6 +75,7 @@ class Candidate:
     places: Mapping[HostName, OnHost]
     may_run: bool = True
     may_wait: bool = False
+    size: int = 1
 
     @cached_property
     def hosts(self) -> tuple[HostName, ...]:
@@ -113,6 +139,31 @@ class Candidates:
         """Caches of `best_case`: the least badness of each stream, and the largest of use for each demanded tag."""
         self.can_share: dict[tuple[object, ...], bool] = {}
         """A cache of `survivors`: whether so many units of each site can meet some targets."""
+        self.groups: tuple[tuple[int, ...], ...] | None = None
+        """The units that each candidate stands for, by their numbers among those before `alike`; None if not alike."""
+
+    def alike(self, groups: Iterable[tuple[int, ...]], kinds: Sequence[HostKind]) -> Candidates:
+        """The same problem with one candidate for each group of units, and one host, its first, for each kind.
+
+        A stream is known by the first unit of its group. Units outside the groups are left out.
+        """
+        found = copy.copy(self)
+        for cached in ("kinds", "hosts", "host_kind", "network", "asked_for", "least_us"):
+            vars(found).pop(cached, None)
+        found.groups, found.hosts = tuple(groups), tuple(kinds)
+        firsts = [self.all[group[0]] for group in found.groups]
+        found.all = tuple(
+            replace(
+                first,
+                size=len(group),
+                places={kind.first: first.places[kind.first] for kind in kinds if kind.first in first.places},
+            )
+            for group, first in zip(found.groups, firsts, strict=True)
+        )
+        found.index_of = {self.all[i].id: number for number, group in enumerate(found.groups) for i in group}
+        found._units = grouped((first.transformation.label, number) for number, first in enumerate(firsts))
+        found._streams, found._feeders, found._may_stay = {}, {}, {}
+        return found
 
     def among(self, labels: Collection[str]) -> Candidates:
         """The candidates of some transformations."""
@@ -122,6 +173,27 @@ class Candidates:
     def kinds(self) -> Mapping[str, Transformation]:
         """The transformations that have candidates, by their labels."""
         return {label: self.all[units[0]].transformation for label, units in self._units.items()}
+
+    @cached_property
+    def hosts(self) -> tuple[HostKind, ...]:
+        """The hosts, each a kind of its own; kinds of several hosts only if the candidates are `alike`."""
+        if not self.environment.hosts:
+            return (HostKind((None,), {}),)
+        horizon_s = self.problem.horizon_s
+        resources = sorted({each for c in self.all for place in c.places.values() for each in place.takes})
+        return tuple(
+            HostKind(
+                (host.name,),
+                {each: room for each in resources if (room := host.room(each, horizon_s)) is not None},
+                host.rent_us * horizon_s,
+            )
+            for host in self.environment.hosts
+        )
+
+    @cached_property
+    def host_kind(self) -> Mapping[HostName, HostKind]:
+        """The kinds of hosts by their first host."""
+        return {kind.first: kind for kind in self.hosts}
 
     @cached_property
     def network(self) -> Network:

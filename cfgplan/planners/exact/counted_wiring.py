@@ -10,8 +10,8 @@ import numpy as np
 from ortools.graph.python.max_flow import SimpleMaxFlow
 
 from cfgplan.domain import ComputationUnit, Publication, Stream, Subscription
-from cfgplan.planners.exact.candidates import HostName
-from cfgplan.planners.exact.counting import CountingModel
+from cfgplan.planners.exact.candidates import Candidates, HostName
+from cfgplan.planners.exact.model import Model
 from cfgplan.planners.solving.clock import ContradictionError
 
 
@@ -28,17 +28,25 @@ class _Taker(NamedTuple):
 
 
 class CountedWiring:
-    """The wiring of counted units: `values` are a counting model's, `hosts_of` the hosts of each group's units."""
+    """The wiring of counted units: `values` are those of a model of groups, `hosts_of` the hosts of each group's units.
+
+    `candidates` are the units of all groups.
+    """
 
     def __init__(
-        self, counts: CountingModel, values: Sequence[int], hosts_of: Mapping[int, Sequence[HostName]]
+        self,
+        candidates: Candidates,
+        model: Model,
+        values: Sequence[int],
+        hosts_of: Mapping[int, Sequence[HostName]],
     ) -> None:
-        self._counts, self._values, self._candidates = counts, values, counts.candidates
-        self._all = counts.candidates.all
+        assert model.candidates.groups is not None
+        self._model, self._values, self._candidates = model, values, candidates
+        self._all, groups = candidates.all, model.candidates.groups
         self._host_of: dict[int, HostName] = {}
         for n, hosts in hosts_of.items():
-            self._host_of |= dict(zip(counts.groups[n].units, hosts, strict=False))
-        staying = (counts.groups[n].units[0] for n, stays in counts.stays.items() if values[stays.index])
+            self._host_of |= dict(zip(groups[n], hosts, strict=False))
+        staying = (groups[n][0] for n, stays in model.stays.items() if values[stays.index])
         self._stays = {i: unit for i in staying if (unit := self._all[i].running) is not None}
 
     def units(self) -> list[ComputationUnit]:
@@ -48,7 +56,7 @@ class CountedWiring:
         taken = {demand.who: _first(demand) for demand in demands if demand not in limited}
         taken |= self._shared_out(limited)
         topics: dict[str, list[Publication]] = defaultdict(list)
-        for target in self._counts.environment.stream_targets:
+        for target in self._candidates.environment.stream_targets:
             for stream in taken.get(("", target.label), ()):
                 topics[stream.unit].append(Publication(stream.port, target.topic))
         units = dict(self._stays)
@@ -67,17 +75,21 @@ class CountedWiring:
 
     def _demands(self) -> Iterator[_Taker]:
         """The inputs of units that do not stay as they are, and the targets that such units meet."""
+        index_of, group_of = self._candidates.index_of, self._model.candidates.index_of
         for i in sorted(self._host_of.keys() - self._stays.keys()):
             old = {} if (running := self._all[i].running) is None else running.feeds
             for port in self._all[i].transformation.inputs:
-                streams = self._running(port.tag)
-                yield _Taker((self._all[i].id, port.name), port.count, streams, old.get(port.name, ()))
-        index_of, group_of = self._candidates.index_of, self._counts.group_of
-        for target in self._counts.environment.stream_targets:
+                streams, number = self._running(port.tag), port.count
+                connects = self._model.connects.get((group_of[self._all[i].id], port.name))
+                if connects is not None:
+                    taken = {(group_of[s.unit], s.port) for s, one in connects.items() if self._values[one.index]}
+                    streams, number = [s for s in streams if (group_of[s.unit], s.port) in taken], len(taken)
+                yield _Taker((self._all[i].id, port.name), number, streams, old.get(port.name, ()))
+        for target in self._candidates.environment.stream_targets:
+            publishes = self._model.publishes[target.label]
+            sources = {(group_of[s.unit], s.port) for s, taken in publishes.items() if self._values[taken.index]}
             there = [s for s in self._running(target.tag) if index_of[s.unit] not in self._stays]
-            sources = [(group_of[index_of[stream.unit]], stream.port) for stream in there]
-            publishes = [self._values[self._counts.publishes[target.label, source].index] for source in sources]
-            streams = [stream for stream, may in zip(there, publishes, strict=True) if may]
+            streams = [stream for stream in there if (group_of[stream.unit], stream.port) in sources]
             if streams:
                 yield _Taker(("", target.label), 1, streams)
 

@@ -1,5 +1,7 @@
 """Plans made by counting: how many units of each group, then their hosts, then their wiring.
 
+A unit that is told apart is the only one of its group.
+
 Symmetric hosts are counted first. If the best numbers of units can be placed, the plan is proven; otherwise each host
 is modelled separately.
 """
@@ -8,6 +10,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from math import ceil
 from operator import attrgetter
@@ -20,17 +23,18 @@ from ortools.sat.python.cp_model import (
     OPTIMAL,
     CpSolver,
     CpSolverSolutionCallback,
-    LinearExpr,
+    LinearExprT,
 )
 
 from cfgplan.domain import Objective
-from cfgplan.planners.exact.candidates import Candidates, HostName
+from cfgplan.planners.exact.candidates import Candidates, HostKind, HostName
 from cfgplan.planners.exact.counted_wiring import CountedWiring
-from cfgplan.planners.exact.counting import PLACED, CountingModel, Misfit
 from cfgplan.planners.exact.decode import named
-from cfgplan.planners.exact.groups import Group, HostKind, groups_of, host_kinds
+from cfgplan.planners.exact.groups import groups_of, host_kinds
+from cfgplan.planners.exact.model import Model
 from cfgplan.planners.exact.patterns import Patterns
 from cfgplan.planners.exact.pruning import lean
+from cfgplan.planners.exact.rules import PLACED, RULES
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.networks.keys import Key
 from cfgplan.planners.solving.clock import Clock, ContradictionError
@@ -40,10 +44,9 @@ from cfgplan.planning import Feature
 
 def plan_by_counting(candidates: Candidates, standing: Standing) -> None:
     """Count units until the best plan is proven or the time is over."""
-    groups = groups_of(candidates)
-    kinds = host_kinds(candidates, groups)
-    standing.counts |= {"groups": len(groups), "kinds of hosts": len(kinds), "rounds": 0, "conflicts": 0}
-    deployment = _Deployment(candidates, standing, groups)
+    kinds = host_kinds(candidates)
+    deployment = _Deployment(candidates, standing)
+    standing.counts |= {"groups": len(deployment.groups), "kinds of hosts": len(kinds), "rounds": 0, "conflicts": 0}
     hosts, tuning = sum(len(kind.names) for kind in kinds), standing.clock.tuning.fleet
     recounts = tuning.recounts if hosts > tuning.apart else 1
     for _ in range(recounts if hosts > len(kinds) else 0):
@@ -55,10 +58,33 @@ def plan_by_counting(candidates: Candidates, standing: Standing) -> None:
     deployment.count(deployment.apart(kinds))
 
 
+@dataclass(frozen=True)
+class _Misfit:
+    """Numbers of units, by their groups, that do not fit on so many hosts of a kind, which is known by its first."""
+
+    kind: HostName
+    hosts: int
+    units: Mapping[int, int]
+    company: frozenset[int]
+    """The groups that others need beside them: with another number of these it may be otherwise."""
+
+    def forbid(self, model: Model) -> None:
+        """Demand other numbers: fewer units of some group, more hosts, or other company."""
+        more = model.cp.new_bool_var("")
+        model.cp.add(model.uses[self.kind] > self.hosts).only_enforce_if(more)
+        ways = [more]
+        for n, number in self.units.items():
+            there = model.numbers_on[n][self.kind]
+            for is_other in (there < number, there > number) if n in self.company else (there < number,):
+                ways.append(model.cp.new_bool_var(""))
+                model.cp.add(is_other).only_enforce_if(ways[-1])
+        model.cp.add_bool_or(ways)
+
+
 class _Step(NamedTuple):
     """One objective of the order: its expression, its value in a plan, and the callback that takes its proven bound."""
 
-    what: LinearExpr
+    what: LinearExprT
     value: Callable[[Key], int]
     learn: Callable[[int], None]
 
@@ -72,12 +98,13 @@ class _Placed(NamedTuple):
 
 
 class _Deployment:
-    def __init__(self, candidates: Candidates, standing: Standing, groups: Sequence[Group]) -> None:
-        self.candidates, self.standing, self.groups = candidates, standing, groups
-        self.misfits: tuple[Misfit, ...] = ()
+    def __init__(self, candidates: Candidates, standing: Standing) -> None:
+        self.candidates, self.standing = candidates, standing
+        self.groups = groups_of(candidates)
+        self.misfits: tuple[_Misfit, ...] = ()
         """Numbers of units that are known not to fit."""
-        self._patterns: dict[int, Patterns] = {}
-        """Of kinds of several hosts, by their numbers, once something did not fit."""
+        self._patterns: dict[HostName, Patterns] = {}
+        """Of kinds of several hosts, by their first, once something did not fit."""
         self._least = 0
         """The proven lower bound of the first objective."""
 
@@ -87,26 +114,26 @@ class _Deployment:
         If each kind is one host, each solution is a plan. Otherwise the best numbers have to be placed, and until then
         only the bound on the first objective is proven.
         """
-        standing, is_placed = self.standing, all(len(kind.names) == 1 for kind in kinds)
-        counts = CountingModel(self.candidates, self.groups, kinds) if is_placed else self._alike(kinds)
-        standing.counts["counts"] = len(counts.cp.proto.variables)
-        steps = list(self._steps(counts))
-        counts.cp.add(steps[0].what >= self._least)
+        standing, is_placed = self.standing, all(kind.is_one for kind in kinds)
+        model = Model(self.candidates.alike(self.groups, kinds), RULES) if is_placed else self._limited(kinds)
+        standing.counts["counts"] = len(model.cp.proto.variables)
+        steps = list(self._steps(model))
+        model.cp.add(steps[0].what >= self._least)
         if is_placed and standing.best is not None:
-            counts.cp.add(steps[0].what <= steps[0].value(standing.best.key))
-            self._hint(counts)
+            model.cp.add(steps[0].what <= steps[0].value(standing.best.key))
+            self._hint(model)
         values: Sequence[int] = ()
         proven: list[int] = []
         for number, step in enumerate(steps):
             learn = step.learn if is_placed or not number else lambda _: None
-            found = self._minimise(counts, step.what, values, learn, is_placed=is_placed)
+            found = self._minimise(model, step.what, values, learn, is_placed=is_placed)
             if found is None:
                 return standing.is_infeasible
             values, least = found
             self._least = self._least if number else least
-            counts.cp.add(step.what <= least)
+            model.cp.add(step.what <= least)
             proven.append(least)
-        if not is_placed and not self._offer(counts, values):
+        if not is_placed and not self._offer(model, values):
             return False
         if standing.best is None:
             raise ContradictionError("the numbers of units are those of no plan")
@@ -117,22 +144,22 @@ class _Deployment:
         standing.prove_all()
         return True
 
-    def _steps(self, counts: CountingModel) -> Iterator[_Step]:
+    def _steps(self, model: Model) -> Iterator[_Step]:
         problem, standing = self.candidates.problem, self.standing
         named = problem.environment.minimise if Feature.ORDER in problem.features else ()
         for place, each in enumerate(named, 1):
             learn = partial(standing.raise_bound_of, each)
-            yield _Step(counts.objective(each), partial(_of_order, place), learn)
+            yield _Step(model.objective(each), partial(_of_order, place), learn)
         if Objective.COST not in named:
-            yield _Step(counts.objective(Objective.COST), attrgetter("cost_us"), standing.raise_bound)
-        is_running = any(group.first.running for group in self.groups)
+            yield _Step(model.objective(Objective.COST), attrgetter("cost_us"), standing.raise_bound)
+        is_running = any(candidate.running for candidate in model.candidates.all)
         for each in (Objective.REWIRED, Objective.STARTED) if is_running else (Objective.STARTED,):
-            yield _Step(counts.objective(each), attrgetter(each), partial(standing.raise_bound_of, each))
+            yield _Step(model.objective(each), attrgetter(each), partial(standing.raise_bound_of, each))
 
     def _minimise(
         self,
-        counts: CountingModel,
-        what: LinearExpr,
+        model: Model,
+        what: LinearExprT,
         known: Sequence[int],
         learn: Callable[[int], None],
         *,
@@ -143,20 +170,20 @@ class _Deployment:
         `known` are numbers to begin with, if there are any. `learn` is told bounds.
         """
         clock = self.standing.clock
-        counts.cp.minimize(what)
+        model.cp.minimize(what)
         if known:
-            counts.cp.clear_hints()  # type: ignore[no-untyped-call]
+            model.cp.clear_hints()  # type: ignore[no-untyped-call]
         for index, value in enumerate(known):
-            counts.cp.add_hint(counts.cp.get_int_var_from_proto_index(index), value)
+            model.cp.add_hint(model.cp.get_int_var_from_proto_index(index), value)
         solver = _solver(clock)
 
         def learn_bound(bound: float) -> None:
             learn(ceil(bound - 0.5))
 
         def look_at(solution: CpSolverSolutionCallback) -> bool:
-            return not is_placed or self._offer(counts, solution.response_proto.solution)
+            return not is_placed or self._offer(model, solution.response_proto.solution)
 
-        status = solve(solver, counts.cp, clock, look_at, learn_bound)
+        status = solve(solver, model.cp, clock, look_at, learn_bound)
         self.standing.counts["rounds"] += 1
         self.standing.counts["conflicts"] += solver.num_conflicts
         if status == INFEASIBLE:
@@ -167,30 +194,31 @@ class _Deployment:
         if status != OPTIMAL:
             return None
         values = list(solver.response_proto.solution)
-        if self.misfits and not is_placed and self._is_too_much(counts, values):
-            return self._minimise(counts, what, values, learn, is_placed=is_placed)
+        if self.misfits and not is_placed and self._is_too_much(model, values):
+            return self._minimise(model, what, values, learn, is_placed=is_placed)
         return values, int(solver.value(what))
 
-    def _offer(self, counts: CountingModel, values: Sequence[int]) -> bool:
+    def _offer(self, model: Model, values: Sequence[int]) -> bool:
         """Offer the plan that numbers say, with more hosts if their units do not fit on so many; False then."""
         hosts_of: dict[int, list[HostName]] = defaultdict(list)
         is_fit = True
-        for k, kind in enumerate(counts.kinds):
-            here = {n: values[on.index] for (n, at), on in counts.there.items() if at == k and values[on.index]}
-            used = values[counts.used[k].index]
+        for kind in model.candidates.hosts:
+            here = {n: number for n, number in _on(model, values, kind.first).items() if number}
+            used = _used(model, values, kind.first)
             placed = self._placed(kind, here, used)
             if not placed.is_fit:
                 is_fit = False
                 if placed.is_misfit:
-                    company = {n for n in here if self.groups[n].label in self.candidates.environment.companions}
-                    self.misfits = (*self.misfits, Misfit(k, used, here, frozenset(company)))
+                    companions = self.candidates.environment.companions
+                    company = {n for n in here if model.candidates.all[n].transformation.label in companions}
+                    self.misfits = (*self.misfits, _Misfit(kind.first, used, here, frozenset(company)))
                 more = (self._placed(kind, here, n, has_more_company=True) for n in _more(used, len(kind.names)))
                 placed = next((found for found in more if found.is_fit), placed)
                 if not placed.is_fit:
                     return False
             for n, hosts in placed.hosts.items():
                 hosts_of[n] += hosts
-        units = CountedWiring(counts, values, hosts_of).units()
+        units = CountedWiring(self.candidates, model, values, hosts_of).units()
         key = self.standing.offer(self.candidates, named(self.candidates, lean(self.candidates, units)))
         return is_fit and key is not None
 
@@ -199,72 +227,84 @@ class _Deployment:
 
         With `has_more_company`, those that others run with may be more.
         """
-        if len(kind.names) == 1 or not here:
+        if kind.is_one or not here:
             return _Placed({n: [kind.first] * number for n, number in here.items()}, is_fit=True)
-        groups, hosts, clock = [self.groups[n] for n in here], kind.apart()[:used], self.standing.clock
-        counts = CountingModel(self.candidates, groups, hosts, PLACED)
-        for group, number, units in zip(groups, counts.number, here.values(), strict=True):
-            is_free = has_more_company and group.label in self.candidates.environment.companions
-            counts.cp.add(number >= units if is_free else number == units)
+        clock = self.standing.clock
+        model = Model(self.candidates.alike([self.groups[n] for n in here], kind.apart()[:used]), PLACED)
+        for n, units in enumerate(here.values()):
+            label = model.candidates.all[n].transformation.label
+            is_free = has_more_company and label in self.candidates.environment.companions
+            model.cp.add(model.number[n] >= units if is_free else model.number[n] == units)
         solver = _solver(clock)
         solver.parameters.max_deterministic_time = clock.tuning.fleet.place
-        status = solve(solver, counts.cp, clock)
+        status = solve(solver, model.cp, clock)
         if status not in (OPTIMAL, FEASIBLE):
             return _Placed({}, is_misfit=status == INFEASIBLE)
-        found: dict[int, list[HostName]] = defaultdict(list)
-        of = list(here)
-        for (n, k), on in counts.there.items():
-            found[of[n]] += [hosts[k].first] * solver.value(on)
+        found = {
+            n: [host for host, number in numbers.items() for _ in range(solver.value(number))]
+            for n, numbers in zip(here, model.numbers_on.values(), strict=True)
+        }
         return _Placed(found, is_fit=True)
 
-    def _hint(self, counts: CountingModel) -> None:
+    def _hint(self, model: Model) -> None:
         """Hint the incumbent's units and hosts."""
         assert self.standing.best is not None
-        new = {group.label: n for n, group in enumerate(self.groups) if group.first.running is None}
-        running = {group.first.id: n for n, group in enumerate(self.groups) if group.first.running is not None}
+        new = {c.transformation.label: n for n, c in enumerate(model.candidates.all) if c.running is None}
+        running = {c.id: n for n, c in enumerate(model.candidates.all) if c.running is not None}
         units = self.standing.best.units
         number = Counter((running.get(unit.id, new.get(unit.transformation)), unit.host) for unit in units)
-        for (n, k), there in counts.there.items():
-            counts.cp.add_hint(there, number[n, counts.kinds[k].first])
+        for n, there in model.numbers_on.items():
+            for host, on in there.items():
+                model.cp.add_hint(on, number[n, host])
 
-    def _alike(self, kinds: Sequence[HostKind]) -> CountingModel:
-        """The counting model without the numbers of units that are known not to fit."""
-        counts = CountingModel(self.candidates, self.groups, kinds)
+    def _limited(self, kinds: Sequence[HostKind]) -> Model:
+        """The model of kinds of hosts without the numbers of units that are known not to fit."""
+        model = Model(self.candidates.alike(self.groups, kinds), RULES)
         for misfit in self.misfits:
-            counts.forbid(misfit)
-        for k, patterns in self._patterns.items():
+            misfit.forbid(model)
+        for host, patterns in self._patterns.items():
             for weights in patterns.limits:
-                counts.limit(k, weights)
-        return counts
+                weights.limit(model, host)
+        return model
 
-    def _is_too_much(self, counts: CountingModel, values: Sequence[int]) -> bool:
+    def _is_too_much(self, model: Model, values: Sequence[int]) -> bool:
         """Whether patterns say that hosts of some kind can't have so many units; the model then gets the limits."""
         is_limited = False
-        for k, kind in enumerate(counts.kinds):
-            if len(kind.names) > 1:
-                if k not in self._patterns:
-                    self._patterns[k] = Patterns(self.candidates, self.groups, kind)
-                here = {n: values[on.index] for (n, at), on in counts.there.items() if at == k}
-                if self._patterns[k].is_too_much(here, values[counts.used[k].index], self.standing.clock):
-                    counts.limit(k, self._patterns[k].limits[-1])
+        for kind in model.candidates.hosts:
+            if not kind.is_one:
+                if kind.first not in self._patterns:
+                    self._patterns[kind.first] = Patterns(self.candidates, self.groups, kind)
+                patterns, here = self._patterns[kind.first], _on(model, values, kind.first)
+                if patterns.is_too_much(here, _used(model, values, kind.first), self.standing.clock):
+                    patterns.limits[-1].limit(model, kind.first)
                     is_limited = True
         return is_limited
 
     def apart(self, kinds: Sequence[HostKind]) -> list[HostKind]:
         """Split kinds into single hosts, as many of each kind as a plan no worse than the incumbent may use."""
         found: list[HostKind] = []
-        for k, kind in enumerate(kinds):
+        for kind in kinds:
             most = len(kind.names)
             if most > 1 and self.standing.best is not None:
-                counts = self._alike(kinds)
-                first = next(self._steps(counts))
-                counts.cp.add(first.what <= first.value(self.standing.best.key))
-                counts.cp.maximize(counts.used[k])
+                model = self._limited(kinds)
+                first = next(self._steps(model))
+                model.cp.add(first.what <= first.value(self.standing.best.key))
+                model.cp.maximize(model.uses[kind.first])
                 solver = _solver(self.standing.clock)
-                if solve(solver, counts.cp, self.standing.clock) == OPTIMAL:
-                    most = solver.value(counts.used[k])
+                if solve(solver, model.cp, self.standing.clock) == OPTIMAL:
+                    most = solver.value(model.uses[kind.first])
             found += kind.apart()[:most]
         return found
+
+
+def _on(model: Model, values: Sequence[int], host: HostName) -> dict[int, int]:
+    """How many units of each group are on hosts of a kind."""
+    return {n: values[there[host].index] for n, there in model.numbers_on.items() if host in there}
+
+
+def _used(model: Model, values: Sequence[int], host: HostName) -> int:
+    """On how many hosts of a kind there are units."""
+    return values[model.uses[host].index] if host in model.uses else 1
 
 
 def _more(used: int, most: int) -> Iterator[int]:

@@ -3,121 +3,93 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from itertools import chain
+from dataclasses import replace
+from typing import Final
 
 from networkx import DiGraph, is_directed_acyclic_graph
 
-from cfgplan.domain import ALL, InputPort
 from cfgplan.onward import grouped
-from cfgplan.planners.exact.candidates import Candidate, Candidates, HostName
+from cfgplan.planners.exact.candidates import Candidates, HostKind
+from cfgplan.planners.exact.tracking import Tracking
 from cfgplan.planning import Feature
 
-COUNTABLE = frozenset(
-    {
-        Feature.HOSTS,
-        Feature.CONFLICTS,
-        Feature.BESIDE,
-        Feature.INSTANCES,
-        Feature.COUNTS,
-        Feature.LIMITS,
-        Feature.RUNS,
-        Feature.ORDER,
-    }
-)
-"""The features that the counting model handles."""
-
-
-@dataclass(frozen=True)
-class Group:
-    """Candidates that may take each other's place: the new units of a transformation, or one that runs."""
-
-    units: tuple[int, ...]
-    first: Candidate
-
-    @property
-    def label(self) -> str:
-        return self.first.transformation.label
-
-
-@dataclass(frozen=True)
-class HostKind:
-    """Interchangeable hosts, or the only place (None) without hosts."""
-
-    names: tuple[HostName, ...]
-    rooms: Mapping[str, int]
-    rent_us: int = 0
-    """The rent of one host over the horizon, in microseconds."""
-
-    @property
-    def first(self) -> HostName:
-        return self.names[0]
-
-    def apart(self) -> list[HostKind]:
-        """Each of the hosts as a kind of its own."""
-        return [HostKind((name,), self.rooms, self.rent_us) for name in self.names]
+NAMED: Final = frozenset({Feature.QUALITY, Feature.LATENCY, Feature.SURVIVAL})
+"""The features by which it matters which unit feeds which, everywhere."""
 
 
 def is_countable(candidates: Candidates) -> bool:
-    """Whether the counting model applies: no feature depends on single wires, and units or hosts are interchangeable.
+    """Whether units are counted: many units or hosts may take each other's place, and wirings close no cycles.
 
-    No stream has a price on its way, and wirings close no cycles, whichever of the streams that match are taken.
+    No stream may have a price on its way, and nothing be required or take streams only for nothing.
     """
     problem, environment = candidates.problem, candidates.environment
     kinds = candidates.kinds
     is_carried = any(port.bytes_per_s for kind in kinds.values() for port in kind.outputs)
     return (
-        problem.features <= COUNTABLE
+        NAMED.isdisjoint(problem.features)
         and not environment.required
         and not environment.links
         and not (environment.transfer_us and is_carried and environment.hosts)
         and not (Feature.ORDER in problem.features and problem.max_cost_us is not None)
-        and all(map(_is_usual, chain.from_iterable(kind.inputs for kind in kinds.values())))
-        and _are_there_several(candidates)
+        and not any(port.starts_nothing for kind in kinds.values() for port in kind.inputs)
         and is_directed_acyclic_graph(_feeds(candidates))
+        and _is_much_smaller(candidates)
     )
 
 
-def _is_usual(port: InputPort) -> bool:
-    return not (port.feedback or port.optional or port.distinct is not None or port.count == ALL)
-
-
-def _are_there_several(candidates: Candidates) -> bool:
-    """Whether there are new units of one transformation, or hosts, that may take each other's place."""
-    groups = groups_of(candidates)
-    return len(groups) < len(candidates.all) or any(len(kind.names) > 1 for kind in host_kinds(candidates, groups))
+def _is_much_smaller(candidates: Candidates) -> bool:
+    """Whether groups have fewer places than units, and many times fewer if some units are told apart."""
+    firsts = {kind.first for kind in host_kinds(candidates)}
+    grouped_places = sum(len(firsts & candidates.all[group[0]].places.keys()) for group in groups_of(candidates))
+    places = sum(len(candidate.places) for candidate in candidates.all)
+    if _told_apart(candidates):
+        return places >= candidates.clock.tuning.fleet.shared * grouped_places
+    return places > grouped_places
 
 
 def _feeds(candidates: Candidates) -> DiGraph[str]:
-    tags = {port.tag for kind in candidates.kinds.values() for port in kind.inputs}
-    givers = {tag: {candidates.all[i].transformation.label for i in candidates.feeders(tag)} for tag in tags}
-    inputs = [(label, port.tag) for label, kind in candidates.kinds.items() for port in kind.inputs]
+    """The graph of transformations that may feed each other, without feedback inputs."""
+    kinds = candidates.kinds.items()
+    inputs = [(label, port.tag) for label, kind in kinds for port in kind.inputs if not port.feedback]
+    givers = {tag: {candidates.all[i].transformation.label for i in candidates.feeders(tag)} for _, tag in inputs}
     return DiGraph((giver, label) for label, tag in inputs for giver in givers[tag])
 
 
-def groups_of(candidates: Candidates) -> list[Group]:
-    """The groups of all candidates, in their order."""
-    running = [Group((i,), candidate) for i, candidate in enumerate(candidates.all) if candidate.running is not None]
-    new = grouped((c.transformation.label, i) for i, c in enumerate(candidates.all) if c.running is None)
-    return [*running, *(Group(tuple(units), candidates.all[units[0]]) for units in new.values())]
+def groups_of(candidates: Candidates) -> list[tuple[int, ...]]:
+    """The candidates in groups, in their order: the new units of a transformation together, each running one alone.
+
+    New units are alone too if it matters who feeds them.
+    """
+    apart = _told_apart(candidates)
+    running = [(i,) for i, candidate in enumerate(candidates.all) if candidate.running is not None]
+    new = [(i, c.transformation.label) for i, c in enumerate(candidates.all) if c.running is None]
+    together = grouped((i if label in apart else label, i) for i, label in new)
+    return [*running, *map(tuple, together.values())]
 
 
-def host_kinds(candidates: Candidates, groups: Sequence[Group]) -> list[HostKind]:
+def _told_apart(candidates: Candidates) -> set[str]:
+    """The transformations whose units are no group: the model says for each unit who feeds it, or whom it feeds."""
+    tracked = {candidates.all[i].transformation.label for i in Tracking.of(candidates).units}
+    found = set(tracked)
+    for label, kind in candidates.kinds.items():
+        for port in kind.inputs:
+            if port.is_told_apart or label in tracked:
+                found.add(label)
+                if port.count != 1:
+                    found.update(candidates.all[i].transformation.label for i in candidates.feeders(port.tag))
+    return found
+
+
+def host_kinds(candidates: Candidates) -> list[HostKind]:
     """The kinds of hosts that units may be on; one where something runs is of its own kind."""
-    environment, horizon_s = candidates.environment, candidates.problem.horizon_s
-    if not environment.hosts:
-        return [HostKind((None,), {})]
-    occupied = {host for group in groups if group.first.running for host in group.first.hosts}
-    resources = sorted({r for group in groups for place in group.first.places.values() for r in place.takes})
-    kinds: dict[object, list[HostName]] = defaultdict(list)
-    rooms_of: dict[HostName, dict[str, int]] = {}
-    for host in environment.hosts:
-        rooms = {each: room for each in resources if (room := host.room(each, horizon_s)) is not None}
-        places = [(n, group.first.places.get(host.name)) for n, group in enumerate(groups)]
+    if not candidates.environment.hosts:
+        return [*candidates.hosts]
+    firsts = [candidates.all[group[0]] for group in groups_of(candidates)]
+    occupied = {host for first in firsts if first.running for host in first.hosts}
+    kinds: dict[object, list[HostKind]] = defaultdict(list)
+    for host in candidates.hosts:
+        places = [(n, first.places.get(host.first)) for n, first in enumerate(firsts)]
         there = tuple((n, place.cost_us, *sorted(place.takes.items())) for n, place in places if place is not None)
-        own = host.name if host.name in occupied else None
-        rooms_of[host.name] = rooms
-        kinds[own, host.rent_us, tuple(rooms.items()), there].append(host.name)
-    rents_us = {host.name: host.rent_us * horizon_s for host in environment.hosts}
-    return [HostKind(tuple(names), rooms_of[names[0]], rents_us[str(names[0])]) for names in kinds.values()]
+        own = host.first if host.first in occupied else None
+        kinds[own, host.rent_us, tuple(host.rooms.items()), there].append(host)
+    return [replace(hosts[0], names=tuple(host.first for host in hosts)) for hosts in kinds.values()]

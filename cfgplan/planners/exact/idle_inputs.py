@@ -15,13 +15,14 @@ from cfgplan.planners.exact.targets import who_is_needed
 def a_stream_serves_no_more_than_it_may(model: Model) -> None:
     for stream, most in model.serves.items():
         taking = _taking(model, stream)
-        if len(taking) > most:
-            model.cp.add(LinearExpr.sum(taking) <= most)
+        if len(taking) > most or model.is_grouped:
+            streams = model.number[model.unit_of(stream)] if model.is_grouped else 1
+            model.cp.add(LinearExpr.sum(taking) <= most * streams)
 
 
 def _taking(model: Model, stream: Stream) -> list[IntVar]:
-    """The booleans that inputs and topics take a stream that serves only so many."""
-    choices = [*model.connects.values(), *model.publishes.values()]
+    """How many inputs and topics take a stream that serves only so many: of named units, a boolean for each."""
+    choices = [*model.connects.values(), *model.takes.values(), *model.publishes.values()]
     return [choice[stream] for choice in choices if stream in choice]
 
 

@@ -31,11 +31,16 @@ def a_wired_unit_is_fed(model: Model) -> None:
         inputs = model.candidates.all[i].transformation.inputs
         told_apart = [port for port in inputs if model.is_told_apart(i, port)]
         apart = {port.name: an_input_told_apart_has_its_feeders(model, i, port) for port in told_apart}
+        for port in inputs:
+            if port.name not in apart and model.is_counted(port):
+                a_counted_input_has_its_number(model, i, port)
         for host, wired in model.wired_on(i).items():
             parts = []
             for port in inputs:
                 if port.name in apart:
                     parts += apart[port.name]
+                elif model.is_counted(port):
+                    continue
                 elif port.feedback:
                     model.needs_any(wired, [way for s in model.choices(port.tag) for way in model.ways(s, host)])
                 else:
@@ -77,6 +82,35 @@ def an_input_told_apart_has_its_feeders(model: Model, unit: int, port: InputPort
     fed = model.boolean()
     model.rests_on_any(fed, list(connects.values()))
     return [fed]
+
+
+def a_counted_input_has_its_number(model: Model, unit: int, port: InputPort) -> None:
+    """As many units run as an input counts; where they serve only so many, the streams that a group takes are counted.
+
+    A unit that stays keeps its streams. No unit of the group may feed another, directly or through others.
+    """
+    streams, size = model.choices(port.tag), model.candidates.all[unit].size
+    of_feeders = grouped((model.unit_of(stream), stream) for stream in streams)
+    enough = LinearExpr.sum([model.number[feeder] for feeder in of_feeders]) >= port.count
+    model.cp.add(enough).only_enforce_if(model.runs[unit])
+    if model.serves.keys().isdisjoint(streams):
+        return
+    takes = model.takes[unit, port.name] = {}
+    for feeder, outputs in of_feeders.items():
+        units = model.candidates.all[feeder].size
+        most = size * min(port.count, units)
+        takes |= {stream: model.cp.new_int_var(0, most, "") for stream in outputs}
+        taken = LinearExpr.sum([takes[stream] for stream in outputs])
+        if port.count == 1 or size == 1:
+            model.cp.add(taken <= size * model.number[feeder])
+            continue
+        pairs = model.cp.new_int_var(0, size * units, "")
+        model.cp.add_multiplication_equality(pairs, [model.number[feeder], model.number[unit]])
+        model.cp.add(taken <= pairs)
+    model.cp.add(LinearExpr.sum([*takes.values()]) == port.count * model.number[unit])
+    running = model.candidates.all[unit].running
+    for stream in running.feeds.get(port.name, ()) if unit in model.stays and running is not None else ():
+        model.cp.add(model.stays[unit] <= takes[stream])
 
 
 def an_input_takes_its_number_of_streams_or_none(model: Model, unit: int, port: InputPort) -> None:

@@ -8,15 +8,15 @@ input for which the feeder matters is explicit: each stream that may feed it has
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence, Set
+from collections.abc import Callable, Iterable, Sequence
 
 from ortools.sat.python.cp_model import IntVar, LinearExpr, LinearExprT, LiteralT
 
 from cfgplan.costs import transfer_cost_us
 from cfgplan.domain import ALL, InputPort, Objective, Stream
-from cfgplan.onward import grouped, reached
 from cfgplan.planners.exact.best_case import demands_of_quality
 from cfgplan.planners.exact.candidates import ONLY_IN_THE_MODEL, Candidates, HostName
+from cfgplan.planners.exact.tracking import Tracking
 from cfgplan.planners.solving.engine import ExactModel, at_least
 from cfgplan.planners.solving.support import Support
 from cfgplan.planning import Feature
@@ -31,6 +31,10 @@ class Model:
     `stays` as it was wired, or `is_wired` by this update. `hubs` say that a demand is met on a host, and `meets` by
     which stream if that matters; `connects` say which streams feed an explicit input, and `publishes` which meet a
     target. With `is_apart`, every input and target is explicit.
+
+    A candidate may be a group of several units, and a host a kind of several (`Candidates.alike`). A group `runs` if
+    some of its units do, `number` and `numbers_on` say how many, and `has_on` on how many hosts of a kind; of one unit
+    these are the booleans that it runs. The model relaxes kinds of several hosts: it bounds their load in all.
     """
 
     def __init__(self, candidates: Candidates, rules: Iterable[ModelRule], *, is_apart: bool = False) -> None:
@@ -41,6 +45,7 @@ class Model:
         self.asks_for_quality = Feature.QUALITY in self.problem.features
         by_stream = {Feature.LATENCY, *ONLY_IN_THE_MODEL} if self.asks_for_quality else {Feature.LATENCY}
         self.is_apart = is_apart or not by_stream.isdisjoint(self.problem.features)
+        self.is_grouped = candidates.groups is not None
         self.cp = ExactModel()
         self.support = Support()
         self.anywhere = Support()
@@ -51,11 +56,16 @@ class Model:
         self.is_there: dict[int, IntVar] = {}
         self.runs_on: dict[int, dict[HostName, IntVar]] = {}
         self.waits_on: dict[int, dict[HostName, IntVar]] = {}
+        self.number: dict[int, IntVar] = {}
+        self.numbers_on: dict[int, dict[HostName, IntVar]] = {}
+        self.has_on: dict[int, dict[HostName, IntVar]] = {}
         self.stays: dict[int, IntVar] = {}
         self.is_wired: dict[int, IntVar] = {}
         self.hubs: dict[tuple[int, HostName], IntVar] = {}
         self.meets: dict[tuple[int, HostName], dict[Stream, IntVar]] = {}
         self.connects: dict[tuple[int, str], dict[Stream, IntVar]] = {}
+        self.takes: dict[tuple[int, str], dict[Stream, IntVar]] = {}
+        """By input that takes several streams or limited ones, of a group: how many of each output its units take."""
         self.publishes: dict[str, dict[Stream, IntVar]] = {}
         self.carried: dict[tuple[Stream, HostName], IntVar] = {}
         self.is_fed: dict[tuple[int, str], IntVar] = {}
@@ -63,22 +73,17 @@ class Model:
         self.spares: dict[int, IntVar] = {}
         """By candidate that may feed inputs which start nothing: that a failure is not survived without it."""
         self.uses_required: dict[str, IntVar] = {}
-        self.uses: dict[str, IntVar] = {}
-        """By host that is counted or has a rent: that something is there."""
+        self.uses: dict[HostName, IntVar] = {}
+        """By host that is counted or has a rent: that something is there; by kind of hosts, on how many."""
         self.more_costs: list[LinearExprT] = []
         self.missed_by: dict[tuple[str, str], tuple[LinearExprT, int]] = {}
         """By how much each target's stream misses the best of an attribute, in steps, and the size of a step."""
-        self.idle_feeders = _feeders_of_idle_inputs(candidates)
-        """The candidates that may feed inputs which start nothing."""
-        self.keeping_each_other = _keeping_each_other(candidates)
-        """The candidates of which several might need each other only, so that none of them could be left out."""
+        tracking = Tracking.of(candidates)
+        self.idle_feeders, self.keeping_each_other = tracking.idle_feeders, tracking.keeping_each_other
+        self.tracked = tracking.units
+        """The candidates whose feeders matter."""
         self.needed: dict[int, IntVar] = {}
         """By tracked candidate: that what runs needs it, where a rule asks for that."""
-        required = (i for i, c in enumerate(candidates.all) if c.may_run and c.transformation.required)
-        apart = self.idle_feeders | self.keeping_each_other
-        company = candidates.environment.companions if apart else frozenset()
-        self.tracked = _downstream_of(candidates, sorted(apart.union(required)), company)
-        """The candidates whose feeders matter: those downstream of required transformations or of `needed` units."""
         self._demand_of_tag: dict[str, int] = {}
         self._demand_of_streams: dict[tuple[Stream, ...], int] = {}
         self._streams: list[tuple[Stream, ...]] = []
@@ -99,7 +104,9 @@ class Model:
         }
         """How many inputs and topics may take each stream that serves only so many."""
         takes_all = any(port.count == ALL for t in self.environment.library for port in t.inputs)
-        self.tells_ports = bool(self.is_apart or self.asks_for_quality or self.placed or takes_all or self.serves)
+        self.tells_ports = bool(
+            self.is_apart or self.is_grouped or self.asks_for_quality or self.placed or takes_all or self.serves
+        )
         """Whether it matters which stream of a unit is taken."""
         self._any_stream = [Stream(candidate.id, "") for candidate in candidates.all]
         self.needing = self._units_by_demand()
@@ -169,8 +176,16 @@ class Model:
         return needing
 
     def there_on(self, unit: int) -> list[tuple[HostName, IntVar]]:
-        """The booleans that a candidate is on each host, running or as a cold spare."""
-        return [*self.runs_on[unit].items(), *self.waits_on[unit].items()]
+        """How many units of a candidate are on each host, running or as cold spares: of one unit, booleans."""
+        return [*self.numbers_on[unit].items(), *self.waits_on[unit].items()]
+
+    def hosts_with(self, unit: int) -> list[tuple[HostName, IntVar]]:
+        """On how many hosts of each kind units of a candidate are, running or as cold spares: of one host, booleans."""
+        return [*self.has_on[unit].items(), *self.waits_on[unit].items()]
+
+    def hosts_in_use(self, host: HostName) -> LinearExprT:
+        """How many hosts of a kind bear units; 1 where units are named, whatever is there."""
+        return self.uses.get(host, 1) if self.is_grouped else 1
 
     def running(self, label: str) -> list[int]:
         """The candidates of a transformation that may run."""
@@ -187,11 +202,20 @@ class Model:
         """Whether it matters who feeds it: for quality, if it is distinct or not usual, or tracked ones may feed it."""
         return (
             self.is_apart
-            or not port.is_usual
             or port.distinct is not None
-            or any(stream in self.serves for stream in (self.choices(port.tag) if self.serves else ()))
+            or (not self.is_counted(port) and self._takes_several_or_limited(port))
             or (not port.feedback and self.is_apart_for_quality.get(self.demand(port.tag), False))
             or (unit in self.tracked and not self.tracked.isdisjoint(self.candidates.feeders(port.tag)))
+        )
+
+    def is_counted(self, port: InputPort) -> bool:
+        """Whether it matters how many streams an input takes, but not which: units of a group take them together."""
+        return self.is_grouped and not port.is_told_apart and self._takes_several_or_limited(port)
+
+    def _takes_several_or_limited(self, port: InputPort) -> bool:
+        """Whether an input is not usual, or some of the streams that may feed it serve only so many."""
+        return not port.is_usual or any(
+            stream in self.serves for stream in (self.choices(port.tag) if self.serves else ())
         )
 
     def hub(self, tag: str, host: HostName) -> IntVar:
@@ -245,22 +269,25 @@ class Model:
     def wired_on(self, unit: int) -> dict[HostName, IntVar]:
         """The boolean of each host that the candidate is rewired there."""
         places = self.runs_on[unit]
+        if self.candidates.all[unit].size > 1:
+            return {None: self.is_wired[unit]}
         return dict.fromkeys(places, self.is_wired[unit]) if len(places) == 1 else places
 
     def enough_of_each_run(self, landmarks: Iterable[tuple[Iterable[str], int]]) -> None:
         """Demand so many units, or more, of each landmark's labels; a label counts as often as it is named."""
         for labels, least in landmarks:
-            at_least(self.cp, least, [self.runs[i] for label in labels for i in self.running(label)])
+            of = self.runs if least == 1 else self.number
+            at_least(self.cp, least, [of[i] for label in labels for i in self.running(label)])
 
     def cost(self) -> LinearExprT:
         """Labor, upkeep and standby, and what rules have added."""
         candidates = self.candidates.all
-        terms: list[LinearExprT] = [candidates[i].cost_us * runs for i, runs in self.runs.items()]
+        terms: list[LinearExprT] = [candidates[i].cost_us * number for i, number in self.number.items()]
         terms += [candidates[i].waiting_cost_us * waits for i, waits in self.waits.items()]
         for i, candidate in enumerate(candidates):
             for host, place in candidate.places.items():
                 if more_us := place.cost_us - candidate.cost_us if candidate.may_run else 0:
-                    terms.append(more_us * self.runs_on[i][host])
+                    terms.append(more_us * self.numbers_on[i][host])
                 if more_us := place.waiting_cost_us - candidate.waiting_cost_us if candidate.may_wait else 0:
                     terms.append(more_us * self.waits_on[i][host])
         return LinearExpr.sum([*terms, *self.more_costs])
@@ -271,10 +298,10 @@ class Model:
             case Objective.COST:
                 return self.cost()
             case Objective.RENT:
-                rent_us = {host.name: host.rent_us * self.problem.horizon_s for host in self.environment.hosts}
+                rent_us = {kind.first: kind.rent_us for kind in self.candidates.hosts}
                 return LinearExpr.weighted_sum([*self.uses.values()], [rent_us[name] for name in self.uses])
             case Objective.UNITS:
-                return LinearExpr.sum([*self.runs.values()])
+                return LinearExpr.sum([*self.number.values()])
             case Objective.HOSTS:
                 return LinearExpr.sum([*self.uses.values()])
             case Objective.REWIRED:
@@ -284,66 +311,20 @@ class Model:
 
     def changes(self) -> LinearExprT:
         """Rewired kept units, then started ones: one rewired unit outweighs all that can be started."""
-        started = self.started()
-        return (len(started) + 1) * LinearExpr.sum(self.rewired()) + LinearExpr.sum(started)
+        return (self.most_started() + 1) * LinearExpr.sum(self.rewired()) + LinearExpr.sum(self.started())
 
     def rewired(self) -> list[IntVar]:
         """The booleans of kept units that are rewired."""
         return [self.is_wired[i] for i in self.runs if self.candidates.all[i].running is not None]
 
     def started(self) -> list[IntVar]:
-        """Return the `is_there` booleans of new units."""
-        return [there for i, there in self.is_there.items() if self.candidates.all[i].running is None]
+        """Return how many new units of each candidate are there."""
+        return [self.number_there(i) for i in self.is_there if self.candidates.all[i].running is None]
 
+    def most_started(self) -> int:
+        """How many units may be started at most."""
+        return sum(candidate.size for candidate in self.candidates.all if candidate.running is None)
 
-def _feeders_of_idle_inputs(candidates: Candidates) -> frozenset[int]:
-    tags = {port.tag for kind in candidates.kinds.values() for port in kind.inputs if port.starts_nothing}
-    return frozenset(feeder for tag in tags for feeder in candidates.feeders(tag))
-
-
-def _keeping_each_other(candidates: Candidates) -> frozenset[int]:
-    """The candidates that may run in a ring only for a number or for company, each of them needed by another.
-
-    So may those that others run with, or that numbers ask for, if they feed a ring that feedback or company closes.
-    """
-    kinds, asked = candidates.kinds, candidates.environment.companions
-    asked |= {label for label, kind in kinds.items() if kind.min_instances}
-    several = [label for label in sorted(asked & kinds.keys()) if len(candidates.units_of(label)) > 1]
-    if not several:
-        return frozenset()
-    from networkx import MultiDiGraph, strongly_connected_components
-
-    ring_of: dict[str, int] = {}
-    graph: MultiDiGraph[str] = MultiDiGraph()
-    closing = {(other, label) for label, kind in kinds.items() for other in kind.beside if other in kinds}
-    graph.add_edges_from(closing)
-    feeds: set[tuple[str, str]] = set()
-    for label, kind in kinds.items():
-        for port in kind.inputs:
-            givers = {candidates.all[i].transformation.label for i in candidates.feeders(port.tag)}
-            feeds.update((giver, label) for giver in givers if not port.starts_nothing)
-            closing.update((giver, label) for giver in givers if port.feedback and not port.starts_nothing)
-    graph.add_edges_from(feeds)
-    for number, ring in enumerate(strongly_connected_components(graph)):
-        ring_of.update(dict.fromkeys(ring, number))
-    closed = {ring_of[one] for one, other in closing if ring_of[one] == ring_of[other]}
-    feeding = {one for one, other in feeds if ring_of[one] == ring_of[other] and ring_of[one] in closed}
-    return frozenset(i for label in several if label in feeding for i in candidates.units_of(label))
-
-
-def _downstream_of(candidates: Candidates, starts: list[int], company: Set[str]) -> frozenset[int]:
-    """Some candidates and all that they may feed, or run with if they are `company`, directly or through others."""
-    if not starts:
-        return frozenset()
-    inputs = [(i, c.transformation.inputs) for i, c in enumerate(candidates.all) if c.may_run]
-    needing = grouped((port.tag, i) for i, ports in inputs for port in ports)
-    fed_by = grouped((feeder, tag) for tag in needing for feeder in candidates.feeders(tag))
-
-    def users(i: int) -> Iterator[int]:
-        label = candidates.all[i].transformation.label
-        beside = enumerate(candidates.all) if label in company else ()
-        yield from (user for user, c in beside if label in c.transformation.beside and c.may_run)
-        for tag in fed_by[i]:
-            yield from needing.pop(tag, ())
-
-    return frozenset(reached(starts, users))
+    def number_there(self, unit: int) -> IntVar:
+        """How many units of a candidate are there, running or as cold spares: of one unit, a boolean."""
+        return self.is_there[unit] if self.candidates.all[unit].size == 1 else self.number[unit]

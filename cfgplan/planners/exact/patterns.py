@@ -8,12 +8,14 @@ that takes the fewest patterns (Gilmore and Gomory 1961); the patterns that it n
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 from ortools.sat.python.cp_model import OPTIMAL, CpSolverSolutionCallback, LinearExpr
 
-from cfgplan.planners.exact.candidates import Candidates
-from cfgplan.planners.exact.counting import PLACED, CountingModel, Weights
-from cfgplan.planners.exact.groups import Group, HostKind
+from cfgplan.planners.exact.candidates import Candidates, HostKind, HostName
+from cfgplan.planners.exact.model import Model
+from cfgplan.planners.exact.rules import PLACED
+from cfgplan.planners.exact.units import most_on_one
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.solving.engine import repeatable_solver, solve
 
@@ -24,30 +26,44 @@ Pattern = Mapping[int, int]
 """How many units of each group one host has, by the numbers of the groups."""
 
 
+class Weights(NamedTuple):
+    """A packing constraint: the weight of a unit of each group, and the most that one host of a kind carries."""
+
+    of: Mapping[int, int]
+    most: int
+
+    def limit(self, model: Model, host: HostName) -> None:
+        """Add the constraint that the units on hosts of a kind weigh at most what that number of hosts carries."""
+        weight = LinearExpr.sum([weight * model.numbers_on[n][host] for n, weight in self.of.items()])
+        model.cp.add(weight <= self.most * model.uses[host])
+
+
 class Patterns:
     """The patterns of a kind of hosts, as far as they are known, and the limits that were found."""
 
-    def __init__(self, candidates: Candidates, groups: Sequence[Group], hosts: HostKind) -> None:
+    def __init__(self, candidates: Candidates, groups: Sequence[tuple[int, ...]], hosts: HostKind) -> None:
         from ortools.linear_solver import pywraplp  # type: ignore[import-untyped]
 
         self.limits: list[Weights] = []
-        one = CountingModel(candidates, groups, [HostKind(hosts.names[:1], hosts.rooms)], PLACED)
-        self._cp, self._there = one.cp, {n: there for (n, _), there in one.there.items()}
+        host = hosts.apart()[0]
+        one = Model(candidates.alike(groups, [host]), PLACED)
+        self._cp, units = one.cp, one.candidates.all
+        self._there = {n: numbers[host.first] for n, numbers in one.numbers_on.items() if numbers}
         self._known: list[Pattern] = []
         self._engine, self._optimal = pywraplp.Solver.CreateSolver("GLOP"), pywraplp.Solver.OPTIMAL
         self._weights = {}
         most = candidates.clock.tuning.fleet.company
         for n in self._there:
-            least = -most if groups[n].label in candidates.environment.companions else 0.0
-            has_company = bool(groups[n].first.transformation.beside)
-            largest = most if has_company else 1 / max(1, one.most_there(n, 0))
+            transformation = units[n].transformation
+            least = -most if transformation.label in candidates.environment.companions else 0.0
+            largest = most if transformation.beside else 1 / max(1, most_on_one(units[n], host))
             self._weights[n] = self._engine.NumVar(least, largest, "")
         self._engine.Objective().SetMaximization()
 
     def is_too_much(self, there: Pattern, hosts: int, clock: Clock) -> bool:
         """Whether some new limit, the last of `limits` then, says that so many hosts can't have these units.
 
-        False too if the time is over.
+        False too if that takes too long to say.
         """
         for n, weight in self._weights.items():
             self._engine.Objective().SetCoefficient(weight, there.get(n, 0) + 1 / FINE)
@@ -71,7 +87,7 @@ class Patterns:
         return False
 
     def _heavy(self, weights: Mapping[int, int], clock: Clock) -> list[Pattern]:
-        """Patterns that include a heaviest one. Empty if the time ends before one is proven heaviest."""
+        """Patterns that include a heaviest one. Empty if that takes too long to prove."""
         self._cp.maximize(LinearExpr.sum([weights[n] * there for n, there in self._there.items()]))
         found: list[Pattern] = []
 
@@ -80,6 +96,7 @@ class Patterns:
             return True
 
         solver = repeatable_solver(small=True, time_limit_s=clock.left_s())
+        solver.parameters.max_deterministic_time = clock.tuning.fleet.price
         return found if solve(solver, self._cp, clock, look_at) == OPTIMAL else []
 
 

@@ -12,6 +12,7 @@ from cfgplan.planners.exact.model import ModelRule
 
 RULES: Final[tuple[ModelRule, ...]] = (
     units.a_unit_runs_or_waits_in_one_place,
+    units.a_group_runs_if_some_of_its_units_do,
     units.a_kept_unit_stays_or_is_wired_anew,
     inputs.a_staying_unit_keeps_its_feeders,
     inputs.a_wired_unit_is_fed,
@@ -28,15 +29,26 @@ RULES: Final[tuple[ModelRule, ...]] = (
     idle_inputs.an_input_that_starts_nothing_is_fed_by_what_is_needed_anyway,
     idle_inputs.an_input_that_starts_nothing_is_fed_where_it_can_be,
     targets.units_that_could_keep_each_other_are_needed,
-    hosts.hosts_bear_their_units,
     hosts.a_host_is_paid_and_counted_while_something_is_there,
+    hosts.hosts_bear_their_units,
     units.units_that_conflict_are_not_there_together,
     units.there_are_as_many_units_as_asked_for_and_allowed,
     hosts.no_host_has_more_units_of_a_transformation_than_it_allows,
     hosts.units_that_conflict_are_not_on_one_host,
     hosts.beside_a_running_unit_run_those_that_it_runs_with,
+    hosts.hosts_alike_are_taken_in_order,
     units.new_units_come_in_order,
     units.one_of_new_units_alike_is_enough,
     quality.targets_get_the_quality_they_ask_for,
 )
 """What a configuration must be, in the order in which the booleans are made."""
+PLACED: Final[tuple[ModelRule, ...]] = (
+    units.a_unit_runs_or_waits_in_one_place,
+    hosts.a_host_is_paid_and_counted_while_something_is_there,
+    hosts.hosts_bear_their_units,
+    hosts.no_host_has_more_units_of_a_transformation_than_it_allows,
+    hosts.units_that_conflict_are_not_on_one_host,
+    hosts.beside_a_running_unit_run_those_that_it_runs_with,
+    hosts.hosts_alike_are_taken_in_order,
+)
+"""The rules of units on hosts, which hold whatever the wiring."""

@@ -189,12 +189,12 @@ class Search:
 
     def _changes(self, key: Key) -> int:
         """A plan's rewired and started units, as the model adds them up."""
-        return (len(self.model.started()) + 1) * key.rewired + key.started
+        return (self.model.most_started() + 1) * key.rewired + key.started
 
     def _scale(self) -> int:
         """The weight of a microsecond in a sum of cost and changes; 0 if the sum would not be exact."""
         candidates, best = self.model.candidates, self.standing.best
-        started = len(self.model.started())
+        started = self.model.most_started()
         scale = (started + 1) * (len(candidates.all) - started + 1)
         largest_us = self.problem.largest_cost_us(self.problem.horizon_s)
         exact_us = largest_us if best is None else best.key.cost_us

@@ -20,8 +20,8 @@ def a_target_is_published_by_one_unit(model: Model) -> None:
         for stream in model.choices(target.tag):
             feeder = model.unit_of(stream)
             running = model.candidates.all[feeder].running
-            is_told_apart = model.is_apart or target.quality or feeder in model.tracked or stream in model.serves
-            if not is_told_apart and running is None:
+            is_told_apart = model.is_apart or model.is_grouped or target.quality or stream in model.serves
+            if not is_told_apart and feeder not in model.tracked and running is None:
                 others += model.ways(stream, target.host)
                 continue
             publishes = choices[stream] = model.boolean()

@@ -8,20 +8,58 @@ from itertools import product
 from ortools.sat.python.cp_model import IntVar, LinearExpr
 
 from cfgplan.onward import grouped
+from cfgplan.planners.exact.candidates import Candidate, HostKind
 from cfgplan.planners.exact.model import Model
 
 
 def a_unit_runs_or_waits_in_one_place(model: Model) -> None:
     for i, candidate in model.candidates.clock.each(enumerate(model.candidates.all)):
+        if candidate.size > 1:
+            _several_run_in_places(model, i)
+            continue
         model.runs_on[i] = {host: model.boolean() for host in candidate.hosts} if candidate.may_run else {}
+        model.numbers_on[i] = model.has_on[i] = model.runs_on[i]
         model.waits_on[i] = {host: model.boolean() for host in candidate.hosts} if candidate.may_wait else {}
         if candidate.may_run:
-            model.runs[i] = _any_of(model, list(model.runs_on[i].values()))
+            model.runs[i] = model.number[i] = _any_of(model, list(model.runs_on[i].values()))
         if candidate.may_wait:
             model.waits[i] = _any_of(model, list(model.waits_on[i].values()))
         model.is_there[i] = _any_of(model, [state[i] for state in (model.runs, model.waits) if i in state])
         if len(candidate.hosts) > 1 and candidate.may_run:
             model.support.rests_on_any(model.runs[i].index, [on.index for on in model.runs_on[i].values()])
+
+
+def _several_run_in_places(model: Model, unit: int) -> None:
+    """Units of a group run on hosts of kinds: on each host as many as fit there."""
+    candidate = model.candidates.all[unit]
+    model.runs_on[unit], model.waits_on[unit] = {}, {}
+    numbers, has = model.numbers_on[unit], model.has_on[unit] = {}, {}
+    for host in candidate.places:
+        kind = model.candidates.host_kind[host]
+        most = most_on_one(candidate, kind)
+        has[host] = model.boolean() if kind.is_one else model.cp.new_int_var(0, len(kind.names), "")
+        numbers[host] = has[host]
+        if most != 1:
+            numbers[host] = model.cp.new_int_var(0, min(candidate.size, most * len(kind.names)), "")
+            model.cp.add(numbers[host] <= most * has[host])
+            model.cp.add(has[host] <= numbers[host])
+    model.number[unit] = model.cp.new_int_var(0, candidate.size, "")
+    model.cp.add(model.number[unit] == LinearExpr.sum([*numbers.values()]))
+
+
+def a_group_runs_if_some_of_its_units_do(model: Model) -> None:
+    for i, candidate in enumerate(model.candidates.all):
+        if candidate.size > 1:
+            runs = model.runs[i] = model.is_there[i] = model.boolean()
+            model.cp.add(model.number[i] <= candidate.size * runs)
+            model.cp.add(model.number[i] >= runs)
+
+
+def most_on_one(candidate: Candidate, kind: HostKind) -> int:
+    """How many units of a candidate fit on one host of a kind."""
+    takes, per_host = candidate.places[kind.first].takes, candidate.transformation.per_host
+    by_room = [room // takes[each] for each, room in kind.rooms.items() if takes.get(each)]
+    return min([candidate.size, *by_room, *([] if per_host is None else [per_host])])
 
 
 def _any_of(model: Model, literals: list[IntVar]) -> IntVar:
@@ -64,9 +102,10 @@ def are_apart(model: Model, some: Iterable[IntVar], others: Iterable[IntVar]) ->
 def there_are_as_many_units_as_asked_for_and_allowed(model: Model) -> None:
     for t in model.environment.library:
         if t.min_instances:
-            model.cp.add(LinearExpr.sum([model.runs[i] for i in model.running(t.label)]) >= t.min_instances)
-        if t.max_instances is not None and len(there := _there(model, t.label)) > t.max_instances:
-            model.cp.add(LinearExpr.sum(there) <= t.max_instances)
+            model.cp.add(LinearExpr.sum([model.number[i] for i in model.running(t.label)]) >= t.min_instances)
+        units = model.candidates.units_of(t.label)
+        if t.max_instances is not None and sum(model.candidates.all[i].size for i in units) > t.max_instances:
+            model.cp.add(LinearExpr.sum([model.number_there(i) for i in units]) <= t.max_instances)
 
 
 def _there(model: Model, label: str) -> list[IntVar]:
