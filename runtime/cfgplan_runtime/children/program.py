@@ -33,6 +33,8 @@ from cfgplan_runtime.streams.element import Buffer, Moment
 
 MOST_IN_FLIGHT = 32
 """Steps that wait for the answers of a program at most; `queue` may say fewer."""
+_BYTES_IN_FLIGHT = 1 << 20
+"""Bytes of the steps in flight from which no other is asked for, but for a second one: more would leave the caches."""
 _PIPE_BYTES = 1 << 20
 """The most that the system allows a pipe of most users to hold."""
 _MOST_PARTS = 64
@@ -51,6 +53,8 @@ class _Asked(NamedTuple):
 
     step: int
     moment: Moment | None
+    size: int
+    """Bytes of its message."""
 
 
 class Reply(NamedTuple):
@@ -77,6 +81,7 @@ class ProgramCode:
         self._last_ns: dict[str, int] = {}
         self._step = 0
         self._asked: deque[_Asked] = deque()
+        self._asked_bytes = 0
         self._since_ns = 0
         """When the program answered last, or was asked last while it owed nothing; monotonic."""
         self._unsent: deque[memoryview] = deque()
@@ -93,6 +98,7 @@ class ProgramCode:
         """Whether it may be asked for one more step. A source that sets its own pace is never asked."""
         return (
             len(self._asked) < self._most_in_flight
+            and (self._asked_bytes < _BYTES_IN_FLIGHT or len(self._asked) < 2)
             and self._unsent_bytes < _LARGE
             and not (self.sets_its_pace or self._is_over)
         )
@@ -122,10 +128,11 @@ class ProgramCode:
         parts = self._output.encode(Request(self._step, time_ns, values))
         if not self._asked:
             self._since_ns = time.monotonic_ns()
-        self._asked.append(_Asked(self._step, moment))
-        for part in parts:
-            self._unsent.append(memoryview(part))
-            self._unsent_bytes += len(part)
+        size = sum(map(len, parts))
+        self._asked.append(_Asked(self._step, moment, size))
+        self._asked_bytes += size
+        self._unsent.extend(map(memoryview, parts))
+        self._unsent_bytes += size
         if self._unsent_bytes >= _LARGE:
             self.flush()
 
@@ -252,7 +259,9 @@ class ProgramCode:
 
     def _settled(self) -> _Asked:
         self._since_ns = time.monotonic_ns()
-        return self._asked.popleft()
+        settled = self._asked.popleft()
+        self._asked_bytes -= settled.size
+        return settled
 
     def _is_right(self, answer: Answer, message: Message) -> bool:
         """Whether ports and time of an answer are right; if not, that is told, and the answer does not count."""
