@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields
+from functools import cache
 from typing import Any, TypeVar
 from unicodedata import normalize
 
@@ -36,15 +37,21 @@ def store_resources(holder: object, name: str, fields: Mapping[str, str]) -> Non
 
 def fields_of(value: Any) -> dict[str, Any]:
     """Return the fields of a frozen dataclass, without derived attributes, for pickling and copying."""
-    return {field.name: getattr(value, field.name) for field in fields(value)}
+    return {name: getattr(value, name) for name in _names_of(type(value))}  # type: ignore[arg-type]
 
 
 def with_fields(value: T, **changed: object) -> T:
     """Return a copy of a frozen dataclass with other fields, which are not checked: they must be allowed."""
-    copy = object.__new__(type(value))
-    for name, held in (fields_of(value) | changed).items():
-        object.__setattr__(copy, name, held)
+    copy, put = object.__new__(type(value)), object.__setattr__
+    for name in _names_of(type(value)):  # type: ignore[arg-type]
+        put(copy, name, changed[name] if name in changed else getattr(value, name))
     return copy
+
+
+@cache
+def _names_of(kind: type[Any]) -> tuple[str, ...]:
+    """The names of a dataclass's fields."""
+    return tuple(field.name for field in fields(kind))
 
 
 def refuse_duplicates(what: str, names: list[str]) -> None:

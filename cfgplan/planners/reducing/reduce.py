@@ -229,7 +229,7 @@ def _with_what_is_used(problem: Problem, use: _Use) -> Problem:
         else ComputationUnit(unit.id, GONE, unit.subscriptions)
         for unit in environment.units
     )
-    most = {t.label: problem.most_new(environment.transformation[t.label]) for t in library}
+    most = {t.label: use.units[t.label] - use.running.get(t.label, 0) for t in library}
     left = replace(environment, library=library, units=units)
     return Numbered(left, problem.similarity, problem.horizon_s, problem.max_cost_us, problem.survive, most)
 
