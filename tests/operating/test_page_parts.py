@@ -151,3 +151,10 @@ def test_an_error_of_a_unit_has_the_last_line_of_its_own_code(tmp_path: Path) ->
         "lines": ["    2 | y = x / 0", "      | ^^^^^^^^^"],
     }
     assert error_record("it exited")["lines"] == []
+
+
+def test_a_units_error_shows_no_file_but_code(tmp_path: Path) -> None:
+    secret = tmp_path / "secrets"
+    secret.write_text("password\n")
+    named = error_record(f'  File "{secret}", line 1, in step\nValueError: no\n')
+    assert (named["place"], named["lines"]) == ("", [])

@@ -9,7 +9,8 @@ from cfgplan.errors import Fault
 from cfgplan.excerpts import drawn, excerpt
 from cfgplan_runtime.operating.protocol import Record
 
-_FRAME = re.compile(r'^  File "([^"]+)", line (\d+)', re.MULTILINE)
+_FRAME = re.compile(r'^  File "([^"]+\.py)", line (\d+)', re.MULTILINE)
+"""Only Python code is shown: the text is the unit's, which may name any file."""
 _PACKAGE = str(Path(__file__).parents[1])
 _MOST_CHARACTERS = 500
 
