@@ -37,7 +37,7 @@ _PROFILE = """\
         <discovery_config>
           <leaseDuration><sec>3</sec></leaseDuration>
           <leaseAnnouncement><sec>0</sec><nanosec>500000000</nanosec></leaseAnnouncement>
-          <initialAnnouncements><count>30</count><period><nanosec>20000000</nanosec></period></initialAnnouncements>
+          <initialAnnouncements><count>60</count><period><nanosec>50000000</nanosec></period></initialAnnouncements>
         </discovery_config>
       </builtin>
     </rtps>
