@@ -35,7 +35,7 @@ class Level(IntEnum):
 
 
 class Urgency(IntEnum):
-    """What the manager does about an event at once."""
+    """The steps that the manager takes at once when an event comes."""
 
     SIGN = auto()
     """Nothing: the next round of its loop takes it. Signs of life are not logged."""
@@ -81,10 +81,10 @@ class Kind(Generic[T]):
     """A row of the table.
 
     `says` gives a sentence; None if another row tells of it, or if it does not concern people. Things that are not
-    `is_grave` have the level of information. A review names a perturbation as its cause with the words of `because`,
-    unless a perturbation of the kind `implied_by` is there too. It looks for the cheapest plan if a perturbation
-    `optimises`; otherwise it repairs. A unit's death after an event with a `blame` counts as this. `counts` gives the
-    metrics that grow besides the number of its kind.
+    `is_grave` have the level of information. `because` has the words with which a review names a perturbation as its
+    cause, which are left out beside a perturbation of the kind `implied_by`. A review looks for the cheapest plan if
+    one `optimises`; otherwise it repairs. A unit's death after an event with a `blame` counts as this. `counts` gives
+    the metrics that grow besides the number of its kind.
     """
 
     of: type[T]
