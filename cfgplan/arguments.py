@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import builtins
 import inspect
 import os
@@ -87,7 +88,25 @@ def _checked_class(cls: type[Any]) -> type[Any]:
             after(self)
 
     cls.__post_init__ = __post_init__
+    cls.__noted__ = vars(cls).get("__annotations__", {})
+    cls.__annotations__ = {name: _without_notes(text) for name, text in cls.__noted__.items()}
     return cls
+
+
+def noted(cls: type[Any]) -> Mapping[str, Any]:
+    """The annotations of a checked class with their notes, by attribute."""
+    names = vars(sys.modules[cls.__module__])
+    return {name: eval(text, dict(names), _Later(names)) for name, text in cls.__noted__.items()}
+
+
+def _without_notes(annotation: str) -> str:
+    """An annotation's text without notes that do not limit the values, such as rows: signatures don't show them."""
+    whole = ast.parse(annotation, mode="eval").body if annotation.startswith("Annotated[") else None
+    if not isinstance(whole, ast.Subscript) or not isinstance(whole.slice, ast.Tuple):
+        return annotation
+    inner, note = whole.slice.elts
+    is_limit = isinstance(note, ast.Call) and ast.unparse(note.func) == AtLeast.__name__
+    return annotation if is_limit else ast.unparse(inner)
 
 
 def _test_of(cls: type[Any], module: str) -> Callable[[Any], None]:

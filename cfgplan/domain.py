@@ -13,7 +13,7 @@ from functools import cached_property
 from itertools import groupby
 from operator import attrgetter
 from types import MappingProxyType
-from typing import TypeVar
+from typing import Annotated, TypeVar
 
 from cfgplan.arguments import Natural, checked
 from cfgplan.canonical import fields_of, refuse_duplicates, store_sorted
@@ -28,11 +28,14 @@ from cfgplan.qualities import (
     Curve,
     QualityAttribute,
     QualityRule,
-    Wish,
     units,
 )
+from cfgplan.rows import ELEMENT, Feature, Row, Use
 from cfgplan.similarity import Similarity as Similarity
 from cfgplan.summary import counted, cpu, summarised, summary
+from cfgplan.targets import A_UNIT_OF as A_UNIT_OF
+from cfgplan.targets import Target as Target
+from cfgplan.targets import observing as observing
 from cfgplan.transformations import ALL as ALL
 from cfgplan.transformations import CPU as CPU
 from cfgplan.transformations import MEMORY as MEMORY
@@ -96,12 +99,23 @@ class ComputationUnit:
     environment has hosts. A unit in `standby` is a cold spare: it is neither wired nor running, only ready.
     """
 
-    id: str
-    transformation: str
-    subscriptions: tuple[Subscription, ...] = ()
-    publications: tuple[Publication, ...] = ()
-    host: str | None = None
-    standby: bool = False
+    id: Annotated[str, Row("unique")]
+    transformation: Annotated[str, Row("the label of its transformation, templates expanded")]
+    subscriptions: Annotated[
+        tuple[Subscription, ...],
+        Row(
+            "input port to stream (unit/port), or to a list of several; null: a gap",
+            key="inputs",
+            form="dict[PortName, OneOrMoreStreams | None]",
+            xml=ELEMENT,
+        ),
+    ] = ()
+    publications: Annotated[
+        tuple[Publication, ...],
+        Row("output port to the topics it is published on", key="topics", form="dict[PortName, Names]", xml=ELEMENT),
+    ] = ()
+    host: Annotated[str | None, Row("the host it runs on, if hosts are declared")] = None
+    standby: Annotated[bool, Row("it is a spare that does not run", feature=Feature.SURVIVAL)] = False
 
     def __post_init__(self) -> None:
         store_sorted(self, "subscriptions", self.subscriptions, attrgetter("port", "stream"))
@@ -120,46 +134,6 @@ class ComputationUnit:
         return MappingProxyType({port: tuple([s.stream for s in group]) for port, group in ports})
 
 
-A_UNIT_OF = "a unit of "
-"""Before a label this is a tag that no port has: the demand for a unit of that transformation."""
-
-
-@dataclass(frozen=True, slots=True)
-@checked
-class Target:
-    """A semantic subscription from outside (Definition 4); a larger `priority` matters more.
-
-    `quality` are its demands on the stream. With a `host`, the stream has to be carried there. In a run it counts as
-    unmet if no element has come for `silent_us`; planning ignores that. `type` is the message type of its topic in ROS.
-    A target that wants a running unit of the transformation `run` instead of a stream has no topic, and A_UNIT_OF that
-    transformation as its tag.
-    """
-
-    label: str
-    tag: str = ""
-    topic: str = ""
-    priority: int = 0
-    quality: tuple[Wish, ...] = ()
-    host: str | None = None
-    silent_us: Natural | None = None
-    run: str | None = None
-    type: str | None = None
-
-    def __post_init__(self) -> None:
-        if self.run is not None:
-            object.__setattr__(self, "tag", f"{A_UNIT_OF}{self.run}")
-            if self.topic or self.quality or self.host is not None or self.type is not None:
-                raise InvalidValueError(
-                    f"target {self.label!r} wants no stream: it has no topic, type, quality or host"
-                )
-        if self.quality:
-            store_sorted(self, "quality", self.quality, attrgetter("attribute"))
-            refuse_duplicates(f"quality attribute of target {self.label!r}", [q.attribute for q in self.quality])
-
-
-LOWEST_PRIORITY = -1_000_000_000
-
-
 def _following(transformation: Transformation, facts: Mapping[str, Fact]) -> Transformation:
     """The transformation with the qualities that follow from facts."""
 
@@ -171,13 +145,6 @@ def _following(transformation: Transformation, facts: Mapping[str, Fact]) -> Tra
 
     outputs = (replace(port, quality=tuple(map(stated, port.quality))) for port in transformation.outputs)
     return replace(transformation, outputs=tuple(outputs))
-
-
-def observing(fact: Fact) -> Target | None:
-    """The target that wants the stream which observes a fact; None if it is not observed by a tag."""
-    if fact.by is None or fact.observed_on is None:
-        return None
-    return Target(f"fact {fact.name}", fact.by, fact.observed_on, LOWEST_PRIORITY)
 
 
 @dataclass(frozen=True)
@@ -276,12 +243,12 @@ class Environment:
     units: tuple[ComputationUnit, ...] = ()
     library: tuple[Transformation, ...] = ()
     targets: tuple[Target, ...] = ()
-    hosts: tuple[Host, ...] = ()
+    hosts: Annotated[tuple[Host, ...], Row(feature=Feature.HOSTS)] = ()
     qualities: tuple[QualityAttribute, ...] = ()
     transfer_us: Natural = 0
     links: tuple[Link, ...] = ()
-    minimise: tuple[Objective, ...] = (Objective.COST,)
-    facts: tuple[Fact, ...] = ()
+    minimise: Annotated[tuple[Objective, ...], Row(feature=Feature.ORDER)] = (Objective.COST,)
+    facts: Annotated[tuple[Fact, ...], Row(use=Use.NONE)] = ()
 
     def __post_init__(self) -> None:
         if Objective.COST not in self.minimise:

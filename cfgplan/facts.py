@@ -16,12 +16,13 @@ from decimal import Decimal
 from functools import lru_cache
 from itertools import chain
 from types import MappingProxyType
-from typing import Final, TypeAlias
+from typing import Annotated, Final, TypeAlias
 
 from cfgplan.arguments import Natural, checked
 from cfgplan.errors import InvalidValueError, TagError, did_you_mean
 from cfgplan.noise import Noise
 from cfgplan.qualities import micro_units, units
+from cfgplan.rows import FOUND, Row, Use
 from cfgplan.selectors import ExpressionReader
 
 FactValue: TypeAlias = bool | int | str
@@ -58,14 +59,36 @@ class Fact:
     """
 
     name: str
-    declared: FactValue
-    unit: str | None = None
-    by: str | None = None
-    topic: str | None = None
-    field: str | None = None
-    noise: Noise | None = None
-    silent_us: Natural | None = None
-    now: FactValue | None = None
+    declared: Annotated[
+        FactValue,
+        Row("its value unless another one is observed or set: a number, true, false or a word", form="Fact"),
+    ]
+    unit: Annotated[str | None, Row("its unit of measure, free text", use=Use.NONE)] = None
+    by: Annotated[
+        str | None,
+        Row("the tag of the stream that observes it in a run; the stream is planned as for a target", form="TagText"),
+    ] = None
+    topic: Annotated[
+        str | None,
+        Row("in place of `by`: the topic of a target, whose stream observes it", use=Use.RUNNING),
+    ] = None
+    field: Annotated[
+        str | None,
+        Row("the field of an element that holds the value; `pose.x` is a nested field", use=Use.RUNNING),
+    ] = None
+    noise: Annotated[
+        Noise | None,
+        Row("the standard deviation of a value, or `20 %` of it", form="NoiseText", use=Use.RUNNING),
+    ] = None
+    silent_us: Annotated[
+        Natural | None,
+        Row(
+            "the declared value counts again after so long without an element: seconds, or 500ms, 5s",
+            form="TimeSpan",
+            use=Use.RUNNING,
+        ),
+    ] = None
+    now: Annotated[FactValue | None, FOUND] = None
     """The present value, if it is known to differ from the declared one."""
 
     def __post_init__(self) -> None:

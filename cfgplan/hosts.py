@@ -10,6 +10,7 @@ from cfgplan.arguments import AtLeast, Natural, checked
 from cfgplan.canonical import store_resources, store_sorted
 from cfgplan.errors import InvalidValueError
 from cfgplan.qualities import LARGEST_QUALITY, MICRO
+from cfgplan.rows import FOUND, LARGEST_AMOUNT, Row
 from cfgplan.selectors import check_selector, selector
 from cfgplan.transformations import CPU, MEMORY, POWER
 
@@ -28,14 +29,31 @@ class Host:
     has `energy` (watt seconds; None: no limit) for the power that its units take over the horizon.
     """
 
-    name: str
-    cpu_us: Natural | None = None
-    memory_mb: Natural | None = None
-    offers: Mapping[str, Natural] = field(default_factory=dict, hash=False)
-    speed: Annotated[int, AtLeast(1)] = MICRO
-    labels: tuple[str, ...] = ()
-    rent_us: Natural = 0
-    energy: Natural | None = None
+    name: Annotated[str, Row("unique")]
+    cpu_us: Annotated[
+        Natural | None, Row("CPU seconds per second that units may take; no limit if absent", is_limit=True)
+    ] = None
+    memory_mb: Annotated[Natural | None, Row("megabytes that units may take; no limit if absent", is_limit=True)] = None
+    offers: Annotated[
+        Mapping[str, Natural],
+        Row("amounts of other resources that it has, by name; 0 of a resource that is absent"),
+    ] = field(default_factory=dict, hash=False)
+    speed: Annotated[
+        Annotated[int, AtLeast(1)],
+        Row("CPU seconds of labor, upkeep and standby are divided by this number on it", form="Speed", below="energy"),
+    ] = MICRO
+    labels: Annotated[
+        tuple[str, ...], Row("words by which selectors such as `on` choose it, besides its name", below="name")
+    ] = ()
+    rent_us: Annotated[Natural, Row("CPU seconds per second that it costs while it has a unit or a spare")] = 0
+    energy: Annotated[
+        Natural | None,
+        Row(
+            "watt seconds for the `power` (watts) that units there need over the horizon; no limit if absent",
+            most=LARGEST_AMOUNT**2,
+            is_limit=True,
+        ),
+    ] = None
 
     def __post_init__(self) -> None:
         store_sorted(self, "labels", dict.fromkeys(self.labels), str)
@@ -67,13 +85,16 @@ class Link:
     transfer adds `latency` (micro-units) to a stream's value of the quality attribute `adds`.
     """
 
-    between: tuple[str, str]
-    bandwidth: Natural | None = None
-    price_us: Natural | None = None
-    latency: Natural = 0
-    adds: str | None = None
-    is_measured: bool = False
-    declared: Natural | None = None
+    between: Annotated[tuple[str, str], Row("two selectors of hosts, for its two ends", form="TwoSelectors")]
+    bandwidth: Annotated[
+        Natural | None,
+        Row("bytes per second of all streams over it; no limit if absent", most=LARGEST_AMOUNT**2, is_limit=True),
+    ] = None
+    price_us: Annotated[Natural | None, Row("CPU seconds for each megabyte over it; `transfer` if absent")] = None
+    latency: Annotated[Natural, Row("added to a quality of each stream that it carries", form="PositiveMicro")] = 0
+    adds: Annotated[str | None, Row("the attribute to which `latency` is added; its `better` is `lower`")] = None
+    is_measured: Annotated[bool, FOUND] = False
+    declared: Annotated[Natural | None, FOUND] = None
     """The declared bandwidth, if the link was found to carry less."""
 
     def __post_init__(self) -> None:

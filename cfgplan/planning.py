@@ -6,8 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
-from operator import attrgetter
-from typing import Any, Final, Protocol
+from typing import Annotated, Any, Final, Protocol
 
 from cfgplan.arguments import Natural, checked
 from cfgplan.canonical import fields_of
@@ -15,19 +14,23 @@ from cfgplan.costs import LARGEST_COST_US, standby_cost_us, start_cost_us, trans
 from cfgplan.domain import (
     ENVIRONMENT_HEADS,
     ChangeSet,
+    ComputationUnit,
     Environment,
+    InputPort,
     Objective,
+    OutputPort,
     Similarity,
     Subscription,
+    Target,
     Transformation,
     environment_rows,
 )
 from cfgplan.errors import CfgplanError, InputError, InvalidValueError
 from cfgplan.qualities import price_us
+from cfgplan.rows import Feature as Feature
+from cfgplan.rows import Row, features
 from cfgplan.summary import Summary, counted, cpu, summarised, summary
-
-MOST_INSTANCES = 64
-"""A plan starts at most this many units of one transformation, or as many as one input takes streams."""
+from cfgplan.transformations import MOST_INSTANCES
 
 
 class Failures(StrEnum):
@@ -36,23 +39,6 @@ class Failures(StrEnum):
     UNITS = "units"
     HOSTS = "hosts"
     """The failure of a host, with all its units, or of a unit."""
-
-
-class Feature(StrEnum):
-    """An extension of the paper's problem; the value is its name in error messages."""
-
-    QUALITY = "quality of streams"
-    HOSTS = "hosts"
-    CONFLICTS = "conflicts"
-    BESIDE = "units that run with others"
-    INSTANCES = "numbers of instances"
-    SURVIVAL = "survival of failures"
-    OPTIONAL = "optional inputs"
-    COUNTS = "inputs that take several streams"
-    LIMITS = "outputs that serve only so many"
-    RUNS = "targets that want a unit, not a stream"
-    ORDER = "an order of objectives"
-    LATENCY = "latencies of links"
 
 
 def _problem_summary(problem: Problem) -> Summary:
@@ -77,7 +63,7 @@ class Problem:
     similarity: Similarity
     horizon_s: Natural
     max_cost_us: Natural | None = None
-    survive: Failures | None = None
+    survive: Annotated[Failures | None, Row(feature=Feature.SURVIVAL, is_limit=True)] = None
 
     __getstate__ = fields_of
 
@@ -92,26 +78,20 @@ class Problem:
     @cached_property
     def features(self) -> frozenset[Feature]:
         """The features of the problem beyond the paper; quality counts only if a target asks for it."""
-        environment, library = self.environment, self.environment.library
-        inputs = [port for t in library for port in t.inputs]
-        outputs = [port for t in library for port in t.outputs]
-        asked = {
-            Feature.QUALITY: any(target.quality for target in environment.targets),
-            Feature.HOSTS: bool(environment.hosts),
-            Feature.CONFLICTS: any(map(any, _said(library, "conflicts", "conflicts_on_host"))),
-            Feature.BESIDE: bool(environment.companions),
-            Feature.INSTANCES: not _said(library, "min_instances", "max_instances", "per_host") <= {(0, None, None)},
-            Feature.OPTIONAL: True in _said(inputs, "optional"),
-            Feature.COUNTS: not _said(inputs, "count") <= {1},
-            Feature.LIMITS: not _said(outputs, "serves") <= {None},
-            Feature.RUNS: bool(environment.wanted_to_run),
-            Feature.SURVIVAL: self.survive is not None or any(unit.standby for unit in environment.units),
-            Feature.LATENCY: not {link.adds for link in environment.links}.isdisjoint(
-                wish.attribute for target in environment.targets for wish in target.quality
-            ),
-            Feature.ORDER: environment.minimise != (Objective.COST,),
-        }
-        return frozenset(feature for feature, is_asked in asked.items() if is_asked)
+        environment = self.environment
+        parts: tuple[tuple[type[Any], Iterable[object]], ...] = (
+            (Problem, [self]),
+            (Environment, [environment]),
+            (Transformation, environment.library),
+            (InputPort, [port for t in environment.library for port in t.inputs]),
+            (OutputPort, [port for t in environment.library for port in t.outputs]),
+            (ComputationUnit, environment.units),
+            (Target, environment.targets),
+        )
+        asked = {feature for kind, values in parts for feature in features(kind, values)}
+        wished = {wish.attribute for target in environment.targets for wish in target.quality}
+        late = [Feature.LATENCY] if any(link.adds in wished for link in environment.links) else []
+        return frozenset(asked.union(late))
 
     @property
     def is_plain(self) -> bool:
@@ -383,11 +363,6 @@ class Decider(Protocol):
     def decide(self, pairs: Sequence[Pair]) -> int:
         """Ask about pairs, the most wanted first. Returns how many were asked; `similarity` has the answers."""
         ...
-
-
-def _said(parts: Iterable[object], *names: str) -> set[Any]:
-    """The different values that parts have of some attributes: mostly one, however many parts there are."""
-    return set(map(attrgetter(*names), parts))
 
 
 def fresh_unit_ids(environment: Environment, labels: list[str]) -> dict[str, str]:

@@ -13,9 +13,11 @@ from decimal import Decimal
 from enum import StrEnum
 from fractions import Fraction
 from itertools import pairwise
+from typing import Annotated
 
 from cfgplan.arguments import Natural, checked
 from cfgplan.errors import InvalidValueError
+from cfgplan.rows import FOUND, Row, Use
 
 MICRO = 1_000_000
 LARGEST_QUALITY = 100_000 * MICRO
@@ -79,12 +81,16 @@ class QualityAttribute:
     that states none. `rule` applies to outputs that state only a value.
     """
 
-    name: str
-    better: Better
-    rule: QualityRule = QualityRule.ADD
-    unit: str | None = None
-    worst: int = -1
-    best: int = -1
+    name: Annotated[str, Row("unique")]
+    better: Annotated[Better, Row("which values are better", form="BetterName")]
+    rule: Annotated[QualityRule, Row("the rule of outputs that state only a number", form="RuleName", use=Use.NONE)] = (
+        QualityRule.ADD
+    )
+    unit: Annotated[str | None, Row("its unit of measure, free text", use=Use.NONE)] = None
+    worst: Annotated[
+        int, Row("the worst value, which sources have that state none", form="PositiveMicro", absent=None)
+    ] = -1
+    best: Annotated[int, Row("the best value, from which weights count", form="PositiveMicro", absent=None)] = -1
 
     def __post_init__(self) -> None:
         low, high = 0, LARGEST_QUALITY
@@ -165,8 +171,15 @@ class Contribution:
     value: int
     over: Over = Over.WORST
     by: Curve | None = None
-    observe: str | None = None
-    seen: int = 0
+    observe: Annotated[
+        str | None,
+        Row(
+            "the field in which an element says its quality; `pose.error` is a nested field, `covariance.0` a list's "
+            "value",
+            use=Use.RUNNING,
+        ),
+    ] = None
+    seen: Annotated[int, FOUND] = 0
 
     def __post_init__(self) -> None:
         largest = LARGEST_FACTOR if self.rule is QualityRule.SCALE else LARGEST_QUALITY
@@ -205,7 +218,9 @@ class Wish:
 
     attribute: str
     bound: int | None = None
-    weight_us: Natural = 0
+    weight_us: Annotated[
+        Natural, Row("CPU seconds for each unit of the attribute between the value and the best one")
+    ] = 0
 
 
 def propagated(attribute: QualityAttribute, contribution: Contribution | None, inputs: Sequence[int]) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
 from operator import attrgetter
 from types import MappingProxyType
@@ -15,6 +15,7 @@ from cfgplan.canonical import fields_of, refuse_duplicates, store_resources, sto
 from cfgplan.errors import InvalidValueError
 from cfgplan.facts import check_requirement
 from cfgplan.qualities import Contribution, units
+from cfgplan.rows import ELEMENT, FOUND, MOST_IN_A_QUEUE, UNSAID, Feature, Row, Use, running
 from cfgplan.selectors import check_selector
 
 ALL = 0
@@ -26,6 +27,17 @@ ProgramFormat: TypeAlias = Literal["json", "msgpack"]
 ContainerKind: TypeAlias = Literal["plain", "mt", "isolated"]
 """How a container of ROS 2 components runs them: in one thread, in several, or each by an executor of its own."""
 
+_MESSAGE_TYPE = Row("in ROS: the message type, such as `nav_msgs/Odometry`", use=Use.RUNNING, xml="message")
+_REMAP = Row("in ROS: the node's own name of the topic or service; the port's name if absent", use=Use.RUNNING)
+_QOS = Row(
+    "in ROS 2: the quality of service, such as `best_effort` or `reliable transient_local deadline=0.1`; "
+    "`cfgplan check` names pairs that it keeps apart",
+    form="QosText",
+    use=Use.RUNNING,
+)
+
+MOST_INSTANCES = 64
+"""A plan starts at most this many units of one transformation, or as many as one input takes streams."""
 DEFAULT_LABOR_US = 1_000_000
 """The labor of a transformation that declares none, in microseconds: a start is never free."""
 
@@ -48,16 +60,38 @@ class InputPort:
     """
 
     name: str
-    tag: str
-    distinct: str | None = None
-    feedback: bool = False
-    optional: bool = False
-    worth_us: Natural = 0
-    count: Natural = 1
-    service: bool = False
-    type: str | None = None
-    remap: str | None = None
-    qos: str | None = None
+    tag: Annotated[
+        str,
+        Row(
+            "the information it needs: a concept in description logic, or the paper's P(a)", form="TagText", xml=ELEMENT
+        ),
+    ]
+    distinct: Annotated[
+        str | None,
+        Row("name of a group of ports; the ports of a group are fed by different transformations", is_limit=True),
+    ] = None
+    feedback: Annotated[bool, Row("this input may close a cycle of the wiring")] = False
+    optional: Annotated[
+        bool,
+        Row("it may stay unfed; it is fed by units that run anyway, and starts none", feature=Feature.OPTIONAL),
+    ] = False
+    worth_us: Annotated[Natural, Row("feeding this optional input is worth so many CPU seconds per second")] = 0
+    count: Annotated[
+        Natural,
+        Row(
+            "number of streams, of different units, that feed it; `all`: every stream that matches",
+            form="Count",
+            feature=Feature.COUNTS,
+            is_limit=True,
+        ),
+    ] = 1
+    service: Annotated[
+        bool,
+        Row("a service's replies start no step, and may close a cycle", key="kind", form="InputKind", below="worth"),
+    ] = False
+    type: Annotated[str | None, _MESSAGE_TYPE] = None
+    remap: Annotated[str | None, _REMAP] = None
+    qos: Annotated[str | None, _QOS] = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "feedback", self.feedback or self.service)
@@ -94,15 +128,39 @@ class OutputPort:
     """
 
     name: str
-    tag: str
-    quality: tuple[Contribution, ...] = ()
-    rate_uhz: Natural = 0
-    size_bytes: Natural = 0
-    serves: Annotated[int, AtLeast(1)] | None = None
-    type: str | None = None
-    remap: str | None = None
-    qos: str | None = None
-    topic: str | None = None
+    tag: Annotated[
+        str,
+        Row(
+            "the information it gives: a concept in description logic, or the paper's P(a)", form="TagText", xml=ELEMENT
+        ),
+    ]
+    quality: Annotated[
+        tuple[Contribution, ...],
+        Row(
+            "quality attribute to its contribution: a number, or a mapping", form="dict[Name, QualityGiven]", xml=UNSAID
+        ),
+    ] = ()
+    rate_uhz: Annotated[
+        Natural,
+        Row("elements per second; with `size`, for the cost of streams between hosts", form="PositiveMicro"),
+    ] = 0
+    size_bytes: Annotated[Natural, Row("bytes of one element")] = 0
+    serves: Annotated[
+        Annotated[int, AtLeast(1)] | None,
+        Row(
+            "the most inputs and topics that its stream may feed",
+            most=MOST_IN_A_QUEUE,
+            feature=Feature.LIMITS,
+            is_limit=True,
+        ),
+    ] = None
+    type: Annotated[str | None, _MESSAGE_TYPE] = None
+    remap: Annotated[str | None, _REMAP] = None
+    qos: Annotated[str | None, _QOS] = None
+    topic: Annotated[
+        str | None,
+        Row("in ROS 2: the topic for nodes outside of the run, published while one subscribes", use=Use.RUNNING),
+    ] = None
 
     def __post_init__(self) -> None:
         if self.quality:
@@ -148,18 +206,77 @@ class RunOptions:
     Raises InvalidValueError for a `hang_us` of less than 2 s.
     """
 
-    start: str = "all"
-    tolerance_us: Natural = 0
-    rate_hz: Annotated[float, AtLeast(0)] | None = None
-    queue: Annotated[int, AtLeast(1)] = 256
-    blocks: bool = False
-    hang_us: Natural | None = None
-    memory_mb: Natural | None = None
-    state: bool | str = False
-    lifecycle: bool = False
-    stop_us: Natural | None = None
-    format: ProgramFormat = "json"
-    container: ContainerKind = "plain"
+    start: Annotated[
+        str,
+        Row(
+            "what starts a step: `all` inputs fresh, `any` input, inputs `aligned` in time, or a port's name",
+            form="PortName",
+            use=Use.RUNNING,
+        ),
+    ] = "all"
+    tolerance_us: Annotated[
+        Natural,
+        Row("the largest difference between the times of aligned inputs, in seconds", form="Seconds", use=Use.RUNNING),
+    ] = 0
+    rate_hz: Annotated[
+        Annotated[float, AtLeast(0)] | None,
+        Row("elements per second of a source, which has no inputs", form="Rate", use=Use.RUNNING),
+    ] = None
+    queue: Annotated[
+        Annotated[int, AtLeast(1)], Row("how many elements may wait at an input", most=MOST_IN_A_QUEUE, use=Use.RUNNING)
+    ] = 256
+    blocks: Annotated[
+        bool,
+        Row("drop the oldest element, or let the producer wait", key="when_full", form="WhenFull", use=Use.RUNNING),
+    ] = False
+    hang_us: Annotated[
+        Natural | None,
+        Row(
+            "seconds of silence after which a unit is killed, at least 2; 0: never; 10 if absent",
+            form="HangTime",
+            use=Use.RUNNING,
+        ),
+    ] = None
+    memory_mb: Annotated[
+        Natural | None,
+        Row("the most memory that a unit may take, in megabytes", least=1, most=MOST_IN_A_QUEUE, use=Use.BOTH),
+    ] = None
+    state: Annotated[
+        bool | str,
+        Row(
+            "true: a new unit continues with the state of the last one; a name: with the last state under this name",
+            form="StateName",
+            use=Use.RUNNING,
+        ),
+    ] = False
+    lifecycle: Annotated[
+        bool,
+        Row(
+            "cold spares of this ROS 2 node are configured, and activated when they are needed",
+            use=Use.RUNNING,
+        ),
+    ] = False
+    stop_us: Annotated[
+        Natural | None,
+        Row(
+            "time for a unit to end after it was told to, such as 500ms; then it is killed; 2s if absent",
+            form="TimeSpan",
+            below="hang",
+            use=Use.RUNNING,
+        ),
+    ] = None
+    format: Annotated[
+        ProgramFormat,
+        Row("how a program reads and writes: lines of JSON, or frames of msgpack", use=Use.RUNNING, below="stop"),
+    ] = "json"
+    container: Annotated[
+        ContainerKind,
+        Row(
+            "the container of this ROS 2 component: rclcpp's plain one, one with several threads (`mt`), or one that"
+            " runs each component by itself (`isolated`)",
+            use=Use.RUNNING,
+        ),
+    ] = "plain"
 
     def __post_init__(self) -> None:
         if isinstance(self.state, str) and not re.fullmatch(STATE_NAME, self.state):
@@ -192,31 +309,105 @@ class Transformation:
     facts meet the expression `requires`, such as `visibility >= 2.25 and not night`.
     """
 
-    label: str
-    inputs: tuple[InputPort, ...] = ()
-    outputs: tuple[OutputPort, ...] = ()
-    labor_us: Natural = DEFAULT_LABOR_US
-    upkeep_us: Natural = 0
-    pinned: bool = False
-    required: bool = False
-    source: str | None = None
-    host: str | None = None
-    kind: str | None = None
-    params: Mapping[str, object] = field(default_factory=dict, hash=False)
-    run: RunOptions = RunOptions()
-    hosts: tuple[str, ...] = ()
-    memory_mb: Natural | None = None
-    conflicts: tuple[str, ...] = ()
-    min_instances: Natural = 0
-    max_instances: Natural | None = None
-    standby_us: Natural | None = None
-    needs: Mapping[str, Natural] = field(default_factory=dict, hash=False)
-    seen_us: Mapping[str, tuple[Natural, Natural]] = field(default_factory=dict, hash=False)
-    per_host: Annotated[int, AtLeast(1)] | None = None
-    conflicts_on_host: tuple[str, ...] = ()
-    on: str | None = None
-    beside: tuple[str, ...] = ()
-    requires: str | None = None
+    label: Annotated[
+        str, Row("unique; mentions every template variable of the transformation", use=Use.BOTH, xml=ELEMENT)
+    ]
+    inputs: Annotated[
+        tuple[InputPort, ...],
+        Row("input ports: name to tag", form="dict[PortName, InputGiven]", xml=ELEMENT, below="run"),
+    ] = ()
+    outputs: Annotated[
+        tuple[OutputPort, ...],
+        Row("output ports: name to tag", form="dict[PortName, OutputGiven]", xml=ELEMENT, below="inputs"),
+    ] = ()
+    labor_us: Annotated[Natural, Row("CPU seconds of one start", absent=None, below="params")] = DEFAULT_LABOR_US
+    upkeep_us: Annotated[
+        Natural, Row("CPU seconds that a running unit takes per second", absent=None, below="labor")
+    ] = 0
+    _: KW_ONLY
+    source: Annotated[
+        str | None,
+        Row(
+            "package.module:Class, units.py:Class relative to this file, or program:./FILE; in ROS "
+            "node:PACKAGE/EXECUTABLE and others",
+            use=Use.RUNNING,
+            xml=ELEMENT,
+        ),
+    ] = None
+    kind: Annotated[str | None, Row("free text, the paper's type attribute", use=Use.RUNNING, xml="type")] = None
+    host: Annotated[
+        str | None,
+        Row("where its units run: a host, or a list to choose from", form="OneOrMoreNames", use=Use.BOTH, xml="host"),
+    ] = None
+    hosts: Annotated[tuple[str, ...], Row(key="host", is_limit=True)] = ()
+    on: Annotated[
+        str | None,
+        Row(
+            "the hosts that its units may run on: an expression such as `robot and not spot`",
+            form="SelectorText",
+            is_limit=True,
+        ),
+    ] = None
+    params: Annotated[
+        Mapping[str, object],
+        Row("the parameters of its unit code", form="Params", use=Use.RUNNING, absent={}, xml=ELEMENT),
+    ] = field(default_factory=dict, hash=False)
+    requires: Annotated[
+        str | None,
+        Row(
+            "its units run only while facts meet it: an expression such as `visibility >= 2.25 and not night`",
+            form="RequirementText",
+            xml=UNSAID,
+        ),
+    ] = None
+    pinned: Annotated[bool, Row("running units are kept even where no target needs them")] = False
+    required: Annotated[bool, Row("must be used if any valid plan can use it")] = False
+    memory_mb: Annotated[
+        Natural | None,
+        Row("megabytes that a unit takes on its host; run.memory if absent", most=MOST_IN_A_QUEUE),
+    ] = None
+    needs: Annotated[
+        Mapping[str, Natural],
+        Row("amounts of other resources of its host that a unit takes, by name: whole numbers", is_limit=True),
+    ] = field(default_factory=dict, hash=False)
+    beside: Annotated[
+        tuple[str, ...],
+        Row(
+            "transformations: on each host where a unit of it runs, a unit of each of these runs too",
+            key="with",
+            feature=Feature.BESIDE,
+            is_limit=True,
+        ),
+    ] = ()
+    conflicts: Annotated[
+        tuple[str, ...],
+        Row(
+            "transformations whose units may not run together with its units",
+            form="ConflictsGiven",
+            feature=Feature.CONFLICTS,
+            is_limit=True,
+        ),
+    ] = ()
+    conflicts_on_host: Annotated[
+        tuple[str, ...], Row(key="conflicts: host", feature=Feature.CONFLICTS, is_limit=True)
+    ] = ()
+    min_instances: Annotated[
+        Natural,
+        Row("the least number of its units that run", most=MOST_INSTANCES, feature=Feature.INSTANCES, is_limit=True),
+    ] = 0
+    max_instances: Annotated[
+        Natural | None,
+        Row("the most units of it, spares included", feature=Feature.INSTANCES, is_limit=True),
+    ] = None
+    per_host: Annotated[
+        Annotated[int, AtLeast(1)] | None,
+        Row("the most units of it on one host", feature=Feature.INSTANCES, is_limit=True),
+    ] = None
+    standby_us: Annotated[Natural | None, Row("CPU seconds per second of a spare that does not run")] = None
+    run: Annotated[RunOptions, Row("how its units run", form="RunPart", use=Use.BOTH, absent=None, xml=ELEMENT)] = (
+        RunOptions()
+    )
+    seen_us: Annotated[Mapping[str, tuple[Natural, Natural]], FOUND] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
         store_sorted(self, "inputs", self.inputs, attrgetter("name"))
@@ -279,6 +470,19 @@ class Transformation:
     def output(self) -> Mapping[str, OutputPort]:
         """The output ports by name."""
         return MappingProxyType({port.name: port for port in self.outputs})
+
+
+def what_runs(transformation: Transformation) -> tuple[object, ...]:
+    """Return the ports, and the fields that running uses: units of two transformations with equal ones run equally."""
+    ports = [(port.name, *running(port)) for port in transformation.inputs]
+    ports += [(port.name, *running(port)) for port in transformation.outputs]
+    observed = [
+        (port.name, stated.attribute, *running(stated))
+        for port in transformation.outputs
+        for stated in port.quality
+        if stated.observe is not None
+    ]
+    return *running(transformation), *ports, *observed, len(transformation.inputs)
 
 
 class Statement(NamedTuple):

@@ -1,6 +1,6 @@
 """The manual: its examples run, its links lead somewhere, and what it says of keys and verbs is what the code says.
 
-`python tests/test_manual.py` writes the tables of keys and verbs anew.
+`python tests/test_manual.py` writes the tables of keys, verbs and kinds of events.
 """
 
 from __future__ import annotations
@@ -11,6 +11,10 @@ from pathlib import Path
 
 import cfgplan_runtime
 import pytest
+from cfgplan_runtime.lifecycle.kinds import KINDS, Level, Urgency, always
+from cfgplan_runtime.lifecycle.perturbations import Perturbation
+from cfgplan_runtime.lifecycle.reports import Report, Reviewed
+from cfgplan_runtime.supervision.events import Event
 
 import cfgplan
 from cfgplan.cli import main
@@ -162,11 +166,28 @@ def verbs() -> str:
     return "".join(f"| `cfgplan {verb}` | {does} |\n" for verb, does in VERBS.items())
 
 
+def kinds_of(*families: type[object]) -> str:
+    """The rows of the kinds of some families, made from their docstrings and the table of what happens."""
+    text = ""
+    for of, row in KINDS.items():
+        if row.urgency is Urgency.SIGN or not issubclass(of, families):
+            continue
+        levels = [row.level] if row.is_grave is always else [row.level, Level.INFORMATION]
+        level = " or ".join(each.name.lower() for each in levels)
+        fields_ = "see below" if of is Reviewed else ", ".join(f"`{name}`" for name in of.__struct_fields__)
+        text += f"| `{of.__name__}` | {level} | {fields_} | {' '.join(str(of.__doc__).split()).removesuffix('.')} |\n"
+    return text
+
+
 def made_anew() -> dict[str, str]:
     """The pages with tables, these made from the code."""
     environment = TEXT["environment"].partition("\n###")[0] + tables()
     commands = re.sub(r"(?<=\| verb \| does \|\n\|---\|---\|\n)(\|.*\n)*", verbs(), TEXT["commands"])
-    return {"environment": environment, "commands": commands}
+    rows = r"(?<=\| {} \| level \| fields \| meaning \|\n\|---\|---\|---\|---\|\n)(\|.*\n)*"
+    events = TEXT["events"]
+    for name, families in {"event": (Event, Report), "perturbation": (Perturbation,)}.items():
+        events = re.sub(rows.format(name), kinds_of(*families).replace("\\", r"\\"), events)
+    return {"environment": environment, "commands": commands, "events": events}
 
 
 @pytest.mark.parametrize("page", made_anew())

@@ -60,7 +60,7 @@ class Lines(RunOutput):
         return self
 
     def update(self, wait_s: float) -> None:
-        from cfgplan_runtime.operating.sentences import details, sentence
+        from cfgplan_runtime.lifecycle.kinds import details, sentence
 
         for news in fetched(self._operation, wait_s):
             if isinstance(news, str):

@@ -11,7 +11,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Self
 
-from cfgplan_runtime.operating.sentences import ERROR, WARNING, short
+from cfgplan_runtime.lifecycle.kinds import Level
+from cfgplan_runtime.lifecycle.review_sentences import short
 from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
 from rich.live import Live
 from rich.rule import Rule
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from cfgplan_runtime.lifecycle.reports import Snapshot, UnitView
     from cfgplan_runtime.operating.operation import Operation
 
-_STYLES = {WARNING: "yellow", ERROR: "red"}
+_STYLES = {Level.WARNING: "yellow", Level.ERROR: "red"}
 _DECISIONS = {"failed": "red", "undecided": "red", "kept": "dim", "deferred": "dim"}
 _FEWEST_LOG_LINES = 4
 _MOST_REVIEWS = 4
@@ -48,7 +49,7 @@ class LogLine:
     """A line of the log; the time is in seconds since 1970."""
 
     at: float
-    level: int
+    level: Level
     text: str
     is_review: bool = False
 
@@ -343,15 +344,15 @@ class LiveView(RunOutput):
         self._live.stop()
 
     def update(self, wait_s: float) -> None:
+        from cfgplan_runtime.lifecycle.kinds import level, sentence
         from cfgplan_runtime.lifecycle.reports import Reviewed
-        from cfgplan_runtime.operating.sentences import WARNING, level, sentence
 
         for news in fetched(self._operation, wait_s):
             said = news if isinstance(news, str) else sentence(news)
             is_review = isinstance(news, Reviewed)
             self._reviews += is_review
             if said is not None:
-                grade = WARNING if isinstance(news, str) else level(news)
+                grade = Level.WARNING if isinstance(news, str) else level(news)
                 self._lines += (LogLine(time.time(), grade, text, is_review) for text in said.splitlines())
         if time.monotonic() >= self._draw_at_s:
             self._draw()

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, Final, TypeVar
 
-from cfgplan.domain import Environment
+from cfgplan.domain import Environment, Host, InputPort, Link, OutputPort, Target, Transformation
 from cfgplan.planning import Problem
+from cfgplan.rows import limits
 
 T = TypeVar("T")
 
@@ -28,28 +29,17 @@ class Limit:
         return f"`{self.key}` of {self.kind} {self.name}".rstrip()
 
 
-_LIFTED: Final[Mapping[str, Mapping[str, tuple[str, object]]]] = MappingProxyType(
+_KINDS: Final[Mapping[str, type[Any]]] = MappingProxyType(
     {
-        "transformation": {
-            "host": ("hosts", ()),
-            "on": ("on", None),
-            "needs": ("needs", {}),
-            "with": ("beside", ()),
-            "conflicts": ("conflicts", ()),
-            "conflicts: host": ("conflicts_on_host", ()),
-            "min_instances": ("min_instances", 0),
-            "max_instances": ("max_instances", None),
-            "per_host": ("per_host", None),
-        },
-        "input": {"distinct": ("distinct", None), "count": ("count", 1)},
-        "output": {"serves": ("serves", None)},
-        "host": {"cpu": ("cpu_us", None), "memory": ("memory_mb", None), "energy": ("energy", None)},
-        "link": {"bandwidth": ("bandwidth", None)},
-        "target": {"quality": ("quality", ())},
-        "the environment": {"survive": ("survive", None)},
+        "transformation": Transformation,
+        "input": InputPort,
+        "output": OutputPort,
+        "host": Host,
+        "link": Link,
+        "target": Target,
+        "the environment": Problem,
     }
 )
-"""The attribute of each limit, and its value when the limit is lifted, by kind of part and key."""
 
 
 def limits_of(problem: Problem) -> list[Limit]:
@@ -57,7 +47,7 @@ def limits_of(problem: Problem) -> list[Limit]:
     found: list[Limit] = []
 
     def note(kind: str, name: str, part: T) -> T:
-        said = (key for key, (attribute, lifted) in _LIFTED[kind].items() if getattr(part, attribute) != lifted)
+        said = (key for key, each in limits(_KINDS[kind]).items() if getattr(part, each.name) != each.default)
         found.extend(Limit(kind, name, key) for key in said)
         return part
 
@@ -65,11 +55,12 @@ def limits_of(problem: Problem) -> list[Limit]:
     return sorted(found)
 
 
-def without_limits(problem: Problem, limits: Collection[Limit]) -> Problem:
+def without_limits(problem: Problem, lifting: Collection[Limit]) -> Problem:
     """The problem with some of its limits lifted."""
 
     def lift(kind: str, name: str, part: Any) -> Any:
-        lifted = {of: value for key, (of, value) in _LIFTED[kind].items() if Limit(kind, name, key) in limits}
+        known = limits(_KINDS[kind]).items()
+        lifted = {each.name: each.default for key, each in known if Limit(kind, name, key) in lifting}
         return replace(part, **lifted) if lifted else part
 
     return _changed(problem, lift)

@@ -152,9 +152,10 @@ class FleetReader:
 
     def host_of(self, entry: Passage, part: UnitPart, only: str | None) -> str | None:
         """Return the host of a unit: the one it names, or the only one that its transformation allows."""
-        if part.host is not None:
-            self.check_host(entry.at("host"), part.host, is_choice=True)
-            return part.host
+        host: str | None = part.host
+        if host is not None:
+            self.check_host(entry.at("host"), host, is_choice=True)
+            return host
         if self.hosts and only is None and not self._left_out.any_of("hosts"):
             mend = f"add `host:`, one of {', '.join(self.hosts)}"
             entry.at("id").note(f"unit `{part.id}` does not say on which host it runs", mend)

@@ -15,7 +15,8 @@ from cfgplan.errors import Fault, close_names
 from cfgplan.formats.fields import FORMAT, EnvironmentPart, IncludedPart
 from cfgplan.formats.places import Path, Source
 from cfgplan.formats.scalars import resolve
-from cfgplan.formats.schema_values import FULL_FORM, LARGEST_AMOUNT, PORT, SHORT_FORM
+from cfgplan.formats.schema_values import FULL_FORM, PORT, SHORT_FORM
+from cfgplan.rows import LARGEST_AMOUNT
 
 _SYNONYMS: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(("cost", "costs", "price"), ("upkeep", "labor", "max_cost")),

@@ -20,9 +20,9 @@ from cfgplan.errors import InvalidValueError
 from cfgplan.facts import FactValue
 from cfgplan.noise import Noise
 from cfgplan.qualities import LARGEST_QUALITY, MICRO, Better, QualityRule, micro_units, units
+from cfgplan.rows import LARGEST_AMOUNT
 from cfgplan.transformations import ALL, CPU, LEAST_HANG_S, STATE_NAME, RunOptions
 
-LARGEST_AMOUNT = 1_000_000_000
 SPEEDS = (Decimal("0.001"), 1000)
 """The least and the largest speed of a host."""
 LARGEST_RATE_HZ = 100_000
@@ -308,6 +308,8 @@ SelectorText = Annotated[
 RequirementText = Annotated[
     str, Field(min_length=1, description="comparisons of facts joined by and, or and not"), AfterValidator(normal)
 ]
+TwoSelectors = Annotated[list[SelectorText], Field(min_length=2, max_length=2)]
+"""The two ends of a link."""
 QosText = Annotated[str, Field(pattern=QOS, description="words of a quality of service in ROS 2")]
 Whole = Annotated[int, BeforeValidator(_whole)]
 _SECONDS = {"type": "number", "minimum": 0, "maximum": LARGEST_COST_US / MICROSECONDS}

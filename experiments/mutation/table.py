@@ -764,8 +764,8 @@ LIFECYCLE = _room(
     (
         "what dies in an update that starts it gives it up",
         "decisions.py",
-        "if is_new else",
-        "if False else",
+        "if is_new or urgency is",
+        "if urgency is",
     ),
     (
         "a plan outlives the end",

@@ -13,6 +13,7 @@ from typing import Any
 
 from cfgplan.errors import InputError, InvalidValueError
 from cfgplan.planning import Problem
+from cfgplan.rows import planned
 from experiments.families import FAMILIES
 
 
@@ -92,8 +93,6 @@ def given(name: str, problem: Problem, *, family: str = "own") -> Instance:
 def _document(problem: Problem) -> dict[str, Any]:
     """The problem as plain data, without what only running needs; one that asks more than the paper as its file."""
     from cfgplan.formats.dump import plain_environment
-    from cfgplan.formats.environment_file import later_fields
-    from cfgplan.formats.fields import OutputPart, TargetPart, TransformationPart
 
     environment = problem.environment
     offers = {tag: sorted(offered) for tag, offered in sorted(problem.similarity.offers.items())}
@@ -111,24 +110,22 @@ def _document(problem: Problem) -> dict[str, Any]:
             for unit in environment.units
         ],
         "library": [
-            {
+            {name: said for name, said in planned(t).items() if name != "host"}  # a problem of the paper has no hosts
+            | {
                 "label": t.label,
                 "inputs": [
                     {"name": p.name, "tag": p.tag, "distinct": p.distinct, "feedback": p.feedback} for p in t.inputs
                 ],
-                "outputs": [
-                    {"name": port.name, "tag": port.tag} | later_fields(OutputPart, port) for port in t.outputs
-                ],
+                "outputs": [planned(port) for port in t.outputs],
                 "labor_us": t.labor_us,
                 "upkeep_us": t.upkeep_us,
                 "pinned": t.pinned,
                 "required": t.required,
             }
-            | later_fields(TransformationPart, t)
             for t in environment.library
         ],
         "targets": [
-            {"label": t.label, "tag": t.tag, "topic": t.topic, "priority": t.priority} | later_fields(TargetPart, t)
+            planned(t) | {"label": t.label, "tag": t.tag, "topic": t.topic, "priority": t.priority}
             for t in environment.targets
         ],
         "offers": offers,

@@ -72,13 +72,13 @@ def transformations(draw: st.DrawFn, label: str) -> Transformation:
         tuple(OutputPort(name, draw(TAGS)) for name in ports[first_output:]),
         draw(COSTS),
         draw(COSTS),
-        draw(st.booleans()),
-        draw(st.booleans()),
-        draw(st.none() | NAMES),
-        draw(st.none() | NAMES),
-        draw(st.none() | NAMES),
-        draw(st.dictionaries(TRICKY | PLAIN, VALUES, max_size=3)),
-        draw(run_options(ports[:first_output])),
+        pinned=draw(st.booleans()),
+        required=draw(st.booleans()),
+        source=draw(st.none() | NAMES),
+        host=draw(st.none() | NAMES),
+        kind=draw(st.none() | NAMES),
+        params=draw(st.dictionaries(TRICKY | PLAIN, VALUES, max_size=3)),
+        run=draw(run_options(ports[:first_output])),
     )
 
 

@@ -70,12 +70,12 @@ def test_every_key_of_the_file_reaches_the_environment(tmp_path: Path) -> None:
             (OutputPort("ball", "PixelPos"), OutputPort("state", "State")),
             300_000,
             1_000,
-            True,
-            True,
-            "units.py:Detect",
-            "piff",
-            "nodelet",
-            {"threshold": 3, "gain": 0.5, "name": "on", "nested": {"list": [1, None, True, "text"]}},
+            pinned=True,
+            required=True,
+            source="units.py:Detect",
+            host="piff",
+            kind="nodelet",
+            params={"threshold": 3, "gain": 0.5, "name": "on", "nested": {"list": [1, None, True, "text"]}},
         ),
     )
     assert environment.units == (

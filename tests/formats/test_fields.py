@@ -120,11 +120,14 @@ import sys
 from loading import load
 from experiments.study.instances import given
 from cfgplan.domain import Similarity
+from cfgplan.explaining.limits import limits_of
 from cfgplan.formats import fields
 from cfgplan.formats.dump import dump_yaml, plain_environment
 from cfgplan.formats.fields import EnvironmentPart, json_schema
 from cfgplan.formats.xml_dump import dump_xml
 from cfgplan.planning import Problem
+from cfgplan.rows import Feature
+from cfgplan.transformations import what_runs
 
 text = "format: cfgplan/1\\ntransformations:\\n- {label: t, outputs: {o: O}GPU}\\n"
 def world(suffix, content):
@@ -137,22 +140,28 @@ assert json_schema(EnvironmentPart)["$defs"]["TransformationPart"]["properties"]
 (t,), (u,) = said.environment.library, without.environment.library
 assert (t.gpu, u.gpu) == (2, 0)
 assert said.digest != without.digest
-assert fields.what_runs(t) != fields.what_runs(u)
+assert what_runs(t) != what_runs(u)
+assert Feature.INSTANCES in Problem(said.environment, Similarity({}), 1).features
+assert [str(each) for each in limits_of(Problem(said.environment, Similarity({}), 1))] == ["`gpu` of transformation t"]
+assert not limits_of(Problem(without.environment, Similarity({}), 1))
 assert '"gpu":2' in given("said", Problem(said.environment, Similarity({}), 1)).text
 assert world(".yaml", dump_yaml(plain_environment(said.environment, horizon_s=1))).environment == said.environment
 assert world(".xml", dump_xml(plain_environment(said.environment, horizon_s=1))).environment == said.environment
 """
 
 
-def test_a_new_field_is_a_line_of_the_domain_and_a_row(tmp_path: Path) -> None:
+NEW_ROW = """    gpu: Annotated[
+        Natural, Row("how many", use=Use.BOTH, feature=Feature.INSTANCES, is_limit=True)
+    ] = 0
+"""
+
+
+def test_a_new_field_is_a_row_of_the_domain(tmp_path: Path) -> None:
+    """Schema, reading, writing, digest, XML, features, limits and what restarts a unit follow from the row."""
     shutil.copytree(Path(cfgplan.__file__).parent, tmp_path / "cfgplan", ignore=shutil.ignore_patterns("__pycache__"))
-    for file, line, more in (
-        ("transformations.py", "    standby_us: Natural | None = None\n", "    gpu: int = 0\n"),
-        ("formats/fields.py", "    run: RunPart | None", '    gpu: int = row("how many", 0, use=Use.BOTH)\n'),
-    ):
-        path = tmp_path / "cfgplan" / file
-        before, found, after = path.read_text().partition(line)
-        assert found
-        path.write_text(before + (found + more if file == "transformations.py" else more + found) + after)
+    path = tmp_path / "cfgplan" / "transformations.py"
+    before, found, after = path.read_text().partition("    seen_us: Annotated[")
+    assert found
+    path.write_text(before + NEW_ROW + found + after)
     search = {"PYTHONPATH": f"{tmp_path}:{HERE}:{HERE.parents[1]}"}
     subprocess.run([sys.executable, "-c", NEW_FIELD, str(tmp_path)], env=os.environ | search, cwd=tmp_path, check=True)

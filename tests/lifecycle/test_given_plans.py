@@ -23,7 +23,7 @@ from cfgplan_runtime.lifecycle.changes import (
 from cfgplan_runtime.lifecycle.deliberation import Thought
 from cfgplan_runtime.lifecycle.perturbations import PlanGiven, UnitGone
 from cfgplan_runtime.lifecycle.reports import Decision, Review
-from cfgplan_runtime.operating.sentences import decision, preview_sentence
+from cfgplan_runtime.lifecycle.review_sentences import decision, preview_sentence
 from living import HORIZON_S, RESULT, Life, source, started, worker
 
 from cfgplan import api

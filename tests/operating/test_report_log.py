@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from cfgplan_runtime.lifecycle.kinds import sentence
 from cfgplan_runtime.lifecycle.perturbations import HorizonReached, Perturbation
 from cfgplan_runtime.lifecycle.reports import (
     BackedOff,
@@ -22,8 +23,7 @@ from cfgplan_runtime.lifecycle.reports import (
     WorldRefused,
 )
 from cfgplan_runtime.operating.records import logging_to, report_record
-from cfgplan_runtime.operating.sentences import sentence
-from cfgplan_runtime.supervision.events import SIGNS, Event, HelperAlive, UnitDied
+from cfgplan_runtime.supervision.events import SIGNS, Event, UnitDied
 from cfgplan_runtime.supervision.run_log import RunLog
 from fake_manager import REVIEW, SNAPSHOT, observation
 
@@ -86,7 +86,7 @@ def test_a_reviews_line_says_what_perturbed_what_was_decided_and_what_it_cost(li
 def test_every_event_and_every_field_is_described(lines: list[dict[str, Any]]) -> None:
     text = DESCRIPTION.read_text()
     names = {kind.__name__ for union in (Report, Event, Perturbation) for kind in union.__subclasses__()}
-    signs = {*SIGNS, HelperAlive}
+    signs = {*SIGNS}
     names -= {Observed.__name__, UnitEvent.__name__, *(kind.__name__ for kind in signs)}
     names |= {field for line in lines for field in line}
     told = {*Event.__subclasses__(), *Perturbation.__subclasses__()} - signs

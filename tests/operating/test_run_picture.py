@@ -18,6 +18,7 @@ from typing import Any
 import msgspec
 import pytest
 from cfgplan_runtime.children.messages import Flow
+from cfgplan_runtime.lifecycle.kinds import Level
 from cfgplan_runtime.lifecycle.perturbations import SubscriptionLost, UnitGone
 from cfgplan_runtime.lifecycle.reports import Decision, Snapshot, TargetView, UnitView
 from cfgplan_runtime.operating.records import snapshot_record
@@ -62,7 +63,14 @@ def large() -> Snapshot:
 
 
 def test_it_shows_targets_units_reviews_and_the_log() -> None:
-    text = "\n".join(drawn(lines=[LogLine(0.0, 4, "camera.1 coughs"), LogLine(0.0, 2, "a review", is_review=True)]))
+    text = "\n".join(
+        drawn(
+            lines=[
+                LogLine(0.0, Level.ERROR, "camera.1 coughs"),
+                LogLine(0.0, Level.INFORMATION, "a review", is_review=True),
+            ]
+        )
+    )
     for part in (
         "Run ab12cd34 of env.yaml", "00:01:15", "stable", "1 of 2 met", "30 Hz", "12 ms", "detector.1/ball",
         "nothing gives Goal", "2 %", "25 MB", "nao1", "image ← camera.1/image", "segmenter",
@@ -79,7 +87,10 @@ def test_it_shows_targets_units_reviews_and_the_log() -> None:
 def test_it_fills_the_terminal_and_no_more(width: int, height: int, faults: tuple[Fault, ...]) -> None:
     for snapshot in (SNAPSHOT, large(), replace(SNAPSHOT, targets=(), units=(), reviews=(), backing_off=())):
         lines = drawn(
-            replace(snapshot, faults=faults), width=width, height=height, lines=[LogLine(0.0, 2, "x" * 500)] * 99
+            replace(snapshot, faults=faults),
+            width=width,
+            height=height,
+            lines=[LogLine(0.0, Level.INFORMATION, "x" * 500)] * 99,
         )
         assert len(lines) == height
         assert max(map(len, lines)) <= width
@@ -142,7 +153,7 @@ def test_what_is_lost_by_a_death_is_not_told_as_another_reason() -> None:
 
 
 def test_what_units_print_does_nothing_to_the_terminal() -> None:
-    line = LogLine(0.0, 2, "a | \x1b[31mred\x1b[0m\x1b]0;title\x07\tand\x08 \r\x1bc\x9bx")
+    line = LogLine(0.0, Level.INFORMATION, "a | \x1b[31mred\x1b[0m\x1b]0;title\x07\tand\x08 \r\x1bc\x9bx")
     (shown,) = [line for line in drawn(lines=[line]) if "red" in line]
     assert shown.split()[1:] == ["a", "|", "red", "and", "x"]
     assert shown.isprintable()

@@ -246,8 +246,8 @@ def reordered(problem: Problem, draw: st.DrawFn) -> Problem:
                     tuple(draw(st.permutations(t.outputs))),
                     t.labor_us,
                     t.upkeep_us,
-                    t.pinned,
-                    t.required,
+                    pinned=t.pinned,
+                    required=t.required,
                 )
                 for t in draw(st.permutations(environment.library))
             ),

@@ -12,7 +12,7 @@ import pytest
 from promised import solved
 
 from cfgplan.errors import InputError
-from cfgplan.planning import MOST_INSTANCES
+from cfgplan.transformations import MOST_INSTANCES
 from cfgplan.validity import unused_required
 
 WISHED = """\

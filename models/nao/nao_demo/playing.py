@@ -13,6 +13,7 @@ from typing import Protocol
 
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.lifecycle.changes import Declare
+from cfgplan_runtime.lifecycle.kinds import sentence
 from cfgplan_runtime.lifecycle.manager import Manager
 from cfgplan_runtime.lifecycle.perturbations import UnitGone
 from cfgplan_runtime.lifecycle.reports import Decision, Report, Review, Reviewed
@@ -22,7 +23,6 @@ from cfgplan_runtime.operating.control_server import ControlServer
 from cfgplan_runtime.operating.flows import Flows
 from cfgplan_runtime.operating.methods import Methods
 from cfgplan_runtime.operating.records import report_record
-from cfgplan_runtime.operating.sentences import sentence
 from cfgplan_runtime.operating.stream_rates import StreamRates
 from cfgplan_runtime.operating.taps import LeasedTaps
 from cfgplan_runtime.runtime import Runtime

@@ -22,18 +22,14 @@ from cfgplan_runtime.lifecycle.configuration import Situation, external_units, r
 from cfgplan_runtime.lifecycle.deliberation import Looked, Thought
 from cfgplan_runtime.lifecycle.fact_values import fact_seen, facts_fallen_silent
 from cfgplan_runtime.lifecycle.inbox import Asked, FactSeen, Item, Leave, PreviewAsked, Unusable
+from cfgplan_runtime.lifecycle.kinds import Urgency, kind_of
 from cfgplan_runtime.lifecycle.perturbations import (
-    CodeChanged,
-    FactsChanged,
     HorizonReached,
-    LinkMeasured,
     LookDue,
     LookOver,
     MayStartAgain,
     PlanGiven,
-    QualitiesObserved,
     RestartAsked,
-    ReviewRequested,
     Started,
     UpdateFailed,
 )
@@ -67,19 +63,7 @@ from cfgplan_runtime.lifecycle.turns import (
 from cfgplan_runtime.lifecycle.views import silence_reason
 from cfgplan_runtime.lifecycle.worlds import LivingWorld
 from cfgplan_runtime.supervision.delays import doubling_s
-from cfgplan_runtime.supervision.events import HostJoined, HostLost, InputLost, UnitDied
-
-_OPTIMISING = (
-    Started,
-    CodeChanged,
-    FactsChanged,
-    QualitiesObserved,
-    HorizonReached,
-    LinkMeasured,
-    LookOver,
-    ReviewRequested,
-    MayStartAgain,
-)
+from cfgplan_runtime.supervision.events import Event
 
 
 class BreakIn(Flag):
@@ -104,13 +88,9 @@ def breaks_in(doing: Doing, item: Item) -> BreakIn:
             return BreakIn.INTERRUPT | abandon | BreakIn.END
         case Asked():
             return BreakIn.INTERRUPT
-        case UnitDied() | InputLost():
-            is_new = isinstance(doing, Updating) and item.unit in doing.starting
-            return BreakIn.INTERRUPT if is_new else BreakIn.INTERRUPT | abandon
-        case HostLost():
-            return BreakIn.INTERRUPT | abandon
-        case HostJoined():
-            return BreakIn.INTERRUPT
+        case Event() if (urgency := kind_of(item).urgency) >= Urgency.REPLAN:
+            is_new = isinstance(doing, Updating) and getattr(item, "unit", None) in doing.starting
+            return BreakIn.INTERRUPT if is_new or urgency is Urgency.REPLAN else BreakIn.INTERRUPT | abandon
     return BreakIn(0)
 
 
@@ -253,7 +233,7 @@ def _planning(turn: Turn, planning: Planning) -> Turn:
         world=state.living.world,
         entries=entries,
         plans=planning.plans + 1,
-        optimises=state.owes_optimising or any(isinstance(each.perturbation, _OPTIMISING) for each in entries),
+        optimises=state.owes_optimising or any(kind_of(each.perturbation).optimises for each in entries),
     )
     turn = _units_known(turn.to(replace(state, doing=planning, entries=())))
     return turn.also(MakePlan(turn.state.scene, planning.optimises, _is_last(planning, state)))

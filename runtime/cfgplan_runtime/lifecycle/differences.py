@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from cfgplan.api import World
 from cfgplan.domain import Transformation
-from cfgplan.formats.fields import what_runs
+from cfgplan.transformations import what_runs
 from cfgplan_runtime.lifecycle.perturbations import Difference
 
 T = TypeVar("T")

@@ -24,6 +24,7 @@ from cfgplan_runtime.lifecycle.configuration import check_host, hosts_of, is_ext
 from cfgplan_runtime.lifecycle.differences import difference
 from cfgplan_runtime.lifecycle.fact_values import fact_set
 from cfgplan_runtime.lifecycle.inbox import Asked, Outcome
+from cfgplan_runtime.lifecycle.kinds import kind_of
 from cfgplan_runtime.lifecycle.link_rates import Crossings
 from cfgplan_runtime.lifecycle.perturbations import (
     CodeChanged,
@@ -57,10 +58,8 @@ def heard(turn: Turn, event: events.Event) -> Turn:
             return _unnoted(turn, unit)
         case events.UnitStopped(unit):
             return _unnoted(turn, unit).answered(unit)
-        case events.UnitHung(unit):
-            return _noted(turn, unit, replace(_note(state, unit), end="hung"))
-        case events.UnitTooLarge(unit):
-            return _noted(turn, unit, replace(_note(state, unit), end="too large"))
+        case events.UnitHung(unit) | events.UnitTooLarge(unit):
+            return _noted(turn, unit, replace(_note(state, unit), end=kind_of(event).blame))
         case events.UnitFailed(unit, text=text) if text:
             return _noted(turn, unit, replace(_note(state, unit), error=text))
         case events.UnitDied(unit, cause):

@@ -35,6 +35,7 @@ from cfgplan_runtime.lifecycle.decisions import BreakIn, breaks_in, decide, firs
 from cfgplan_runtime.lifecycle.deliberation import Deliberation, Thought
 from cfgplan_runtime.lifecycle.guarded_estimator import GuardedEstimator
 from cfgplan_runtime.lifecycle.inbox import Asked, FactSeen, Inbox, Item, Leave, Outcome, PreviewAsked, Unusable
+from cfgplan_runtime.lifecycle.kinds import Urgency, kind_of
 from cfgplan_runtime.lifecycle.perturbations import Started
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Report, Snapshot, TargetView, UnitEvent
@@ -46,7 +47,7 @@ from cfgplan_runtime.lifecycle.turns import Effect, Happened, Happening
 from cfgplan_runtime.lifecycle.views import saving_us, target_views, unit_views
 from cfgplan_runtime.lifecycle.warm_matching import WarmMatching
 from cfgplan_runtime.lifecycle.worlds import LivingWorld
-from cfgplan_runtime.supervision.events import SIGNS, Event
+from cfgplan_runtime.supervision.events import Event
 from cfgplan_runtime.supervision.listeners import Listeners
 
 _LONG_S = 3600.0
@@ -400,7 +401,7 @@ class Manager:
     # From any thread.
 
     def _hear(self, event: Event) -> None:
-        is_sign = isinstance(event, SIGNS)
+        is_sign = kind_of(event).urgency is Urgency.SIGN
         self._put(event, is_urgent=not is_sign)
         if not is_sign:
             running = self._state.situation.units.get(getattr(event, "unit", None) or "")

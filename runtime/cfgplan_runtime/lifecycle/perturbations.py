@@ -38,14 +38,14 @@ class UnitKeepsFailing(Perturbation, frozen=True):
 
 
 class SubscriptionLost(Perturbation, frozen=True):
-    """A living unit's input, or a topic (`unit` is None), has lost its source."""
+    """A living unit's input, or a topic (`unit` is null), has lost its source."""
 
     unit: str | None
     port: str
 
 
 class TargetSilent(Perturbation, frozen=True):
-    """No element has come on a target's topic for longer than the target may be silent; `units` are the cause."""
+    """No element has come on a target's topic for longer than the target may be silent; `units` send nothing."""
 
     target: str
     topic: str
@@ -79,7 +79,10 @@ class Difference:
 
 
 class WorldChanged(Perturbation, frozen=True):
-    """Transformations, targets, individuals or settings have come, gone or changed; `by` is a file or who asked."""
+    """Transformations, targets, individuals or settings have come, gone or changed; `by` is a file or who asked.
+
+    `difference` has the labels that were added, removed, replaced, changed or repriced, the ontology and the settings.
+    """
 
     by: str
     difference: Difference
@@ -117,7 +120,7 @@ class QualitiesObserved(Perturbation, frozen=True):
 
 
 class LinkMeasured(Perturbation, frozen=True):
-    """A link between hosts carries another rate than was known, in bytes per second; None: no less than declared.
+    """A link between hosts carries another rate than was known, in bytes per second; null: no less than declared.
 
     `between` are the two selectors of its hosts.
     """

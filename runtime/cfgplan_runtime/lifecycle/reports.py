@@ -220,13 +220,19 @@ class Observed(Report, frozen=True):
 
 
 class BackedOff(Report, frozen=True):
-    """A transformation has failed again and is not started for some time."""
+    """A transformation has failed again and is not started for some time.
+
+    `backing_off` has the transformation, its failures, left_s (how long it is not started), the cause and the host
+    (null: wherever it runs).
+    """
 
     backing_off: BackingOff
 
 
 class WorldRefused(Report, frozen=True):
-    """The world's file has errors, and the last valid world holds; without faults, it is valid again."""
+    """The environment file has errors (message, file, line, mend), and the last valid version holds; without faults, it
+    is valid again.
+    """
 
     by: str
     faults: tuple[Fault, ...]
@@ -241,6 +247,6 @@ class FactSilent(Report, frozen=True):
 
 
 class Ended(Report, frozen=True):
-    """The manager has ended, by request or by `cause`."""
+    """The manager has ended, by request or by a `cause`."""
 
     cause: str = ""

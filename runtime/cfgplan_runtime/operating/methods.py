@@ -23,6 +23,7 @@ from cfgplan_runtime.lifecycle import changes
 from cfgplan_runtime.lifecycle.basis import Preview, plan_text, previewed
 from cfgplan_runtime.lifecycle.deliberation import Thought
 from cfgplan_runtime.lifecycle.reports import Review, Snapshot
+from cfgplan_runtime.lifecycle.review_sentences import preview_sentence, supposed_sentence
 from cfgplan_runtime.operating.control_server import Method
 from cfgplan_runtime.operating.declaration import Declared, declaration
 from cfgplan_runtime.operating.flows import Flows
@@ -30,7 +31,6 @@ from cfgplan_runtime.operating.past import Past
 from cfgplan_runtime.operating.printed import Printed
 from cfgplan_runtime.operating.protocol import Record, RefusedError
 from cfgplan_runtime.operating.records import change_record, review_record, snapshot_record, wired
-from cfgplan_runtime.operating.sentences import preview_sentence, supposed_sentence
 from cfgplan_runtime.operating.stream_rates import StreamRates
 from cfgplan_runtime.operating.taps import LeasedTaps
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final, Generic, TypeVar
 from wsgiref.simple_server import WSGIServer
 
@@ -17,7 +18,7 @@ from cfgplan.qualities import MICRO
 from cfgplan_runtime.children.messages import CrossingCounts, Flow, PortCounts
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.lifecycle import reports
-from cfgplan_runtime.lifecycle.perturbations import UnitGone
+from cfgplan_runtime.lifecycle.kinds import growths
 from cfgplan_runtime.operating.flows import Flows
 from cfgplan_runtime.supervision.observation import Observation
 
@@ -143,6 +144,19 @@ _OF_CROSSINGS: Final[Sequence[_Measure[CrossingCounts]]] = (
     _Measure("crossing_arrived_bytes", "Bytes that have arrived there.", lambda one: one.arrived_bytes, rises=True),
     _Measure("crossing_waiting_elements", "Elements that have not arrived yet.", lambda one: one.waiting),
 )
+_GROWING: Final[Mapping[str, tuple[str, Sequence[str], Sequence[float] | None]]] = {
+    "perturbations": ("Perturbations noticed.", ["kind"], None),
+    "reviews": ("Review intervals, by how they ended.", ["decision"], None),
+    "review_phase_seconds": (
+        "Wall time of the phases of a review: detect, match, estimate, plan, judge, apply.",
+        ["phase"],
+        _BUCKETS_S,
+    ),
+    "unit_changes": ("Units that updates have started, rewired or stopped.", ["change"], None),
+    "unit_failures": ("Units that ended unasked.", ["transformation", "how"], None),
+    "events": ("Events of units and streams.", ["event"], None),
+}
+"""The metrics that grow with reports, as the table of what happens says: help, labels, and a histogram's buckets."""
 _OF_OUTPUTS: Final[_Measure[PortCounts]] = _Measure(
     "unit_output_elements", "Elements given.", lambda one: one.elements, rises=True
 )
@@ -191,51 +205,20 @@ class Metrics:
 
     def __init__(self, snapshot: Callable[[], reports.Snapshot] | None = None, flows: Flows | None = None) -> None:
         self.registry = CollectorRegistry()
-        self._perturbations = Counter(
-            "cfgplan_perturbations", "Perturbations noticed.", ["kind"], registry=self.registry
-        )
-        self._reviews = Counter(
-            "cfgplan_reviews", "Review intervals, by how they ended.", ["decision"], registry=self.registry
-        )
-        self._phases = Histogram(
-            "cfgplan_review_phase_seconds",
-            "Wall time of the phases of a review: detect, match, estimate, plan, judge, apply.",
-            ["phase"],
-            buckets=_BUCKETS_S,
-            registry=self.registry,
-        )
-        self._changes = Counter(
-            "cfgplan_unit_changes",
-            "Units that updates have started, rewired or stopped.",
-            ["change"],
-            registry=self.registry,
-        )
-        self._failures = Counter(
-            "cfgplan_unit_failures", "Units that ended unasked.", ["transformation", "how"], registry=self.registry
-        )
-        self._events = Counter("cfgplan_events", "Events of units and streams.", ["event"], registry=self.registry)
+        self._growing = {
+            name: (Counter if buckets is None else partial(Histogram, buckets=buckets))(
+                f"cfgplan_{name}", help_text, labels, registry=self.registry
+            )
+            for name, (help_text, labels, buckets) in _GROWING.items()
+        }
         if snapshot is not None:
             self.registry.register(Present(snapshot, flows or Flows()))
 
     def listen(self, report: reports.Report) -> None:
         """Count a report; from any thread."""
-        match report:
-            case reports.Perturbed(perturbation):
-                self._perturbations.labels(type(perturbation).__name__).inc()
-                if isinstance(perturbation, UnitGone):
-                    self._failures.labels(perturbation.transformation, perturbation.how).inc()
-            case reports.Reviewed(review):
-                self._count(review)
-            case reports.UnitEvent(event):
-                self._events.labels(type(event).__name__).inc()
-
-    def _count(self, review: reports.Review) -> None:
-        self._reviews.labels(review.decision.value).inc()
-        for phase, seconds in review.seconds.items():
-            self._phases.labels(phase).observe(seconds)
-        if review.decision.value == "applied" and review.change_set is not None:
-            for change in ("started", "rewired", "stopped"):
-                self._changes.labels(change).inc(len(getattr(review.change_set, change)))
+        for name, labels, amount in growths(report):
+            metric = self._growing[name].labels(*labels)
+            metric.observe(amount) if isinstance(metric, Histogram) else metric.inc(amount)
 
 
 class MetricsServer:

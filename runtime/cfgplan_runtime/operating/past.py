@@ -9,11 +9,10 @@ from collections.abc import Callable
 
 import msgspec
 
-from cfgplan_runtime.lifecycle.reports import Observed, Report, UnitEvent
+from cfgplan_runtime.lifecycle.kinds import Shown, Urgency, kind_of, level, sentence, subject
+from cfgplan_runtime.lifecycle.reports import Report
 from cfgplan_runtime.operating.protocol import Record
 from cfgplan_runtime.operating.records import report_record
-from cfgplan_runtime.operating.sentences import sentence
-from cfgplan_runtime.supervision.events import UnitPrinted
 
 EVENTS_KEPT = 1000
 MOST_BYTES = 8 << 20
@@ -23,7 +22,7 @@ MOST_BYTES = 8 << 20
 class Past:
     """Keeps the last events of a run as records. Thread-safe.
 
-    Observations of each second are no events. Lines that units print are events, but `Printed` keeps them.
+    Signs, such as the observations of each second, are no events. Lines that units print are, but `Printed` keeps them.
     """
 
     def __init__(self, now_s: Callable[[], float] = time.time) -> None:
@@ -34,21 +33,23 @@ class Past:
         self._number = self._bytes = 0
 
     def take(self, report: Report) -> Record | None:
-        """The record of a report, with its number, its time in seconds since 1970 and its sentence, which is kept.
+        """The record of a report, with its level, number, time in seconds since 1970 and sentence, which is kept.
 
-        None for observations.
+        None for signs.
         """
-        if isinstance(report, Observed):
+        row = kind_of(subject(report))
+        if row.urgency is Urgency.SIGN:
             return None
         with self._lock:
             self._number += 1
             record = {
                 **report_record(report),
                 "says": sentence(report),
+                "level": level(report).name.lower(),
                 "number": self._number,
                 "time_s": round(self._now_s(), 3),
             }
-            if not (isinstance(report, UnitEvent) and isinstance(report.event, UnitPrinted)):
+            if Shown.LATER in row.shown:
                 self._keep(record)
         return record
 

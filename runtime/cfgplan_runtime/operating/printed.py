@@ -9,9 +9,10 @@ from collections import OrderedDict, deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from cfgplan_runtime.lifecycle.kinds import Shown, details, kind_of
 from cfgplan_runtime.lifecycle.reports import Report, UnitEvent
 from cfgplan_runtime.operating.protocol import Record
-from cfgplan_runtime.supervision.events import UnitDied, UnitPrinted
+from cfgplan_runtime.supervision.events import UnitPrinted
 
 LINES_KEPT = 1000
 """The last lines of each unit that are kept."""
@@ -48,8 +49,10 @@ class Printed:
         match report:
             case UnitEvent(UnitPrinted(unit, line)):
                 self._keep(unit, line)
-            case UnitEvent(UnitDied(unit, cause)):
-                self._keep(unit, f"cfgplan: {unit} died: {cause}")
+            case UnitEvent(event) if Shown.AS_LINE in kind_of(event).shown:
+                said, unit = f"cfgplan: {kind_of(event).says(event)}", getattr(event, "unit", "")
+                for line in (said, *(details(report) or "").splitlines()):
+                    self._keep(unit, line)
 
     def lines(self, name: str, after: int = 0) -> list[PrintedLine]:
         """The lines after number `after` of the unit with this id, or of all units of the transformation with this

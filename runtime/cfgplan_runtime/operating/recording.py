@@ -19,11 +19,11 @@ import msgspec
 
 from cfgplan.errors import InputError
 from cfgplan.extras import needed
+from cfgplan_runtime.lifecycle.kinds import level, sentence
 from cfgplan_runtime.lifecycle.reports import Observed, Report, Reviewed
 from cfgplan_runtime.operating.forms import events_form, known, reviews_form, unit_record, units_form
 from cfgplan_runtime.operating.messages import Message, log_message, messages, record_message
 from cfgplan_runtime.operating.records import plain, report_record, review_record
-from cfgplan_runtime.operating.sentences import level, sentence
 from cfgplan_runtime.streams.element import Element
 from cfgplan_runtime.streams.payload import decode
 

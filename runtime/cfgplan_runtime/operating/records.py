@@ -19,9 +19,9 @@ from cfgplan.facts import said
 from cfgplan.formats.dump import plain_unit
 from cfgplan.qualities import MICRO
 from cfgplan_runtime.lifecycle import reports
+from cfgplan_runtime.lifecycle.kinds import Urgency, kind_of, review_sentence
 from cfgplan_runtime.lifecycle.perturbations import Perturbation
 from cfgplan_runtime.operating.protocol import Record
-from cfgplan_runtime.operating.sentences import review_sentence
 from cfgplan_runtime.supervision.run_log import RunLog
 
 
@@ -185,10 +185,10 @@ def wired(unit: ComputationUnit) -> Record:
 
 
 def logging_to(log: RunLog) -> Callable[[reports.Report], None]:
-    """A listener for `Manager.listen` that writes every report but the observations of each second."""
+    """A listener for `Manager.listen` that writes every report but signs, such as the observations of each second."""
 
     def write(report: reports.Report) -> None:
-        if not isinstance(report, reports.Observed):
+        if kind_of(report).urgency is not Urgency.SIGN:
             says = report_record(report)
             log.write_line(says.pop("kind"), says)
 

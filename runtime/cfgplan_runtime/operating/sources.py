@@ -14,7 +14,7 @@ from cfgplan.transformations import Transformation
 from cfgplan_runtime.children.source_faults import code_path
 from cfgplan_runtime.lifecycle.changes import FaultyCode, RestartUnits
 from cfgplan_runtime.lifecycle.file_watch import FileWatch
-from cfgplan_runtime.operating.sentences import named
+from cfgplan_runtime.lifecycle.review_sentences import named
 
 SourceCheck: TypeAlias = Callable[[Transformation, Path], Fault | None]
 """What keeps units of a transformation from being started, by its source; files are relative to the folder."""

@@ -22,7 +22,7 @@ export function reviews(all) {
 export function event(one) {
   const key = one.number ?? `${one.time_s} ${one.says}`;
   if (eventRows.has(key)) return;
-  const row = rowOf(one.time_s, /Died|Lost|Hung|Failed|TooLarge|Refused/.test(one.kind) ? "event bad" : "event", one.says, "");
+  const row = rowOf(one.time_s, one.level === "information" ? "event" : "event bad", one.says, "");
   eventRows.set(key, row);
   insert(row);
 }

@@ -15,6 +15,7 @@ from functools import partial
 from typing import Any
 
 from cfgplan_runtime.errors import ControlError
+from cfgplan_runtime.lifecycle.kinds import Shown, kind_named
 from cfgplan_runtime.operating.control_client import Control
 from cfgplan_runtime.operating.protocol import Record, RefusedError
 from cfgplan_runtime.page.health import health
@@ -164,14 +165,14 @@ class Watched:
     def _hear(self, control: Control) -> None:
         with control:
             for event in control.events():
-                if event["kind"] != "UnitPrinted":
+                if Shown.LATER in kind_named(event["kind"]).shown:
                     self._is_due.set()
                 self._take(event)
 
     def _take(self, event: Record) -> None:
-        """Tell of an event, unless it has no sentence, or is a review: the state has these."""
-        if event.get("says") is not None and event["kind"] not in ("Reviewed", "UnitPrinted"):
-            told = {key: event.get(key) for key in ("kind", "says", "unit", "number")}
+        """Tell of an event that has a sentence and is shown on the page."""
+        if event.get("says") is not None and Shown.ON_PAGE in kind_named(event["kind"]).shown:
+            told = {key: event.get(key) for key in ("kind", "level", "says", "unit", "number")}
             self._tell(("event", json.dumps({"time_s": time.time(), **told} | _time(event))))
 
     def _look(self, control: Control) -> None:

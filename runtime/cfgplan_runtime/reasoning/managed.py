@@ -12,11 +12,11 @@ from cfgplan.amounts import span
 from cfgplan.domain import Target
 from cfgplan.errors import Fault, InputError
 from cfgplan_runtime.lifecycle.changes import Add, Change, Remove
+from cfgplan_runtime.lifecycle.kinds import Level, level, sentence
 from cfgplan_runtime.lifecycle.reports import Decision, Report, Review, Reviewed, Snapshot, UnitEvent
-from cfgplan_runtime.operating.sentences import decision, sentence
+from cfgplan_runtime.lifecycle.review_sentences import decision
 from cfgplan_runtime.reasoning.features import DeclaredFeatures, Feature
 from cfgplan_runtime.streams.subscription import SubscriptionToTopic, subscribe
-from cfgplan_runtime.supervision.events import UnitDied, UnitFailed, UnitHung
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -122,7 +122,7 @@ class RemoteSubscriptions:
 def _told(report: Report) -> str | None:
     """The sentence about a report for the query's user; None if it does not concern them."""
     match report:
-        case UnitEvent(UnitDied() | UnitHung() | UnitFailed()):
+        case UnitEvent() if level(report) is not Level.INFORMATION:
             return sentence(report)
         case Reviewed(review) if review.decision is Decision.APPLIED and review.change_set:
             return f"{decision(review)} ({span(sum(review.seconds.values()))})"

@@ -39,14 +39,17 @@ class SparePrepared(Event, frozen=True):
 
 
 class SpareUsed(Event, frozen=True):
-    """A unit starts in the process that was prepared for a cold spare."""
+    """A unit starts in the process that was prepared for a cold spare; `UnitReady` follows."""
 
     unit: str
     spare: str
 
 
 class SpareLost(Event, frozen=True):
-    """The process that was prepared for a cold spare has ended, or could not be prepared."""
+    """The process that was prepared for a cold spare has ended or could not be prepared, or its code has changed.
+
+    It is prepared again at once, then after 1, 2, 4 ... 300 s.
+    """
 
     unit: str
     cause: str
@@ -80,7 +83,7 @@ class UnitTooLarge(Event, frozen=True):
 
 
 class UnitCutShort(Event, frozen=True):
-    """A unit that was told to end had not ended after `after_s` seconds, and is killed.
+    """A unit that was told to end had not ended after `after_s` seconds (`run: {stop: ...}`), and is killed.
 
     `waiting` elements waited at its inputs when it gave its last sign of life.
     """
@@ -104,7 +107,7 @@ class SourceExhausted(Event, frozen=True):
 
 
 class InputLost(Event, frozen=True):
-    """An input of a living unit, or a topic (`unit` is None), has lost its source."""
+    """An input of a living unit, or a topic (`unit` is null), has lost its source."""
 
     unit: str | None
     port: str
@@ -130,7 +133,7 @@ class UnitStatus(Event, frozen=True):
 
 
 class OutletsLost(Event, frozen=True):
-    """The process that owns the topics' addresses has died; a new one replaces it: OutletsOpened follows."""
+    """The process that owns the topics' addresses has died; a new one replaces it: `OutletsOpened` follows."""
 
     cause: str
 
@@ -164,14 +167,17 @@ class HelperAlive(Event, frozen=True):
 
 
 class HelperHung(Event, frozen=True):
-    """A helper process of a backend has given no sign of life, and is replaced."""
+    """A helper process beside the units (nursery, outlets) has given no sign of life, and is replaced."""
 
     helper: str
     silent_s: float
 
 
 class CertificateEnds(Event, frozen=True):
-    """The certificate of a host, or of the manager, ends soon; links of others with it end then. `ends` is its time."""
+    """The certificate of a host, or of the manager, ends within 30 days, and links of others with it end then.
+
+    Reported once a day; `ends` is its time.
+    """
 
     host: str
     ends: str
@@ -238,5 +244,5 @@ class RolledBack(Event, frozen=True):
     cause: str
 
 
-SIGNS = (UnitStatus, TopicsStatus, CrossingsStatus)
+SIGNS = (UnitStatus, TopicsStatus, CrossingsStatus, HelperAlive)
 """Signs of life: they come often, and are not logged."""

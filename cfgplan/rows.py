@@ -1,0 +1,152 @@
+"""A field is a row: a note beside the attribute of a domain's value, from which all lists of fields are derived.
+
+Schema, readers, writers, digests, limits, features, the manual's table and the fields that restart a unit read the row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from enum import Flag, StrEnum
+from functools import cache
+from operator import attrgetter
+from typing import Any, get_args
+
+from cfgplan.arguments import noted
+
+ELEMENT, UNSAID = "<>", ""
+"""How the XML format has a key that is no attribute: as an element, or not at all."""
+LARGEST_AMOUNT = 1_000_000_000
+MOST_IN_A_QUEUE = 1_000_000
+
+
+class Use(Flag):
+    """The readers of a field: a change of its value makes saved plans stale (PLANNING), or restarts units (RUNNING)."""
+
+    NONE = 0
+    PLANNING = 1
+    RUNNING = 2
+    BOTH = 3
+
+
+class Feature(StrEnum):
+    """An extension of the paper's problem; the value is its name in error messages."""
+
+    QUALITY = "quality of streams"
+    HOSTS = "hosts"
+    CONFLICTS = "conflicts"
+    BESIDE = "units that run with others"
+    INSTANCES = "numbers of instances"
+    SURVIVAL = "survival of failures"
+    OPTIONAL = "optional inputs"
+    COUNTS = "inputs that take several streams"
+    LIMITS = "outputs that serve only so many"
+    RUNS = "targets that want a unit, not a stream"
+    ORDER = "an order of objectives"
+    LATENCY = "latencies of links"
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A field: its meaning, and what does not follow from the attribute beside which the row stands.
+
+    `key` is the key of environment files; by default the attribute's name without its unit. A row without a meaning is
+    in no file. `form` names the values in files (`formats.schema_values`, `formats.fields`); by default it follows from
+    the attribute's type. Whole numbers are at least `least` and at most `most`. An `absent` key has the attribute's
+    default, unless it is declared here: None means that another rule decides. `xml` is the attribute of the XML format,
+    ELEMENT or UNSAID. In files the key stands below the one of the previous attribute, or below `below`.
+
+    A value other than the default asks for a `feature`. If it `is_limit`, it can only forbid plans.
+    """
+
+    meaning: str = ""
+    key: str = ""
+    form: str = ""
+    use: Use = Use.PLANNING
+    least: int | None = None
+    most: int = LARGEST_AMOUNT
+    absent: object = ...
+    xml: str | None = None
+    below: str = ""
+    feature: Feature | None = None
+    is_limit: bool = False
+
+
+FOUND = Row(use=Use.NONE)
+"""The row of an attribute that a run finds out: it is in no file, and no plan is stale for it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Attribute:
+    """An attribute of a domain's value, its type as an annotation says it, its default, and its row.
+
+    An attribute without a row is in no file, and planning uses it.
+    """
+
+    name: str
+    type: Any
+    default: Any
+    row: Row
+
+    @property
+    def key(self) -> str:
+        """The key in environment files."""
+        base, _, unit = self.name.rpartition("_")
+        return self.row.key or (base if base and unit in ("us", "mb", "hz", "uhz", "bytes") else self.name)
+
+
+def attributes(kind: Any) -> tuple[Attribute, ...]:
+    """The attributes of a dataclass, in the order of their declaration."""
+    return _attributes(kind)
+
+
+@cache
+def _attributes(kind: Any) -> tuple[Attribute, ...]:
+    hints = noted(kind)
+    return tuple(
+        Attribute(
+            each.name,
+            hints[each.name],
+            each.default if each.default_factory is MISSING else each.default_factory(),
+            next((note for note in get_args(hints[each.name]) if isinstance(note, Row)), Row()),
+        )
+        for each in fields(kind)
+    )
+
+
+def planned(value: Any) -> Any:
+    """Return all that planning uses of a domain's value, without defaults, as plain data by the domain's names."""
+    if isinstance(value, tuple):
+        return [planned(each) for each in value]
+    if is_dataclass(value):
+        kind: Any = type(value)
+        said = ((name, getattr(value, name), usual) for name, usual in _planned(kind))
+        found = ((name, planned(part)) for name, part, usual in said if part != usual)
+        return {name: part for name, part in found if part != {}}
+    return {key: planned(each) for key, each in value.items()} if isinstance(value, Mapping) else value
+
+
+@cache
+def _planned(kind: Any) -> list[tuple[str, Any]]:
+    """The attributes of a dataclass that planning uses, with their defaults."""
+    return [(each.name, each.default) for each in attributes(kind) if Use.PLANNING in each.row.use]
+
+
+def running(value: object) -> tuple[object, ...]:
+    """Return the attributes of a domain's value that running uses."""
+    return tuple(getattr(value, each.name) for each in attributes(type(value)) if Use.RUNNING in each.row.use)
+
+
+def features(kind: type[Any], values: Iterable[object]) -> set[Feature]:
+    """The features that some values of a dataclass ask for."""
+    parts = list(values)
+    return {
+        each.row.feature
+        for each in attributes(kind)
+        if each.row.feature is not None and not {*map(attrgetter(each.name), parts)} <= {each.default}
+    }
+
+
+def limits(kind: type[Any]) -> Mapping[str, Attribute]:
+    """The attributes of a dataclass that can only forbid plans, by key."""
+    return {each.key: each for each in attributes(kind) if each.row.is_limit}

@@ -1,0 +1,88 @@
+"""Sentences for people about reviews: their decisions, previews, and plans for supposed changes."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+from cfgplan.amounts import span
+from cfgplan.domain import ChangeSet
+from cfgplan.summary import some
+from cfgplan_runtime.errors import RuntimeFaultError
+from cfgplan_runtime.lifecycle.reports import Decision, Review, Snapshot
+
+if TYPE_CHECKING:
+    from cfgplan_runtime.lifecycle.deliberation import Thought
+
+named = partial(some, most=4)
+"""Some names, and how many more there are."""
+TRACEBACK = "Traceback (most recent call last)"
+_OUR_ERRORS = f"{RuntimeFaultError.__module__}."
+_LONGEST_CAUSE = 300
+
+
+def decision(review: Review) -> str:
+    """The decision of a review, in a few words."""
+    match review.decision:
+        case Decision.APPLIED:
+            return "applied" if review.change_set is None else _changes(review.change_set, review.external)
+        case Decision.KEPT:
+            return "nothing to change"
+        case Decision.DEFERRED:
+            saving = span((review.cost_before_us - (review.cost_us or 0)) / 1e6)
+            return f"no change needed now; replanning at the horizon would save {saving} of CPU"
+        case Decision.FAILED:
+            return f"the update failed: {short(review.cause)}"
+    return f"no decision: {short(review.cause)}"
+
+
+def preview_sentence(thought: Thought) -> str:
+    """The change that a review would make now, and its cost."""
+    from cfgplan_runtime.lifecycle.configuration import external_units  # clients that only show need none of it
+
+    changes = thought.change_set
+    if changes is None:
+        return f"A review would now decide nothing: {thought.cause}"
+    external = external_units(changes, thought.planned)
+    is_kept = thought.decision is Decision.KEPT or not changes
+    parts = [f"A review would now {'change nothing' if is_kept else _changes(changes, external, _INFINITIVES)}"]
+    if thought.cost_us is not None:
+        before_us = thought.cost_before_us
+        parts.append(f"{thought.cost_us / 1e6:.4g} s of CPU over the horizon, now {before_us / 1e6:.4g} s")
+    parts += [f"{label} is not met: {reason}" for label, reason in sorted(thought.unmet.items())]
+    return "; ".join(parts)
+
+
+def supposed_sentence(thought: Thought, now: Snapshot) -> str:
+    """The plan for a supposed change: the units it changes, its cost and the present one, and unmet targets."""
+    if thought.change_set is None:
+        return f"No plan was found: {thought.cause}"
+    is_kept = thought.decision is Decision.KEPT or not thought.change_set
+    parts = ["No other unit would change" if is_kept else f"It would {_changes(thought.change_set, (), _INFINITIVES)}"]
+    if thought.cost_us is not None:
+        more_us = thought.cost_us - now.cost_us
+        more = f"{abs(more_us) / 1e6:.3g} s {'more' if more_us > 0 else 'less'} than now" if more_us else "as now"
+        parts.append(f"{thought.cost_us / 1e6:.4g} s of CPU over the horizon, {more}")
+    parts.append("proven: no plan is cheaper" if thought.is_proven else "not proven to be the cheapest")
+    parts += [f"{label} would not be met: {reason}" for label, reason in sorted(thought.unmet.items())]
+    return "; ".join(parts)
+
+
+_PAST, _INFINITIVES = ("adopted", "started", "rewired", "stopped"), ("adopt", "start", "rewire", "stop")
+
+
+def _changes(changes: ChangeSet, external: tuple[str, ...], verbs: tuple[str, ...] = _PAST) -> str:
+    """The units that a change set takes in, starts, rewires and stops; `external` ones run already."""
+    new = [unit.id for unit in changes.started if unit.id not in external]
+    groups = external, new, [unit.id for unit in changes.rewired], changes.stopped
+    parts = [f"{verb} {named(names)}" for verb, names in zip(verbs, groups, strict=True) if names]
+    return ", ".join(parts) or "nothing to change"
+
+
+def short(text: str) -> str:
+    """A cause on one line; a traceback becomes the message of its exception."""
+    before, mark, trace = text.partition(TRACEBACK)
+    if mark:
+        text = before + trace.strip().splitlines()[-1]
+    text = " ".join(text.replace(_OUR_ERRORS, "").split())
+    return text if len(text) <= _LONGEST_CAUSE else f"{text[: _LONGEST_CAUSE - 3]}..."
