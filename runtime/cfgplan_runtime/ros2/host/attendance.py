@@ -17,7 +17,7 @@ _LOOK_S = 0.05
 _PORTS_S = 2.0
 """Seconds after its first sign after which a node is ready, whatever ports it does not have yet."""
 _LATE_S = 10.0
-"""Seconds after it is ready after which it is told which outputs a node still does not have."""
+"""Seconds after it is ready after which it is told which outputs a node still lacks, and who else has its name."""
 _IDLE_S = 3.0
 """Seconds after it is ready for which a node is listened to, even if nothing is led from there."""
 _FOREIGN_S = 4.0
@@ -63,7 +63,7 @@ class Attendance:
         self._dead: set[tuple[int, ...]] = set()
         """Endpoints of nodes that have died: the graph has them for a while."""
         self._ghosts: dict[str, float] = {}
-        """By names of nodes that have died: until when they may still be in the graph."""
+        """By names of nodes that have died: until when they may still be in the graph by the run's own profile."""
         self._forget_wires = host.handlers["CloseInlets"]
         host.handlers.update(Attend=self._attend, CloseInlets=self._forget, Begin=self._begin)
         host.on_match = self._look
@@ -224,17 +224,22 @@ class Attendance:
         node.is_ready = True
         self._host.say("Attended", unit=node.unit)
         self._host.waiting.later(_IDLE_S, lambda: self._let_go(node))
-        if node.outputs and not node.is_foreign:
-            self._host.waiting.later(_LATE_S, lambda: self._tell_missing(node))
+        if not node.is_foreign:
+            self._host.waiting.later(_LATE_S, lambda: self._tell_late(node))
 
     def _let_go(self, node: AttendedNode) -> None:
         if self._nodes.get(node.unit) is node:
             for source in node.sources:
                 self._relays.let_go(node.unit, source.topic)
 
-    def _tell_missing(self, node: AttendedNode) -> None:
+    def _tell_late(self, node: AttendedNode) -> None:
+        """Report what a node should have by now: each output, and a name that no other node of its process has."""
         if self._nodes.get(node.unit) is not node:
             return
+        number = self._namesakes(node.name)
+        if number > 1 and node.name not in self._ghosts:
+            mend = "name the other one in `source`: `--ros-args -r OWN_NAME:__node:=OTHER_NAME --`"
+            self._host.say("Told", unit=node.unit, text=f"{number} nodes of its process are called {node.name}: {mend}")
         missing = sorted(set(self._missing(node)) & {port["topic"] for port in node.outputs})
         if missing:
             text = f"{node.name} does not publish {', '.join(missing)}: what is it called in its code (`remap`)?"
