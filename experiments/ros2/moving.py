@@ -73,7 +73,7 @@ def compiled(python: RosPython, folder: Path) -> Path:
 def moved(way: str, moves: int) -> tuple[Heard, float]:
     """Move the tracker's subscription so many times, twice a second at most.
 
-    Returns what it got, and its CPU time for a message in us. Without a `way` it has no shim, and stays.
+    Returns its numbers, and its CPU time for a message in us. Without a `way` the tracker has no shim, and stays.
     """
     python = ros_python(is_known=True)
     got: list[tuple[int, int]] = []

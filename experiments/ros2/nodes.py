@@ -113,7 +113,7 @@ class Numbered(Node):
 
 
 class Detector(Node):
-    """Gives what it gets, after `delay` seconds; of the kind that the numbers of this `way` have."""
+    """Passes each message on after `delay` seconds. The numbers have this `way`."""
 
     def __init__(self) -> None:
         super().__init__("detector")

@@ -1,4 +1,4 @@
-"""What a node hears while its input is led to and fro between two detectors of one camera: lost, repeated, back.
+"""Counts lost and repeated messages of an input that is led to and fro between two detectors of one camera.
 
     CFGPLAN_ROS_PYTHON=ros/bin/python python experiments/ros2/switches.py [--switches 100]
 
@@ -105,7 +105,7 @@ def tracker(detector: str) -> ComputationUnit:
 
 
 def heard(way: str, switches: int) -> Heard:
-    """Switch the tracker so many times, twice a second at most, and return what it got."""
+    """Switch the tracker so many times, twice a second at most. Returns the numbers that arrived."""
     lines: queue.SimpleQueue[tuple[int, int]] = queue.SimpleQueue()
 
     def note(event: Event) -> None:
