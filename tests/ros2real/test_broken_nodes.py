@@ -102,7 +102,7 @@ def test_a_node_that_prints_100_mb_is_cut_short_counted_and_works(runtime: Runti
     runtime.apply(ChangeSet(stopped=("flood.1",)))
     left_out = sum(int(line.split()[1].replace(",", "")) for line in shown if "are left out" in line)
     printed = sum(set(line) == {"x"} for line in shown)
-    assert printed + left_out == 1_000_000
+    assert 1_000_000 <= printed + left_out < 1_000_010, "a distribution may print some lines of its own"
     assert printed < 60 * MOST_LINES
 
 

@@ -442,6 +442,8 @@ class Ros2Backend:
 
     def _shown(self, unit: str, line: str) -> str | None:
         """Return the line to report for one that a unit's node has printed; None for none."""
+        if self._profiles.causes(line):
+            return None
         node = self._nodes.get(unit)
         return line if node is None else self._warnings.line(unit, line, node.ros.remappings)
 
