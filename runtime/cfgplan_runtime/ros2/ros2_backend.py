@@ -34,7 +34,7 @@ from cfgplan_runtime.ros2.host_messages import (
     Unloaded,
 )
 from cfgplan_runtime.ros2.quality_warnings import QualityWarnings
-from cfgplan_runtime.ros2.ros2_unit import Ros2Unit, message_of, node_source
+from cfgplan_runtime.ros2.ros2_unit import SIM_TIME, Ros2Unit, message_of, node_source
 from cfgplan_runtime.ros2.ros_python import RosPython, ros_python
 from cfgplan_runtime.ros2.warm_nodes import WarmNode, WarmNodes
 from cfgplan_runtime.streams.ends import Bell, Ends
@@ -298,6 +298,7 @@ class Ros2Backend:
                 asks=run.hang_us is not None and not node.is_spare,
                 waits=node.is_spare,
                 is_watched=ros.source.kind == "component",
+                has_clock=SIM_TIME in ros.parameters,
             )
         )
 
