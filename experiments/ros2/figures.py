@@ -3,9 +3,9 @@
     CFGPLAN_ROS_PYTHON=ros/bin/python python experiments/ros2/figures.py [--rounds 5] [--short]
 
 In each round, one after the other: a worker between a source of 100 Hz and a topic is started, connected to another
-source, and killed by `kill -9`; it is replaced from nothing, by a prepared spare, and by one that runs. Then messages
-of several sizes go from a node to another, directly and through the relay, in turns. Needs rclpy, and ROS 1 for its
-column; without it the column is left out.
+source, and killed by `kill -9`; it is replaced from nothing, by a prepared spare, and by one that runs. The helper of
+ROS 2 is killed too. Then messages of several sizes go from a node to another, directly and through the relay, in turns.
+Needs rclpy, and ROS 1 for its column; without it the column is left out.
 """
 
 from __future__ import annotations
@@ -13,56 +13,55 @@ from __future__ import annotations
 import argparse
 import os
 import queue
-import shutil
 import statistics
 import subprocess
 import sys
 import tempfile
-import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
-from dataclasses import replace
+from collections.abc import Iterator
+from contextlib import ExitStack
 from itertools import pairwise
 from pathlib import Path
 
 import psutil
-from cfgplan_runtime import Runtime
 from cfgplan_runtime.processes.child_process import cpu_us
 from cfgplan_runtime.ros2.fast_dds import FastDdsProfiles
-from cfgplan_runtime.ros2.ros2_backend import Ros2Backend
 from cfgplan_runtime.ros2.ros_python import ros_python
 from cfgplan_runtime.supervision.events import Event, SparePrepared, UnitDied, UnitPrinted, UnitStatus
 
-from cfgplan.domain import (
-    ChangeSet,
-    ComputationUnit,
-    InputPort,
-    OutputPort,
-    Publication,
-    RunOptions,
-    Stream,
-    Subscription,
-    Target,
-    Transformation,
+from cfgplan.domain import ChangeSet, ComputationUnit, InputPort, OutputPort, Stream, Subscription, Transformation
+
+sys.path.append(str(Path(__file__).parents[2]))
+from experiments.workers import (
+    IMAGE,
+    PATIENCE_S,
+    PROCESSES,
+    ROS1,
+    ROS2,
+    SOURCES,
+    TOPIC,
+    arrivals,
+    eventually,
+    heard,
+    library,
+    ros1_of_its_own,
+    runtime_of,
+    worker,
 )
 
 HERE = Path(__file__).parent
-sys.path.append(str(HERE.parents[1]))
-PATIENCE_S = 60.0
-TOPIC = Target("result", "Y", "/result")
-IMAGE = "sensor_msgs/Image"
-SOURCES = (ComputationUnit("first.1", "first"), ComputationUnit("second.1", "second"))
 FIGURES = (
     "start: to its first result",
     "rewire: until carried out",
     "rewire: longest time without results",
+    "`kill -9`: until `UnitDied`",
     "`kill -9`, another one from nothing",
     "`kill -9`, a process that waits becomes it",
     "`kill -9`, a configured lifecycle node becomes it",
     "`kill -9`, another one runs already",
+    "`kill -9` of the helper: longest time without results",
 )
-START, REWIRE, GAP, NOTHING, WARM, LIFECYCLE, RUNNING = FIGURES
+START, REWIRE, GAP, DIED, NOTHING, WARM, LIFECYCLE, RUNNING, HELPER = FIGURES
 PAYLOADS = {100: 200, 10_000: 100, 1_000_000: 30}
 """Bytes of a message, and messages a second."""
 Taken = dict[tuple[str, str], list[float]]
@@ -81,12 +80,7 @@ def report(rounds: int, payloads: list[int]) -> Iterator[str]:
     """Yield the lines of both tables."""
     taken: Taken = {}
     with ExitStack() as stack:
-        kinds = ["processes", "ROS 2"]
-        if shutil.which("rosmaster") is not None:
-            from experiments.ros1.figures import ros_of_its_own
-
-            stack.enter_context(ros_of_its_own())
-            kinds.insert(1, "ROS 1")
+        kinds = [PROCESSES, ROS1, ROS2] if stack.enter_context(ros1_of_its_own()) else [PROCESSES, ROS2]
         for _ in range(rounds):
             for kind in kinds:
                 for name, seconds in figures(kind).items():
@@ -121,137 +115,50 @@ def pair(ages_us: tuple[float, float]) -> str:
 def figures(kind: str) -> dict[str, float]:
     """Measure one round of a kind, in seconds by name."""
     found = changes(kind)
-    found[NOTHING] = crash(kind)
-    found[RUNNING] = crash(kind, runs_beside=True)
-    if kind != "ROS 1":
-        found[WARM] = crash(kind, is_prepared=True)
-    if kind == "ROS 2":
-        found[LIFECYCLE] = crash(kind, is_prepared=True, code="prepared")
+    found[DIED], found[NOTHING] = crash(kind)
+    _, found[RUNNING] = crash(kind, runs_beside=True)
+    if kind != ROS1:
+        _, found[WARM] = crash(kind, is_prepared=True)
+    if kind == ROS2:
+        _, found[LIFECYCLE] = crash(kind, is_prepared=True, code="prepared")
+        found[HELPER] = loss_of_helper()
     return found
-
-
-def library(kind: str, code: str = "worker", **more: object) -> tuple[Transformation, ...]:
-    """Two sources and a worker."""
-    typed = None if kind == "processes" else IMAGE
-    is_process = kind == "processes"
-    folder = "node:./nodes.py"
-    params = {} if is_process else {"rate": 100, "size": 100 if kind == "ROS 2" else 10}
-    source = "nodes.py:count" if is_process else f"{folder} camera"
-    first, second = (
-        Transformation(
-            label,
-            (),
-            (OutputPort("n", tag, type=typed),),
-            source=source,
-            params=params,
-            run=RunOptions(rate_hz=100 if is_process else None),
-        )
-        for label, tag in (("first", "N"), ("second", "M"))
-    )
-    work = Transformation(
-        "work",
-        (InputPort("x", "N", type=typed),),
-        (OutputPort("y", "Y", type=typed),),
-        source="nodes.py:work" if is_process else f"{folder} {code}",
-        run=RunOptions(lifecycle=code == "prepared"),
-    )
-    return first, second, replace(work, **more)  # type: ignore[arg-type]
-
-
-@contextmanager
-def running(kind: str, *, warm: bool = False) -> Iterator[tuple[Runtime, list[Ros2Backend]]]:
-    """A runtime of a kind, with its backend if that is of ROS 2."""
-    made: list[Ros2Backend] = []
-
-    def make() -> Ros2Backend:
-        made.append(Ros2Backend(folder=HERE, warm=warm))
-        return made[0]
-
-    if kind == "ROS 2":
-        with Runtime(backend=make) as runtime:
-            yield runtime, made
-        return
-    from experiments.ros1.figures import runtime_of
-
-    with runtime_of("processes" if kind == "processes" else "nodes") as runtime:
-        yield runtime, made
-
-
-def worker(number: int, source: str = "first.1", *, publishes: bool = True) -> ComputationUnit:
-    published = (Publication("y", TOPIC.topic),) if publishes else ()
-    return ComputationUnit(f"work.{number}", "work", (Subscription("x", Stream(source, "n")),), published)
-
-
-@contextmanager
-def arrivals(kind: str, runtime: Runtime) -> Iterator[list[float]]:
-    """When results come, by the monotonic clock in seconds; the list grows."""
-    if kind != "ROS 2":
-        from experiments.ros1.figures import arrivals as others
-
-        with others("processes" if kind == "processes" else "nodes", runtime) as came:
-            yield came
-        return
-    came = []
-    python = ros_python(is_known=True)
-    command = [python.program, str(HERE / "nodes.py"), "listener", "--ros-args", "-r", f"x:={TOPIC.topic}"]
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        subprocess.Popen(
-            command,
-            env={**python.environment, **FastDdsProfiles(Path(folder), python.environment).environment("listener")},
-            stdout=subprocess.PIPE,
-            text=True,
-        ) as listener,
-    ):
-        assert listener.stdout is not None
-        lines = listener.stdout
-
-        def collect() -> None:
-            for line in lines:
-                if line.strip().isdecimal():
-                    came.append(int(line) / 1e9)
-
-        lines.readline()  # it is up
-        collecting = threading.Thread(target=collect, daemon=True)
-        collecting.start()
-        time.sleep(1.0)  # until the run's nodes know it
-        try:
-            yield came
-        finally:
-            listener.kill()
-            collecting.join()
 
 
 def changes(kind: str) -> dict[str, float]:
     """Measure a start, and a switch to another source."""
-    with running(kind) as (runtime, _):
+    with runtime_of(kind) as runtime:
         runtime.apply(ChangeSet(SOURCES, added_transformations=library(kind), added_targets=(TOPIC,)))
         with ExitStack() as stack:
-            came = stack.enter_context(arrivals(kind, runtime)) if kind != "ROS 1" else []
+            came = stack.enter_context(arrivals(kind, runtime)) if kind != ROS1 else []
             began_s = time.monotonic()
-            runtime.apply(ChangeSet((worker(1),)))
-            if kind == "ROS 1":  # its topic is not to be found before
+            runtime.apply(ChangeSet((worker(),)))
+            if kind == ROS1:  # its topic is not to be found before
                 came = stack.enter_context(arrivals(kind, runtime))
             eventually(lambda: len(came) > 0)
             started_s = came[0] - began_s
             eventually(lambda: len(came) > 50)
             at, began_s = len(came) - 1, time.monotonic()
-            runtime.apply(ChangeSet(rewired=(worker(1, "second.1"),)))
+            runtime.apply(ChangeSet(rewired=(worker(source="second.1"),)))
             rewired_s = time.monotonic() - began_s
             eventually(lambda: len(came) > at + 100)
             return {START: started_s, REWIRE: rewired_s, GAP: max(b - a for a, b in pairwise(came[at:]))}
 
 
-def crash(kind: str, *, is_prepared: bool = False, runs_beside: bool = False, code: str = "worker") -> float:
-    """Measure the seconds from a worker's death to the first result of the next one."""
-    is_warm = kind == "ROS 2" and is_prepared and code == "worker"
-    transformations = library(kind, code, standby_us=1 if is_prepared else None)
-    with running(kind) as (runtime, _):
+def crash(
+    kind: str, *, is_prepared: bool = False, runs_beside: bool = False, code: str = "worker"
+) -> tuple[float, float]:
+    """Measure the seconds from a worker's death to its event, and to the first result of the next worker."""
+    is_warm = kind == ROS2 and is_prepared and code == "worker"
+    transformations = library(kind, code=code, standby_us=1 if is_prepared else None)
+    with runtime_of(kind) as runtime:
         events: queue.SimpleQueue[Event] = queue.SimpleQueue()
         runtime.listen(events.put)
+        died_s: list[float] = []
+        runtime.listen(lambda event: died_s.append(time.monotonic()) if isinstance(event, UnitDied) else None)
         beside = (worker(2, publishes=False),) if runs_beside else ()
         spare = (ComputationUnit("work.2", "work", standby=True),) if is_prepared else ()
-        started = (SOURCES[0], worker(1), *beside)
+        started = (SOURCES[0], worker(), *beside)
         runtime.apply(ChangeSet(started, added_transformations=transformations, added_targets=(TOPIC,)))
         with arrivals(kind, runtime) as came:
             eventually(lambda: len(came) > 100)
@@ -267,7 +174,28 @@ def crash(kind: str, *, is_prepared: bool = False, runs_beside: bool = False, co
             count = len(came)
             runtime.apply(ChangeSet(rewired=(worker(2),)) if runs_beside else ChangeSet((worker(3),)))
             eventually(lambda: len(came) > count)
-            return next(at for at in came[count:]) - killed_s
+            return died_s[0] - killed_s, came[count] - killed_s
+
+
+def loss_of_helper() -> float:
+    """Measure the longest time without results around the death of ROS 2's helper, in seconds. No node may end."""
+    with runtime_of(ROS2) as runtime:
+        started = (SOURCES[0], worker())
+        runtime.apply(ChangeSet(started, added_transformations=library(ROS2), added_targets=(TOPIC,)))
+        nodes = [runtime.pid(unit.id) for unit in started]
+        with arrivals(ROS2, runtime) as came:
+            eventually(lambda: len(came) > 100)
+            at, killed_s = len(came) - 1, time.monotonic()
+            relay_process().kill()
+            eventually(lambda: came[-1] > killed_s + 0.1 and len(came) > at + 200)
+            assert nodes == [runtime.pid(unit.id) for unit in started]
+            return max(b - a for a, b in pairwise(came[at:]))
+
+
+def relay_process() -> psutil.Process:
+    """The helper of the run in this process."""
+    (relay,) = [one for one in psutil.Process().children() if "host/main.py" in " ".join(one.cmdline())]
+    return relay
 
 
 # The relay.
@@ -323,11 +251,11 @@ def relayed(size: int, rate: int, number: int) -> tuple[tuple[float, float], flo
         ComputationUnit("camera.1", "camera"),
         ComputationUnit("clock.1", "clock", (Subscription("x", Stream("camera.1", "n")),)),
     )
-    with running("ROS 2") as (runtime, _):
+    with runtime_of(ROS2) as runtime:
         events: queue.SimpleQueue[Event] = queue.SimpleQueue()
         runtime.listen(events.put)
         runtime.apply(ChangeSet(units, added_transformations=(camera, clock)))
-        (relay,) = [one for one in psutil.Process().children() if "host/main.py" in " ".join(one.cmdline())]
+        relay = relay_process()
         first = second = 0
         before_us = 0
         ages: list[tuple[float, float]] = []
@@ -346,20 +274,6 @@ def ages_of(line: str) -> tuple[float, float]:
     """Return median and p99 in us."""
     _, _, median, last = line.split()
     return float(median), float(last)
-
-
-def heard(events: queue.SimpleQueue[Event], kind: type[Event]) -> Event:
-    """Return the next event of a kind."""
-    return next(event for event in iter(lambda: events.get(timeout=PATIENCE_S), None) if isinstance(event, kind))
-
-
-def eventually(is_so: Callable[[], object]) -> None:
-    """Wait until something is so. Raises TimeoutError."""
-    end_s = time.monotonic() + PATIENCE_S
-    while not is_so():
-        if time.monotonic() > end_s:
-            raise TimeoutError("it never came to be")
-        time.sleep(0.002)
 
 
 if __name__ == "__main__":

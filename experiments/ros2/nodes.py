@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Nodes for experiments, by the Python that has rclpy: `nodes.py camera|worker|prepared|clock|listener`."""
+"""Nodes for experiments, by the Python that has rclpy: `nodes.py NODE`, with a node's class in lower case."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ import time
 from contextlib import suppress
 
 import rclpy
-from geometry_msgs.msg import PoseWithCovarianceStamped
+from geometry_msgs.msg import PointStamped, PoseWithCovarianceStamped
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image
+from std_msgs.msg import Int64
 
 DEEP = QoSProfile(depth=100)
 
@@ -84,9 +85,68 @@ class Listener(Node):
         self.create_subscription(Image, "x", lambda _: print(time.monotonic_ns(), flush=True), DEEP)
 
 
+class Numbered(Node):
+    """Counts, `rate` numbers a second, in messages with a stamp, with the stamp of a time ten times as fast
+    (`simulated`), without one (`plain`), or without a promise to arrive (`best_effort`).
+    """
+
+    def __init__(self) -> None:
+        super().__init__("numbered")
+        self.way = self.declare_parameter("way", "stamped").value
+        reliability = ReliabilityPolicy.BEST_EFFORT if self.way == "best_effort" else ReliabilityPolicy.RELIABLE
+        self.numbers = self.create_publisher(
+            Int64 if self.way == "plain" else PointStamped, "n", QoSProfile(depth=100, reliability=reliability)
+        )
+        self.number, self.period_ns = 0, 10**9 // self.declare_parameter("rate", 50).value
+        self.create_timer(self.period_ns / 1e9, self.give)
+
+    def give(self) -> None:
+        self.number += 1
+        if self.way == "plain":
+            self.numbers.publish(Int64(data=self.number))
+            return
+        message = PointStamped()
+        message.header.frame_id = str(self.number)
+        now_ns = 10 * self.number * self.period_ns if self.way == "simulated" else time.time_ns()
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(now_ns, 10**9)
+        self.numbers.publish(message)
+
+
+class Detector(Node):
+    """Passes each message on after `delay` seconds. The numbers have this `way`."""
+
+    def __init__(self) -> None:
+        super().__init__("detector")
+        way, delay_s = self.declare_parameter("way", "stamped").value, self.declare_parameter("delay", 0.002).value
+        reliability = ReliabilityPolicy.BEST_EFFORT if way == "best_effort" else ReliabilityPolicy.RELIABLE
+        quality = QoSProfile(depth=100, reliability=reliability)
+        kind = Int64 if way == "plain" else PointStamped
+        given = self.create_publisher(kind, "y", quality)
+
+        def give(message: Int64 | PointStamped) -> None:
+            time.sleep(delay_s)
+            given.publish(message)
+
+        self.create_subscription(kind, "x", give, quality)
+
+
+class Tracker(Node):
+    """Prints each number that it gets, with the monotonic time in ns. It asks for reliable messages."""
+
+    def __init__(self) -> None:
+        super().__init__("tracker")
+        is_plain = self.declare_parameter("way", "stamped").value == "plain"
+
+        def note(message: Int64 | PointStamped) -> None:
+            number = message.data if is_plain else message.header.frame_id
+            print("got", number, time.monotonic_ns(), flush=True)
+
+        self.create_subscription(Int64 if is_plain else PointStamped, "x", note, DEEP)
+
+
 def main() -> None:
     rclpy.init()
-    kinds = (Camera, Worker, Prepared, Clock, Listener)
+    kinds = (Camera, Worker, Prepared, Clock, Listener, Numbered, Detector, Tracker)
     node = {each.__name__.lower(): each for each in kinds}[sys.argv[1]]()
     with suppress(KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
         rclpy.spin(node)

@@ -12,7 +12,7 @@ from itertools import islice
 import pytest
 from cfgplan_runtime import ApplyError, Runtime
 from cfgplan_runtime.ros1.ros1_backend import Ros1Backend
-from cfgplan_runtime.ros1.topic_relay import begins_with_header
+from cfgplan_runtime.ros1.topic_ends import begins_with_header
 from cfgplan_runtime.supervision.events import UnitPrinted
 from operated_world import eventually
 from words import NODES, await_pid, listening, messages, pid_of

@@ -6,7 +6,10 @@ CFGPLAN_TEST_ROS2 is a venv with the Jazzy wheels; `.ci/run` makes one in the ca
 from __future__ import annotations
 
 import fcntl
+import hashlib
 import os
+import shutil
+import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -15,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 import pytest
-from ros2_venv import PYTHON, lacks_ros
+from ros2_venv import PYTHON, VENV, lacks_ros
 
 if TYPE_CHECKING:
     from cfgplan_runtime import Runtime
@@ -65,6 +68,37 @@ def surroundings(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.M
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
     monkeypatch.setenv("CFGPLAN_ROS_PYTHON", str(PYTHON))
+
+
+@pytest.fixture(scope="session")
+def composition(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the package `composition_interfaces`, which is made once for a venv."""
+    if shutil.which("g++") is None:
+        pytest.skip("there is no g++ to compile composition_interfaces")
+    script = Path(__file__).with_name("making_composition.py")
+    folder = VENV / "cfgplan-tests" / hashlib.sha256(script.read_bytes()).hexdigest()[:12]
+    if not folder.exists():
+        made = tmp_path_factory.mktemp("made")
+        subprocess.run([PYTHON, script, made], check=True, capture_output=True, text=True)
+        folder.parent.mkdir(exist_ok=True)
+        shutil.move(made, folder)
+    return folder
+
+
+@pytest.fixture
+def container_package(composition: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A workspace whose package `rclcpp_components` has the tests' container."""
+    folder = tmp_path / "workspace" / "lib" / "rclcpp_components"
+    folder.mkdir(parents=True)
+    for name in ("talking.py", "containing.py"):
+        shutil.copy(Path(__file__).with_name(name), folder)
+    container = folder / "component_container"
+    text = (folder / "containing.py").read_text().replace("#!/usr/bin/env python3", f"#!{PYTHON}", 1)
+    container.write_text(text)
+    container.chmod(0o755)
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "workspace"))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(composition), os.environ.get("PYTHONPATH", "")]))
+    return container
 
 
 @pytest.fixture

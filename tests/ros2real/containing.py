@@ -67,7 +67,8 @@ class Container(Node):
 
 def made(kind: type[Node], wanted: LoadNode.Request) -> Node:
     """A node of a class with the names, remappings and parameters that a request says."""
-    rules = [f"__node:={wanted.node_name}", f"__ns:={wanted.node_namespace}", *wanted.remap_rules]
+    named = {"__node": wanted.node_name, "__ns": wanted.node_namespace}
+    rules = [*(f"{own}:={other}" for own, other in named.items() if other), *wanted.remap_rules]
     words = ["--ros-args", *(word for rule in rules for word in ("-r", rule))]
     given = [Parameter.from_parameter_msg(one) for one in wanted.parameters]
     begin = Node.__init__

@@ -111,7 +111,8 @@ def test_a_helper_that_dies_is_begun_anew_and_topics_go_on(env: Path, observer: 
         assert len(helpers) == 4, "one for each unit, and one for the targets"
         for helper in helpers:
             helper.kill()
-        assert "the ROS 2 helper has ended (-9) and is started again" in await_event(process, "Warning")["text"]
+        warnings = iter(lambda: await_event(process, "Warning")["text"], None)
+        assert any("the ROS 2 helper has ended (-9) and is started again" in warning for warning in warnings)
         eventually(lambda: observer.gives("/replies"))
         eventually(lambda: observer.gives("/place"))
         process.terminate()

@@ -5,9 +5,7 @@ The container, in rclpy, and the types of its services are the tests' own: rclcp
 
 from __future__ import annotations
 
-import hashlib
 import os
-import shutil
 import signal
 import subprocess
 from collections.abc import Iterator
@@ -18,7 +16,6 @@ from pathlib import Path
 import psutil
 import pytest
 from operated_world import await_event, eventually, running
-from ros2_venv import PYTHON, VENV
 from ros2_words import Observer, command_of, pid_of, running_nodes
 
 from cfgplan.cli import main
@@ -42,35 +39,7 @@ targets:
 SHOUT = "  - {label: shout, topic: /shout, tag: LoudWord}\n"
 
 
-@pytest.fixture(scope="session")
-def composition(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of the package `composition_interfaces`, which is made once for a venv."""
-    if shutil.which("g++") is None:
-        pytest.skip("there is no g++ to compile composition_interfaces")
-    script = HERE / "making_composition.py"
-    folder = VENV / "cfgplan-tests" / hashlib.sha256(script.read_bytes()).hexdigest()[:12]
-    if not folder.exists():
-        made = tmp_path_factory.mktemp("made")
-        subprocess.run([PYTHON, script, made], check=True, capture_output=True, text=True)
-        folder.parent.mkdir(exist_ok=True)
-        shutil.move(made, folder)
-    return folder
-
-
-@pytest.fixture(autouse=True)
-def container_package(composition: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A workspace whose package `rclcpp_components` has the tests' container."""
-    folder = tmp_path / "workspace" / "lib" / "rclcpp_components"
-    folder.mkdir(parents=True)
-    for name in ("talking.py", "containing.py"):
-        shutil.copy(HERE / name, folder)
-    container = folder / "component_container"
-    text = (folder / "containing.py").read_text().replace("#!/usr/bin/env python3", f"#!{PYTHON}", 1)
-    container.write_text(text)
-    container.chmod(0o755)
-    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "workspace"))
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(composition), os.environ.get("PYTHONPATH", "")]))
-    return container
+pytestmark = pytest.mark.usefixtures("container_package")
 
 
 @contextmanager

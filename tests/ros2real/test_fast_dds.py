@@ -46,6 +46,16 @@ def test_what_the_user_has_chosen_stays(tmp_path: Path, environment: dict[str, s
     assert not FastDdsProfiles(tmp_path, environment).environment("a")
 
 
+def test_a_warning_about_the_variables_of_the_profiles_is_no_news_unless_they_are_the_users(tmp_path: Path) -> None:
+    line = (
+        "[WARN] [1795888441.8] [rmw_fastrtps_shared_cpp]: FASTRTPS_DEFAULT_PROFILES_FILE value is used for participant"
+        " configuration, but it is deprecated and will no longer be supported. Use FASTDDS_DEFAULT_PROFILES_FILE"
+    )
+    assert FastDdsProfiles(tmp_path, {}).causes(line)
+    assert not FastDdsProfiles(tmp_path, {}).causes("another line")
+    assert not FastDdsProfiles(tmp_path, {"FASTRTPS_DEFAULT_PROFILES_FILE": "/my.xml"}).causes(line)
+
+
 def test_a_process_of_several_participants_has_no_number(tmp_path: Path) -> None:
     file = FastDdsProfiles(tmp_path, {}).environment("a", has_number=False)["FASTDDS_DEFAULT_PROFILES_FILE"]
     assert "participantID" not in Path(file).read_text()

@@ -89,6 +89,10 @@ def test_what_runs_in_the_users_python_is_read_by_python_3_10() -> None:
     import ast
 
     room = Path(cfgplan_runtime.ros2.host.__file__).parent
-    streams = room.parents[1] / "streams"
-    for file in (*room.glob("*.py"), streams / "inlet.py", streams / "element.py"):
+    others = {
+        "streams": ("inlet", "element", "meter", "said_qualities"),
+        "nodes": ("message_layout", "observed_outputs"),
+    }
+    beside = [room.parents[1] / folder / f"{name}.py" for folder, names in others.items() for name in names]
+    for file in (*room.glob("*.py"), *beside):
         ast.parse(file.read_text(), feature_version=(3, 10))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import shutil
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -41,3 +42,21 @@ def test_messages_pass_the_relay_and_their_age_is_measured(size: int) -> None:
 def test_the_relay_is_measured_while_it_observes() -> None:
     observing = experiment("observing")
     assert observing.relay_us(0, 100, ["pose.covariance.0"], 2) > 0
+
+
+@pytest.mark.parametrize("way", ["stamped", "simulated", "best_effort"])
+def test_an_input_that_is_led_to_and_fro_between_detectors_gets_each_number_once(
+    way: str,
+) -> None:
+    heard = experiment("switches").heard(way, 10)
+    assert len(heard.switch_s) == 10
+    assert (heard.repeated, heard.back) == (0, 0)
+    assert heard.lost == 0 or way == "best_effort"
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler for the shim")
+def test_a_subscription_that_is_moved_without_a_relay_gets_no_number_twice() -> None:
+    found, cpu_us = experiment("moving").moved("stamp", 4)
+    assert len(found.switch_s) == 4
+    assert (found.repeated, found.back) == (0, 0)
+    assert cpu_us > 0

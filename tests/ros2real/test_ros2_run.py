@@ -39,7 +39,7 @@ def test_nodes_are_started_connected_and_stopped_and_nothing_is_left(env: Path) 
             eventually(lambda: {"/talker_1", "/shouter_1"} <= set(observer.look()["nodes"]))
             children = psutil.Process(process.pid).children(recursive=True)
             assert any("talking.py" in " ".join(child.cmdline()) for child in children)
-            process.terminate()
+            assert main(["ctl", "stop"]) == 0
             process.communicate()
         assert process.returncode == 0
         eventually(lambda: not any(child.is_running() for child in children))

@@ -9,19 +9,16 @@ from __future__ import annotations
 
 import os
 import socket
-import struct
 import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, field
 from functools import partial
 
 import msgspec
 
-from cfgplan.ros.node_api import SilentError, asked, header_of, peer
+from cfgplan.ros.node_api import SilentError, header_of
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.messages import (
     CloseOutlet,
@@ -35,108 +32,36 @@ from cfgplan_runtime.children.messages import (
     Switched,
     SwitchNow,
 )
-from cfgplan_runtime.nodes.message_layout import Layout, UnreadableError, ros1_layout
+from cfgplan_runtime.nodes.message_layout import UnreadableError, ros1_layout
 from cfgplan_runtime.nodes.observed_outputs import ObservedOutputs
 from cfgplan_runtime.nodes.relay_messages import CloseInlets, Lead, Observe, Passed, Refused, Unsaid
 from cfgplan_runtime.processes.nursery import die_with_parent
+from cfgplan_runtime.ros1.master_calls import MasterCalls
 from cfgplan_runtime.ros1.relay_api import RelayApi
 from cfgplan_runtime.ros1.relay_messages import FromTopicRelay, Listening, RelayOrder, ToTopicRelay
 from cfgplan_runtime.ros1.service_relay import ServiceRelay
 from cfgplan_runtime.ros1.tcpros import Framed, Header, MessageReader, MessageWriter, read_header, subscribed
-from cfgplan_runtime.streams.element import Element, Moment
+from cfgplan_runtime.ros1.topic_ends import RelayedInlet, RelayedPublication, SourceTopic, begins_with_header
+from cfgplan_runtime.streams.element import Element
 from cfgplan_runtime.streams.ends import Ends, Posted
 from cfgplan_runtime.streams.inlet import InputQueue
 from cfgplan_runtime.streams.meter import Meter
 
 SIGN_S = 1.0
 """Seconds from one sign of life to the next."""
-_TRUSTED_NS = 5_000_000_000
-"""The largest distance of a message's stamp from now at which the stamp counts as its time."""
-_STAMP = struct.Struct("<4xIII")
-"""A message that begins with a header: its length, then the header's number, seconds and nanoseconds."""
-_HEADER_TYPES = ("Header", "std_msgs/Header", "roslib/Header")
 _CONNECT_AGAIN_S, _MOST_CONNECT_AGAIN_S = 0.05, 2.0
 """Seconds until a publisher that does not answer is tried again, doubled up to the second value."""
-
-
-def begins_with_header(definition: str) -> bool:
-    """Whether the first field of a message is a header. Comments and constants may stand before it."""
-    said = (line.partition("#")[0] for line in definition.splitlines())
-    first = next((line.split() for line in said if line.strip() and "=" not in line), [""])
-    return first[0] in _HEADER_TYPES
-
-
-@dataclass(slots=True, eq=False)
-class _Publication:
-    """A topic that the relay publishes. Its `header`, with the type, must be known before nodes can subscribe."""
-
-    topic: str
-    queue: int
-    header: Header | None = None
-    is_known: bool = False
-    """Whether it is registered with the master."""
-    writers: list[MessageWriter] = field(default_factory=list)
-    latched: Framed | None = None
-    dropped: int = 0
-    """The number of messages dropped for subscribers that are gone."""
-
-
-@dataclass(slots=True, eq=False)
-class _LedInlet:
-    """An inlet with its output topic; `told` is the wire that was last reported as its source."""
-
-    unit: str
-    name: str
-    queue: InputQueue
-    publication: _Publication
-    told: int | None = None
-    elements: int = 0
-
-
-@dataclass(slots=True, eq=False)
-class _SourceTopic:
-    """A topic that the relay listens to. `wires` has the inlet of each wire, `offered` the number of messages that it
-    got.
-
-    `wanted` are the addresses of its publishers, `readers` the connections to them.
-    """
-
-    topic: str
-    publisher: str | None
-    wires: dict[int, _LedInlet] = field(default_factory=dict)
-    offered: dict[int, int] = field(default_factory=dict)
-    wanted: set[str] = field(default_factory=set)
-    readers: dict[str, MessageReader] = field(default_factory=dict)
-    header: Header | None = None
-    layout: Layout | None = None
-    """The layout of its messages; None while it is not known, or can't be read from their definition."""
-    has_stamp: bool = False
-    messages: int = 0
-    latched: Framed | None = None
-    """The last message of a latched topic, for inlets that connect later."""
-    last: Moment = (0, 0)
-
-    def moment(self, message: Framed, now_ns: int) -> Moment:
-        """The time of a message: its stamp, if that is near `now_ns`, else `now_ns`. Moments always rise."""
-        time_ns = now_ns
-        if self.has_stamp and len(message) >= _STAMP.size:
-            _, seconds, nanoseconds = _STAMP.unpack_from(message)
-            stamp_ns = seconds * 1_000_000_000 + nanoseconds
-            if abs(stamp_ns - now_ns) < _TRUSTED_NS:
-                time_ns = stamp_ns
-        self.last = (time_ns, 0) if time_ns > self.last[0] else (self.last[0], self.last[1] + 1)
-        return self.last
 
 
 class TopicRelay:
     """The relay of a run. All state belongs to the thread of `run`; other threads wait for other nodes."""
 
     def __init__(self, order: RelayOrder, control: ControlConnection[ToTopicRelay]) -> None:
-        self._node, self._master = order.node, order.master
+        self._node = order.node
         self._control = control
-        self._sources: dict[tuple[str, str | None], _SourceTopic] = {}
-        self._inlets: dict[str, _LedInlet] = {}
-        self._publications: dict[str, _Publication] = {}
+        self._sources: dict[tuple[str, str | None], SourceTopic] = {}
+        self._inlets: dict[str, RelayedInlet] = {}
+        self._publications: dict[str, RelayedPublication] = {}
         self._meters: dict[str, Meter] = {}
         self._observed = ObservedOutputs(lambda unit, text: self._say(Unsaid(unit, text)), is_aligned=False)
         self._is_finishing = False
@@ -150,8 +75,7 @@ class TopicRelay:
         port = self._listener.getsockname()[1]
         self._service_place = f"rosrpc://{order.host}:{port}"
         self._api = RelayApi(self, order.master, order.host, port)
-        self._to_master = ThreadPoolExecutor(1, "to-master")
-        """The thread that calls the master, in order."""
+        self._to_master = MasterCalls(order.master, order.node)
         self._ends.watch(control.socket, self._hear)
         self._ends.watch(self._listener, self._accept)
 
@@ -185,7 +109,7 @@ class TopicRelay:
             wanted = set(addresses)
             if source.publisher is not None:
                 with suppress(SilentError):
-                    wanted &= {str(asked(peer(self._master), self._node, "lookupNode", source.publisher))}
+                    wanted &= {self._to_master.address_of(source.publisher)}
             self._posted.post(partial(self._want, source, wanted, adds=adds))
 
     def finish(self) -> None:
@@ -229,23 +153,23 @@ class TopicRelay:
     def _lead_service(self, order: Lead) -> None:
         inlet = self._services.setdefault(order.target, order)
         if inlet is order:
-            self._to_master.submit(self._offer, order)
+            self._offer(order)
         self._service_relay.lead(order.wire, order.source, order.target)
         self._say(Switched(order.inlet, order.wire))
 
     def _close_service(self, target: str) -> None:
         del self._services[target]
         self._service_relay.close(target)
-        self._to_master.submit(self._ask_master, "unregisterService", target, self._service_place)
+        self._to_master.tell("unregisterService", target, self._service_place)
 
     def _lead(self, order: Lead) -> None:
         if order.is_service:
             self._lead_service(order)
             return
         if order.inlet not in self._inlets:
-            publication = self._publications.setdefault(order.target, _Publication(order.target, order.queue))
+            publication = self._publications.setdefault(order.target, RelayedPublication(order.target, order.queue))
             queue = InputQueue(order.queue)
-            self._inlets[order.inlet] = _LedInlet(order.unit, order.inlet, queue, publication)
+            self._inlets[order.inlet] = RelayedInlet(order.unit, order.inlet, queue, publication)
         inlet, source = self._inlets[order.inlet], self._source(order.source, order.publisher)
         source.wires[order.wire], source.offered[order.wire] = inlet, 0
         inlet.queue.attach(order.wire)
@@ -255,12 +179,12 @@ class TopicRelay:
             latched = Element(time.time_ns(), 0, 0, source.latched)
             self._hand_on(inlet, inlet.queue.accept(order.wire, latched))
 
-    def _source(self, topic: str, publisher: str | None) -> _SourceTopic:
+    def _source(self, topic: str, publisher: str | None) -> SourceTopic:
         """Return the source of a topic, or of one publisher there. Subscribe if it is new."""
         at = topic, publisher
         if at not in self._sources:
-            self._sources[at] = _SourceTopic(*at)
-            self._to_master.submit(self._subscribe, topic)
+            self._sources[at] = SourceTopic(*at)
+            self._subscribe(topic)
         return self._sources[at]
 
     def _end(self, wire: int, *, drains: bool) -> None:
@@ -282,7 +206,7 @@ class TopicRelay:
             self._say(Lost(inlet.name, wire))
         self._drop_unused(found)
 
-    def _drop_unused(self, source: _SourceTopic) -> None:
+    def _drop_unused(self, source: SourceTopic) -> None:
         if source.wires or source.topic in self._observed:
             return
         del self._sources[source.topic, source.publisher]
@@ -290,7 +214,7 @@ class TopicRelay:
             self._forget_reader(source, address, reader)
         source.wanted.clear()
         if not any(one.topic == source.topic for one in self._sources.values()):
-            self._to_master.submit(self._ask_master, "unregisterSubscriber", source.topic, self._api.address)
+            self._to_master.tell("unregisterSubscriber", source.topic, self._api.address)
 
     def _close_inlet(self, name: str) -> None:
         inlet = self._inlets.pop(name, None)
@@ -306,11 +230,11 @@ class TopicRelay:
             for writer in publication.writers:
                 self._forget_writer(writer)
             if publication.header is not None:
-                self._to_master.submit(self._ask_master, "unregisterPublisher", publication.topic, self._api.address)
+                self._to_master.tell("unregisterPublisher", publication.topic, self._api.address)
 
     # What comes from nodes.
 
-    def _want(self, source: _SourceTopic, addresses: set[str], *, adds: bool) -> None:
+    def _want(self, source: SourceTopic, addresses: set[str], *, adds: bool) -> None:
         """Connect to these publishers of a source. With `adds`, connections to other publishers are kept, since the
         news is older.
         """
@@ -326,10 +250,10 @@ class TopicRelay:
         for address in sorted(new):
             self._begin_connecting(source, address)
 
-    def _begin_connecting(self, source: _SourceTopic, address: str) -> None:
+    def _begin_connecting(self, source: SourceTopic, address: str) -> None:
         threading.Thread(target=self._connect, args=(source, address), daemon=True).start()
 
-    def _connect(self, source: _SourceTopic, address: str) -> None:
+    def _connect(self, source: SourceTopic, address: str) -> None:
         """Try to subscribe at a publisher until it succeeds. Runs in a thread of its own."""
         again_s = _CONNECT_AGAIN_S
         while address in source.wanted:
@@ -340,7 +264,7 @@ class TopicRelay:
             time.sleep(again_s)
             again_s = min(2 * again_s, _MOST_CONNECT_AGAIN_S)
 
-    def _connected(self, source: _SourceTopic, address: str, end: socket.socket, header: Header) -> None:
+    def _connected(self, source: SourceTopic, address: str, end: socket.socket, header: Header) -> None:
         if address not in source.wanted or address in source.readers:
             end.close()
             return
@@ -354,7 +278,7 @@ class TopicRelay:
         for inlet in set(source.wires.values()):
             self._tell_switch(inlet)
 
-    def _read(self, source: _SourceTopic, address: str, reader: MessageReader) -> None:
+    def _read(self, source: SourceTopic, address: str, reader: MessageReader) -> None:
         for message in reader.read():
             source.messages += 1
             if source.header is not None and source.header.get("latching") == "1":
@@ -371,12 +295,12 @@ class TopicRelay:
             if address in source.wanted:
                 self._begin_connecting(source, address)
 
-    def _forget_reader(self, source: _SourceTopic, address: str, reader: MessageReader) -> None:
+    def _forget_reader(self, source: SourceTopic, address: str, reader: MessageReader) -> None:
         del source.readers[address]
         self._ends.unwatch(reader.socket)
         reader.socket.close()
 
-    def _hand_on(self, inlet: _LedInlet, elements: list[Element]) -> None:
+    def _hand_on(self, inlet: RelayedInlet, elements: list[Element]) -> None:
         self._tell_switch(inlet)
         publication = inlet.publication
         for element in elements:
@@ -392,7 +316,7 @@ class TopicRelay:
         if elements:
             self._watch_writers(publication)
 
-    def _tell_switch(self, inlet: _LedInlet) -> None:
+    def _tell_switch(self, inlet: RelayedInlet) -> None:
         """Report that an inlet has switched to another wire, once the wire's type is known."""
         active = inlet.queue.active
         if active is None or active == inlet.told:
@@ -404,7 +328,7 @@ class TopicRelay:
 
     # What goes to nodes.
 
-    def _advertise(self, publication: _Publication, of: Header, then: Callable[[], None]) -> None:
+    def _advertise(self, publication: RelayedPublication, of: Header, then: Callable[[], None]) -> None:
         """Publish with the type of a source, and call `then` once the master knows of the topic."""
         before = publication.header
         publication.header = {
@@ -418,7 +342,7 @@ class TopicRelay:
         if publication.is_known:
             then()
         else:
-            self._to_master.submit(self._register, publication, of["type"], then)
+            self._register(publication, of["type"], then)
         if publication.header["latching"] == "0":
             publication.latched = None
         if before is not None and before["md5sum"] != of["md5sum"]:
@@ -459,7 +383,7 @@ class TopicRelay:
         else:
             self._posted.post(lambda: self._add_writer(publication, end, header["md5sum"]))
 
-    def _add_writer(self, publication: _Publication, end: socket.socket, md5sum: str) -> None:
+    def _add_writer(self, publication: RelayedPublication, end: socket.socket, md5sum: str) -> None:
         """Begin to send to a subscriber, unless its topic has ended, or changed its type since they agreed on it."""
         is_current = self._publications.get(publication.topic) is publication
         if not is_current or publication.header is None or publication.header["md5sum"] != md5sum:
@@ -472,7 +396,7 @@ class TopicRelay:
             writer.offer(publication.latched)
             self._watch_writers(publication)
 
-    def _hear_subscriber(self, publication: _Publication, writer: MessageWriter) -> None:
+    def _hear_subscriber(self, publication: RelayedPublication, writer: MessageWriter) -> None:
         """Continue sending. A subscriber sends nothing, so a readable socket has ended."""
         writer.flush()
         try:
@@ -483,7 +407,7 @@ class TopicRelay:
             writer.has_ended = True
         self._watch_writers(publication)
 
-    def _watch_writers(self, publication: _Publication) -> None:
+    def _watch_writers(self, publication: RelayedPublication) -> None:
         for writer in list(publication.writers):
             if writer.has_ended:
                 publication.writers.remove(writer)
@@ -496,10 +420,10 @@ class TopicRelay:
         self._ends.unwatch(writer.socket)
         writer.socket.close()
 
-    # What the master is told, in the thread for that.
+    # What the master is told. Its answers come in the thread of the calls.
 
     def _offer(self, service: Lead) -> None:
-        self._ask_until_answered(
+        self._to_master.ask(
             "registerService",
             service.target,
             self._service_place,
@@ -509,7 +433,7 @@ class TopicRelay:
         )
 
     def _subscribe(self, topic: str) -> None:
-        self._ask_until_answered(
+        self._to_master.ask(
             "registerSubscriber",
             topic,
             "*",
@@ -518,16 +442,12 @@ class TopicRelay:
             then=lambda publishers: self._note_publishers(topic, publishers, adds=True),
         )
 
-    def _register(self, publication: _Publication, kind: str, then: Callable[[], None]) -> None:
-        if publication.is_known:
-            self._posted.post(then)
-            return
-
+    def _register(self, publication: RelayedPublication, kind: str, then: Callable[[], None]) -> None:
         def registered(_: list[str]) -> None:
             publication.is_known = True
             self._posted.post(then)
 
-        self._ask_until_answered(
+        self._to_master.ask(
             "registerPublisher",
             publication.topic,
             kind,
@@ -535,36 +455,6 @@ class TopicRelay:
             is_wanted=lambda: self._publications.get(publication.topic) is publication,
             then=registered,
         )
-
-    def _ask_until_answered(
-        self,
-        *call: str,
-        is_wanted: Callable[[], bool],
-        then: Callable[[list[str]], None],
-        again_s: float = _CONNECT_AGAIN_S,
-    ) -> None:
-        """Call the master, and `then` with its answer. Without an answer, call it again after a wait, in which other
-        calls are made, as long as this one `is_wanted`.
-        """
-        if not is_wanted():
-            return
-        answer = self._ask_master(*call)
-        if answer is not None:
-            then(answer)
-            return
-        longer_s = min(2 * again_s, _MOST_CONNECT_AGAIN_S)
-        again = partial(self._ask_until_answered, *call, is_wanted=is_wanted, then=then, again_s=longer_s)
-        timer = threading.Timer(again_s, self._to_master.submit, [again])
-        timer.daemon = True
-        timer.start()
-
-    def _ask_master(self, method: str, *arguments: str) -> list[str] | None:
-        """The master's answer; None if it does not answer."""
-        try:
-            answer: list[str] = asked(peer(self._master), self._node, method, *arguments)
-        except SilentError:
-            return None
-        return answer
 
     # What the run is told.
 
@@ -579,7 +469,7 @@ class TopicRelay:
             flows[topic] = Flow(**meter.figures(inlets[topic].dropped if topic in inlets else 0, now_s))
         return Passed(sources, inlets, flows, self._observed.taken())
 
-    def _counts(self, inlet: _LedInlet) -> PortCounts:
+    def _counts(self, inlet: RelayedInlet) -> PortCounts:
         publication = inlet.publication
         dropped = publication.dropped + sum(writer.dropped for writer in publication.writers)
         return PortCounts(inlet.elements, dropped + inlet.queue.dropped, inlet.queue.stale)

@@ -14,6 +14,7 @@ from pathlib import Path
 
 _FILE_VARIABLES = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
 """Which file has the profiles: of Fast DDS 2.8 and newer, and of older ones."""
+_DEPRECATED = "FASTRTPS_DEFAULT_PROFILES_FILE value is used for participant configuration, but it is deprecated"
 _FIRST_NUMBER, _NUMBERS = 10, 120
 _PORT, _PER_DOMAIN, _PER_NUMBER = 7410, 250, 2
 _MEMORY = Path("/dev/shm")
@@ -71,6 +72,10 @@ class FastDdsProfiles:
         path = self._folder / f"{name}.xml"
         path.write_text(_PROFILE.format(number=line))
         return dict.fromkeys(_FILE_VARIABLES, str(path))
+
+    def causes(self, line: str) -> bool:
+        """Whether a line is a warning that only the variables of these profiles cause, as in Kilted."""
+        return self._is_used and _DEPRECATED in line
 
     def _free_number(self) -> int | None:
         """The next number whose port is free; None if none is."""

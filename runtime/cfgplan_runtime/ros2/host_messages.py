@@ -26,7 +26,8 @@ class Attend(msgspec.Struct, tag=True):
     """Report when the ports of a unit's node have appeared. At most `queue` messages wait at each input.
 
     With `waits` it is a cold spare of a lifecycle node, which is only configured. With `asks` the helper calls the node
-    each second and reports its answers. With `is_watched` the helper reports when the node has left the graph.
+    each second and reports its answers. With `is_watched` the helper reports when the node has left the graph. With
+    `has_clock` the node's parameters say which clock it goes by.
     """
 
     unit: str
@@ -38,6 +39,7 @@ class Attend(msgspec.Struct, tag=True):
     asks: bool = False
     waits: bool = False
     is_watched: bool = False
+    has_clock: bool = False
 
 
 class Load(msgspec.Struct, tag=True):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -34,9 +34,9 @@ from cfgplan_runtime.ros2.host_messages import (
     Unloaded,
 )
 from cfgplan_runtime.ros2.quality_warnings import QualityWarnings
-from cfgplan_runtime.ros2.ros2_unit import Ros2Unit, message_of, node_source
+from cfgplan_runtime.ros2.ros2_unit import SIM_TIME, Ros2Unit, message_of, node_source
 from cfgplan_runtime.ros2.ros_python import RosPython, ros_python
-from cfgplan_runtime.ros2.warm_nodes import WarmNode, is_python
+from cfgplan_runtime.ros2.warm_nodes import WarmNode, WarmNodes
 from cfgplan_runtime.streams.ends import Bell, Ends
 from cfgplan_runtime.streams.run_folder import RunFolder
 from cfgplan_runtime.supervision import events
@@ -44,8 +44,6 @@ from cfgplan_runtime.supervision.backend import Inlet, Usage
 
 _ALIVE_S = 1.0
 """Seconds from one sign of life of a node to the next."""
-_WARM_S = 3.0
-"""Seconds without a start before a waiting process is made: starts have priority."""
 
 
 @dataclass(slots=True, eq=False)
@@ -90,11 +88,7 @@ class Ros2Backend:
         self._ends.watch(self._bell.socket, self._bell.hear)
         self._events: list[events.Event] = []
         self._nodes: dict[str, _UnitNode] = {}
-        self._keeps_warm, self._warm_due_s = warm, self.now() + _WARM_S
-        self._warm: dict[str, WarmNode] = {}
-        """Processes that wait to be nodes, by the cold spare that each is for; the run's own one by ""."""
-        self._cold: set[str] = set()
-        """Transformations whose nodes fail to begin in a process that waited."""
+        self._warm = WarmNodes(self._start_warm, self._events, self.now(), keeps_one=warm)
         self._messages: set[str] = set()
         """The message types of nodes that were started."""
         self._warnings = QualityWarnings()
@@ -113,7 +107,7 @@ class Ros2Backend:
     @property
     def has_warm(self) -> bool:
         """Whether a process waits for any node."""
-        return "" in self._warm and self._warm[""].is_ready
+        return self._warm.is_ready("")
 
     def found(self) -> None:
         return None
@@ -131,7 +125,7 @@ class Ros2Backend:
         self._wires.start_if_due()
         if self._sign_due_s <= self.now():
             self._sign_due_s = self.now() + _ALIVE_S
-            self._keep_warm()
+            self._warm.keep_one(self._messages, self.now())
             for node in self._nodes.values():
                 if node.is_ready and not node.has_answered and _is_going(self._process_of(node.unit)):
                     self._events.append(self._status(node))
@@ -157,10 +151,9 @@ class Ros2Backend:
         if spare is not None and waiting is not None and waiting.is_configured:
             self._begin_spare(unit, waiting)
             return
-        warm = None if spare is None else self._warm.get(spare)
-        if spare is not None and (warm is None or not warm.is_ready):
+        if spare is not None and not self._warm.is_ready(spare):
             self.discard(spare)
-            warm = spare = None
+            spare = None
         try:
             source = node_source(transformation)
             name = source.name if source.kind == "external" else self._free_name(unit)
@@ -181,8 +174,8 @@ class Ros2Backend:
                 return
             if transformation.run.lifecycle:
                 self._begin(_UnitNode(spare, ros, is_spare=True), None)
-            elif is_python(ros.program(self._folder)) and transformation.label not in self._cold:
-                self._begin_warm(spare, {port.message for port in (*ros.heard, *ros.published) if port.message})
+            elif self._warm.fits(transformation.label, ros.program(self._folder)):
+                self._warm.begin(spare, {port.message for port in (*ros.heard, *ros.published) if port.message})
         except (InputError, OSError) as error:
             self._events.append(events.SpareLost(spare, f"can't be prepared: {error}"))
 
@@ -194,7 +187,7 @@ class Ros2Backend:
             if node.process is not None:
                 self._processes.last_words(node.process, spare)
         if spare in self._warm:
-            self._end_warm(spare)
+            self._processes.last_words(self._warm.take(spare), spare)
 
     def stop(self, unit: str) -> None:
         node = self._nodes.get(unit)
@@ -253,8 +246,8 @@ class Ros2Backend:
         """The CPU time and memory of a node; zero for a foreign one."""
         if unit in self._containers:
             return self._containers.usage(unit)
-        node, warm = self._nodes.get(unit), self._warm.get(unit)
-        process = warm.process if warm is not None else None if node is None else node.process
+        node = self._nodes.get(unit)
+        process = self._warm.process(unit) or (None if node is None else node.process)
         if process is None:
             return None if node is None else Usage(0, 0)
         cpu, memory = cpu_us(process.pid), memory_bytes(process.pid)
@@ -265,8 +258,8 @@ class Ros2Backend:
         return None if process is None else process.pid
 
     def close(self) -> None:
-        for spare in list(self._warm):
-            self._end_warm(spare)
+        for spare, process in self._warm.take_all().items():
+            self._processes.last_words(process, spare)
         self._containers.close()
         for node in list(self._nodes.values()):
             if node.process is not None:
@@ -305,6 +298,7 @@ class Ros2Backend:
                 asks=run.hang_us is not None and not node.is_spare,
                 waits=node.is_spare,
                 is_watched=ros.source.kind == "component",
+                has_clock=SIM_TIME in ros.parameters,
             )
         )
 
@@ -391,20 +385,9 @@ class Ros2Backend:
 
     def _process(self, node: _UnitNode, command: list[str], spare: str | None) -> NodeProcess:
         label = node.ros.transformation.label
-        warm = None if spare is None else self._warm.get(spare)
-        if (
-            spare is not None
-            and warm is not None
-            and warm.is_ready
-            and label not in self._cold
-            and is_python(command[0])
-        ):
-            del self._warm[spare]
+        if spare is not None and self._warm.is_ready(spare) and self._warm.fits(label, command[0]):
             node.was_warm = True
-            self._warm_due_s = self.now() + _WARM_S
-            if spare:
-                self._events.append(events.SpareUsed(node.unit, spare))
-            return warm.become(command, {})
+            return self._warm.become(spare, node.unit, command, self.now())
         process = self._new_process(word(node.unit), command, has_number=label not in self._unnumbered)
         self._watch(process)
         return process
@@ -436,7 +419,7 @@ class Ros2Backend:
     def _unit_of(self, process: NodeProcess) -> str:
         """The unit or cold spare that a process is for."""
         units = (node.unit for node in self._nodes.values() if node.process is process)
-        return next(units, next((spare for spare, warm in self._warm.items() if warm.process is process), ""))
+        return next(units, self._warm.spare_of(process))
 
     def _end_of(self, process: NodeProcess) -> None:
         """Read the last lines of a process that has ended, then report its end."""
@@ -445,49 +428,23 @@ class Ros2Backend:
         clean_memory()
         node = self._nodes.get(owner)
         if node is None or node.process is not process:
-            self._lose_warm(owner, cause)
+            self._warm.lose(owner, cause)
             return
         if not node.is_ready and not node.is_stopping and not node.is_spare:
-            (self._cold if node.was_warm else self._unnumbered).add(node.ros.transformation.label)
+            (self._warm.refuse if node.was_warm else self._unnumbered.add)(node.ros.transformation.label)
         self._bury(node, cause)
 
-    # Processes that wait.
-
-    def _keep_warm(self) -> None:
-        """Make a process that waits for any node, once no node has been started for a while."""
-        if self._keeps_warm and "" not in self._warm and self._warm_due_s <= self.now() and self._messages:
-            self._warm_due_s = self.now() + _WARM_S
-            try:
-                self._begin_warm("", self._messages)
-            except OSError:
-                return
-
-    def _begin_warm(self, spare: str, messages: set[str]) -> None:
+    def _start_warm(self, spare: str, messages: Iterable[str], tell_ready: Callable[[], None]) -> WarmNode:
         environment = {**self._python.environment, **self._profiles.environment(f"warm_{word(spare or 'run')}")}
         python = RosPython(self._python.program, environment)
-        warm = WarmNode(self._ends, python, self._folder, messages, lambda: self._note_warm(spare))
-        self._warm[spare] = warm
+        warm = WarmNode(self._ends, python, self._folder, messages, tell_ready)
         self._watch(warm.process)
-
-    def _note_warm(self, spare: str) -> None:
-        if spare:
-            usage = self.usage(spare)
-            self._events.append(events.SparePrepared(spare, 0 if usage is None else usage.cpu_us))
-
-    def _end_warm(self, spare: str) -> None:
-        warm = self._warm.pop(spare)
-        warm.close()
-        self._processes.last_words(warm.process, spare)
-
-    def _lose_warm(self, spare: str, cause: str) -> None:
-        warm = self._warm.pop(spare, None)
-        if warm is not None:
-            warm.close()
-        if spare:
-            self._events.append(events.SpareLost(spare, cause))
+        return warm
 
     def _shown(self, unit: str, line: str) -> str | None:
         """Return the line to report for one that a unit's node has printed; None for none."""
+        if self._profiles.causes(line):
+            return None
         node = self._nodes.get(unit)
         return line if node is None else self._warnings.line(unit, line, node.ros.remappings)
 

@@ -22,6 +22,8 @@ from cfgplan_runtime.ros2.host_messages import PortTopic
 
 _PLAIN = (bool, int, float, str)
 _CONTAINER_NAME = re.compile(r"/?[A-Za-z]\w*(/[A-Za-z]\w*)*", re.ASCII)
+SIM_TIME = "use_sim_time"
+"""The parameter by which every node of ROS 2 goes by the time of /clock."""
 
 
 @dataclass(frozen=True)

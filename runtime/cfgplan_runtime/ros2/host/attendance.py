@@ -17,7 +17,7 @@ _LOOK_S = 0.05
 _PORTS_S = 2.0
 """Seconds after its first sign after which a node is ready, whatever ports it does not have yet."""
 _LATE_S = 10.0
-"""Seconds after it is ready after which it is told which outputs a node still does not have."""
+"""Seconds after it is ready after which it is told which outputs a node still lacks, and who else has its name."""
 _IDLE_S = 3.0
 """Seconds after it is ready for which a node is listened to, even if nothing is led from there."""
 _FOREIGN_S = 4.0
@@ -25,7 +25,7 @@ _FOREIGN_S = 4.0
 _MOST_MISSED = 2
 _GHOST_S = 4.0
 """Seconds for which the graph may have the name of a node that has died: its lease is 3 s by the run's own profile."""
-_CLOCK, _SIM_TIME = "/clock", "use_sim_time"
+_CLOCK = "/clock"
 
 
 @dataclass(eq=False)
@@ -37,6 +37,7 @@ class AttendedNode:
     inputs: list[dict[str, Any]]
     outputs: list[dict[str, Any]]
     is_foreign: bool
+    has_clock: bool
     begun_s: float
     sources: list[Source] = field(default_factory=list)
     publications: list[Publication] = field(default_factory=list)
@@ -63,7 +64,9 @@ class Attendance:
         self._dead: set[tuple[int, ...]] = set()
         """Endpoints of nodes that have died: the graph has them for a while."""
         self._ghosts: dict[str, float] = {}
-        """By names of nodes that have died: until when they may still be in the graph."""
+        """By names of nodes that have died: until when they may still be in the graph by the run's own profile."""
+        self._timeless: set[str] = set()
+        """The names of nodes that were reported to go by no simulated time."""
         self._forget_wires = host.handlers["CloseInlets"]
         host.handlers.update(Attend=self._attend, CloseInlets=self._forget, Begin=self._begin)
         host.on_match = self._look
@@ -71,7 +74,10 @@ class Attendance:
 
     def _attend(self, order: dict[str, Any]) -> None:
         inputs, outputs = order["inputs"], order["outputs"]
-        node = AttendedNode(order["unit"], order["node"], inputs, outputs, order["is_foreign"], time.monotonic())
+        has_clock = order["has_clock"] or order["is_foreign"]
+        node = AttendedNode(
+            order["unit"], order["node"], inputs, outputs, order["is_foreign"], has_clock, time.monotonic()
+        )
         node.waits, node.is_watched = order["waits"], order["is_watched"] or order["is_foreign"]
         self._nodes[node.unit] = node
         if not node.is_foreign:
@@ -224,17 +230,28 @@ class Attendance:
         node.is_ready = True
         self._host.say("Attended", unit=node.unit)
         self._host.waiting.later(_IDLE_S, lambda: self._let_go(node))
-        if node.outputs and not node.is_foreign:
-            self._host.waiting.later(_LATE_S, lambda: self._tell_missing(node))
+        if not node.is_foreign:
+            self._host.waiting.later(_LATE_S, lambda: self._tell_late(node))
 
     def _let_go(self, node: AttendedNode) -> None:
         if self._nodes.get(node.unit) is node:
             for source in node.sources:
                 self._relays.let_go(node.unit, source.topic)
 
-    def _tell_missing(self, node: AttendedNode) -> None:
+    def _tell_late(self, node: AttendedNode) -> None:
+        """Report what a node should have by now: each output, a clock, and a name that no other node of its process
+        has.
+        """
         if self._nodes.get(node.unit) is not node:
             return
+        if not node.has_clock and node.name not in self._timeless and self._host.node.count_publishers(_CLOCK):
+            self._timeless.add(node.name)
+            text = f"{_CLOCK} is published: {node.name} goes by it only with `params: {{use_sim_time: true}}`"
+            self._host.say("Told", unit=node.unit, text=f"{text} (write false to be told no more)")
+        number = self._namesakes(node.name)
+        if number > 1 and node.name not in self._ghosts:
+            mend = "name the other one in `source`: `--ros-args -r OWN_NAME:__node:=OTHER_NAME --`"
+            self._host.say("Told", unit=node.unit, text=f"{number} nodes of its process are called {node.name}: {mend}")
         missing = sorted(set(self._missing(node)) & {port["topic"] for port in node.outputs})
         if missing:
             text = f"{node.name} does not publish {', '.join(missing)}: what is it called in its code (`remap`)?"

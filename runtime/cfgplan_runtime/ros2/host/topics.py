@@ -9,7 +9,7 @@ from typing import Any, Protocol
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 
 from cfgplan_runtime.ros2.host.endpoints import UnknownTypeError, message_class
-from cfgplan_runtime.ros2.host.host import Host
+from cfgplan_runtime.ros2.host.host import NAMELESS, Host
 from cfgplan_runtime.ros2.host.qos import Quality
 
 _PUBLISHERS_S = 1.0
@@ -95,6 +95,8 @@ class _Read:
         self._is_sending = False
         self._dropped = 0
         self._seen: set[tuple[str, str, str]] = set()
+        self._nameless: set[tuple[int, ...]] = set()
+        """Publishers whose nodes had no name at the first look."""
         self._subscription: Any = host.node.create_subscription(
             self._cls,
             topic,
@@ -111,8 +113,12 @@ class _Read:
         self._host.node.destroy_subscription(self._subscription)
 
     def look(self) -> None:
-        """Tell of each publisher once."""
+        """Tell of each publisher once. An endpoint may be found before its node's name is; the next look has it."""
         for one in self._host.node.get_publishers_info_by_topic(self._topic):
+            endpoint = tuple(one.endpoint_gid)
+            if one.node_name == NAMELESS and endpoint not in self._nameless:
+                self._nameless.add(endpoint)
+                continue
             name = f"{one.node_namespace.rstrip('/')}/{one.node_name}"
             told = name, one.topic_type, str(getattr(one, "topic_type_hash", "") or "")
             if told not in self._seen:
