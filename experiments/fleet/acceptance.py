@@ -341,8 +341,8 @@ def measured_rate(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
 
 
 def lossy_links(fleet: Fleet, short: bool) -> Seen:
-    """20 % of all packets lost and 100 ms of delay, one way: no host is lost, no unit moves, no element is lost uncounted;
-    on a computer with time for it, none is lost.
+    """20 % of all packets lost and 100 ms of delay, one way: no host is lost, no unit moves, and no element is lost
+    uncounted; on a computer with time for it, none is lost.
     """
     with managed(fleet) as (runtime, listener, moving), contextlib.ExitStack() as stack:
         stack.enter_context(fleet.network.lossy(0.2, 0.1))

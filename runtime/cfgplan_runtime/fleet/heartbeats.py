@@ -1,10 +1,10 @@
 """Heartbeats: numbered UDP datagrams by which a manager asks agents whether they are alive, beside the signs of life
 that they send over their links.
 
-Links use TCP, which delivers everything in order. On a radio that loses 20 % of all packets a link can be silent for 8 s
-although both computers are well. A lost datagram delays no other one. The manager asks again ever sooner while an agent
-is silent, and the agent answers each question to the address that it came from. Both are signed with a secret that the
-manager sends over the link.
+Links use TCP, which delivers everything in order. On a radio that loses 20 % of all packets a link can be silent for
+8 s although both computers are well. A lost datagram delays no other one. The manager asks more often while an agent
+is silent, and the agent answers each question to the address that it came from. Both are signed with a secret that
+the manager sends over the link.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
+from typing import Any
 
 from cfgplan_runtime.fleet.links import LEASE_S, sign_period_s
 from cfgplan_runtime.streams.ends import Bell, Ends
@@ -100,8 +101,10 @@ class Answering:
         self._is_closed = True
         self._bell.ring()
         self._thread.join()
-        for end in (*self._sockets, self._bell, self._ends):
+        for end in self._sockets:
             end.close()
+        self._bell.close()
+        self._ends.close()
 
     def _open(self, address: tuple[str, int]) -> bool:
         end = _socket_for(address)
@@ -122,7 +125,7 @@ class Answering:
         with suppress(OSError):  # nothing came, or there is no way back
             self._answer(end, *end.recvfrom(_MOST_BYTES))
 
-    def _answer(self, end: socket.socket, datagram: bytes, address: object) -> None:
+    def _answer(self, end: socket.socket, datagram: bytes, address: tuple[Any, ...]) -> None:
         known, obeyed = _read(datagram), self._obeyed
         if known is None or obeyed is None:
             return
@@ -187,8 +190,10 @@ class Asking:
         self._is_closed = True
         self._bell.ring()
         self._thread.join()
-        for end in (*self._sockets.values(), self._bell, self._ends):
+        for end in self._sockets.values():
             end.close()
+        self._bell.close()
+        self._ends.close()
 
     def _run(self) -> None:
         while not self._is_closed:

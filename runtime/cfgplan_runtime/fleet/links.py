@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from ipaddress import ip_address
+from math import inf
 from pathlib import Path
 from typing import Any, Literal
 
@@ -25,6 +26,10 @@ _OPEN_MS, _OPEN_PRIVATE_MS = 3000, 10_000
 """The milliseconds that an attempt to open a link may take. It needs eight messages in turn, which is 0.8 s at a delay
 of 100 ms, and more if some are lost. An attempt from before the end of a cut may end only then. Links within one
 computer are never cut.
+"""
+STALLED_S = 20.0
+"""The most seconds for which heartbeats keep a host whose link passes nothing. A link that loses 20 % of all packets,
+with a delay of 100 ms, was silent for 8.2 s at most in 400 s.
 """
 REACH_S = 5.0
 _LANES = {"interactive_high": 16, "data_high": 16, "data_low": 16}
@@ -100,11 +105,13 @@ def sign_period_s() -> float:
 
 @dataclass(slots=True)
 class Pulse:
-    """The arrival of a host's signs of life, in seconds of this process's clock."""
+    """The arrival of a host's signs of life over its link, and of heartbeats, in seconds of this process's clock."""
 
     last_s: float
     steady_s: float
     """The time since which no sign was late."""
+    beat_s: float = -inf
+    """The arrival of the last heartbeat."""
 
     def note(self, now_s: float) -> None:
         """Note a sign of life."""
@@ -118,8 +125,13 @@ class Pulse:
         """
         return now_s - self.last_s <= _LATE_SIGNS * sign_period_s() and now_s - self.steady_s >= LEASE_S / _LINK_LEASES
 
+    def silent_s(self, now_s: float) -> float:
+        """Seconds since the last sign or heartbeat. Heartbeats count until the link has been silent for STALLED_S."""
+        link_s = now_s - self.last_s
+        return link_s if link_s >= STALLED_S else min(link_s, now_s - self.beat_s)
+
     def is_lost(self, now_s: float) -> bool:
-        return now_s - self.last_s >= LEASE_S
+        return self.silent_s(now_s) >= LEASE_S
 
 
 class Lives:

@@ -59,7 +59,9 @@ _TOLD_EVERY, _TOLD_EVERY_BYTES = FRAMES_UNDER_WAY // 8, BYTES_UNDER_WAY // 8
 _LATEST_CREDIT_S, _SOON_CREDIT_S = 0.05, 0.01
 """The most seconds until a frame is acknowledged, and those for a large frame."""
 _RESEND_S, _MOST_RESEND_S = 0.25, 0.5
-"""Seconds without an acknowledgement before a frame is sent again, doubled each time up to the second value."""
+"""Seconds without an acknowledgement before a frame is sent again, doubled each time up to the second value, or up to
+some of the usual delays.
+"""
 _FIRST_ASK_S = 0.01
 """Seconds until a sender asks for its first credit, doubled each time: credits sent before it started are lost."""
 _ASK_AGAIN_S = 0.1
@@ -365,7 +367,8 @@ class Sending:
             # By the last one the receiver sees what else is missing.
             known = list(self._under_way.values())[: len(self._under_way) - len(new)]
             frames += known[:1] + known[1:][-1:] or [Frame(self._next, self.dropped, None)]
-            self._patience_s, self._again_s = min(2 * self._patience_s, _MOST_RESEND_S), None
+            most_s = max(_MOST_RESEND_S, _USUAL_DELAYS * self._pace.usual_s)
+            self._patience_s, self._again_s = min(2 * self._patience_s, most_s), None
         for frame in frames:
             self._pace.forget(frame.number)
         if not is_open:
