@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final, Generic, TypeVar
 from wsgiref.simple_server import WSGIServer
 
-from prometheus_client import CollectorRegistry, Counter, Histogram, start_http_server
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, start_http_server
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
@@ -19,6 +20,7 @@ from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.lifecycle import reports
 from cfgplan_runtime.lifecycle.perturbations import UnitGone
 from cfgplan_runtime.operating.flows import Flows
+from cfgplan_runtime.supervision.events import CertificateEnds, Event, HostLost
 from cfgplan_runtime.supervision.observation import Observation
 
 LOOPBACK = "127.0.0.1"
@@ -214,6 +216,12 @@ class Metrics:
             "cfgplan_unit_failures", "Units that ended unasked.", ["transformation", "how"], registry=self.registry
         )
         self._events = Counter("cfgplan_events", "Events of units and streams.", ["event"], registry=self.registry)
+        self._certificates = Gauge(
+            "cfgplan_certificate_days_left",
+            "Days until the certificate of a host ends, from 30 days before.",
+            ["host"],
+            registry=self.registry,
+        )
         if snapshot is not None:
             self.registry.register(Present(snapshot, flows or Flows()))
 
@@ -228,6 +236,16 @@ class Metrics:
                 self._count(review)
             case reports.UnitEvent(event):
                 self._events.labels(type(event).__name__).inc()
+                self._note_certificate(event)
+
+    def _note_certificate(self, event: Event) -> None:
+        """A lost host may come back with a new certificate; it tells again if that ends soon."""
+        match event:
+            case CertificateEnds(host, _, days_left):
+                self._certificates.labels(host).set(days_left)
+            case HostLost(host):
+                with suppress(KeyError):
+                    self._certificates.remove(host)
 
     def _count(self, review: reports.Review) -> None:
         self._reviews.labels(review.decision.value).inc()
