@@ -123,10 +123,8 @@ class Soak:
 
     def lossy_links(self) -> None:
         """No host is lost."""
-        before = self.lost_hosts()
-        with self.fleet.network.lossy(LOSS, DELAY_S):
+        with self.keeping_hosts(), self.fleet.network.lossy(LOSS, DELAY_S):
             time.sleep(LOSSY_S)
-            assert self.lost_hosts() == before, "a host was lost on a link that loses packets"
 
     def slow_link(self) -> None:
         """Large elements arrive over a slow link, and the others beside them."""
@@ -162,11 +160,9 @@ class Soak:
     def twin(self) -> None:
         """A second agent of a name ends, and the first keeps its units."""
         name, place = self._worker.host, self.randoms.choice([host for host in WORKERS if host != self._worker.host])
-        before = self.lost_hosts()
-        with self.fleet.twin(name, place) as (second, said):
+        with self.keeping_hosts(), self.fleet.twin(name, place) as (second, said):
             _await(lambda: second.poll() is not None, lambda: f"a second {name} on {place} says {said.read_text()!r}")
             assert f"the fleet has an agent '{name}'" in said.read_text(), said.read_text()
-        assert self.lost_hosts() == before, "a host was lost to its twin"
 
     def certificate_ends(self) -> None:
         """An agent whose certificate ends says so, and its host is used again with a new certificate."""
@@ -239,11 +235,20 @@ class Soak:
     def unmet(self) -> set[str]:
         return {view.label for view in self.operation.manager.snapshot().targets if not view.is_met}
 
-    def lost_hosts(self) -> int:
-        """How often a host was lost, by the log."""
+    def lost_hosts(self) -> list[str]:
+        """The hosts that were lost so far and the causes, by the log."""
         log = self.operation.log
         assert log is not None
-        return sum(json.loads(line)["event"] == "HostLost" for line in log.path.read_text().splitlines())
+        told = [json.loads(line) for line in log.path.read_text().splitlines()]
+        return [f"{one['host']}: {one['cause']}" for one in told if one["event"] == "HostLost"]
+
+    @contextmanager
+    def keeping_hosts(self) -> Iterator[None]:
+        """No host may be lost meanwhile."""
+        before = len(self.lost_hosts())
+        yield
+        lost = self.lost_hosts()[before:]
+        assert not lost, f"lost: {', '.join(lost)}"
 
     def wrong(self) -> tuple[int, int]:
         """The elements lost outside of excused times, and those repeated or out of order."""
@@ -359,7 +364,7 @@ def soak(network: Network, minutes: float, seed: int, names: Sequence[str]) -> N
                     print(f"{len(run.result.values)} elements, {lost} lost, {run.counted()} counted", flush=True)
                     assert not repeated, f"{repeated} elements are repeated or out of order"
                     assert lost <= run.counted(), f"{lost} elements were lost, {run.counted()} counted"
-                elements, hosts_lost = len(run.result.values), run.lost_hosts()
+                elements, hosts_lost = len(run.result.values), len(run.lost_hosts())
             for host in HOSTS:
                 eventually(lambda host=host: not fleet.units(host), PATIENCE_S)
     print(f"{dict(done)}\n{elements} elements, {hosts_lost} hosts lost")
