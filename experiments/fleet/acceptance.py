@@ -340,6 +340,25 @@ def measured_rate(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
     return Seen(text, right and not hosts_lost and all(0 < (one.rate or 0) * 8 / 1e6 <= 24 for one in measured[:1]))
 
 
+def lossy_links(fleet: Fleet, short: bool) -> Seen:
+    """20 % of all packets lost and 100 ms of delay, one way: no host is lost, no unit moves, and no element is lost
+    uncounted; on a computer with time for it, none is lost.
+    """
+    with managed(fleet) as (runtime, listener, moving), contextlib.ExitStack() as stack:
+        stack.enter_context(fleet.network.lossy(0.2, 0.1))
+        start_s, before = time.monotonic(), len(listener.values)
+        time.sleep(15.0 if short else 60.0)
+        came, silence_s = len(listener.values) - before, listener.silence_s(start_s)
+        lost = [f"{event.host}: {event.cause}" for event in events(runtime, "HostLost")]
+        stays = [unit.id for unit in runtime.environment.units if unit.transformation == "same"] == [moving.id]
+        stack.close()
+        listener.await_more(RATE_HZ)
+        dropped = dropped_by(runtime, moving.id)
+    text = f"{', '.join(lost) or 'no host lost'}, {'no' if stays else 'a'} unit moved; {came} elements, "
+    text += f"{listener.wrong()} wrong, {dropped} told as dropped, longest silence {ms(silence_s)}"
+    return Seen(text, not lost and stays and listener.wrong() <= dropped, listener.wrong() == 0)
+
+
 def clocks(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
     """A source moves between hosts whose clocks are 0.5 s ahead and behind: silence under 50 ms."""
     from cfgplan.domain import ChangeSet
@@ -544,6 +563,7 @@ CASES: dict[str, tuple[Callable[[Fleet, bool], Seen], float]] = {
     "slow links": (slow_links, LEASE_S),
     "crowded link": (crowded_link, LEASE_S),
     "measured rate": (measured_rate, LEASE_S),
+    "lossy links": (lossy_links, LEASE_S),
     "agent killed": (agent_killed, LEASE_S),
     "clocks": (clocks, LEASE_S),
     "load": (load, LEASE_S),

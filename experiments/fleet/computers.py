@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -18,6 +19,8 @@ from network import Network
 
 if TYPE_CHECKING:
     from cfgplan_runtime.streams.subscription import SubscriptionToTopic
+
+    from cfgplan.domain import Environment
 
 HOSTS = ("base", "r1", "r2")
 UNITS = Path(__file__).parents[1] / "runtime"
@@ -58,36 +61,46 @@ class Manager(NamedTuple):
 
 
 class Fleet:
-    """Agents on all hosts of a network, as commands; `secrets` has their certificates. A context manager.
+    """Agents on all hosts of a network, as commands; `secrets` has their certificates, `units` their code. A context
+    manager.
 
     Without `is_secured` they do without, which only this experiment allows beyond loopback.
     """
 
-    def __init__(self, network: Network, secrets: Path, *, lease_s: float = 2.0, is_secured: bool = True) -> None:
+    def __init__(
+        self,
+        network: Network,
+        secrets: Path,
+        *,
+        lease_s: float = 2.0,
+        is_secured: bool = True,
+        hosts: Sequence[str] = HOSTS,
+        units: Path = UNITS,
+    ) -> None:
         from cfgplan_runtime.fleet import links
 
         links.LEASE_S = lease_s
+        self.hosts, self._units = tuple(hosts), units
         self._is_secured = is_secured
         self.network = network
         self.lease_s = lease_s
         self.folder = secrets.parent
         self._secrets = secrets
-        self.endpoints = {host: f"{'tls' if is_secured else 'tcp'}/{network.address[host]}:7447" for host in HOSTS}
+        self.endpoints = {host: f"{'tls' if is_secured else 'tcp'}/{network.address[host]}:7447" for host in hosts}
         self.agents: dict[str, subprocess.Popen[str]] = {}
         self._managers = 0
-        for host in HOSTS:
+        for host in self.hosts:
             self.start_agent(host)
         self._await_agents()
 
     def _await_agents(self) -> None:
-        for host in HOSTS:
-            said = self._base(host) / "said"
-            eventually(lambda said=said: "listens on" in said.read_text())
+        for host in self.hosts:
+            eventually(lambda host=host: "listens on" in self.said(host))
 
     def start_agent(self, host: str, *, ahead_ns: int = 0) -> None:
         """Start a host's agent, with its clock ahead. Each pair of hosts is named once: see the runtime's README."""
-        others = [f"--connect={self.endpoints[other]}" for other in HOSTS[: HOSTS.index(host)]]
-        arguments = ["agent", f"--name={host}", f"--listen={self.endpoints[host]}", *others, f"--folder={UNITS}"]
+        others = [f"--connect={self.endpoints[other]}" for other in self.hosts[: self.hosts.index(host)]]
+        arguments = ["agent", f"--name={host}", f"--listen={self.endpoints[host]}", *others, f"--folder={self._units}"]
         self.agents[host] = self._start(host, arguments, self._secrets / host, self._base(host), ahead_ns=ahead_ns)
 
     @contextlib.contextmanager
@@ -102,6 +115,39 @@ class Fleet:
                 yield Manager(process, base / "said")
             finally:
                 process.kill()
+
+    @contextlib.contextmanager
+    def twin(self, name: str, host: str) -> Iterator[tuple[subprocess.Popen[str], Path]]:
+        """A second agent of a name, on another host; yields it, and the file with its output."""
+        base, listen = self._base(f"twin-{name}"), f"--listen=tls/{self.network.address[host]}:7448"
+        others = [f"--connect={endpoint}" for endpoint in self.endpoints.values()]
+        arguments = ["agent", f"--name={name}", listen, *others, f"--folder={self._units}"]
+        with self._start(host, arguments, self._secrets / name, base) as process:
+            try:
+                yield process, base / "said"
+            finally:
+                process.kill()
+
+    def renew_certificate(self, host: str) -> None:
+        """Replace a host's certificate."""
+        from cfgplan_runtime.fleet.certificates import make
+
+        shutil.rmtree(self._secrets / host)
+        make(self._secrets, {host: [self.network.address[host]]}, days=1)
+
+    def said(self, host: str) -> str:
+        """The output of a host's agent."""
+        return (self._base(host) / "said").read_text()
+
+    @contextlib.contextmanager
+    def operated(self, environment: Environment, folder: Path) -> Iterator[Any]:
+        """A runtime of this fleet for an operation."""
+        from cfgplan_runtime.fleet import fleet_runtime
+
+        secured = self._secrets / "manager" if self._is_secured else None
+        reached = fleet_runtime.Fleet(tuple(self.endpoints.values()), secured, takes_over=True)
+        with fleet_runtime.fleet_runtime(reached, environment, folder) as runtime:
+            yield runtime
 
     def run_folder(self, host: str) -> Path:
         """The folder of the topics at a host."""
@@ -139,7 +185,8 @@ class Fleet:
         base.mkdir(exist_ok=True)
         said = base / "said"
         said.unlink(missing_ok=True)
-        environment = {**os.environ, "XDG_RUNTIME_DIR": str(base)}
+        bad = str(self.folder / f"bad-{host}")
+        environment = {**os.environ, "XDG_RUNTIME_DIR": str(base), "CFGPLAN_SOAK_BAD": bad}
         with said.open("w") as output:
             return self.network.start(
                 host, [*command, *secured], env=environment, stdout=output, stderr=subprocess.STDOUT
@@ -147,7 +194,7 @@ class Fleet:
 
     def restart(self, host: str | None = None, *, ahead_ns: int = 0) -> None:
         """Restart a host's agent; without a host, all agents that have ended."""
-        for name in HOSTS if host is None else (host,):
+        for name in self.hosts if host is None else (host,):
             if host is not None:
                 self.kill_agent(name)
             if self.agents[name].poll() is not None:

@@ -14,12 +14,15 @@ import json
 import os
 import shutil
 import subprocess
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 _TOOLS = ("unshare", "nsenter", "ip", "bridge", "tc")
+_LOSSY_SWITCH = Path(__file__).with_name("lossy_switch.py")
 _FORWARDS, _IS_DISABLED = "3", "0"
 
 
@@ -95,6 +98,27 @@ class Network:
         """Undo `limit`."""
         self._in("switch", "tc", "qdisc", "delete", "dev", host, "root")
         self._in(host, "tc", "qdisc", "delete", "dev", "eth0", "root")
+
+    @contextmanager
+    def lossy(self, loss: float, delay_s: float) -> Iterator[None]:
+        """Let a switch in user space lose a share of all frames, and delay the others, one way."""
+        line = [*self._enter("switch"), sys.executable, str(_LOSSY_SWITCH), str(loss), str(delay_s), *self.address]
+        for host in self.address:
+            self._in(host, sys.executable, str(_LOSSY_SWITCH), "plain", "eth0")
+        with subprocess.Popen(line, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as switch:
+            assert switch.stdout is not None and switch.stdin is not None
+            assert switch.stdout.readline() == "ready\n"
+            self._set_all("nomaster", "promisc", "on")
+            try:
+                yield
+            finally:
+                self._set_all("promisc", "off", "master", "bridge")
+                switch.stdin.close()
+
+    def _set_all(self, *words: str) -> None:
+        """Set all devices of the switch at one moment: a busy computer takes seconds for one command each."""
+        lines = "\n".join(" ".join(["link", "set", host, *words]) for host in self.address)
+        self._in("switch", "sh", "-c", f"ip -batch - <<END\n{lines}\nEND")
 
     def __enter__(self) -> Network:
         return self

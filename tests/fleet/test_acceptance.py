@@ -20,6 +20,7 @@ CASES = (
     "agent killed",
     "slow links",
     "crowded link",
+    "lossy links",
     "measured rate",
     "clocks",
     "storm",

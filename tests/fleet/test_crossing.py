@@ -312,3 +312,17 @@ def test_what_is_dropped_for_want_of_room_in_the_link_is_told_from_what_the_rece
     assert (crowded.crowded, shut.crowded) == (crowded.dropped, 0)
     crowded.hear(Credit(2, FRAMES_UNDER_WAY), 0.1)
     assert 0 < crowded.arrived_bytes < crowded.offered_bytes
+
+
+def test_a_missing_frame_is_not_sent_again_at_every_request_but_ever_more_rarely() -> None:
+    sending = Sending(granted=FRAMES_UNDER_WAY)
+    for number in range(3):
+        sending.offer(piece(number))
+    sending.due(0.0)
+    sending.hear(Credit(1, FRAMES_UNDER_WAY), 1.0)  # the link's usual delay is a second
+    sent = list[int]()
+    for tick in range(400):
+        now_s = 1.1 + 0.1 * tick
+        sending.hear(Credit(1, FRAMES_UNDER_WAY, (1,)), now_s)
+        sent += [frame.number for frame in sending.due(now_s)]
+    assert 5 <= sent.count(1) <= 30, "five after ever longer waits, the others since no answer comes"

@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 from cfgplan_runtime.errors import RuntimeFaultError
-from cfgplan_runtime.fleet.links import LEASE_S, Lives, Pulse, config, sign_period_s
+from cfgplan_runtime.fleet.links import LEASE_S, STALLED_S, Lives, Pulse, config, sign_period_s
 from cfgplan_runtime.fleet.ways import ReachedAt, reach
-from cfgplan_runtime.streams.zenoh_link import Taken, ZenohLink, taken
+from cfgplan_runtime.streams.zenoh_link import Losses, Taken, ZenohLink, taken
 from small_fleet import PATIENCE_S, eventually, free_port
 from test_local_run import CFGPLAN
 
@@ -154,6 +154,15 @@ def test_a_host_is_lost_after_a_lease_without_a_sign_of_life() -> None:
     assert heard.is_lost(1.0 + LEASE_S)
 
 
+def test_heartbeats_keep_a_host_whose_link_is_silent_but_not_for_ever() -> None:
+    heard = pulse(1.0)
+    heard.beat_s = 1.0 + 4 * LEASE_S
+    assert not heard.is_lost(1.0 + 4.9 * LEASE_S)
+    assert heard.is_lost(1.0 + 5 * LEASE_S)
+    heard.beat_s = 1.0 + STALLED_S
+    assert heard.is_lost(1.0 + STALLED_S)
+
+
 def test_an_agent_whose_signs_came_in_time_up_to_now_has_ended_if_its_links_are_gone() -> None:
     period_s = sign_period_s()
     in_time = [number * period_s for number in range(1, 20)]
@@ -196,3 +205,27 @@ def test_an_agent_limits_its_units_together_or_says_once_that_it_can_not(
     assert main(["agent", "--name", "r1", "--cpu", "0.25"]) == 0
     assert (given["name"], given["cpu"]) == ("r1", 250_000 if is_allowed else None)
     assert capsys.readouterr().err.count("the CPU time of units is not limited: no group") == (not is_allowed)
+
+
+def test_a_peer_loses_packets_if_several_were_sent_again_within_a_minute_over_any_of_its_connections() -> None:
+    losses, first, second = Losses(), (("a", 1), ("b", 1)), (("a", 2), ("b", 1))
+    seen = [losses.note(first, resent, float(resent), is_stalled=False) for resent in (0, 1, 1, 2, 3)]
+    assert not any(seen)
+    assert losses.note(second, 1, 4.0, is_stalled=False)
+    assert losses.note(second, 1, 60.0, is_stalled=False)
+    assert not losses.note(second, 1, 62.0, is_stalled=False), "the first loss was a minute ago"
+    assert not losses.note((("a", 1), ("c", 1)), 1, 4.0, is_stalled=False), "another peer"
+
+
+def test_packets_that_are_sent_again_in_a_cut_count_once_when_it_is_over() -> None:
+    losses, ends = Losses(), (("a", 1), ("b", 1))
+    assert not any(losses.note(ends, resent, resent / 4, is_stalled=True) for resent in range(1, 9))
+    assert not losses.note(ends, 9, 3.0, is_stalled=False)
+
+
+def test_a_connection_that_works_loses_nothing_and_its_round_trip_is_known() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server, ExitStack() as stack:
+        one = stack.enter_context(socket.create_connection(server.getsockname(), PATIENCE_S))
+        stack.enter_context(server.accept()[0])
+        is_lossy, round_trip_ms = Losses().look(one, 0.0)
+        assert not is_lossy and 0 <= round_trip_ms < 1000

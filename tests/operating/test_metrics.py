@@ -16,7 +16,14 @@ from cfgplan_runtime.lifecycle.perturbations import HorizonReached, UnitGone
 from cfgplan_runtime.lifecycle.reports import Decision, Perturbed, Reviewed, Snapshot, UnitEvent, UnitView
 from cfgplan_runtime.operating.flows import Flows
 from cfgplan_runtime.operating.metrics import Metrics, MetricsServer, serve
-from cfgplan_runtime.supervision.events import CrossingsStatus, Event, TopicsStatus, UnitDied
+from cfgplan_runtime.supervision.events import (
+    CertificateEnds,
+    CrossingsStatus,
+    Event,
+    HostLost,
+    TopicsStatus,
+    UnitDied,
+)
 from fake_manager import DETECTOR, REVIEW, SNAPSHOT, observation
 from prometheus_client.parser import text_string_to_metric_families
 
@@ -196,3 +203,14 @@ def test_facts_are_numbers_and_words_are_none(scrape: Scraped) -> None:
     told = {name: scrape("fact", fact=name) for name in ("visibility", "night", "day", "mode")}
     assert told == {"visibility": 2.5, "night": 1.0, "day": 0.0, "mode": None}
     assert scrape("fact_heard_seconds", fact="visibility") == 0.25
+
+
+def test_the_days_left_of_a_certificate_are_shown_until_its_host_is_lost(scrape: Scraped) -> None:
+    for host, days in (("r1", 12), ("r2", 3), ("r1", 11)):
+        scrape.metrics.listen(UnitEvent(CertificateEnds(host, "2026-12-09 18:00 UTC", days)))
+    scrape.metrics.listen(UnitEvent(HostLost("r3", "its agent is gone")))
+    assert scrape("certificate_days_left", host="r1") == 11
+    assert scrape("certificate_days_left", host="r2") == 3
+    scrape.metrics.listen(UnitEvent(HostLost("r1", "its agent is gone")))
+    assert scrape("certificate_days_left", host="r1") is None
+    assert scrape("certificate_days_left", host="r2") == 3

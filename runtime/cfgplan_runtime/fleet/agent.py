@@ -22,11 +22,12 @@ from cfgplan_runtime.children.program_source import ProgramSource
 from cfgplan_runtime.fleet import orders
 from cfgplan_runtime.fleet.certificates import Validity, ending
 from cfgplan_runtime.fleet.clocks import HostClock, clock_key
+from cfgplan_runtime.fleet.heartbeats import Answering
 from cfgplan_runtime.fleet.links import LEASE_S, PRIVATE, Lives, config, sign_period_s
 from cfgplan_runtime.fleet.relay import Relay
 from cfgplan_runtime.fleet.tunnels import TunnelServer
 from cfgplan_runtime.fleet.twins import Twins
-from cfgplan_runtime.fleet.ways import Way, alive_key
+from cfgplan_runtime.fleet.ways import Way, alive_key, reach
 from cfgplan_runtime.processes.cpu_group import CpuGroup
 from cfgplan_runtime.processes.process_backend import RELAY, ProcessBackend
 from cfgplan_runtime.streams.crossing import crossing_key
@@ -118,6 +119,8 @@ class Agent:
             self._backend.warm_up()
             self._relay = Relay(name, self._link, self._backend.open_relay(), self._note_failure)
             stack.callback(self._relay.close)
+            self._heartbeats = Answering(reach(listen, ()).listens, self._note_question)
+            stack.callback(self._heartbeats.close)
             life = secrets.token_hex(4)
             stack.callback(TunnelServer(self._link, name, life, self._backend.run_folder.path).close)
             key, twins = f"{alive_key(name)}/{life}", Twins(name, life, self._note_failure)
@@ -167,6 +170,10 @@ class Agent:
         """Called by threads of the link, as `_take` is."""
         self._managers.note(key, time.monotonic(), is_alive=is_alive)
 
+    def _note_question(self, manager: str) -> None:
+        """Called by the thread of the heartbeats."""
+        self._note_manager(f"{alive_key(MANAGER)}/{manager}", is_alive=True)
+
     def _take(self, key: str, head: bytes, payload: bytes) -> None:
         """Called by threads of the link."""
         self._arrived.append((key, head, payload))
@@ -192,7 +199,8 @@ class Agent:
         while not self._ending and (self._owes_welcome or self._orders):
             if self._owes_welcome:
                 self._owes_welcome = False
-                self._say(orders.Welcome(str(self._backend.run_folder.path), self._held))
+                run = str(self._backend.run_folder.path)
+                self._say(orders.Welcome(run, self._held, self._heartbeats.places))
                 if self._lost:
                     self._say(orders.told(events.ElementsLost(self.name, self._lost)))
                     self._lost = 0
@@ -273,8 +281,10 @@ class Agent:
     def _obey(self, order: orders.Order) -> None:
         backend, held = self._backend, self._held
         match order:
-            case orders.GreetOrder(adopts):
+            case orders.GreetOrder(adopts, secret):
                 self._owes_welcome = True
+                if self._talk is not None:
+                    self._heartbeats.obey(self._talk.session.manager, secret)
                 if self._validity is not None:
                     self._validity.tell_again()
                 if not adopts:

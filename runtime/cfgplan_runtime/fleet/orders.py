@@ -43,9 +43,13 @@ def read_session(text: str) -> Session | None:
 
 
 class GreetOrder(msgspec.Struct, tag=True):
-    """The first order: end all units that the manager does not adopt (`adopts`), then answer Welcome."""
+    """The first order: end all units that the manager does not adopt (`adopts`), then answer Welcome.
+
+    `secret` signs the heartbeats of the session.
+    """
 
     adopts: bool
+    secret: bytes = b""
 
 
 class ClockOrder(msgspec.Struct, tag=True):
@@ -222,11 +226,12 @@ class Held(msgspec.Struct):
 
 class Welcome(msgspec.Struct, tag=True):
     """The agent obeys from now on. `held` has its units, wires and topics; sockets of topics are in the
-    folder `run`.
+    folder `run`. It answers heartbeats at the addresses `beats`, written `HOST PORT`.
     """
 
     run: str
     held: Held
+    beats: tuple[str, ...] = ()
 
 
 class EventTold(msgspec.Struct, tag=True):

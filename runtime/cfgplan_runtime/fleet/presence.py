@@ -21,6 +21,7 @@ from cfgplan.domain import MANAGER
 from cfgplan.errors import InputError
 from cfgplan_runtime.fleet import orders
 from cfgplan_runtime.fleet.clocks import CALLS, CALLS_AGAIN, CLOCK_S, HostClock, Reading, corrected, has_moved
+from cfgplan_runtime.fleet.heartbeats import Asking, new_secret
 from cfgplan_runtime.fleet.links import LEASE_S, MISSED_SIGNS, Pulse, sign_period_s
 from cfgplan_runtime.fleet.ways import alive_key, reach_key
 from cfgplan_runtime.streams.crossing import crossing_key
@@ -41,6 +42,8 @@ class HostState:
     """The id of this agent's process; a later agent of the same name has another."""
     talk: orders.Talk[orders.FromAgent]
     pulse: Pulse
+    secret: bytes
+    """Signs the heartbeats of this session."""
     is_there: bool = False
     reading: Reading | None = None
     """The last reading of its clock."""
@@ -85,6 +88,14 @@ class AgentSaid(AgentNews, frozen=True):
 
 
 @dataclass(frozen=True, slots=True)
+class _Beat:
+    """A heartbeat of a host."""
+
+    name: str
+    at_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class _Measured:
     """A reading of a host's clock; None if it does not answer."""
 
@@ -92,7 +103,7 @@ class _Measured:
     reading: Reading | None
 
 
-_Arrival: TypeAlias = "tuple[str, bytes, bytes] | tuple[str, bool] | tuple[str, float] | _Measured | None"
+_Arrival: TypeAlias = "tuple[str, bytes, bytes] | tuple[str, bool] | tuple[str, float] | _Measured | _Beat | None"
 
 
 class Presence:
@@ -138,6 +149,7 @@ class Presence:
             link.hear(crossing_key(None, kind, MANAGER, "*"), lambda *came: self._inbox.put(came))
         link.watch(f"{alive_key(None)}/*", lambda *came: self._inbox.put(came))
         link.hear(f"{alive_key(None)}/*", lambda key, *_: self._inbox.put((key, time.monotonic())))
+        self._heartbeats = Asking(lambda name, at_s: self._inbox.put(_Beat(name, at_s)))
         link.answer(reach_key(MANAGER), lambda: b"{}")
         link.live(f"{alive_key(MANAGER)}/{run}")
         link.give_signs(f"{alive_key(MANAGER)}/{run}", sign_period_s())
@@ -229,6 +241,7 @@ class Presence:
         """
         if hosts is None:
             self._has_left.set()
+            self._heartbeats.close()
             left = list(self._hosts.values())
         else:
             self._own -= set(hosts)
@@ -243,6 +256,7 @@ class Presence:
         if hosts is not None:
             for host in left:
                 if self._hosts.pop(host.name, None) is host:
+                    self._heartbeats.forget(host.name)
                     self._seen[host.name] = host.life
 
     def _hear_once(self, end_s: float) -> bool:
@@ -278,12 +292,14 @@ class Presence:
             if now_s - before_s >= MISSED_SIGNS * sign_period_s():
                 host.pulse.note(now_s)
             elif host.pulse.is_lost(now_s):
-                self._lose(host, f"nothing was heard of it for {now_s - host.pulse.last_s:.1f} s")
+                self._lose(host, f"nothing was heard of it for {host.pulse.silent_s(now_s):.1f} s")
 
     def _hear(self, arrival: _Arrival) -> bool:
         match arrival:
             case None:
                 return True
+            case _Beat(name, at_s) if name in self._hosts:
+                self._hosts[name].pulse.beat_s = at_s
             case _Measured(host, Reading() as reading) if self._hosts.get(host.name) is host:
                 self._note_clock(host, reading)
             case _Measured(host, None) if self._hosts.get(host.name) is host and not host.is_there:
@@ -330,11 +346,12 @@ class Presence:
         session = orders.Session(self._term, self._run, self._serial)
         talk: orders.Talk[orders.FromAgent] = orders.Talk(self._link, MANAGER, name, session, orders.FromAgent)
         now_s = time.monotonic()
-        self._hosts[name] = HostState(name, life, talk, Pulse(now_s, now_s))
-        talk.say(orders.GreetOrder(adopts=self._is_beginning))
+        host = self._hosts[name] = HostState(name, life, talk, Pulse(now_s, now_s), new_secret())
+        talk.say(orders.GreetOrder(adopts=self._is_beginning, secret=host.secret))
 
     def _lose(self, host: HostState, cause: str) -> None:
         del self._hosts[host.name]
+        self._heartbeats.forget(host.name)
         self._happened.append(AgentGone(host, cause))
 
     def _hear_agent(self, key: str, head: bytes, payload: bytes) -> None:
@@ -378,6 +395,7 @@ class Presence:
         host.held, host.ahead_ns = welcome.held, welcome.held.ahead_ns
         path = Path(welcome.run)
         host.run = path if is_alive(path) else None
+        self._heartbeats.ask(host.name, welcome.beats, host.secret)
         threading.Thread(target=self._measure, args=(host, CALLS), daemon=True).start()
 
     def _measure(self, host: HostState, calls: int) -> None:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Final, Generic, TypeVar
 from wsgiref.simple_server import WSGIServer
 
-from prometheus_client import CollectorRegistry, Counter, Histogram, start_http_server
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, start_http_server
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
@@ -20,6 +21,7 @@ from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.lifecycle import reports
 from cfgplan_runtime.lifecycle.kinds import growths
 from cfgplan_runtime.operating.flows import Flows
+from cfgplan_runtime.supervision.events import CertificateEnds, HostLost
 from cfgplan_runtime.supervision.observation import Observation
 
 LOOPBACK = "127.0.0.1"
@@ -211,6 +213,12 @@ class Metrics:
             )
             for name, (help_text, labels, buckets) in _GROWING.items()
         }
+        self._certificates = Gauge(
+            "cfgplan_certificate_days_left",
+            "Days until the certificate of a host ends, from 30 days before.",
+            ["host"],
+            registry=self.registry,
+        )
         if snapshot is not None:
             self.registry.register(Present(snapshot, flows or Flows()))
 
@@ -219,6 +227,12 @@ class Metrics:
         for name, labels, amount in growths(report):
             metric = self._growing[name].labels(*labels)
             metric.observe(amount) if isinstance(metric, Histogram) else metric.inc(amount)
+        match report:
+            case reports.UnitEvent(CertificateEnds(host, _, days_left)):
+                self._certificates.labels(host).set(days_left)
+            case reports.UnitEvent(HostLost(host)):
+                with suppress(KeyError):  # it may come back with a new certificate; it tells again if that ends soon
+                    self._certificates.remove(host)
 
 
 class MetricsServer:

@@ -59,10 +59,16 @@ _TOLD_EVERY, _TOLD_EVERY_BYTES = FRAMES_UNDER_WAY // 8, BYTES_UNDER_WAY // 8
 _LATEST_CREDIT_S, _SOON_CREDIT_S = 0.05, 0.01
 """The most seconds until a frame is acknowledged, and those for a large frame."""
 _RESEND_S, _MOST_RESEND_S = 0.25, 0.5
-"""Seconds without an acknowledgement before a frame is sent again, doubled each time up to the second value."""
+"""Seconds without an acknowledgement before a frame is sent again, doubled each time up to the second value, or up to
+some of the usual delays.
+"""
 _FIRST_ASK_S = 0.01
 """Seconds until a sender asks for its first credit, doubled each time: credits sent before it started are lost."""
 _ASK_AGAIN_S = 0.1
+_USUAL_SHARE, _USUAL_DELAYS, _MOST_DOUBLED = 0.125, 2, 3
+"""The share of a new delay in the usual one; the usual delays after which a frame may be sent once more, and how often
+this time doubles. On a slow link a receiver asks for a missing frame several times before it can come.
+"""
 _MOST_MISSING = 64
 
 Put: TypeAlias = Callable[[bytes, bytes], None]
@@ -179,6 +185,8 @@ class Pace:
         """The least delay, and the time of its measurement."""
         self._probes_from: int | None = None
         """While the delay is being measured again: the first frame that finds an empty link."""
+        self.usual_s = 0.0
+        """The smoothed time from sending a frame to its acknowledgement, in seconds."""
         self._grown_rate, self._rounds_alike = 0.0, 0
         self._has_been_full = False
         self._ahead_s = _AHEAD_S
@@ -235,6 +243,7 @@ class Pace:
         if now_s <= sent_s:
             return
         delay_s, is_probe = now_s - sent_s, self._probes_from is not None and number >= self._probes_from
+        self.usual_s += (_USUAL_SHARE if self.usual_s else 1) * (delay_s - self.usual_s)
         if delay_s <= self._delay[0] or is_probe:
             self._delay, self._probes_from = (delay_s, now_s), None if is_probe else self._probes_from
         is_full = is_full or delay_s > self.delay_s + 2 * _AHEAD_S  # it has waited in the link
@@ -283,6 +292,10 @@ class Sending:
         """The number of drops before the last piece that arrived: the receiver knows of them."""
         self._limit = granted
         self._missing: set[int] = set()
+        self._repeated: dict[int, tuple[float, int]] = {}
+        """For each frame in flight that was sent again: until when a request for it is ignored, and how often it was
+        sent again.
+        """
         self._again_s: float | None = None
         """The time to send again without an acknowledgement; None if no frame waits for one."""
         self._patience_s = _RESEND_S if granted else _FIRST_ASK_S
@@ -326,6 +339,7 @@ class Sending:
         arrived = [number for number in self._under_way if number < credit.expected]
         for number in arrived:
             frame = self._under_way.pop(number)
+            self._repeated.pop(number, None)
             self._under_way_bytes -= self._size(frame)
             self.arrived_bytes += self._size(frame)
             self._dropped_before = frame.dropped
@@ -337,7 +351,8 @@ class Sending:
 
     def due(self, now_s: float) -> list[Frame]:
         """The frames to send now."""
-        frames = [self._under_way[number] for number in sorted(self._missing) if number in self._under_way]
+        asked = [number for number in sorted(self._missing) if number in self._under_way]
+        frames = [self._under_way[number] for number in asked if self._repeat(number, now_s)]
         self._missing.clear()
         first = self._next
         while self._waiting and self._next < self._limit and self._has_window:
@@ -352,7 +367,8 @@ class Sending:
             # By the last one the receiver sees what else is missing.
             known = list(self._under_way.values())[: len(self._under_way) - len(new)]
             frames += known[:1] + known[1:][-1:] or [Frame(self._next, self.dropped, None)]
-            self._patience_s, self._again_s = min(2 * self._patience_s, _MOST_RESEND_S), None
+            most_s = max(_MOST_RESEND_S, _USUAL_DELAYS * self._pace.usual_s)
+            self._patience_s, self._again_s = min(2 * self._patience_s, most_s), None
         for frame in frames:
             self._pace.forget(frame.number)
         if not is_open:
@@ -365,6 +381,15 @@ class Sending:
     def due_s(self) -> float | None:
         """The time of the next repetition, if no answer comes before."""
         return self._again_s
+
+    def _repeat(self, number: int, now_s: float) -> bool:
+        """Whether to send a missing frame again now; if so, note it. The time until the next repetition doubles."""
+        until_s, times = self._repeated.get(number, (0.0, 0))
+        if now_s < until_s:
+            return False
+        patience_s = max(_ASK_AGAIN_S, _USUAL_DELAYS * self._pace.usual_s) * 2 ** min(times, _MOST_DOUBLED)
+        self._repeated[number] = now_s + patience_s, times + 1
+        return True
 
     def _cut(self) -> Frame:
         """The next frame of the waiting pieces: a piece, or a part of one that is larger than a frame."""
