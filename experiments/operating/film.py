@@ -27,12 +27,12 @@ from PIL import Image, ImageDraw, ImageFont
 
 from cfgplan import api
 
-ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "tests" / "operating"))
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "operating"))
 
 from browsed import CHROMIUM, await_so, browser
 from operated_world import eventually
 
+ROOT = Path(__file__).parents[2]
 ENV = ROOT / "models" / "nao" / "1-piff-registered.yaml"
 FILM = ROOT / "cfgplan" / "manual" / "pictures" / "healing.png"
 KILLED = "segmenter(piff).1"
