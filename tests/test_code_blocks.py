@@ -1,9 +1,9 @@
 """Every code block of the manual and the README runs here, or says which test runs it, or why none does.
 
 A comment before a block says what becomes of it: `file: NAME` writes it for the blocks after it, `append: NAME` adds
-it to that file, `tested by: FILE` names another test, `exit: N` is the exit code of its last command, `not run: REASON`.
-Commands that are not run are parsed all the same. A block of text shows what the block before it prints; dots stand
-for anything. An environment without a mark is loaded.
+it to that file, `tested by: FILE` names another test, `exit: N` is the exit code of its last command, and
+`not run: REASON`: its commands are only parsed. A block of text shows what the block before it prints; dots stand for
+anything. An environment without a mark is loaded.
 """
 
 from __future__ import annotations
