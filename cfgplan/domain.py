@@ -32,8 +32,7 @@ from cfgplan.qualities import (
 )
 from cfgplan.rows import ELEMENT, Feature, Row, Use
 from cfgplan.similarity import Similarity as Similarity
-from cfgplan.summary import counted, cpu, summarised, summary
-from cfgplan.targets import A_UNIT_OF as A_UNIT_OF
+from cfgplan.summary import Summary, counted, cpu, summarised, summary, tabled
 from cfgplan.targets import Target as Target
 from cfgplan.targets import observing as observing
 from cfgplan.transformations import ALL as ALL
@@ -90,6 +89,15 @@ class Publication:
     topic: str
 
 
+def _unit_summary(unit: ComputationUnit) -> Summary:
+    host = f" on {unit.host}" if unit.host is not None else ""
+    line = f"unit {unit.id} of {unit.transformation}{host}{', a spare' if unit.standby else ''}"
+    taken = (("takes", port, stream) for port, streams in unit.feeds.items() for stream in streams)
+    given = (("publishes", each.port, each.topic) for each in unit.publications)
+    return summary(line, ("", "port", "stream or topic"), [*taken, *given])
+
+
+@tabled(_unit_summary)
 @dataclass(frozen=True)
 @checked
 class ComputationUnit:
@@ -147,6 +155,43 @@ def _following(transformation: Transformation, facts: Mapping[str, Fact]) -> Tra
     return replace(transformation, outputs=tuple(outputs))
 
 
+CHANGE_HEADS = ("", "name", "on", "fed by")
+
+
+def change_rows(changes: ChangeSet) -> Iterator[tuple[str, ...]]:
+    """A row for each change, as a notebook shows them."""
+    for what, changed in (("start", changes.started), ("rewire", changes.rewired)):
+        for unit in changed:
+            yield what, unit.id, "spare" if unit.standby else unit.host or "", _feeds(unit)
+    for unit_id in changes.stopped:
+        yield "stop", unit_id, "", ""
+    for what, parts in _OTHER_CHANGES.items():
+        for part in getattr(changes, f"added_{parts}"):
+            yield f"add {what}", part.label if hasattr(part, "label") else part.name, "", ""
+        for name in getattr(changes, f"removed_{parts}"):
+            yield f"remove {what}", name, "", ""
+
+
+_OTHER_CHANGES = {
+    "transformation": "transformations",
+    "target": "targets",
+    "host": "hosts",
+    "quality": "qualities",
+}
+"""The parts of an environment that a change set adds and removes beside units, each by the noun for one of them."""
+
+
+def _feeds(unit: ComputationUnit) -> str:
+    return ", ".join(f"{port} from {' and '.join(map(str, streams))}" for port, streams in unit.feeds.items())
+
+
+def changes_in_words(changes: ChangeSet) -> str:
+    """The number of units to start, to rewire and to stop."""
+    numbers = [(changes.started, "to start"), (changes.rewired, "to rewire"), (changes.stopped, "to stop")]
+    return ", ".join(f"{len(units)} {to}" for units, to in numbers)
+
+
+@tabled(lambda each: summary(changes_in_words(each), CHANGE_HEADS, change_rows(each)))
 @dataclass(frozen=True)
 @checked
 class ChangeSet:
@@ -206,9 +251,12 @@ def environment_rows(environment: Environment) -> Iterator[tuple[str, ...]]:
     for target in environment.targets:
         yield "target", target.label, target.tag or f"a unit of {target.run}", target.topic, "", ""
     for unit in environment.units:
-        feeds = ", ".join(f"{port} from {' and '.join(map(str, streams))}" for port, streams in unit.feeds.items())
+        kind = environment.transformation.get(unit.transformation)
+        gaps = [port for port in kind.inputs if port.name not in unit.feeds] if kind and not unit.standby else []
+        unfed = [f"{port.name} unfed" if port.optional else f"{port.name}: a gap" for port in gaps]
+        takes = ", ".join([*filter(None, [_feeds(unit)]), *unfed])
         gives = ", ".join(f"{each.port} to {each.topic}" for each in unit.publications)
-        yield "unit", unit.id, feeds, gives, "", ""
+        yield "unit", unit.id, takes, gives, "", ""
     for kind in environment.library:
         takes, gives = (
             ", ".join(f"{port.name}: {port.tag}" for port in ports) for ports in (kind.inputs, kind.outputs)

@@ -12,6 +12,7 @@ from cfgplan.arguments import Natural, checked
 from cfgplan.canonical import fields_of
 from cfgplan.costs import LARGEST_COST_US, standby_cost_us, start_cost_us, transfer_cost_us
 from cfgplan.domain import (
+    CHANGE_HEADS,
     ENVIRONMENT_HEADS,
     ChangeSet,
     ComputationUnit,
@@ -20,9 +21,10 @@ from cfgplan.domain import (
     Objective,
     OutputPort,
     Similarity,
-    Subscription,
     Target,
     Transformation,
+    change_rows,
+    changes_in_words,
     environment_rows,
 )
 from cfgplan.errors import CfgplanError, InputError, InvalidValueError
@@ -230,19 +232,8 @@ def _plan_summary(plan: Plan) -> Summary:
     cost = "" if plan.cost_us is None else f", {cpu(plan.cost_us)} of CPU, at least {cpu(plan.bound_us)}"
     if plan.change_set is None:
         return summary(f"{plan.status} by {plan.planner}{cost}", ("", "why"), plan.reasons.items())
-    changes = plan.change_set
-    numbers = [(changes.started, "to start"), (changes.rewired, "to rewire"), (changes.stopped, "to stop")]
-    line = f"{plan.status} by {plan.planner}{cost}; {', '.join(f'{len(units)} {to}' for units, to in numbers)}"
-    rows = [
-        (what, unit.id, "spare" if unit.standby else unit.host or "", ", ".join(map(_wire, unit.subscriptions)))
-        for what, units in (("start", changes.started), ("rewire", changes.rewired))
-        for unit in units
-    ]
-    return summary(line, ("", "unit", "on", "fed by"), [*rows, *(("stop", unit, "", "") for unit in changes.stopped)])
-
-
-def _wire(wire: Subscription) -> str:
-    return f"{wire.port} from {wire.stream}"
+    line = f"{plan.status} by {plan.planner}{cost}; {changes_in_words(plan.change_set)}"
+    return summary(line, CHANGE_HEADS, change_rows(plan.change_set))
 
 
 @summarised(_plan_summary)

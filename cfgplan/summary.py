@@ -38,13 +38,22 @@ def summary(line: str, heads: Iterable[str] = (), rows: Iterable[tuple[object, .
     return Summary(line, tuple(heads), shown, sum(1 for _ in rest))
 
 
+def tabled(of: Callable[..., Summary]) -> Callable[[Kind], Kind]:
+    """A class decorator: a notebook shows a value as the table of its summary; its `repr` stays as it is."""
+
+    def decorate(kind: Kind) -> Kind:
+        setattr(kind, "_repr_html_", lambda self: of(self).html())  # noqa: B010
+        return kind
+
+    return decorate
+
+
 def summarised(of: Callable[..., Summary]) -> Callable[[Kind], Kind]:
     """A class decorator: the `repr` of a value is the line of its summary, and a notebook shows the table."""
 
     def decorate(kind: Kind) -> Kind:
         setattr(kind, "__repr__", lambda self: f"<{kind.__name__}: {of(self).line}>")  # noqa: B010
-        setattr(kind, "_repr_html_", lambda self: of(self).html())  # noqa: B010
-        return kind
+        return tabled(of)(kind)
 
     return decorate
 

@@ -1,9 +1,9 @@
 """Every code block of the manual and the README runs here, or says which test runs it, or why none does.
 
-A comment before a block says what becomes of it: `file: NAME` writes it for the blocks after it, `tested by: FILE`
-names another test, `exit: N` is the exit code of its last command, `not run: REASON`. Commands that are not run are
-parsed all the same. A block of text shows what the block before it prints; dots stand for anything.
-An environment without a mark is loaded.
+A comment before a block says what becomes of it: `file: NAME` writes it for the blocks after it, `append: NAME` adds
+it to that file, `tested by: FILE` names another test, `exit: N` is the exit code of its last command, and
+`not run: REASON`: its commands are only parsed. A block of text shows what the block before it prints; dots stand for
+anything. An environment without a mark is loaded.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Block:
 
 
 def blocks_of(page: Path) -> list[Block]:
-    pattern = r"(?:<!-- (file|tested by|exit|not run): (.*?) -->\n)?^( *)```(\w+)\n(.*?)^ *```$"
+    pattern = r"(?:<!-- (file|append|tested by|exit|not run): (.*?) -->\n)?^( *)```(\w+)\n(.*?)^ *```$"
     found = re.findall(pattern, page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
     return [Block(language, dedent(text), mark, said) for mark, said, _, language, text in found]
 
@@ -92,8 +92,11 @@ def test_code_blocks_run(
             case _, "sh":
                 assert arguments, f"a block without commands: {block.text}"
                 codes = [main(each) for each in arguments]
-                said = capsys.readouterr().out
+                said = "".join(capsys.readouterr())
                 assert codes[-1] == int(block.said or 0), block.text
+            case "append", _:
+                with (tmp_path / block.said).open("a") as file:
+                    file.write(block.text)
             case "file", _:
                 (tmp_path / block.said).write_text(block.text)
                 if block.language == "yaml" and "format" in yaml.safe_load(block.text):

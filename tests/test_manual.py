@@ -93,8 +93,18 @@ def test_the_reference_has_every_public_name_and_its_docstring() -> None:
     assert "cfgplan.load(" in text
     assert "Read an environment file" in text
     assert "* `OPTIMAL`: `optimal`" in text
-    undocumented = [entry for entry in re.split(r"(?m)^### ", text) if re.search(r"```\s+\Z", entry)]
+    entries = re.split(r"(?m)^### |^\*\*Example", text)
+    undocumented = [entry for entry in entries if re.fullmatch(r"\w+\s+```python[^`]*```\s+", entry)]
     assert undocumented == []
+
+
+@pytest.mark.parametrize("section", TEXT["reference"].split("\n## ")[1:], ids=lambda text: text.partition("\n")[0])
+def test_an_example_uses_each_name_of_its_section(section: str) -> None:
+    """`tests/test_code_blocks.py` runs the examples."""
+    examples = "\n".join(blocks(section, "python"))
+    listed = [name.rpartition(".")[2] for name in names(section)]
+    assert listed
+    assert [name for name in listed if not re.search(rf"\b{name}\b", examples)] == []
 
 
 def test_the_page_on_what_is_public_lists_the_names_that_each_package_hands_out() -> None:

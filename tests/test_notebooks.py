@@ -1,4 +1,7 @@
-"""What a notebook shows: short texts, tables in which markup stays text, a picture; and a notebook that runs."""
+"""What a notebook shows: short texts, tables in which markup stays text, a picture; and a notebook that runs.
+
+`python tests/test_notebooks.py` runs the notebooks and keeps their new outputs.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ from typing import Any
 import pytest
 
 import cfgplan
-from cfgplan.domain import Environment, Target
+from cfgplan.domain import ChangeSet, Environment, Target
 from cfgplan.summary import MOST_ROWS
 
 ROOT = Path(__file__).parent.parent
@@ -80,14 +83,61 @@ def test_an_answer_is_a_picture(monkeypatch: pytest.MonkeyPatch) -> None:
     assert solved._repr_svg_() is None
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_runs(path: Path) -> None:
+def test_a_gap_a_change_and_a_unit_are_tables() -> None:
+    problem = cfgplan.match(cfgplan.load(NAO / "2-segmenter-lost.yaml"))
+    environment = problem.environment
+    changes = cfgplan.plan(problem).change_set
+    assert changes is not None
+    (gap,) = cfgplan.violations(environment, problem.similarity)
+    after = environment.update(changes)
+    shown: Any = [environment, gap, changes, after.unit["ball_detector(piff).1"], after]
+    tables = [each._repr_html_() for each in shown]
+    assert "hull: a gap" in tables[0]
+    assert "ball_detector(piff).1" in tables[1]
+    assert "hull" in tables[1]
+    assert "<td>start</td><td>segmenter(piff).1</td>" in tables[2]
+    assert "1 to start, 1 to rewire, 0 to stop" in tables[2]
+    assert "<td>hull</td><td>segmenter(piff).1/hull</td>" in tables[3]
+    assert "a gap" not in tables[4]
+
+
+def test_a_change_of_the_library_stands_in_its_table() -> None:
+    changes: Any = ChangeSet(added_targets=(Target("new", "A", "/new"),), removed_hosts=("r1",), stopped=("camera.1",))
+    table = changes._repr_html_()
+    for row in ("<td>add target</td><td>new</td>", "<td>remove host</td><td>r1</td>", "<td>stop</td><td>camera.1</td>"):
+        assert row in table
+
+
+def run_again(path: Path) -> tuple[Any, Any]:
+    """A notebook as it is kept, and as it is after it has run now."""
     nbclient = pytest.importorskip("nbclient", reason="pip install 'cfgplan[test]'")
     nbformat = pytest.importorskip("nbformat")
-    notebook = nbformat.read(path, as_version=4)
-    assert [cell for cell in notebook.cells if cell.get("outputs")] == [], "a notebook is kept without its output"
-    nbclient.NotebookClient(
-        notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": ROOT}}
-    ).execute()
-    shown = [kind for cell in notebook.cells for out in cell.get("outputs", []) for kind in out.get("data", {})]
-    assert {"text/html", "image/svg+xml"} <= set(shown)
+    kept, now = (nbformat.read(path, as_version=4) for _ in range(2))
+    nbclient.NotebookClient(now, timeout=300, kernel_name="python3", resources={"metadata": {"path": ROOT}}).execute()
+    for cell in now.cells:
+        cell.metadata.pop("execution", None)
+    return kept, now
+
+
+def shown_texts(notebook: Any) -> list[list[str]]:
+    """The tables, or else the texts, that each cell shows; pictures depend on the version of Graphviz."""
+    return [
+        [data.get("text/html") or data["text/plain"] for out in cell.get("outputs", []) for data in [out["data"]]]
+        for cell in notebook.cells
+    ]
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_shows_what_it_is_kept_with(path: Path) -> None:
+    kept, now = run_again(path)
+    assert shown_texts(now) == shown_texts(kept), "run `python tests/test_notebooks.py`"
+    for notebook in (kept, now):
+        kinds = [kind for cell in notebook.cells for out in cell.get("outputs", []) for kind in out.get("data", {})]
+        assert {"text/html", "image/svg+xml"} <= set(kinds)
+
+
+if __name__ == "__main__":
+    import nbformat
+
+    for each in NOTEBOOKS:
+        nbformat.write(run_again(each)[1], each)

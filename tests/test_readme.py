@@ -34,3 +34,12 @@ def test_it_can_be_read_at_once() -> None:
 def test_every_file_that_the_readme_links_to_is_there() -> None:
     for link in re.findall(r"\]\(([^)#]+)\)", README):
         assert "://" in link or (ROOT / link).exists(), link
+
+
+def test_its_first_picture_is_a_short_film() -> None:
+    image = pytest.importorskip("PIL.Image", reason="pip install 'cfgplan[plots]'")
+    path = ROOT / re.findall(r"!\[[^]]*\]\(([^)]+)\)", README)[0]
+    assert path.stat().st_size < 1_000_000
+    with image.open(path) as film:
+        assert film.is_animated
+        assert film.n_frames > 10

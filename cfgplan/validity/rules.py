@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from cfgplan.arguments import checked
+from cfgplan.summary import Summary, summary, tabled
 
 
 class Rule(StrEnum):
@@ -36,6 +37,12 @@ class Rule(StrEnum):
     BOUND = "the bound is at most the cost, and equal to it where the plan is optimal; a bound of 0 claims nothing"
 
 
+def _violation_summary(violation: Violation) -> Summary:
+    places = ((kind, getattr(violation, kind)) for kind in ("unit", "port", "target"))
+    return summary(violation.text, ("", "name"), [("rule", violation.rule), *(each for each in places if each[1])])
+
+
+@tabled(_violation_summary)
 @dataclass(frozen=True, slots=True)
 @checked
 class Violation:

@@ -116,6 +116,9 @@ def test_figures_are_those_of_the_terminal(page: PageServer) -> None:
         assert tab.evaluate(figures, ["span", seconds]) == list(map(span, seconds))
         assert tab.evaluate(figures, ["rate", hertz]) == list(map(rate, hertz))
         assert tab.evaluate(figures, ["coreShare", shares]) == list(map(core_share, shares))
+        costs_us = [7_700_000_000, 48_200_000, 764, 0]
+        shown = ["7700 s of CPU", "48.2 s of CPU", "0.000764 s of CPU", "0 s of CPU"]
+        assert tab.evaluate(figures, ["cost", costs_us]) == shown
 
 
 def test_its_buttons_and_keys_work(page: PageServer, manager: FakeManager) -> None:

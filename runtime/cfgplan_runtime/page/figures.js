@@ -14,14 +14,14 @@ export function span(s) {
   return s < 172800 ? two(s, 3600, "h", 60, "min") : two(s, 86400, "d", 3600, "h");
 }
 export const rate = (hz) => (hz <= 0 ? "never" : hz >= 0.95 ? `${short(hz)} Hz` : `every ${span(1 / hz)}`);
-const three = (value) => {
+export const three = (value) => {
   if (!value) return "0";
   const text = value.toFixed(Math.max(0, 2 - Math.floor(Math.log10(Math.abs(value)))));
   return text.includes(".") ? text.replace(/\.?0+$/, "") : text;
 };
 export const percent = (us) => `${three(us / 1e4)} %`;
 export const coreShare = (us) => (us / 1e4 >= 199.95 ? `${three(us / 1e6)} cores` : `${three(us / 1e4)} % of a core`);
-export const cost = (us) => `${(us / 1e6).toPrecision(3).replace(/(\.\d*?)0+$/, "$1").replace(/\.$/, "")} s of CPU`;
+export const cost = (us) => `${three(us / 1e6)} s of CPU`;
 export const bytes = (n) => (n < 2 ** 30 ? `${Math.round(n / 2 ** 20)} MB` : `${(n / 2 ** 30).toFixed(1)} GB`);
 export const clock = (s) => new Date(s * 1000).toTimeString().slice(0, 8);
 export const plain = (value) => (Number.isInteger(value) && Math.abs(value) < 1e9 ? String(value) : String(Number(value.toPrecision(5))));

@@ -1,6 +1,6 @@
 // Targets, units and hosts in rows that are made once: afterwards only their texts and lines change.
 import { attribute, byId, button, made, put } from "./dom.js";
-import { bytes, percent, rate, span } from "./figures.js";
+import { bytes, percent, rate, span, three } from "./figures.js";
 import { draw, spark } from "./history.js";
 import { suppose } from "./what_if.js";
 
@@ -100,7 +100,7 @@ function output(state, stream) {
 function quality(parts, one) {
   parts.quality.parentElement.hidden = !one;
   if (!one) return;
-  name(parts.quality, `${one.attribute} ${Number(one.estimate.toPrecision(3))}`);
+  name(parts.quality, `${one.attribute} ${three(one.estimate)}`);
   draw(parts["quality line"], `quality ${one.output} ${one.attribute}`);
 }
 export function hosts(state, token) {

@@ -1,7 +1,7 @@
 // The page of a run: messages come in, and each part of the page shows its share.
 import { ask, attribute, button, byId, made, put, token } from "./dom.js";
 import { choose, detail, isNow, peek, peekedAt, source } from "./detail.js";
-import { bytes, coreShare, span } from "./figures.js";
+import { bytes, coreShare, cost, span } from "./figures.js";
 import { sample } from "./history.js";
 import { hosts, targets, units } from "./lists.js";
 import { picture, redraw } from "./picture.js";
@@ -44,7 +44,7 @@ function tiles() {
   };
   for (const [name, text] of Object.entries(shown)) put(byId(`tile-${name}`), text);
   const notes = [
-    ...(state.saving_us ? [`Replanning at the horizon could save ${(state.saving_us / 1e6).toPrecision(3)} s of CPU.`] : []),
+    ...(state.saving_us ? [`Replanning at the horizon could save ${cost(state.saving_us)}.`] : []),
     ...Object.entries(state.facts).map(([name, value]) => `${name} is ${value}`),
     ...Object.entries(state.left_out).map(([label, why]) => `Left out for now: ${label}, ${why}`),
     ...Object.entries(state.qualities_now).map(([what, value]) => `${what} ${value}`),
