@@ -230,6 +230,24 @@ def test_looks_that_teach_nothing_become_rare() -> None:
     assert len(switches) == 2 + len(looks_of(run))
 
 
+def test_each_way_has_its_own_gap_between_looks() -> None:
+    """Looks at the sonar, which stays bad, are rare by the time when the lidar fails and is looked at."""
+    library = sensor("sonar", 0.2, 1000), sensor("lidar", 0.2, 2000), sensor("camera", 0.3, 100_000)
+    behaviours = {
+        "sonar": saying(lambda _: 0.8),
+        "lidar": saying(lambda at_s: 0.8 if 3000 <= at_s < 3050 else 0.2),
+        "camera": saying(lambda _: 0.3),
+    }
+    run = started(world=watched(*library), behaviours=behaviours)
+    run.pass_time(2990)
+    assert "lidar.1" in run.units
+    run.pass_time(30)
+    assert "camera.1" in run.units
+    run.pass_time(60)
+    assert [look.transformation for look in looks_of(run)][-1] == "lidar"
+    assert {unit.split(".")[0] for unit in run.units} == {"lidar"}
+
+
 def test_a_look_uses_no_topic_and_its_unit_stops_when_it_is_over() -> None:
     run = life(sonar=saying(lambda _: 0.8), camera=saying(lambda _: 0.3))
     for _ in range(120):
