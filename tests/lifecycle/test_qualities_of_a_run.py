@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from math import inf
 from random import Random
 from typing import Any
@@ -176,6 +177,28 @@ def test_a_stream_that_drifts_too_slowly_for_any_step_to_be_news_is_replaced_too
     run.pass_time(2000)
     assert run.units == {"camera.1"}
     assert len(run.perturbations(QualitiesObserved)) <= 25
+
+
+def test_a_drift_that_changes_no_plan_makes_a_review_every_16_s() -> None:
+    """1 % a second: before, each 5 % made one, which was every few seconds."""
+    run = life(bound=None, weight_us=1000, sonar=saying(lambda at_s: 0.05 * 1.01**at_s))
+    run.pass_time(300)
+    reviews = [one for one in run.reviews if isinstance(one.perturbations[0], QualitiesObserved)]
+    assert 10 <= len(reviews) <= 20
+    gaps_s = [after.at_s - before.at_s for before, after in pairwise(reviews)]
+    assert min(gaps_s[3:]) >= 16
+    (sonar,) = run.manager.snapshot().qualities
+    assert sonar.planned == pytest.approx(sonar.estimate, rel=0.2)
+
+
+def test_a_bound_is_answered_at_once_though_reviews_of_a_drift_are_rare() -> None:
+    run = life(bound=0.5, sonar=saying(lambda at_s: min(0.1 * 1.01**at_s, 0.55 if at_s < 200 else 9)))
+    run.pass_time(155)  # the error is 0.47 m
+    assert run.units == {"sonar.1"}
+    reviews = [one for one in run.reviews if isinstance(one.perturbations[0], QualitiesObserved)]
+    assert len(reviews) <= 12
+    run.pass_time(12)  # the bound is crossed after 161.7 s, and the mean of the last 5 s follows
+    assert "camera.1" in run.units
 
 
 def test_changed_worlds_forget_outputs_that_are_gone() -> None:
