@@ -459,6 +459,12 @@ class Environment:
         )
 
     @cached_property
+    def losing(self) -> tuple[Statement, ...]:
+        """Return the statements whose loss of elements is measured at the inputs that their streams feed."""
+        stated = ((statement, self.stated(statement)) for statement in self.observable)
+        return tuple(statement for statement, each in stated if each is not None and each.measured == "loss")
+
+    @cached_property
     def taught(self) -> Mapping[str, tuple[Statement, ...]]:
         """The statements that observed streams have changed, by the labels of the transformations that have any."""
         found = {

@@ -12,12 +12,13 @@ from typing import Any
 
 import pytest
 from cfgplan_runtime import Policy
-from cfgplan_runtime.children.messages import Qualities, Quality
+from cfgplan_runtime.children.messages import PortCounts, Qualities, Quality
 from cfgplan_runtime.lifecycle.basis import plan_text
 from cfgplan_runtime.lifecycle.changes import ApplyPlan, KillUnit, ReplaceWorld, SetFact
 from cfgplan_runtime.lifecycle.perturbations import HorizonReached, LookDue, LookOver, QualitiesObserved
 from cfgplan_runtime.lifecycle.reports import Decision
 from cfgplan_runtime.lifecycle.state import Entry
+from cfgplan_runtime.supervision.events import UnitStatus
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
 from living import Life, started
 
@@ -392,3 +393,31 @@ def test_modes_that_share_a_state_are_not_looked_at() -> None:
     run = started(world=api.world(environment, horizon_s=3600), behaviours=behaviours)
     run.pass_time(600)
     assert (looks_of(run), run.units) == ([], {"camera.1"})
+
+
+def test_a_stream_that_loses_elements_on_the_way_is_replaced() -> None:
+    """The worker drops half of what the sonar gives, once it gives more than the worker takes."""
+    lossy = QualityAttribute("loss", Better.LOWER, worst=MICRO)
+
+    def giving(label: str, upkeep_us: int, observe: str | None) -> Transformation:
+        stated = Contribution("loss", QualityRule.SET, 0, observe=observe)
+        return Transformation(label, (), (OutputPort("n", "N", (stated,)),), 1000, upkeep_us, source=f"units.py:{label}")
+
+    work = Transformation("work", (InputPort("x", "N"),), (OutputPort("y", "Y"),), 1000, 100, source="units.py:work")
+    target = Target("result", "Y", "/result", quality=(Wish("loss", MICRO // 10),))
+    library = giving("fast", 100, "measured.loss"), giving("slow", 1000, None), work
+    environment = Environment(library=library, targets=(target,), qualities=(lossy,))
+    run = started(world=api.world(environment, horizon_s=3600))
+    assert {"fast.1", "work.1"} == run.units
+    elements = dropped = 0
+    for second in range(30):
+        elements, dropped = elements + 10, dropped + (10 if second > 15 else 0)
+        counts = {"x": PortCounts(elements, dropped)}
+        for unit in run.units:
+            if unit.startswith("work"):
+                run.manager._hear(UnitStatus(unit, elements, 0, counts, {}))
+        run.pass_time(1)
+        assert second > 15 or "fast.1" in run.units
+    assert "slow.1" in run.units
+    (fast,) = (one for one in run.manager.snapshot().qualities if one.transformation == "fast")
+    assert fast.planned == pytest.approx(MICRO / 2, rel=0.1)

@@ -46,6 +46,39 @@ targets:
 """
 
 
+_MEASURED = """\
+format: cfgplan/1
+horizon: 600
+qualities:
+  - {name: rate, better: higher, unit: Hz, best: 1000}
+  - {name: age, better: lower, unit: s}
+  - {name: jitter, better: lower, unit: s}
+transformations:
+  - label: cheap
+    source: node:./talking.py talker
+    params: {rate: 100}
+    labor: 0.1
+    upkeep: 0.001
+    outputs:
+      words:
+        tag: Word
+        type: std_msgs/String
+        remap: chatter
+        quality:
+          rate: {set: 200, observe: measured.rate}
+          age: {set: 0.01, observe: measured.age}
+          jitter: {set: 0.01, observe: measured.jitter}
+  - label: dear
+    source: node:./talking.py talker
+    params: {rate: 200}
+    labor: 0.1
+    upkeep: 0.1
+    outputs: {words: {tag: Word, type: std_msgs/String, remap: chatter, quality: {rate: {set: 200}}}}
+targets:
+  - {label: words, topic: /words, tag: Word, quality: {rate: {at_least: 180}}}
+"""
+
+
 def write_finders(folder: Path, nodes: Path, field: str = "pose.covariance.0") -> Path:
     """Write the environment file, with its nodes and the file of the sonar's error beside it. Returns its path."""
     shutil.copy(nodes, folder / "talking.py")
@@ -73,6 +106,23 @@ def check_that_a_bad_node_is_replaced(env: Path, middleware: str) -> None:
     solved = json.loads(_said("solve", env, "--observed", observed, "--json"))
     assert [unit["transformation"] for unit in solved["change_set"]["started"]] == ["camera"]
     assert solved["qualities"] == planned["qualities"]
+
+
+def check_that_a_slow_node_is_replaced(folder: Path, nodes: Path, middleware: str) -> None:
+    """A node that publishes 100 messages a second is to publish 180: the run measures it, and takes another."""
+    shutil.copy(nodes, folder / "talking.py")
+    env = folder / "env.yaml"
+    env.write_text(_MEASURED)
+    with running("--middleware", middleware, env) as process:
+        run = await_event(process, "Running")["run"]
+        first = await_event(process, "Reviewed", decision="applied")
+        applied = await_event(process, "Reviewed", decision="applied")
+        started = [unit["transformation"] for review in (first, applied) for unit in review["change_set"]["started"]]
+        assert (started, applied["change_set"]["stopped"]) == (["cheap", "dear"], ["cheap.1"])
+        told = json.loads(_said("ctl", "--run", run, "observed", "--json"))["qualities"]
+    (rate,) = (one for one in told if one["attribute"] == "rate")
+    assert 5 < rate["estimate"] < 150
+    assert {one["attribute"] for one in told} == {"rate", "age", "jitter"}
 
 
 def check_that_a_look_brings_a_node_back(env: Path, backend: Callable[..., Ros1Backend | Ros2Backend]) -> None:
