@@ -52,9 +52,10 @@ def kind_of(value: FactValue) -> str:
 class Fact:
     """A variable of the world: its declared value, which counts until another is observed or set, and its unit.
 
-    In a run, it is observed by the streams tagged `by`, or by the one on `topic`. If elements are mappings, the value
-    is under `field`; a dot leads into nested mappings. Values with `noise` are filtered. If no element has come for
-    `silent_us`, the declared value counts again.
+    In a run, it is observed by the streams tagged `by`, or by the one on `topic`. With a message `type`, the topic is
+    one of ROS 2, read with the quality of service `qos`. If elements are mappings, the value is under `field`; a dot
+    leads into nested mappings, and into the parts of a list by their number, `name` or `key`. Values with `noise` are
+    filtered. If no element has come for `silent_us`, the declared value counts again.
     """
 
     name: str
@@ -63,6 +64,8 @@ class Fact:
     by: str | None = None
     topic: str | None = None
     field: str | None = None
+    type: str | None = None
+    qos: str | None = None
     noise: Noise | None = None
     silent_us: Natural | None = None
     now: FactValue | None = None
@@ -89,13 +92,25 @@ class Fact:
     def __str__(self) -> str:
         return f"{self.name} is {said(self.value)}{f' {self.unit}' if self.unit else ''}"
 
-    def value_in(self, element: object) -> FactValue:
-        """The value that an element of the observing stream says. Raises InvalidValueError."""
+    def value_in(self, element: object) -> FactValue | None:
+        """The value that an element of the observing stream says; None if a list in it lacks the part of that name, as
+        diagnostics of other devices do. Raises InvalidValueError.
+        """
         found = element
         for step in self.field.split(".") if self.field is not None else ():
-            if not isinstance(found, Mapping) or step not in found:
-                raise InvalidValueError(f"fact {self.name!r}: an element has no field {self.field!r}: {element!r:.60}")
-            found = found[step]
+            if isinstance(found, Sequence) and not isinstance(found, str) and not step.isdecimal():
+                found = next((one for one in found if _is_called(one, step)), None)
+                if found is None:
+                    return None
+                continue
+            try:
+                found = found[step] if isinstance(found, Mapping) else found[int(step)]  # type: ignore[index]
+            except (LookupError, TypeError, ValueError):
+                raise InvalidValueError(
+                    f"fact {self.name!r}: an element has no field {self.field!r}: {element!r:.60}"
+                ) from None
+        if isinstance(found, str) and not isinstance(self.declared, str):
+            return self.read(found.strip().lower())
         try:
             value = found if isinstance(found, bool | str) else micro_units(round(Decimal(str(found)), 6))
         except ArithmeticError:
@@ -119,6 +134,10 @@ def misfit_of_fact(said: Mapping[str, object]) -> tuple[str, str, str] | None:
     by, topic = said.get("by"), said.get("topic")
     if by is not None and topic is not None:
         return "topic", "a fact is observed `by` a tag or on a `topic`, not by both", "remove one of the two"
+    if said.get("type") is not None and topic is None:
+        return "type", "a message type is that of a topic, which the fact does not name", "add `topic: /NAME`"
+    if said.get("qos") is not None and said.get("type") is None:
+        return "qos", "the quality of service is that of a ROS 2 topic", "add its message `type`"
     for key, name in (("field", "field"), ("noise", "noise"), ("silent", "silent_us")):
         if said.get(name) is not None and by is None and topic is None:
             return key, f"nothing observes the fact, so it has no `{key}`", "add `by: TAG`, or remove it"
@@ -126,6 +145,10 @@ def misfit_of_fact(said: Mapping[str, object]) -> tuple[str, str, str] | None:
     if said.get("noise") is not None and (isinstance(declared, bool) or not isinstance(declared, int)):
         return "noise", "only a number is noisy", "remove it"
     return None
+
+
+def _is_called(part: object, name: str) -> bool:
+    return isinstance(part, Mapping) and name in (part.get("name"), part.get("key"))
 
 
 def _value(text: str) -> FactValue:

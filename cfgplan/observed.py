@@ -360,7 +360,9 @@ class _Parts:
         if inputs is None:
             return None
         if not inputs:
-            return _Predicted(float(attribute.worst)) if stated is None else _clipped(attribute, self._own(part, stated))
+            return (
+                _Predicted(float(attribute.worst)) if stated is None else _clipped(attribute, self._own(part, stated))
+            )
         theirs = self._combined(attribute, Over.WORST if stated is None else stated.over, inputs)
         if stated is None or theirs is None:
             return None if theirs is None else _kept(attribute, theirs)
@@ -444,7 +446,7 @@ class _Parts:
 
 
 def _clipped(attribute: QualityAttribute, own: _Predicted) -> _Predicted:
-    """An own part that is the whole prediction, within the scale: a value at an end, such as no loss, is learned too."""
+    """An own part that is all of the prediction, within the scale. A value at an end is learned too: no loss."""
     low, high = sorted((attribute.worst, attribute.best))
     return replace(own, value=min(max(own.value, low), high))
 

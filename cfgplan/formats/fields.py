@@ -511,7 +511,7 @@ class FactPart(Part):
     model_config = _either(
         {"by": _IS_SAID, "topic": _IS_UNSAID},
         {"topic": _IS_SAID, "by": _IS_UNSAID},
-        dict.fromkeys(("by", "topic", "field", "noise", "silent"), _IS_UNSAID),
+        dict.fromkeys(("by", "topic", "field", "type", "qos", "noise", "silent"), _IS_UNSAID),
     )
 
     declared: Fact = row("its value unless another one is observed or set: a number, true, false or a word", ...)
@@ -519,8 +519,16 @@ class FactPart(Part):
     by: TagText | None = row("the tag of the stream that observes it in a run; the stream is planned as for a target")
     topic: Name | None = row("in place of `by`: the topic of a target, whose stream observes it", use=Use.RUNNING)
     field: Name | None = row(
-        "the field of an element that holds the value; `pose.x` is a nested field", use=Use.RUNNING
+        "the field of an element that holds the value; `pose.x` is a nested field, `values.volt` the part of a list"
+        " with that `name` or `key`",
+        use=Use.RUNNING,
     )
+    type: Name | None = row(
+        "the topic is one of ROS 2 with this message type, such as `std_msgs/Float32`, published by whoever it may be",
+        use=Use.RUNNING,
+        xml="message",
+    )
+    qos: QosText | None = row(_QOS, use=Use.RUNNING)
     noise: NoiseText | None = row("the standard deviation of a value, or `20 %` of it", use=Use.RUNNING)
     silent: TimeSpan | None = row(
         "the declared value counts again after so long without an element: seconds, or 500ms, 5s",

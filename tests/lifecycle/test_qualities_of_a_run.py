@@ -401,7 +401,9 @@ def test_a_stream_that_loses_elements_on_the_way_is_replaced() -> None:
 
     def giving(label: str, upkeep_us: int, observe: str | None) -> Transformation:
         stated = Contribution("loss", QualityRule.SET, 0, observe=observe)
-        return Transformation(label, (), (OutputPort("n", "N", (stated,)),), 1000, upkeep_us, source=f"units.py:{label}")
+        return Transformation(
+            label, (), (OutputPort("n", "N", (stated,)),), 1000, upkeep_us, source=f"units.py:{label}"
+        )
 
     work = Transformation("work", (InputPort("x", "N"),), (OutputPort("y", "Y"),), 1000, 100, source="units.py:work")
     target = Target("result", "Y", "/result", quality=(Wish("loss", MICRO // 10),))

@@ -126,7 +126,7 @@ def check_that_a_slow_node_is_replaced(folder: Path, nodes: Path, middleware: st
 
 
 def check_that_a_look_brings_a_node_back(env: Path, backend: Callable[..., Ros1Backend | Ros2Backend]) -> None:
-    """Run the sonar until it is too bad, then let it become good: it runs for nobody, and later instead of the camera."""
+    """Run the sonar until it is too bad, then let it become good: it runs for nobody, then in place of the camera."""
     reports: queue.SimpleQueue[Report] = queue.SimpleQueue()
     policy = Policy(look_every_s=1.0)
 

@@ -14,7 +14,13 @@ import pytest
 from cfgplan_runtime import Runtime
 from cfgplan_runtime.ros2.ros2_backend import Ros2Backend
 from cfgplan_runtime.supervision.events import Event, OutletsOpened, SparePrepared, SpareUsed, UnitFailed, UnitStatus
-from observed_nodes import check_that_a_bad_node_is_replaced, check_that_a_look_brings_a_node_back, check_that_a_slow_node_is_replaced, unsaid, write_finders
+from observed_nodes import (
+    check_that_a_bad_node_is_replaced,
+    check_that_a_look_brings_a_node_back,
+    check_that_a_slow_node_is_replaced,
+    unsaid,
+    write_finders,
+)
 from operated_world import PATIENCE_S, await_event, running
 from ros2_words import NODES
 

@@ -25,7 +25,7 @@ NEW: Final = 0.2
 
 
 class Pause(NamedTuple):
-    """When a transformation was looked at last, or found to be of no use, and the seconds from then to its next look."""
+    """When a transformation was looked at last, or was of no use, and the seconds from then to its next look."""
 
     since_s: float
     gap_s: float

@@ -11,7 +11,6 @@ from cfgplan.observed import Estimates, Figures, Lesson, Said, Window
 from cfgplan.qualities import MICRO
 from cfgplan_runtime.supervision.events import UnitStatus
 
-
 Losing = Mapping[tuple[str, str], Said]
 """By unit and input: the stream that feeds it alone, and the attribute that is its measured loss."""
 
@@ -42,7 +41,7 @@ class SeenQualities:
     taught_s: Mapping[Said, float] = field(default_factory=dict)
     """When each stream last confirmed the estimates, since the last update."""
     counts: Mapping[tuple[str, str], tuple[int, int]] = field(default_factory=dict)
-    """The elements that came to an input of a unit and those that were lost, at its last report since the last update."""
+    """By unit and input: the elements that came and those that were lost, at the last report since the last update."""
     is_new: bool = False
     """Whether streams have said something since the last lesson."""
     estimates: Estimates = field(default_factory=dict)

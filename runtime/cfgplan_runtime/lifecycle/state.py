@@ -186,7 +186,7 @@ class State:
 
     @property
     def looks_due_s(self) -> dict[str, float]:
-        """When the next look is due at each transformation that is known to be worse than declared, the first one first."""
+        """When the next look is due at each transformation that is known to be worse than declared, in this order."""
         every_s, qualities = self.policy.look_every_s, self.situation.qualities
         if every_s is None or not qualities:
             return {}

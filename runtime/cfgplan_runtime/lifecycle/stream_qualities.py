@@ -18,7 +18,7 @@ from cfgplan_runtime.supervision.delays import doubling_s
 
 FIRST_CALM_S: Final = 4.0
 LONGEST_CALM_S: Final = 16.0
-"""After a review of qualities that changed nothing, the next one waits so long: first 4 s, then twice as long each time.
+"""After a review of qualities that changed nothing, the next one waits: first 4 s, then twice as long each time.
 A plan that would be cheaper comes later by this at most; experiments/observed/drifting.py shows what it costs.
 """
 

@@ -27,8 +27,8 @@ class _Missing:
 class SaidQualities:
     """Takes in the values that a unit gives. `stated` has the attributes of each output, with the field that says them.
 
-    A value says an attribute by its field, or by the mapping that unit code gives beside it, which counts first. A field
-    `measured.rate` is measured instead: `note` each value too.
+    A value says an attribute by its field, or by the mapping that unit code gives beside it, which counts first. A
+    field `measured.rate` is measured instead: `note` each value too.
     """
 
     def __init__(self, stated: Mapping[str, Mapping[str, str | None]]) -> None:
