@@ -422,4 +422,4 @@ def test_a_stream_that_loses_elements_on_the_way_is_replaced() -> None:
         assert second > 15 or "fast.1" in run.units
     assert "slow.1" in run.units
     (fast,) = (one for one in run.manager.snapshot().qualities if one.transformation == "fast")
-    assert fast.planned == pytest.approx(MICRO / 2, rel=0.1)
+    assert MICRO / 10 < fast.planned <= MICRO / 2  # it is replaced as soon as the mean has passed the bound
