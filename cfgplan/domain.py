@@ -33,6 +33,7 @@ from cfgplan.qualities import (
 from cfgplan.rows import ELEMENT, Feature, Row, Use
 from cfgplan.similarity import Similarity as Similarity
 from cfgplan.summary import Summary, counted, cpu, summarised, summary, tabled
+from cfgplan.targets import A_UNIT_OF as A_UNIT_OF
 from cfgplan.targets import Target as Target
 from cfgplan.targets import observing as observing
 from cfgplan.transformations import ALL as ALL
@@ -472,6 +473,12 @@ class Environment:
             for each in port.quality
             if each.observe is not None
         )
+
+    @cached_property
+    def losing(self) -> tuple[Statement, ...]:
+        """Return the statements whose loss of elements is measured at the inputs that their streams feed."""
+        stated = ((statement, self.stated(statement)) for statement in self.observable)
+        return tuple(statement for statement, each in stated if each is not None and each.measured == "loss")
 
     @cached_property
     def taught(self) -> Mapping[str, tuple[Statement, ...]]:

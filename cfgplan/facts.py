@@ -22,7 +22,7 @@ from cfgplan.arguments import Natural, checked
 from cfgplan.errors import InvalidValueError, TagError, did_you_mean
 from cfgplan.noise import Noise
 from cfgplan.qualities import micro_units, units
-from cfgplan.rows import FOUND, Row, Use
+from cfgplan.rows import FOUND, QOS, Row, Use
 from cfgplan.selectors import ExpressionReader
 
 FactValue: TypeAlias = bool | int | str
@@ -53,9 +53,10 @@ def kind_of(value: FactValue) -> str:
 class Fact:
     """A variable of the world: its declared value, which counts until another is observed or set, and its unit.
 
-    In a run, it is observed by the streams tagged `by`, or by the one on `topic`. If elements are mappings, the value
-    is under `field`; a dot leads into nested mappings. Values with `noise` are filtered. If no element has come for
-    `silent_us`, the declared value counts again.
+    In a run, it is observed by the streams tagged `by`, or by the one on `topic`. With a message `type`, the topic is
+    one of ROS 2, read with the quality of service `qos`. If elements are mappings, the value is under `field`; a dot
+    leads into nested mappings, and into the parts of a list by their number, `name` or `key`. Values with `noise` are
+    filtered. If no element has come for `silent_us`, the declared value counts again.
     """
 
     name: str
@@ -74,8 +75,22 @@ class Fact:
     ] = None
     field: Annotated[
         str | None,
-        Row("the field of an element that holds the value; `pose.x` is a nested field", use=Use.RUNNING),
+        Row(
+            "the field of an element that holds the value; `pose.x` is a nested field, `values.volt` the part of a "
+            "list with that `name` or `key`",
+            use=Use.RUNNING,
+        ),
     ] = None
+    type: Annotated[
+        str | None,
+        Row(
+            "the topic is one of ROS 2 with this message type, such as `std_msgs/Float32`, published by whoever it may "
+            "be",
+            use=Use.RUNNING,
+            xml="message",
+        ),
+    ] = None
+    qos: Annotated[str | None, QOS] = None
     noise: Annotated[
         Noise | None,
         Row("the standard deviation of a value, or `20 %` of it", form="NoiseText", use=Use.RUNNING),
@@ -112,13 +127,25 @@ class Fact:
     def __str__(self) -> str:
         return f"{self.name} is {said(self.value)}{f' {self.unit}' if self.unit else ''}"
 
-    def value_in(self, element: object) -> FactValue:
-        """The value that an element of the observing stream says. Raises InvalidValueError."""
+    def value_in(self, element: object) -> FactValue | None:
+        """The value that an element of the observing stream says; None if a list in it lacks the part of that name, as
+        diagnostics of other devices do. Raises InvalidValueError.
+        """
         found = element
         for step in self.field.split(".") if self.field is not None else ():
-            if not isinstance(found, Mapping) or step not in found:
-                raise InvalidValueError(f"fact {self.name!r}: an element has no field {self.field!r}: {element!r:.60}")
-            found = found[step]
+            if isinstance(found, Sequence) and not isinstance(found, str) and not step.isdecimal():
+                found = next((one for one in found if _is_called(one, step)), None)
+                if found is None:
+                    return None
+                continue
+            try:
+                found = found[step] if isinstance(found, Mapping) else found[int(step)]  # type: ignore[index]
+            except (LookupError, TypeError, ValueError):
+                raise InvalidValueError(
+                    f"fact {self.name!r}: an element has no field {self.field!r}: {element!r:.60}"
+                ) from None
+        if isinstance(found, str) and not isinstance(self.declared, str):
+            return self.read(found.strip().lower())
         try:
             value = found if isinstance(found, bool | str) else micro_units(round(Decimal(str(found)), 6))
         except ArithmeticError:
@@ -142,6 +169,10 @@ def misfit_of_fact(said: Mapping[str, object]) -> tuple[str, str, str] | None:
     by, topic = said.get("by"), said.get("topic")
     if by is not None and topic is not None:
         return "topic", "a fact is observed `by` a tag or on a `topic`, not by both", "remove one of the two"
+    if said.get("type") is not None and topic is None:
+        return "type", "a message type is that of a topic, which the fact does not name", "add `topic: /NAME`"
+    if said.get("qos") is not None and said.get("type") is None:
+        return "qos", "the quality of service is that of a ROS 2 topic", "add its message `type`"
     for key, name in (("field", "field"), ("noise", "noise"), ("silent", "silent_us")):
         if said.get(name) is not None and by is None and topic is None:
             return key, f"nothing observes the fact, so it has no `{key}`", "add `by: TAG`, or remove it"
@@ -149,6 +180,10 @@ def misfit_of_fact(said: Mapping[str, object]) -> tuple[str, str, str] | None:
     if said.get("noise") is not None and (isinstance(declared, bool) or not isinstance(declared, int)):
         return "noise", "only a number is noisy", "remove it"
     return None
+
+
+def _is_called(part: object, name: str) -> bool:
+    return isinstance(part, Mapping) and name in (part.get("name"), part.get("key"))
 
 
 def _value(text: str) -> FactValue:

@@ -360,14 +360,16 @@ class _Parts:
         if inputs is None:
             return None
         if not inputs:
-            return _kept(attribute, _Predicted(float(attribute.worst)) if stated is None else self._own(part, stated))
+            return (
+                _Predicted(float(attribute.worst)) if stated is None else _clipped(attribute, self._own(part, stated))
+            )
         theirs = self._combined(attribute, Over.WORST if stated is None else stated.over, inputs)
         if stated is None or theirs is None:
             return None if theirs is None else _kept(attribute, theirs)
         own = self._own(part, stated)
         match stated.rule:
             case QualityRule.SET:
-                return _kept(attribute, own)
+                return _clipped(attribute, own)
             case QualityRule.ADD:
                 return _kept(attribute, own.plus(theirs))
             case QualityRule.SCALE:
@@ -441,6 +443,12 @@ class _Parts:
         """The standard error of a prediction."""
         of_parts = (slope**2 * self._estimate(part).variance for part, slope in predicted.by.items())
         return sqrt(predicted.variance + sum(of_parts))
+
+
+def _clipped(attribute: QualityAttribute, own: _Predicted) -> _Predicted:
+    """An own part that is all of the prediction, within the scale. A value at an end is learned too: no loss."""
+    low, high = sorted((attribute.worst, attribute.best))
+    return replace(own, value=min(max(own.value, low), high))
 
 
 def _kept(attribute: QualityAttribute, predicted: _Predicted) -> _Predicted:

@@ -7,16 +7,17 @@ that the best wiring misses is missed by all.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from enum import StrEnum
 from fractions import Fraction
 from itertools import pairwise
-from typing import Annotated
+from types import MappingProxyType
+from typing import Annotated, Final
 
 from cfgplan.arguments import Natural, checked
-from cfgplan.errors import InvalidValueError
+from cfgplan.errors import InvalidValueError, did_you_mean
 from cfgplan.rows import FOUND, Row, Use
 
 MICRO = 1_000_000
@@ -129,6 +130,12 @@ class QualityAttribute:
         return self.best + self.sign * badness
 
 
+MEASURES: Final[Mapping[str, tuple[str | None, ...]]] = MappingProxyType(
+    {"rate": (None, "Hz", "1/s"), "age": (None, "s"), "jitter": (None, "s"), "loss": (None,)}
+)
+"""The qualities of streams that a run measures, each with the units that its attribute may have; `loss` is a share."""
+
+
 @dataclass(frozen=True, slots=True, order=True)
 @checked
 class Curve:
@@ -162,7 +169,8 @@ class Contribution:
 
     An output without inputs that count (all but feedback) has its own value, whatever the rule. If the value follows a
     fact, it is the value for the fact's present state, and `by` is the curve. `observe` names the field of an element
-    that gives the element's own quality, in units of the attribute. `seen` is the part of `value` that was learned from
+    that gives the element's own quality, in units of the attribute, or what a run measures: `measured.` and one of
+    MEASURES. `seen` is the part of `value` that was learned from
     observed streams; the rest is `stated`.
     """
 
@@ -182,6 +190,14 @@ class Contribution:
     seen: Annotated[int, FOUND] = 0
 
     def __post_init__(self) -> None:
+        if self.measured is not None and self.measured not in MEASURES:
+            mend = did_you_mean(self.measured, MEASURES, f"write measured. and one of {', '.join(MEASURES)}")
+            raise InvalidValueError(f"a run does not measure {self.measured!r}: {mend}")
+        if self.measured is not None and self.rule is not QualityRule.SET:
+            raise InvalidValueError(
+                f"{self.observe} is of the whole stream, not of this transformation alone: write `set` in place of "
+                f"`{self.rule}`"
+            )
         largest = LARGEST_FACTOR if self.rule is QualityRule.SCALE else LARGEST_QUALITY
         least = -LARGEST_QUALITY if self.rule is QualityRule.ADD else 0
         for value in (self.value, *(value for _, value in (self.by.points if self.by else ()))):
@@ -191,6 +207,12 @@ class Contribution:
                     f"the {what} {units(value):f} of {self.attribute} is out of range: "
                     f"write {units(least):f} to {units(largest):f}"
                 )
+
+    @property
+    def measured(self) -> str | None:
+        """What a run measures of the stream itself; None if its elements say it, or nothing is observed."""
+        is_measured = self.observe is not None and self.observe.startswith("measured.")
+        return self.observe.removeprefix("measured.") if is_measured and self.observe is not None else None
 
     @property
     def stated(self) -> int:

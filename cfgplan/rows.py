@@ -74,6 +74,13 @@ class Row:
 
 FOUND = Row(use=Use.NONE)
 """The row of an attribute that a run finds out: it is in no file, and no plan is stale for it."""
+QOS = Row(
+    "in ROS 2: the quality of service, such as `best_effort` or `reliable transient_local deadline=0.1`; "
+    "`cfgplan check` names pairs that it keeps apart",
+    form="QosText",
+    use=Use.RUNNING,
+)
+"""The row of a port or a topic of ROS 2."""
 
 
 @dataclass(frozen=True, slots=True)

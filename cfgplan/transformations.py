@@ -15,7 +15,7 @@ from cfgplan.canonical import fields_of, refuse_duplicates, store_resources, sto
 from cfgplan.errors import InvalidValueError
 from cfgplan.facts import check_requirement
 from cfgplan.qualities import Contribution, units
-from cfgplan.rows import ELEMENT, FOUND, MOST_IN_A_QUEUE, UNSAID, Feature, Row, Use, running
+from cfgplan.rows import ELEMENT, FOUND, MOST_IN_A_QUEUE, QOS, UNSAID, Feature, Row, Use, running
 from cfgplan.selectors import check_selector
 
 ALL = 0
@@ -29,12 +29,6 @@ ContainerKind: TypeAlias = Literal["plain", "mt", "isolated"]
 
 _MESSAGE_TYPE = Row("in ROS: the message type, such as `nav_msgs/Odometry`", use=Use.RUNNING, xml="message")
 _REMAP = Row("in ROS: the node's own name of the topic or service; the port's name if absent", use=Use.RUNNING)
-_QOS = Row(
-    "in ROS 2: the quality of service, such as `best_effort` or `reliable transient_local deadline=0.1`; "
-    "`cfgplan check` names pairs that it keeps apart",
-    form="QosText",
-    use=Use.RUNNING,
-)
 
 MOST_INSTANCES = 64
 """A plan starts at most this many units of one transformation, or as many as one input takes streams."""
@@ -91,7 +85,7 @@ class InputPort:
     ] = False
     type: Annotated[str | None, _MESSAGE_TYPE] = None
     remap: Annotated[str | None, _REMAP] = None
-    qos: Annotated[str | None, _QOS] = None
+    qos: Annotated[str | None, QOS] = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "feedback", self.feedback or self.service)
@@ -156,7 +150,7 @@ class OutputPort:
     ] = None
     type: Annotated[str | None, _MESSAGE_TYPE] = None
     remap: Annotated[str | None, _REMAP] = None
-    qos: Annotated[str | None, _QOS] = None
+    qos: Annotated[str | None, QOS] = None
     topic: Annotated[
         str | None,
         Row("in ROS 2: the topic for nodes outside of the run, published while one subscribes", use=Use.RUNNING),

@@ -148,6 +148,10 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         _check_ros2(options, loaded)
         if (check := run_targets.mqtt_check(options, loaded.environment)) is not None:
             _tell_faults([check], options.env)
+    if facts := tuple(fact for fact in loaded.environment.facts if fact.type is not None):
+        from cfgplan_runtime.ros2.facts import check_facts
+
+        check_facts(facts, Path(options.env))
     said = loaded.environment if options.compared else None
     if loaded.environment.units and said is None:
         count = counted(len(loaded.environment.units), "running unit")
@@ -253,9 +257,14 @@ def _check_nodes(options: argparse.Namespace, world: World) -> None:
         raise InputError.of(f"--mqtt does not know what nodes of {ros} publish", mend="leave it out, and use a bridge")
     if _fleet(options) is not None:
         raise InputError.of(f"{ros} nodes are started on this computer only", mend="leave out --local and --connect")
-    if observed := [fact.name for fact in world.environment.facts if fact.observed_on is not None]:
-        mend = f"remove its `by` or `topic`, and set it by `cfgplan ctl fact {observed[0]}=VALUE`"
-        raise InputError.of(f"a run of {ros} nodes observes no facts ({observed[0]})", file=options.env, mend=mend)
+    is_read = options.middleware == ROS2
+    facts = [fact for fact in world.environment.facts if fact.observed_on and not (is_read and fact.type)]
+    if facts:
+        name = facts[0].name
+        by_type = "name the message `type` of its `topic`, or " if is_read else ""
+        mend = f"{by_type}remove its `by` or `topic`, and set it by `cfgplan ctl fact {name}=VALUE`"
+        only = " without a message type" if is_read else ""
+        raise InputError.of(f"a run of {ros} nodes observes no facts{only} ({name})", file=options.env, mend=mend)
     check_nodes(world.environment, options.env, _ros_unit(options).node_source, ros)
 
 
@@ -303,7 +312,7 @@ def _operate(
     with Interrupts() as interrupts:
         with screen.phase("start"):
             operation = Operation(world, Path(options.env), settings)
-        with operation, run_targets.published(options, operation, _folder(options)):
+        with operation, run_targets.published(options, operation, _folder(options)), _facts_of_ros(options, operation):
             interrupts.only_count()
             with screen.phase("plan"):
                 while not interrupts.count and not operation.begun.wait(_LIVE_LOOK_S):
@@ -456,6 +465,19 @@ def _settings(options: argparse.Namespace, screen: Screen) -> Settings:
         reloads=options.reload,
         name=options.name,
     )
+
+
+@contextmanager
+def _facts_of_ros(options: argparse.Namespace, operation: Operation) -> Iterator[None]:
+    """Follow the ROS 2 topics that observe facts, if there are any. Raises InputError."""
+    facts = tuple(fact for fact in operation.manager.world.environment.facts if fact.type is not None)
+    if not facts:
+        yield
+        return
+    from cfgplan_runtime.ros2.facts import RosFacts
+
+    with RosFacts(operation.id, _folder(options), operation.manager, operation.show):
+        yield
 
 
 def _source_check(options: argparse.Namespace) -> SourceCheck | None:

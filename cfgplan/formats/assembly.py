@@ -325,7 +325,12 @@ def _build(document: Document, vocabulary: TagVocabulary) -> EnvironmentFile:
             tags.check(wanted.tag, entry.at("by"))
             if names.is_new("target", wanted.label, entry, "by") & names.is_new("topic", wanted.topic, entry, "by"):
                 targets[wanted.label] = wanted
-        elif fact.topic is not None and ("topic", fact.topic) not in names.origins and not left_out.any_of("targets"):
+        elif (
+            fact.topic is not None
+            and fact.type is None
+            and ("topic", fact.topic) not in names.origins
+            and not left_out.any_of("targets")
+        ):
             entry.at("topic").note(
                 f"no target has the topic `{fact.topic}`", "write that of a target, or observe the fact `by: TAG`"
             )

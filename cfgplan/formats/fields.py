@@ -418,7 +418,7 @@ class FactPart(Part):
     model_config = _either(
         {"by": _IS_SAID, "topic": _IS_UNSAID},
         {"topic": _IS_SAID, "by": _IS_UNSAID},
-        dict.fromkeys(("by", "topic", "field", "noise", "silent"), _IS_UNSAID),
+        dict.fromkeys(("by", "topic", "field", "type", "qos", "noise", "silent"), _IS_UNSAID),
     )
     take_rows(FactOfTheWorld, locals())
 

@@ -23,7 +23,7 @@ from cfgplan.formats.fields import (
 from cfgplan.formats.left_out import LeftOut
 from cfgplan.formats.places import Passage
 from cfgplan.planning import Failures
-from cfgplan.qualities import Better, Contribution, Curve, Over, QualityAttribute, QualityRule, Wish
+from cfgplan.qualities import MEASURES, Better, Contribution, Curve, Over, QualityAttribute, QualityRule, Wish
 from cfgplan.selectors import selector
 
 
@@ -187,9 +187,15 @@ class FleetReader:
         ((rule, value),) = stated.items()
         curve = value if isinstance(value, CurvePart) else None
         try:
+            contribution = Contribution(name, rule, 0 if curve else value, over, observe=observe)
+            known = MEASURES.get(contribution.measured or "")
+            if known is not None and attribute.unit not in known:
+                message = f"{observe} is in {known[-1] or 'shares'}, but attribute `{name}` is in {attribute.unit}"
+                entry.note(message, f"give the attribute the unit {known[-1]}" if known[-1] else "remove its unit")
+                return None
             if curve is None:
-                return Contribution(name, rule, value, over, observe=observe)
-            return self._following(entry.at(rule.value), Contribution(name, rule, 0, over, observe=observe), curve)
+                return contribution
+            return self._following(entry.at(rule.value), contribution, curve)
         except InvalidValueError as error:
             message, _, mend = str(error).partition(": ")
             entry.note(message, mend)

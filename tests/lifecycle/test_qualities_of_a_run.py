@@ -5,18 +5,20 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from math import inf
 from random import Random
 from typing import Any
 
 import pytest
 from cfgplan_runtime import Policy
-from cfgplan_runtime.children.messages import Qualities, Quality
+from cfgplan_runtime.children.messages import PortCounts, Qualities, Quality
 from cfgplan_runtime.lifecycle.basis import plan_text
 from cfgplan_runtime.lifecycle.changes import ApplyPlan, KillUnit, ReplaceWorld, SetFact
 from cfgplan_runtime.lifecycle.perturbations import HorizonReached, LookDue, LookOver, QualitiesObserved
 from cfgplan_runtime.lifecycle.reports import Decision
 from cfgplan_runtime.lifecycle.state import Entry
+from cfgplan_runtime.supervision.events import UnitStatus
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
 from living import Life, started
 
@@ -178,6 +180,28 @@ def test_a_stream_that_drifts_too_slowly_for_any_step_to_be_news_is_replaced_too
     assert len(run.perturbations(QualitiesObserved)) <= 25
 
 
+def test_a_drift_that_changes_no_plan_makes_a_review_every_16_s() -> None:
+    """1 % a second: before, each 5 % made one, which was every few seconds."""
+    run = life(bound=None, weight_us=1000, sonar=saying(lambda at_s: 0.05 * 1.01**at_s))
+    run.pass_time(300)
+    reviews = [one for one in run.reviews if isinstance(one.perturbations[0], QualitiesObserved)]
+    assert 10 <= len(reviews) <= 20
+    gaps_s = [after.at_s - before.at_s for before, after in pairwise(reviews)]
+    assert min(gaps_s[3:]) >= 16
+    (sonar,) = run.manager.snapshot().qualities
+    assert sonar.planned == pytest.approx(sonar.estimate, rel=0.2)
+
+
+def test_a_bound_is_answered_at_once_though_reviews_of_a_drift_are_rare() -> None:
+    run = life(bound=0.5, sonar=saying(lambda at_s: min(0.1 * 1.01**at_s, 0.55 if at_s < 200 else 9)))
+    run.pass_time(155)  # the error is 0.47 m
+    assert run.units == {"sonar.1"}
+    reviews = [one for one in run.reviews if isinstance(one.perturbations[0], QualitiesObserved)]
+    assert len(reviews) <= 12
+    run.pass_time(12)  # the bound is crossed after 161.7 s, and the mean of the last 5 s follows
+    assert "camera.1" in run.units
+
+
 def test_changed_worlds_forget_outputs_that_are_gone() -> None:
     run = life(bound=None, weight_us=1000, sonar=saying(lambda _: 0.8))
     run.pass_time(20)
@@ -228,6 +252,24 @@ def test_looks_that_teach_nothing_become_rare() -> None:
     assert 4 <= len(looks_of(run)) <= 8  # after 60, 120, 240, 480, 960, 960, 960 s
     switches = [review for review in run.reviews if review.change_set and review.change_set.started]
     assert len(switches) == 2 + len(looks_of(run))
+
+
+def test_each_way_has_its_own_gap_between_looks() -> None:
+    """Looks at the sonar, which stays bad, are rare by the time when the lidar fails and is looked at."""
+    library = sensor("sonar", 0.2, 1000), sensor("lidar", 0.2, 2000), sensor("camera", 0.3, 100_000)
+    behaviours = {
+        "sonar": saying(lambda _: 0.8),
+        "lidar": saying(lambda at_s: 0.8 if 3000 <= at_s < 3050 else 0.2),
+        "camera": saying(lambda _: 0.3),
+    }
+    run = started(world=watched(*library), behaviours=behaviours)
+    run.pass_time(2990)
+    assert "lidar.1" in run.units
+    run.pass_time(30)
+    assert "camera.1" in run.units
+    run.pass_time(60)
+    assert [look.transformation for look in looks_of(run)][-1] == "lidar"
+    assert {unit.split(".")[0] for unit in run.units} == {"lidar"}
 
 
 def test_a_look_uses_no_topic_and_its_unit_stops_when_it_is_over() -> None:
@@ -351,3 +393,33 @@ def test_modes_that_share_a_state_are_not_looked_at() -> None:
     run = started(world=api.world(environment, horizon_s=3600), behaviours=behaviours)
     run.pass_time(600)
     assert (looks_of(run), run.units) == ([], {"camera.1"})
+
+
+def test_a_stream_that_loses_elements_on_the_way_is_replaced() -> None:
+    """The worker drops half of what the sonar gives, once it gives more than the worker takes."""
+    lossy = QualityAttribute("loss", Better.LOWER, worst=MICRO)
+
+    def giving(label: str, upkeep_us: int, observe: str | None) -> Transformation:
+        stated = Contribution("loss", QualityRule.SET, 0, observe=observe)
+        return Transformation(
+            label, (), (OutputPort("n", "N", (stated,)),), 1000, upkeep_us, source=f"units.py:{label}"
+        )
+
+    work = Transformation("work", (InputPort("x", "N"),), (OutputPort("y", "Y"),), 1000, 100, source="units.py:work")
+    target = Target("result", "Y", "/result", quality=(Wish("loss", MICRO // 10),))
+    library = giving("fast", 100, "measured.loss"), giving("slow", 1000, None), work
+    environment = Environment(library=library, targets=(target,), qualities=(lossy,))
+    run = started(world=api.world(environment, horizon_s=3600))
+    assert {"fast.1", "work.1"} == run.units
+    elements = dropped = 0
+    for second in range(30):
+        elements, dropped = elements + 10, dropped + (10 if second > 15 else 0)
+        counts = {"x": PortCounts(elements, dropped)}
+        for unit in run.units:
+            if unit.startswith("work"):
+                run.manager._hear(UnitStatus(unit, elements, 0, counts, {}))
+        run.pass_time(1)
+        assert second > 15 or "fast.1" in run.units
+    assert "slow.1" in run.units
+    (fast,) = (one for one in run.manager.snapshot().qualities if one.transformation == "fast")
+    assert MICRO / 10 < fast.planned <= MICRO / 2  # it is replaced as soon as the mean has passed the bound

@@ -126,3 +126,82 @@ def test_a_program_says_how_good_its_results_are_beside_them(tmp_path: Path) -> 
         observed = json.loads(said("ctl", "--run", run, "observed", "--json"))["qualities"]
     (planned,) = [one["planned"] for one in observed if one["output"] == "sonar/p"]  # camera/p follows once it runs
     assert planned > 0.5
+
+
+MEASURED = """\
+import time
+from pathlib import Path
+
+def source():
+    while True:
+        yield 1
+
+class Fast:
+    def __init__(self, folder, does):
+        self.water, self.does, self.held = Path(folder) / "water", does, []
+
+    def __call__(self, n):
+        if not float(self.water.read_text() or 0):
+            return n
+        if self.does == "block":
+            time.sleep(0.15)
+        self.held.append(n)
+        return n if self.does == "block" or len(self.held) % 10 == 0 else None
+
+class Sure:
+    def __call__(self, n):
+        return n
+"""
+MEASURED_ENVIRONMENT = """\
+format: cfgplan/1
+horizon: 600
+qualities:
+  - {{name: rate, better: higher, unit: Hz, worst: 0, best: 1000}}
+  - {{name: age, better: lower, unit: s, worst: 100}}
+  - {{name: loss, better: lower, worst: 1}}
+transformations:
+  - {{label: source, source: "units.py:source", run: {{rate: 50}}, labor: 0.1, upkeep: 0.001, outputs: {{n: N}}}}
+  - label: fast
+    source: units.py:Fast
+    params: {{folder: "{folder}", does: {does}}}
+    run: {{queue: 1000}}
+    labor: 0.1
+    upkeep: 0.001
+    inputs: {{n: N}}
+    outputs: {{p: {{tag: P, quality: {quality}}}}}
+  - label: sure
+    source: units.py:Sure
+    labor: 0.1
+    upkeep: 0.1
+    inputs: {{n: N}}
+    outputs: {{p: {{tag: P, quality: {{rate: {{set: 50}}, age: {{set: 0.01}}}}}}}}
+targets:
+  - {{label: p, topic: /p, tag: P, quality: {bound}}}
+{more}
+"""
+
+
+@pytest.mark.parametrize("more", ["", HOSTS], ids=["one computer", "hosts"])
+@pytest.mark.parametrize(
+    ("does", "quality", "bound"),
+    [
+        ("skip", "{rate: {set: 50, observe: measured.rate}}", "{rate: {at_least: 15}}"),
+        ("block", "{age: {set: 0.01, observe: measured.age}}", "{age: {at_most: 1}}"),
+    ],
+    ids=["rate", "age"],
+)
+def test_a_stream_that_is_measured_to_be_worse_than_its_bound_is_replaced(
+    tmp_path: Path, does: str, quality: str, bound: str, more: str
+) -> None:
+    """Nothing in the elements says it: the worker becomes slow, or gives a tenth of what it gave."""
+    env = write(tmp_path, units=MEASURED)
+    (tmp_path / "water").write_text("0")
+    env.write_text(MEASURED_ENVIRONMENT.format(folder=tmp_path, does=does, quality=quality, bound=bound, more=more))
+    with running(env, *(["--local"] if more else [])) as process:
+        run = await_event(process, "Running")["run"]
+        await_event(process, "Reviewed", decision="applied")
+        eventually(lambda: json.loads(said("ctl", "--run", run, "observed", "--json"))["qualities"])
+        (tmp_path / "water").write_text("1")
+        applied = await_event(process, "Reviewed", decision="applied")
+        assert [unit["transformation"] for unit in applied["change_set"]["started"]] == ["sure"]
+        assert applied["change_set"]["stopped"] == ["fast.1"]

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PointStamped, PoseWithCovarianceStamped
 from rclpy.action import ActionClient, ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -258,6 +259,22 @@ class Diver(LifecycleNode):
         self.poses.publish(pose)
 
 
+class Doctor(Node):
+    """Tells the health of a pump, and beside it that of the thrusters as the file `water` says it."""
+
+    def __init__(self) -> None:
+        super().__init__("doctor")
+        self.health = self.create_publisher(DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
+        self.water = Path(self.declare_parameter("water", "").value)
+        self.create_timer(0.05, self.tell)
+
+    def tell(self) -> None:
+        for name, key, value in (("pump", "volt", "11.5"), ("thrusters", "left", self.water.read_text() or "True")):
+            values = [KeyValue(key="age", value="3"), KeyValue(key=key, value=value)]
+            status = DiagnosticStatus(name=name, level=DiagnosticStatus.OK, values=values)
+            self.health.publish(DiagnosticArray(status=[status]))
+
+
 class Mute(Node):
     def __init__(self) -> None:
         sys.exit("has no voice")
@@ -265,7 +282,22 @@ class Mute(Node):
 
 def main() -> None:
     rclpy.init()
-    kinds = (Talker, Whisperer, Shouter, Eager, Clock, Mapper, Worker, Oracle, Asker, Counter, Client, Finder, Mute)
+    kinds = (
+        Talker,
+        Whisperer,
+        Shouter,
+        Eager,
+        Clock,
+        Mapper,
+        Worker,
+        Oracle,
+        Asker,
+        Counter,
+        Client,
+        Finder,
+        Doctor,
+        Mute,
+    )
     made = {each.__name__.lower(): each for each in kinds} | {"diver": lambda: Diver("diver")}
     node = made[sys.argv[1]]()
     with suppress(KeyboardInterrupt, rclpy.executors.ExternalShutdownException):

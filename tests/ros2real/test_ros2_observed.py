@@ -14,7 +14,13 @@ import pytest
 from cfgplan_runtime import Runtime
 from cfgplan_runtime.ros2.ros2_backend import Ros2Backend
 from cfgplan_runtime.supervision.events import Event, OutletsOpened, SparePrepared, SpareUsed, UnitFailed, UnitStatus
-from observed_nodes import check_that_a_bad_node_is_replaced, unsaid, write_finders
+from observed_nodes import (
+    check_that_a_bad_node_is_replaced,
+    check_that_a_look_brings_a_node_back,
+    check_that_a_slow_node_is_replaced,
+    unsaid,
+    write_finders,
+)
 from operated_world import PATIENCE_S, await_event, running
 from ros2_words import NODES
 
@@ -74,6 +80,14 @@ def says(event: Event) -> bool:
 
 def test_a_node_that_says_it_is_worse_than_its_bound_is_replaced_and_solve_agrees(tmp_path: Path) -> None:
     check_that_a_bad_node_is_replaced(write_finders(tmp_path, NODES), "ros2")
+
+
+def test_a_node_that_was_too_bad_is_looked_at_beside_the_other_and_taken_once_it_is_good_again(tmp_path: Path) -> None:
+    check_that_a_look_brings_a_node_back(write_finders(tmp_path, NODES), Ros2Backend)
+
+
+def test_a_node_that_is_measured_to_be_slower_than_its_bound_is_replaced(tmp_path: Path) -> None:
+    check_that_a_slow_node_is_replaced(tmp_path, NODES, "ros2")
 
 
 @pytest.mark.parametrize(

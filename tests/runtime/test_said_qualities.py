@@ -6,7 +6,8 @@ from math import isfinite
 
 import numpy
 import pytest
-from cfgplan_runtime.streams.said_qualities import Quality, SaidQualities
+from cfgplan_runtime.streams.measured_stream import MeasuredStream, Quality
+from cfgplan_runtime.streams.said_qualities import SaidQualities
 
 
 class _Unconvertible:
@@ -66,3 +67,41 @@ def test_sums_of_two_halves_are_those_of_the_whole() -> None:
         first, second = (first.with_more(one), second) if number % 3 else (first, second.with_more(one))
     assert first.with_more(second) == pytest.approx(whole)
     assert whole.with_more(Quality(0, 0.0, 0.0)) == whole
+
+
+KINDS = {"hz": "rate", "delay": "age", "unrest": "jitter"}
+
+
+def test_rate_age_and_jitter_of_a_stream_are_measured() -> None:
+    stream = MeasuredStream(KINDS)
+    assert stream.taken(5.0) == {}
+    for number in range(11):
+        stream.note(0.1 + number / 100, 10 + number / 10 + (number % 2) * 0.01)
+    found = stream.taken(11.01)
+    assert found["hz"] == Quality(1, pytest.approx(10 / 1.01), 0.0)
+    assert found["delay"].mean == pytest.approx(0.15)
+    assert found["unrest"] == (9, pytest.approx(0.02), pytest.approx(0.0, abs=1e-12))  # 0.11, 0.09, 0.11 s, ...
+
+
+def test_a_stream_that_falls_silent_has_a_rate_of_0_and_no_age() -> None:
+    stream = MeasuredStream(KINDS)
+    stream.note(0.1, 0.0)
+    stream.note(0.1, 0.5)
+    assert stream.taken(1.0)["hz"].mean == 1.0
+    assert stream.taken(2.0) == {"hz": Quality(1, 0.0, 0.0)}
+
+
+def test_a_rate_is_not_measured_over_a_moment() -> None:
+    stream = MeasuredStream({"hz": "rate"})
+    stream.note(0.0, 0.0)
+    stream.note(0.0, 0.001)
+    assert stream.taken(0.002) == {}
+    stream.note(0.0, 0.999)
+    assert stream.taken(1.0)["hz"].mean == 2.0
+
+
+def test_what_is_measured_needs_no_field() -> None:
+    taken = SaidQualities({"p": {"hz": "measured.rate", "delay": "measured.age"}})
+    assert taken.take("p", None, {}) == []
+    taken.note("p", 0.25)
+    assert taken.taken() == {"p": {"delay": Quality(1, 0.25, 0.0)}}

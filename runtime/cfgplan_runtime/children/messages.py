@@ -6,7 +6,7 @@ from typing import Any, TypeAlias
 
 import msgspec
 
-from cfgplan_runtime.streams.said_qualities import Quality
+from cfgplan_runtime.streams.measured_stream import Quality
 
 
 class UnitOrder(msgspec.Struct, frozen=True, tag=True):

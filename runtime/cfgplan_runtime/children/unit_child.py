@@ -318,6 +318,7 @@ class UnitChild:
                 return
             time_ns, turn = self._moment_of(given)
             self._ports.emit(given.port, Outgoing(time_ns, turn, self._encoder.encode(given.value)))
+            self._qualities.note(given.port, (self._ports.now_ns() - time_ns) / 1e9)
             for fault in self._qualities.take(given.port, given.value, given.quality):
                 self._ports.say(messages.Trouble("no quality", self.step, fault))
         except Exception as error:

@@ -181,7 +181,8 @@ def _look_begun(turn: Turn, time_s: float) -> Turn:
     planning = Planning(state.number + 1, at_s, time_s, 0.0, state.living.world, plans=1)
     unmet = state.reviews[-1].unmet if state.reviews else {}
     turn = _units_known(turn.to(replace(state, doing=planning)))
-    return turn.also(MakeLook(turn.state.scene, state.worse, unmet))
+    due = tuple(label for label, due_s in state.looks_due_s.items() if due_s <= at_s)
+    return turn.also(MakeLook(turn.state.scene, due, unmet))
 
 
 def _looked(turn: Turn, looked: Looked) -> Turn:
@@ -190,11 +191,11 @@ def _looked(turn: Turn, looked: Looked) -> Turn:
     assert isinstance(planning, Planning)
     if state.entries or state.is_closing or state.stops:
         return turn.to(replace(state, doing=None))
-    state = replace(state, looks=state.looks.begun(turn.at_s, state.policy.look_every_s or 0.0))
+    state = replace(state, looks=state.looks.begun(looked.tried, turn.at_s, state.policy.look_every_s or 0.0))
     if looked.thought is None:
         return turn.to(replace(state, doing=None))
     planning = replace(planning, entries=(Entry(LookDue(looked.label), turn.at_s, turn.at_s),))
-    looks = state.looks.at(looked.label, state.situation.qualities, turn.at_s)
+    looks = state.looks.at(looked.label, state.situation.qualities)
     turn = turn.to(replace(state, number=planning.number, doing=planning, looks=looks))
     turn = turn.also(Tell(ReviewBegan(planning.number, (LookDue(looked.label),))))
     return _carried_out(turn, planning, looked.thought)

@@ -71,10 +71,17 @@ class Thought:
 
 @dataclass(frozen=True)
 class Looked:
-    """The planned look at a transformation; `thought` is None if no plan would use any, even if it were as declared."""
+    """The planned look at the last of the `tried` transformations.
 
-    label: str = ""
+    `thought` is None if no plan would use any of them, even if it were as declared.
+    """
+
+    tried: tuple[str, ...] = ()
     thought: Thought | None = None
+
+    @property
+    def label(self) -> str:
+        return self.tried[-1]
 
 
 @dataclass(frozen=True)
@@ -163,8 +170,9 @@ class Deliberation:
 
         The new units feed no topic. `unmet` has the targets that are not met now, with the reasons.
         """
-        self._stop = stop
+        self._stop, tried = stop, list[str]()
         for label in labels:
+            tried.append(label)
             known = {one: seen for one, seen in scene.situation.qualities.items() if one.transformation != label}
             environment = scene.world.environment.with_qualities(known)
             hopeful = self._think(replace(scene, world=replace(scene.world, environment=environment)), optimises=True)
@@ -176,8 +184,8 @@ class Deliberation:
             if hopeful.decision is Decision.APPLIED and any(unit.transformation == label for unit in started):
                 thought = self._run_for_nobody(scene, ChangeSet(started=started))
                 if thought is not None:
-                    return Looked(label, replace(thought, unmet=unmet))
-        return Looked()
+                    return Looked(tuple(tried), replace(thought, unmet=unmet))
+        return Looked(tuple(tried))
 
     def _run_for_nobody(self, scene: Scene, change_set: ChangeSet) -> Thought | None:
         """Return the start of units that no target needs; None if it breaks another rule."""

@@ -40,6 +40,7 @@ from cfgplan_runtime.lifecycle.perturbations import (
     WorldChanged,
 )
 from cfgplan_runtime.lifecycle.reports import WorldRefused
+from cfgplan_runtime.lifecycle.seen_qualities import losing_streams
 from cfgplan_runtime.lifecycle.state import Note, State, Updating
 from cfgplan_runtime.lifecycle.stream_qualities import qualities_restated
 from cfgplan_runtime.lifecycle.turns import Match, Matched, Respond, Tell, Terminate, Turn
@@ -78,7 +79,10 @@ def heard(turn: Turn, event: events.Event) -> Turn:
         case events.InputLost(unit_or_none, port):
             return _lost(turn, SubscriptionLost(unit_or_none, port))
         case events.UnitStatus():
-            turn = turn.to(replace(state, seen=state.seen.after_status(event, turn.at_s)))
+            seen = state.seen.after_status(event, turn.at_s)
+            if losing := losing_streams(state.running, state.living.world.environment):
+                seen = seen.after_counts(event, losing, turn.at_s)
+            turn = turn.to(replace(state, seen=seen))
             return _still_failing(_giving(turn, event), event)
         case events.CrossingsStatus(crossings):
             return _crossings_counted(turn, crossings)

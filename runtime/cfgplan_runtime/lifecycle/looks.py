@@ -2,15 +2,15 @@
 
 A transformation that does not run is not observed. If streams have said that it is worse than declared, and the planner
 would choose it if it were as good as declared, it runs for LOOK_S seconds without subscribers; a slow stream is looked
-at until it has given enough elements. If a look finds nothing new, the next one comes later.
+at until it has given enough elements. If a look finds nothing new, the next one at this transformation comes later.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from math import inf
-from typing import Final
+from typing import Final, NamedTuple
 
 from cfgplan.domain import Environment, Statement
 from cfgplan.observed import Estimates
@@ -24,31 +24,43 @@ NEW: Final = 0.2
 """A look finds something new if a quality differs by more than this share from its known value."""
 
 
+class Pause(NamedTuple):
+    """When a transformation was looked at last, or was of no use, and the seconds from then to its next look."""
+
+    since_s: float
+    gap_s: float
+
+
 @dataclass(frozen=True, slots=True)
 class Looks:
-    """When the next look is due, and the one under way."""
+    """When the next look at each transformation is due, and the look under way."""
 
-    not_before_s: float = 0.0
-    gap_s: float = 0.0
-    """Seconds from the last look to the next; 0 before the first."""
+    pauses: Mapping[str, Pause] = field(default_factory=dict)
+    """By transformation, whether it said anything in its look or not."""
+    label: str = ""
+    """The transformation that is looked at."""
     units: tuple[str, ...] = ()
     """The units of the look."""
     since_s: float = 0.0
     until_s: float = inf
-    looked_s: Mapping[str, float] = field(default_factory=dict)
-    """By transformation: when it was looked at last, whether it said anything or not."""
     known: Mapping[Statement, int] = field(default_factory=dict)
     """The deviations of the observed outputs that were known before the look, in micro-units."""
 
-    def begun(self, at_s: float, least_gap_s: float) -> Looks:
-        """Note that a look was planned: the next one comes after twice the gap, at least."""
-        gap_s = min(max(2 * self.gap_s, least_gap_s), LONGEST_GAP_S)
-        return Looks(at_s + gap_s, gap_s, looked_s=self.looked_s)
+    def due_s(self, label: str, seen_s: float, least_gap_s: float) -> float:
+        """Return when the next look is due at a transformation that was observed last at `seen_s`."""
+        pause = self.pauses.get(label)
+        return max(seen_s + least_gap_s, -inf if pause is None else pause.since_s + pause.gap_s)
 
-    def at(self, label: str, qualities: Mapping[Statement, int], at_s: float) -> Looks:
+    def begun(self, labels: Iterable[str], at_s: float, least_gap_s: float) -> Looks:
+        """Note that looks at transformations were planned: the next ones come after twice their gaps, at least."""
+        gaps_s = {label: 2 * self.pauses[label].gap_s if label in self.pauses else 0.0 for label in labels}
+        new = {label: Pause(at_s, min(max(gap_s, least_gap_s), LONGEST_GAP_S)) for label, gap_s in gaps_s.items()}
+        return Looks({**self.pauses, **new})
+
+    def at(self, label: str, qualities: Mapping[Statement, int]) -> Looks:
         """Look at this transformation, and keep its known deviations for comparison."""
         known = {one: seen for one, seen in qualities.items() if one.transformation == label}
-        return replace(self, known=known, looked_s={**self.looked_s, label: at_s})
+        return replace(self, label=label, known=known)
 
     def running(self, units: tuple[str, ...], at_s: float) -> Looks:
         """Note that the units of the look run from now on."""
@@ -74,8 +86,11 @@ class Looks:
             for one, seen in self.known.items()
             if (stated := world.stated(one)) is not None
         )
-        gap_s = max(self.gap_s / 4, least_gap_s) if has_taught else self.gap_s
-        return Looks(self.not_before_s - self.gap_s + gap_s, gap_s, looked_s=self.looked_s)
+        pause = self.pauses.get(self.label)
+        if pause is None or not has_taught:
+            return Looks(self.pauses)
+        sooner = pause._replace(gap_s=max(pause.gap_s / 4, least_gap_s))
+        return Looks({**self.pauses, self.label: sooner})
 
 
 def worse_seen_s(world: Environment, qualities: Mapping[Statement, int], estimates: Estimates) -> dict[str, float]:

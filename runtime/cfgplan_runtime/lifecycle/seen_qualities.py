@@ -6,10 +6,29 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from math import isfinite
 
-from cfgplan.domain import Stream
+from cfgplan.domain import Environment, Stream
 from cfgplan.observed import Estimates, Figures, Lesson, Said, Window
 from cfgplan.qualities import MICRO
 from cfgplan_runtime.supervision.events import UnitStatus
+
+Losing = Mapping[tuple[str, str], Said]
+"""By unit and input: the stream that feeds it alone, and the attribute that is its measured loss."""
+
+
+def losing_streams(running: Environment, library: Environment) -> Losing:
+    """Return the inputs of running units at which the loss of a stream is measured, as a library says."""
+    found: dict[tuple[str, str], Said] = {}
+    for statement in library.losing:
+        for unit in running.units:
+            for port, streams in unit.feeds.items():
+                giver = running.unit.get(streams[0].unit)
+                if (
+                    len(streams) == 1
+                    and giver is not None
+                    and (giver.transformation, streams[0].port) == (statement.transformation, statement.output)
+                ):
+                    found[unit.id, port] = streams[0], statement.attribute
+    return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,6 +40,8 @@ class SeenQualities:
     """Units that have reported since the last update; their first report may be about elements before it."""
     taught_s: Mapping[Said, float] = field(default_factory=dict)
     """When each stream last confirmed the estimates, since the last update."""
+    counts: Mapping[tuple[str, str], tuple[int, int]] = field(default_factory=dict)
+    """By unit and input: the elements that came and those that were lost, at the last report since the last update."""
     is_new: bool = False
     """Whether streams have said something since the last lesson."""
     estimates: Estimates = field(default_factory=dict)
@@ -41,6 +62,23 @@ class SeenQualities:
                 windows[key] = windows.get(key, Window(at_s)).after(figures, at_s)
         return replace(self, windows=windows, is_new=True)
 
+    def after_counts(self, status: UnitStatus, losing: Losing, at_s: float) -> SeenQualities:
+        """Take in the share of elements that were lost on the way to the inputs of a unit, if streams are `losing`."""
+        counts, windows, is_new = dict(self.counts), dict(self.windows), self.is_new
+        for port, now in status.inputs.items():
+            if (status.unit, port) not in losing:
+                continue
+            came, lost = now.elements, now.dropped
+            before = counts.get((status.unit, port))
+            counts[status.unit, port] = came, lost
+            if before is None or came + lost <= sum(before):
+                continue
+            share = Figures(1, (lost - before[1]) / (came + lost - sum(before)) * MICRO)
+            said = losing[status.unit, port]
+            windows[said] = windows.get(said, Window(at_s)).after(share, at_s)
+            is_new = True
+        return replace(self, counts=counts, windows=windows, is_new=is_new)
+
     def after_lesson(self, lesson: Lesson, fresh: Collection[Said], at_s: float) -> SeenQualities:
         """Keep the learned estimates. Clear the windows of streams with news: their means then follow it."""
         windows = {said: window for said, window in self.windows.items() if said not in lesson.news}
@@ -57,4 +95,5 @@ class SeenQualities:
             return self
         windows = {said: window for said, window in self.windows.items() if said[0].unit != unit}
         taught_s = {said: at_s for said, at_s in self.taught_s.items() if said[0].unit != unit}
-        return replace(self, windows=windows, heard=self.heard - {unit}, taught_s=taught_s)
+        counts = {key: count for key, count in self.counts.items() if key[0] != unit}
+        return replace(self, windows=windows, heard=self.heard - {unit}, taught_s=taught_s, counts=counts)

@@ -185,23 +185,21 @@ class State:
         }
 
     @property
-    def worse(self) -> tuple[str, ...]:
-        """The transformations that are known to be worse than declared; first those unseen and not looked at for
-        longest.
-        """
-        qualities = self.situation.qualities
-        found = worse_seen_s(self.living.world.environment, qualities, self.seen.estimates) if qualities else {}
-        looked_s = self.looks.looked_s
-        return tuple(sorted(found, key=lambda label: (max(found[label], looked_s.get(label, 0.0)), label)))
+    def looks_due_s(self) -> dict[str, float]:
+        """When the next look is due at each transformation that is known to be worse than declared, in this order."""
+        every_s, qualities = self.policy.look_every_s, self.situation.qualities
+        if every_s is None or not qualities:
+            return {}
+        seen_s = worse_seen_s(self.living.world.environment, qualities, self.seen.estimates)
+        due_s = {label: self.looks.due_s(label, last_s, every_s) for label, last_s in seen_s.items()}
+        return dict(sorted(due_s.items(), key=lambda one: (one[1], one[0])))
 
     @property
     def look_at_s(self) -> float:
         """When the next look is due; inf if there is nothing to look at, and until no perturbation waits."""
-        every_s, qualities = self.policy.look_every_s, self.situation.qualities
-        if every_s is None or self.looks.units or self.entries or not qualities:
+        if self.looks.units or self.entries:
             return inf
-        last_s = worse_seen_s(self.living.world.environment, qualities, self.seen.estimates).values()
-        return max(min(last_s) + every_s, self.looks.not_before_s) if last_s else inf
+        return min(self.looks_due_s.values(), default=inf)
 
     @property
     def wake_s(self) -> float:

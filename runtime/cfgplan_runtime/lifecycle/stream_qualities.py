@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from math import inf
+from typing import Final
 
 from cfgplan.domain import Environment, Statement
 from cfgplan.observed import TEACHES_S, learned, own_part, told
+from cfgplan.validity.quality import quality_violations
 from cfgplan_runtime.lifecycle.perturbations import QualitiesObserved
-from cfgplan_runtime.lifecycle.reports import QualityView
+from cfgplan_runtime.lifecycle.reports import Decision, QualityView
 from cfgplan_runtime.lifecycle.state import State
 from cfgplan_runtime.lifecycle.turns import Turn
+from cfgplan_runtime.supervision.delays import doubling_s
+
+FIRST_CALM_S: Final = 4.0
+LONGEST_CALM_S: Final = 16.0
+"""After a review of qualities that changed nothing, the next one waits: first 4 s, then twice as long each time.
+A plan that would be cheaper comes later by this at most; experiments/observed/drifting.py shows what it costs.
+"""
 
 
 def qualities_learned(turn: Turn) -> Turn:
@@ -26,12 +37,33 @@ def qualities_learned(turn: Turn) -> Turn:
     turn = turn.to(replace(state, seen=seen.after_lesson(lesson, fresh, at_s)))
     before = situation.qualities  # a slow drift is never news: it is confirmed little by little
     now = told(world, lesson.estimates, before, at_s, only_sure=not lesson.news)
-    if now == before:
+    if now == before or (at_s < _calm_until_s(state) and not _bounds_are_crossed(turn, running, now)):
         return turn
     turn = turn.situated(replace(situation, qualities=now))
     said_now = world.with_qualities(now).qualities_now
     changed = sorted(one for one in now.keys() | before.keys() if now.get(one) != before.get(one))
     return turn.perturbed(QualitiesObserved(tuple(f"{one} {said_now.get(str(one), 'as declared')}" for one in changed)))
+
+
+def _calm_until_s(state: State) -> float:
+    """Until when only a crossed bound is a reason for another review of qualities: the last ones changed nothing."""
+    idle = 0
+    for review in reversed(state.reviews):
+        if review.decision is Decision.APPLIED or {*map(type, review.perturbations)} != {QualitiesObserved}:
+            break
+        idle += 1
+    return state.reviews[-1].at_s + doubling_s(idle + 1, FIRST_CALM_S, LONGEST_CALM_S) if idle else -inf
+
+
+def _bounds_are_crossed(turn: Turn, running: Environment, now: Mapping[Statement, int]) -> bool:
+    """Whether running streams meet other bounds of targets with the qualities known now than with those used so far."""
+    running = replace(running, targets=turn.state.living.world.environment.targets)
+    used, known = (running.with_qualities(seen) for seen in (turn.state.situation.qualities, now))
+    return _missed(used) != _missed(known)
+
+
+def _missed(environment: Environment) -> set[str | None]:
+    return {violation.target for violation in quality_violations(environment)}
 
 
 def qualities_faded(turn: Turn) -> Turn:

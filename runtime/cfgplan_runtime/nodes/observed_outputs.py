@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from cfgplan_runtime.nodes.message_layout import Layout, NumberReader, UnreadableError, field_fault
-from cfgplan_runtime.streams.said_qualities import Quality, SaidQualities
+from cfgplan_runtime.streams.measured_stream import MEASURED, Quality
+from cfgplan_runtime.streams.said_qualities import SaidQualities
 
 
 class ObservedOutputs:
@@ -35,8 +36,13 @@ class ObservedOutputs:
         self._outputs = {topic: outputs for topic, outputs in kept.items() if outputs}
         return [topic for topic, outputs in kept.items() if not outputs]
 
+    def note(self, topic: str, age_s: float) -> None:
+        """Measure an observed topic, on which a message of that age comes now."""
+        for output in self._outputs[topic]:
+            output.note(age_s)
+
     def take(self, topic: str, message: bytes | bytearray, layout: Layout) -> None:
-        """Take in a message of an observed topic."""
+        """Read an observed topic's message."""
         for output in self._outputs[topic]:
             for fault in output.take(message, layout):
                 self._tell(output.unit, fault)
@@ -46,7 +52,7 @@ class ObservedOutputs:
         found: dict[str, dict[str, dict[str, Quality]]] = {}
         for outputs in self._outputs.values():
             for output in outputs:
-                if sums := output.said.taken():
+                if sums := output.taken():
                     found[output.unit] = {**found.get(output.unit, {}), **sums}
         return found
 
@@ -55,10 +61,21 @@ class _ObservedOutput:
     """An output, with readers of its fields once the type of its messages is known."""
 
     def __init__(self, unit: str, port: str, fields: Mapping[str, str], *, is_aligned: bool) -> None:
-        self.unit, self._port, self._fields, self._is_aligned = unit, port, fields, is_aligned
-        self.said = SaidQualities({port: fields})
+        self.unit, self._port, self._is_aligned = unit, port, is_aligned
+        self._fields = {name: field for name, field in fields.items() if not field.startswith(MEASURED)}
+        self._said = SaidQualities({port: self._fields})
+        self._measured = SaidQualities({port: {name: fields[name] for name in fields.keys() - self._fields.keys()}})
         self._layout: Layout | None = None
         self._readers: dict[str, NumberReader] = {}
+
+    def note(self, age_s: float) -> None:
+        """Measure the output, of which a message of that age comes now."""
+        self._measured.note(self._port, age_s)
+
+    def taken(self) -> dict[str, dict[str, Quality]]:
+        """Return the sums since the last call, by output and attribute."""
+        said = {**self._said.taken().get(self._port, {}), **self._measured.taken().get(self._port, {})}
+        return {self._port: said} if said else {}
 
     def take(self, message: bytes | bytearray, layout: Layout) -> list[str]:
         """Take in a message. Returns faults in words, each once."""
@@ -72,7 +89,7 @@ class _ObservedOutput:
         except UnreadableError as error:
             self._readers = {}
             return [*faults, f"output {self._port} says nothing of its quality: {error}"]
-        return [*faults, *(self.said.take(self._port, None, said) if self._readers else ())]
+        return [*faults, *(self._said.take(self._port, None, said) if self._readers else ())]
 
     def _read_by(self, layout: Layout) -> list[str]:
         """Read messages of this layout from now on. Returns the faults of fields that it does not have."""
@@ -83,5 +100,5 @@ class _ObservedOutput:
             for attribute, path in self._fields.items()
             if not faults[attribute]
         }
-        self.said = SaidQualities({self._port: {attribute: self._fields[attribute] for attribute in self._readers}})
+        self._said = SaidQualities({self._port: {attribute: self._fields[attribute] for attribute in self._readers}})
         return [f"output {self._port} does not say its {each}: {why}" for each, why in faults.items() if why]

@@ -27,7 +27,8 @@ class ObservedFacts(Closable):
 
     def follow(self) -> None:
         """Follow the streams that observe the facts of the present world, and no others."""
-        topics = (fact.observed_on for fact in self._manager.world.environment.facts)
+        facts = self._manager.world.environment.facts
+        topics = (fact.observed_on for fact in facts if fact.type is None)  # the others are topics of ROS
         self._following.follow(topic for topic in topics if topic is not None)
 
     def close(self) -> None:
@@ -35,14 +36,18 @@ class ObservedFacts(Closable):
         self._following.close()
 
     def _hear(self, topic: str, element: Element) -> None:
-        facts = [fact for fact in self._manager.world.environment.facts if fact.observed_on == topic]
+        facts = [
+            fact for fact in self._manager.world.environment.facts if fact.observed_on == topic and fact.type is None
+        ]
         value = decode(element.payload) if facts else None
         for fact in facts:
             try:
-                self._manager.observe_fact(fact.name, fact.value_in(value))
+                found = fact.value_in(value)
             except InvalidValueError as error:
                 if fact not in self._wrong:
                     self._wrong.add(fact)
                     self._tell(f"{topic} does not observe its fact: {error}")
             else:
                 self._wrong.discard(fact)
+                if found is not None:
+                    self._manager.observe_fact(fact.name, found)

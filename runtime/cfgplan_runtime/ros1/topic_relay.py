@@ -283,9 +283,12 @@ class TopicRelay:
             source.messages += 1
             if source.header is not None and source.header.get("latching") == "1":
                 source.latched = message
-            if source.topic in self._observed and source.layout is not None:
-                self._observed.take(source.topic, message, source.layout)
-            time_ns, turn = source.moment(message, time.time_ns())
+            now_ns = time.time_ns()
+            time_ns, turn = source.moment(message, now_ns)
+            if source.topic in self._observed:
+                self._observed.note(source.topic, (now_ns - time_ns) / 1e9)
+                if source.layout is not None:
+                    self._observed.take(source.topic, message, source.layout)
             for wire, inlet in list(source.wires.items()):
                 number = source.offered[wire]
                 source.offered[wire] += 1

@@ -27,7 +27,11 @@ def field_faults(environment: Environment, folder: Path) -> Iterator[FieldFault]
 
     Raises InputError without the package that has the definitions of ROS.
     """
-    stated = [statement for statement in environment.observable if _type_of(environment, statement) is not None]
+    stated = [
+        statement
+        for statement in environment.observable
+        if _type_of(environment, statement) is not None and not _is_measured(environment, statement)
+    ]
     if not stated:
         return
     definitions = Definitions(folder=folder)
@@ -43,6 +47,11 @@ def field_faults(environment: Environment, folder: Path) -> Iterator[FieldFault]
             continue
         if cause := field_fault(layout, contribution.observe):
             yield FieldFault(statement, contribution.observe, cause)
+
+
+def _is_measured(environment: Environment, statement: Statement) -> bool:
+    contribution = environment.stated(statement)
+    return contribution is not None and contribution.measured is not None
 
 
 def _type_of(environment: Environment, statement: Statement) -> MessageType | None:

@@ -128,12 +128,12 @@ class RosTopics:
         """Begin to publish a topic. Raises InputError."""
         return RosPublisher(self, self._begin(Publish, topic, form, quality, depth, None))
 
-    def read(self, topic: str, form: MessageForm, quality: ServiceQuality, depth: int, take: Take) -> None:
+    def read(self, topic: str, form: MessageForm, quality: ServiceQuality, depth: int, take: Take) -> int:
         """Call `take` with each message of a topic from now on, with transient local also with the last ones before.
 
-        Raises InputError.
+        Returns the number by which `end` ends it. Raises InputError.
         """
-        self._begin(Read, topic, form, quality, depth, take)
+        return self._begin(Read, topic, form, quality, depth, take)
 
     def put(self, number: int, message: bytes | bytearray) -> None:
         """Publish a message. Never blocks: if ROS does not take them in time, the oldest are dropped."""

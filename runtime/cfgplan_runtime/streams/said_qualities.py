@@ -2,39 +2,19 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
-from typing import Final, NamedTuple
+from typing import Final
+
+from cfgplan_runtime.streams.measured_stream import MEASURED, NONE_SAID, MeasuredStream, Quality, measured_kinds
 
 _LARGEST_NUMBER: Final = 1e12
 """In units of an attribute, far beyond every scale; larger numbers are cut, since sums of their squares have no end."""
 
 _GOOD_AGAIN: Final = 100
 """A fault is told again only after so many good values in a row."""
-
-
-class Quality(NamedTuple):
-    """The qualities that an output's elements said since the last sign of life, in units of the attribute.
-
-    `squares` is the sum of the squares of the distances from the mean.
-    """
-
-    elements: int
-    mean: float
-    squares: float
-
-    def with_more(self, other: Quality) -> Quality:
-        """Return the sums of both (Welford, Chan)."""
-        elements = self.elements + other.elements
-        if not elements:
-            return self
-        distance = other.mean - self.mean
-        squares = self.squares + other.squares + distance**2 * self.elements * other.elements / elements
-        return Quality(elements, self.mean + distance * other.elements / elements, squares)
-
-
-_NONE_SAID = Quality(0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,15 +27,21 @@ class _Missing:
 class SaidQualities:
     """Takes in the values that a unit gives. `stated` has the attributes of each output, with the field that says them.
 
-    A value says an attribute by its field, or by the mapping that unit code gives beside it, which counts first.
+    A value says an attribute by its field, or by the mapping that unit code gives beside it, which counts first. A
+    field `measured.rate` is measured instead: `note` each value too.
     """
 
     def __init__(self, stated: Mapping[str, Mapping[str, str | None]]) -> None:
         self._stated = stated
         self._fields = {
-            port: {attribute: field.split(".") for attribute, field in fields.items() if field is not None}
+            port: {
+                attribute: field.split(".")
+                for attribute, field in fields.items()
+                if field is not None and not field.startswith(MEASURED)
+            }
             for port, fields in stated.items()
         }
+        self._measured = {port: MeasuredStream(kinds) for port in stated if (kinds := measured_kinds(stated[port]))}
         self._sums: dict[tuple[str, str], Quality] = {}
         self._faulty: dict[tuple[str, str], int] = {}
         """By output and attribute with a reported fault: the number of good values in a row since then."""
@@ -91,9 +77,14 @@ class SaidQualities:
         if number is None or not isfinite(number):
             return f"does not say its {attribute}: {said!r:.60} is no finite number"
         number = min(max(number, -_LARGEST_NUMBER), _LARGEST_NUMBER)
-        sums = self._sums.get((port, attribute), _NONE_SAID)
+        sums = self._sums.get((port, attribute), NONE_SAID)
         self._sums[port, attribute] = sums.with_more(Quality(1, number, 0.0))
         return ""
+
+    def note(self, port: str, age_s: float) -> None:
+        """Measure an output at a value that comes now."""
+        if port in self._measured:
+            self._measured[port].note(age_s, time.monotonic())
 
     def taken(self) -> dict[str, dict[str, Quality]]:
         """The sums since the last call, by output and attribute."""
@@ -101,6 +92,9 @@ class SaidQualities:
         for (port, attribute), sums in self._sums.items():
             found.setdefault(port, {})[attribute] = sums
         self._sums = {}
+        for port, stream in self._measured.items():
+            if sums_of_stream := stream.taken(time.monotonic()):
+                found.setdefault(port, {}).update(sums_of_stream)
         return found
 
 

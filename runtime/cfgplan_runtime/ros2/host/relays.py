@@ -311,6 +311,7 @@ class Relays:
     def _take(self, sample: Sample) -> None:
         self.outside.pass_on(sample)
         if sample.source.topic in self._observed:
+            self._observed.note(sample.source.topic, _age_s(sample))
             try:
                 self._observed.take(sample.source.topic, sample.raw, sample.source.layout)
             except UnknownTypeError as error:
