@@ -131,6 +131,28 @@ class Close:
 
 
 @dataclass(frozen=True)
+class Near:
+    """Neighbourhoods of a plan for many targets."""
+
+    targets: int = said(8, "facts", "From so many wanted facts on, neighbourhoods are searched.", LIBRARIES)
+    gap: float = said(0.05, "share of the cost", "They are searched if the gap is at least this.", LIBRARIES)
+    fewest: int = said(4, "facts", "At least this many wanted facts are planned anew together.", LIBRARIES)
+    most: int = said(24, "facts", "At most this many are.", LIBRARIES)
+    growth: float = said(0.5, "facts", "So many more, or fewer, are, as the solver takes less or more.", LIBRARIES)
+    planned: float = said(0.5, "share", "So often what shares cost in the plan is drawn together.", LIBRARIES)
+    used: float = said(0.02, "labels", "A linear program uses a label from this fraction on.", LIBRARIES)
+    work: float = said(0.5, "the engine's s", "The solver may take so long for a neighbourhood.", LIBRARIES)
+    look: float = said(0.005, "the engine's s", "The bound and the model of one take so long: a fixed part.", TIMED)
+    link: float = said(3e-6, "the engine's s/link", "The same for each link.", TIMED)
+    kernel: float = said(
+        15.0, "the engine's us/label^1.5", "Labels that are used are searched so long first.", LIBRARIES
+    )
+    small: int = said(1000, "labels", "Below it, probing takes longer than it saves.", LIBRARIES)
+    in_vain: float = said(30.0, "the engine's us/label^1.5", "They end so long after the last cheaper plan.", LIBRARIES)
+    share: float = said(0.5, "share", "They take at most this part of the time that is left.", LIBRARIES)
+
+
+@dataclass(frozen=True)
 class Solve:
     """The solver."""
 
@@ -197,6 +219,7 @@ class Tuning:
     rise: Rise = Rise()
     rest: Replan = Replan()
     close: Close = Close()
+    near: Near = Near()
     solve: Solve = Solve()
     cycles: Cycles = Cycles()
     fleet: Fleets = Fleets()

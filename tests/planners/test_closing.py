@@ -17,6 +17,7 @@ from cfgplan.costs import start_cost_us
 from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.bounding.landmarks import Landmark, landmark_of
 from cfgplan.planners.closing.gap import Closing, Repairs
+from cfgplan.planners.closing.neighbourhoods import Neighbourhoods
 from cfgplan.planners.closing.program import LandmarkProgram
 from cfgplan.planners.closing.separation import Separator
 from cfgplan.planners.cpsat import PlannerSession
@@ -25,7 +26,7 @@ from cfgplan.planners.networks.core import Core, Rows
 from cfgplan.planners.networks.greedy import first_plan, is_plan
 from cfgplan.planners.networks.network import costs
 from cfgplan.planners.solving.clock import Clock
-from cfgplan.planners.tuning import Close, Tuning
+from cfgplan.planners.tuning import Close, Near, Tuning
 from cfgplan.planning import Problem, Status
 from cfgplan.validity import plan_violations
 from experiments.families.random_library import random_library
@@ -149,3 +150,48 @@ def test_a_plan_that_needs_the_solver_is_the_same_every_time() -> None:
     assert plans[0].change_set == plans[1].change_set
     assert plan_violations(problem, plans[0]) == []
     assert plans[0].counts["rounds"] > 0
+
+
+EVERYWHERE = Near(targets=1, gap=0.0, fewest=1, in_vain=200.0)
+
+
+@fewer
+@given(problems(special=False))
+def test_related_targets_planned_anew_make_a_plan_no_dearer_and_leave_it_a_plan(problem: Problem) -> None:
+    stage = Stage(problem)
+    plan = first_plan(stage.network, stage.cost, 0, Clock())
+    assert plan is not None
+    bound, before = Bound(stage.network.core, stage.cost), np.array(sorted(plan), np.int64)
+    both = Closing(stage.network, bound, stage.cost, before, 1, Tuning(near=EVERYWHERE))
+    both.look_near(Clock())
+    assert (stage.plan.cost_us or 0) <= both.limit <= int(stage.cost[before].sum())
+    assert is_plan(stage.network, set(both.plan.tolist()))
+
+
+def first_closing(problem: Problem, near: Near = EVERYWHERE) -> Closing:
+    """Closing of a problem, from a greedy plan and without landmarks."""
+    network = Structure.of(problem, None, Clock()).network
+    cost = np.array([start_cost_us(t, problem.horizon_s) for t in network.transformations], np.int64)
+    plan = np.array(sorted(first_plan(network, cost, 0, Clock()) or ()), np.int64)
+    return Closing(network, Bound(network.core, cost), cost, plan, 1, Tuning(near=near))
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_all_targets_planned_anew_together_reach_the_optimum_and_some_come_near_it(seed: int) -> None:
+    problem = random_library(seed, transformations=100, targets=12)
+    best = PlannerSession().plan(problem)
+    assert best.status is Status.OPTIMAL and best.cost_us is not None
+    whole, parts = first_closing(problem, Near(targets=1, gap=0.0, fewest=12, work=100.0)), first_closing(problem)
+    before = whole.limit
+    assert before > best.cost_us
+    whole.look_near(Clock())
+    parts.look_near(Clock())
+    assert whole.limit == best.cost_us <= parts.limit < before
+
+
+def test_no_target_is_planned_anew_where_a_plan_is_more_than_its_labels() -> None:
+    both = first_closing(random_library(3, transformations=60, targets=10, distinct=0.5))
+    before = both.plan.tolist()
+    with mock.patch.object(Neighbourhoods, "improve", side_effect=AssertionError):
+        both.look_near(Clock())
+    assert both.plan.tolist() == before

@@ -8,6 +8,7 @@ import numpy as np
 
 from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.bounding.landmarks import Landmark
+from cfgplan.planners.closing.neighbourhoods import Neighbourhoods
 from cfgplan.planners.closing.program import LandmarkProgram, alike
 from cfgplan.planners.closing.separation import Separator
 from cfgplan.planners.networks.core import Floats, Ints
@@ -28,6 +29,8 @@ class Closing:
     ) -> None:
         self.bound = bound
         self._tuning = own = tuning.close
+        self._near = tuning.near
+        self._network = network
         self._cost = cost
         self._step = step
         self._repair_steps = own.repair + own.repair_need * len(network.core.needs.items)
@@ -70,6 +73,22 @@ class Closing:
             if self.bound.value - before <= least:
                 break
             took += (1 + own.repairs) * these
+
+    def look_near(self, clock: Clock) -> None:
+        """Look for a cheaper plan by planning related targets anew, if these are many and the gap is far from closed.
+
+        Nothing is done where a plan is more than its labels.
+        """
+        network, near = self._network, self._near
+        is_plain = network.core.crowds is None and not network.special
+        is_far = self.bound.value < (1 - near.gap) * self.limit
+        if not is_plain or not is_far or len(network.core.needs[network.core.goal]) < near.targets or clock.is_over():
+            return
+        core = self.bound.core
+        plan = np.flatnonzero(np.isin(core.labels, self.plan)).tolist()
+        search = Neighbourhoods(core, self._cost[core.labels], plan, self._fractions[core.labels], self._step, near)
+        search.improve(self.bound.value, clock)
+        self._repairs.take(set(core.labels[[*search.best]].tolist()).union(network.pinned))
 
     @property
     def _left(self) -> int:
@@ -170,10 +189,15 @@ class Repairs:
                 self._plan = plan_at(self._network, self._cost, price)
             else:
                 self._repair(self._plan, price)
-            if self._plan is not None and self._cost_of(self._plan) < self._cost_of(self.best):
-                self.best = self._plan
+            if self._plan is not None:
+                self.take(self._plan)
             if self._in_vain >= self._tuning.in_vain:
                 self._plan, self._in_vain = None, 0
+
+    def take(self, plan: set[int]) -> None:
+        """Make a plan the best one if it is cheaper."""
+        if self._cost_of(plan) < self._cost_of(self.best):
+            self.best = plan
 
     def _repair(self, plan: set[int], price: Floats) -> None:
         members = sorted(label for label in plan if self._cost[label])

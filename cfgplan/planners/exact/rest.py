@@ -130,23 +130,12 @@ def _is_without_rival(bound: Bound, plan: Ints, limit: int, clock: Clock) -> boo
     """
     from ortools.sat.python.cp_model import INFEASIBLE
 
-    from cfgplan.planners.solving.engine import ExactModel, at_least, repeatable_solver, solve
+    from cfgplan.planners.closing.fed_model import FedModel
+    from cfgplan.planners.solving.engine import repeatable_solver, solve
 
-    core, model = bound.core, ExactModel()
-    uses = [model.new_bool_var("") for _ in range(core.goal)]
-    offered = [model.new_bool_var("") for _ in range(len(core.givers))]
-    for fact in range(len(core.givers)):
-        first = np.setdiff1d(core.givers[fact], core.needed_by[fact]).tolist()
-        model.add_bool_or([offered[fact].negated(), *(uses[label] for label in first)])
-    for label in range(core.goal):
-        for fact in core.needs[label].tolist():
-            model.add_implication(uses[label], offered[fact])
-    for fact in core.needs[core.goal].tolist():
-        model.add_bool_or([offered[fact]])
-    for landmark in bound.landmarks:
-        at_least(model, landmark.least, [uses[label] for label in landmark.counted.tolist()])
-    model.add_bool_or([uses[i] for i in np.flatnonzero(~np.isin(core.labels, plan)).tolist()])
-    model.add(sum(int(cost) * use for cost, use in zip(bound.cost, uses, strict=True)) <= limit)
+    core, model = bound.core, FedModel(bound.core, bound.cost, bound.landmarks)
+    model.add_bool_or([model.uses[i] for i in np.flatnonzero(~np.isin(core.labels, plan)).tolist()])
+    model.add(model.cost <= limit)
     left_s, longest_s = clock.left_s(), clock.tuning.rest.rival
     longest_s = longest_s if left_s is None else min(longest_s, left_s)
     solver = repeatable_solver(small=core.goal < 1000, time_limit_s=longest_s)

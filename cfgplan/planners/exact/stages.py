@@ -148,6 +148,7 @@ def close_gap(work: Work) -> bool:
     closing, left, clock = work.closing, work.left, work.clock
     if closing is not None and not closing.is_closed and not work.standing.is_over:
         closing.go_on(clock)
+        closing.look_near(clock)
         part = Remainder.by(closing.bound.restricted(closing.bound.may_be_used(closing.limit)), closing.limit)
         work.take(Left.by(part, left.network, left.weighing, closing.plan, is_over=clock.is_over()))
         clock.end("bounds")

@@ -1,0 +1,214 @@
+"""Large neighbourhood search over related targets (Shaw 1998): some targets are planned anew, beside all others.
+
+In a plan for many targets, the labels that only a few of them need are given up, and the solver looks for cheaper ones;
+all other labels are there for nothing. Targets that share little seldom gain together, so they are drawn by the cost
+that they share: in the plan, or in the fractions of the linear program of closing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterable, Iterator, Mapping
+
+import numpy as np
+
+from cfgplan.planners.bounding.bounds import Bound, tightened
+from cfgplan.planners.networks.core import Core, Floats, Ints, Rows
+from cfgplan.planners.solving.clock import Clock
+from cfgplan.planners.tuning import Near
+
+Labels = frozenset[int]
+
+
+class Neighbourhoods:
+    """Improves a plan: a set of labels of a core that meets its goal. `best` is the best one so far.
+
+    `cost` is of the core's labels, a multiple of `step`; `fractions` say how much of each the linear program uses. The
+    random numbers are seeded, and the solver's work is limited by its own measure, so that a search can be repeated.
+    """
+
+    def __init__(self, core: Core, cost: Ints, plan: Iterable[int], fractions: Floats, step: int, tuning: Near) -> None:
+        self._core, self._cost, self._step, self._tuning = core, cost, step, tuning
+        self._wanted = core.needs.lists[core.goal]
+        self._draw = np.random.default_rng(core.goal)
+        self._size: float = tuning.fewest
+        self._took, self._look = 0.0, tuning.look + tuning.link * core.links  # of the engine's seconds
+        self._scale = core.goal**1.5 / 1e6
+        self._likely = {fact: self._reached(fact, fractions) for fact in self._wanted}
+        self._use = cost * np.minimum(1.0, fractions)
+        self.best = self._lean(frozenset(plan))
+
+    @property
+    def limit(self) -> int:
+        """The cost of the best plan."""
+        return self._cost_of(self.best)
+
+    def improve(self, enough: int, clock: Clock) -> None:
+        """Look for cheaper plans until one costs at most `enough`, too much work is in vain, or the time is over."""
+        if (left_s := clock.left_s()) is not None:
+            clock = clock.with_limit(clock.elapsed_s() + self._tuning.share * left_s, clock.tuning)
+        self._from_likely_labels(clock)
+        in_vain = 0.0
+        while in_vain < self._tuning.in_vain * self._scale and self.limit > enough and not clock.is_over():
+            before, limit = self._took, self.limit
+            self._near(self._related(), clock)
+            in_vain = 0.0 if self.limit < limit else in_vain + self._took - before
+
+    def _related(self) -> set[int]:
+        """Draw some targets that share cost."""
+        most = min(round(self._size), len(self._wanted))
+        number = int(self._draw.integers(min(self._tuning.fewest, most), most + 1))
+        is_of_plan = self._draw.random() < self._tuning.planned
+        labels, price = (self._supports(), self._cost) if is_of_plan else (self._likely, self._use)
+        first = self._wanted[int(self._draw.integers(len(self._wanted)))]
+        free, pool = {first}, set(labels[first])
+        while len(free) < number:
+            others = [fact for fact in self._wanted if fact not in free]
+            shared = np.array([price[list(pool & labels[fact])].sum() for fact in others], np.float64)
+            if not is_of_plan:
+                shared /= 1 + np.array([price[list(labels[fact])].sum() for fact in others], np.float64)
+            weight = (shared / max(shared.max(), 1e-9) + 1e-3) ** 2
+            drawn = others[int(self._draw.choice(len(others), p=weight / weight.sum()))]
+            free.add(drawn)
+            pool |= labels[drawn]
+        return free
+
+    def _near(self, free: set[int], clock: Clock) -> None:
+        """Plan these targets anew.
+
+        The next neighbourhoods are larger if this one was searched soon, smaller if the solver could not finish.
+        """
+        others = [fact for fact in self._wanted if fact not in free]
+        kept = _support(self._core, _first_givers(self._core, self.best), others)
+        limit = self.limit - self._cost_of(kept) - self._step
+        cost = self._cost.copy()
+        cost[list(kept)] = 0
+        bound = tightened(Bound(self._for(free), cost), limit + 1, limit, clock, greedily=True)
+        before, self._took = self._took, self._took + self._look
+        if bound.value <= limit and not clock.is_over():
+            found = self._cheapest(bound.restricted(bound.may_be_used(limit)), limit, clock, self._tuning.work)
+            self._take(kept | found)
+        share = (self._took - before) / self._tuning.work
+        self._size += self._tuning.growth if share < 0.5 else -self._tuning.growth if share >= 1 else 0
+        self._size = min(max(self._size, self._tuning.fewest), self._tuning.most)
+
+    def _from_likely_labels(self, clock: Clock) -> None:
+        """Look for a plan among the labels that the linear program or the plan uses (kernel search: Angelelli, Mansini
+        and Speranza 2010).
+        """
+        limit = self.limit - self._step
+        likely = {int(label) for label in np.flatnonzero(self._use)} | self.best
+        first = _first_givers(self._core, likely)
+        fed = [label for label in likely if first.keys() >= set(self._core.needs.lists[label])]
+        keep = np.isin(np.arange(self._core.goal), fed)
+        part = Bound(self._core, self._cost).restricted(keep)
+        bound = tightened(part, limit + 1, limit, clock, greedily=True)
+        self._take(
+            self._cheapest(bound.restricted(bound.may_be_used(limit)), limit, clock, self._tuning.kernel * self._scale)
+        )
+
+    def _take(self, labels: Labels) -> None:
+        """Take the labels without what they can do without, if they are a plan and cheaper."""
+        if _first_givers(self._core, labels).keys() >= set(self._wanted):
+            self.best = min(self.best, self._lean(labels), key=self._cost_of)
+
+    def _for(self, free: set[int]) -> Core:
+        """The core with these targets only."""
+        core = self._core
+        needs = core.needs.starts[core.goal]
+        starts = np.append(core.needs.starts[:-1], needs + len(free))
+        return Core(
+            Rows(starts, np.append(core.needs.items[:needs], sorted(free))), core.givers, core.labels, core.facts
+        )
+
+    def _cheapest(self, bound: Bound, limit: int, clock: Clock, work: float) -> Labels:
+        """Return labels that meet a bound's goal at a cost within `limit`, by the solver; none if it finds none."""
+        from ortools.sat.python.cp_model import FEASIBLE, OPTIMAL
+
+        from cfgplan.planners.closing.fed_model import FedModel
+        from cfgplan.planners.solving.engine import repeatable_solver, solve
+
+        core = bound.core
+        model = FedModel(core, bound.cost // self._step, bound.short())
+        model.add(model.cost <= limit // self._step)
+        model.minimize(model.cost)
+        labels = np.searchsorted(self._core.labels, core.labels)
+        for label, use in zip(labels.tolist(), model.uses, strict=True):
+            model.add_hint(use, label in self.best)
+        end = self._took + work
+        while self._took < end and not clock.is_over():
+            solver = repeatable_solver(small=core.goal < self._tuning.small, time_limit_s=clock.left_s())
+            solver.parameters.max_deterministic_time = end - self._took
+            status = solve(solver, model, clock)
+            self._took += solver.response_proto.deterministic_time + self._look
+            if status not in (OPTIMAL, FEASIBLE):
+                break
+            used = [label for label, use in enumerate(model.uses) if solver.boolean_value(use)]
+            first = _first_givers(core, used)
+            if first.keys() >= set(core.needs.lists[core.goal]):
+                return frozenset(labels[used].tolist())
+            model.add_bool_or([model.uses[label] for label in _ways_on(core, first)])
+        return frozenset()
+
+    def _supports(self) -> dict[int, Labels]:
+        """For each target, the labels of the best plan that it rests on."""
+        first = _first_givers(self._core, self.best)
+        return {fact: _support(self._core, first, [fact]) for fact in self._wanted}
+
+    def _reached(self, target: int, fractions: Floats) -> Labels:
+        """The labels that the linear program uses, as far as they may feed a target."""
+        core, seen, ahead, found = self._core, {target}, [target], set[int]()
+        for fact in ahead:
+            for label in core.givers.lists[fact]:
+                if label not in found and fractions[label] > self._tuning.used:
+                    found.add(label)
+                    new = [one for one in core.needs.lists[label] if one not in seen]
+                    seen.update(new)
+                    ahead += new
+        return frozenset(found)
+
+    def _lean(self, plan: Labels) -> Labels:
+        """A plan without labels that it can do without; the most expensive are tried first."""
+        plan = _support(self._core, _first_givers(self._core, plan), self._wanted)
+        for label in sorted(plan, key=lambda one: (-self._cost[one], one)):
+            first = _first_givers(self._core, plan - {label}) if label in plan else {}
+            if first.keys() >= set(self._wanted):
+                plan = _support(self._core, first, self._wanted)
+        return plan
+
+    def _cost_of(self, labels: Labels) -> int:
+        return int(self._cost[list(labels)].sum())
+
+
+def _first_givers(core: Core, labels: Iterable[int]) -> dict[int, int]:
+    """For each fact that these labels give, grounded among themselves, the label that gives it first."""
+    missing = {label: len(core.needs.lists[label]) for label in labels}
+    ahead = [label for label, number in missing.items() if not number]
+    first: dict[int, int] = {}
+    for label in ahead:
+        for fact in core.gives.lists[label]:
+            if fact not in first:
+                first[fact] = label
+                for user in core.needed_by.lists[fact]:
+                    if user in missing:
+                        missing[user] -= 1
+                        if not missing[user]:
+                            ahead.append(user)
+    return first
+
+
+def _support(core: Core, first: Mapping[int, int], facts: Iterable[int]) -> Labels:
+    """The labels that feed these facts, directly or through others, each fact by its first giver."""
+    ahead, found = [*facts], set[int]()
+    for fact in ahead:
+        if first[fact] not in found:
+            found.add(first[fact])
+            ahead += core.needs.lists[first[fact]]
+    return frozenset(found)
+
+
+def _ways_on(core: Core, reached: Container[int]) -> Iterator[int]:
+    """The labels that can be fed by the facts reached, and give another one."""
+    for label in range(core.goal):
+        gives = core.gives.lists[label]
+        if any(fact not in reached for fact in gives) and all(fact in reached for fact in core.needs.lists[label]):
+            yield label
