@@ -19,6 +19,7 @@ from cfgplan.arguments import Natural, checked
 from cfgplan.canonical import fields_of, refuse_duplicates, store_sorted
 from cfgplan.errors import InvalidValueError
 from cfgplan.facts import Comparison, Fact, FactValue, requirement, why_left_out
+from cfgplan.features import Feature, states
 from cfgplan.hosts import MANAGER as MANAGER
 from cfgplan.hosts import Host as Host
 from cfgplan.hosts import Link as Link
@@ -139,10 +140,10 @@ class Target:
     tag: str = ""
     topic: str = ""
     priority: int = 0
-    quality: tuple[Wish, ...] = ()
+    quality: tuple[Wish, ...] = states(default=(), feature=Feature.QUALITY, limit="quality")
     host: str | None = None
     silent_us: Natural | None = None
-    run: str | None = None
+    run: str | None = states(default=None, feature=Feature.RUNS)
     type: str | None = None
 
     def __post_init__(self) -> None:

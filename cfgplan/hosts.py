@@ -9,6 +9,7 @@ from typing import Annotated
 from cfgplan.arguments import AtLeast, Natural, checked
 from cfgplan.canonical import store_resources, store_sorted
 from cfgplan.errors import InvalidValueError
+from cfgplan.features import states
 from cfgplan.qualities import LARGEST_QUALITY, MICRO
 from cfgplan.selectors import check_selector, selector
 from cfgplan.transformations import CPU, MEMORY, POWER
@@ -29,13 +30,13 @@ class Host:
     """
 
     name: str
-    cpu_us: Natural | None = None
-    memory_mb: Natural | None = None
+    cpu_us: Natural | None = states(default=None, limit="cpu")
+    memory_mb: Natural | None = states(default=None, limit="memory")
     offers: Mapping[str, Natural] = field(default_factory=dict, hash=False)
     speed: Annotated[int, AtLeast(1)] = MICRO
     labels: tuple[str, ...] = ()
     rent_us: Natural = 0
-    energy: Natural | None = None
+    energy: Natural | None = states(default=None, limit="energy")
 
     def __post_init__(self) -> None:
         store_sorted(self, "labels", dict.fromkeys(self.labels), str)
@@ -68,7 +69,7 @@ class Link:
     """
 
     between: tuple[str, str]
-    bandwidth: Natural | None = None
+    bandwidth: Natural | None = states(default=None, limit="bandwidth")
     price_us: Natural | None = None
     latency: Natural = 0
     adds: str | None = None

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
-from operator import attrgetter
 from typing import Any, Final, Protocol
 
 from cfgplan.arguments import Natural, checked
@@ -16,13 +15,18 @@ from cfgplan.domain import (
     ENVIRONMENT_HEADS,
     ChangeSet,
     Environment,
+    InputPort,
     Objective,
+    OutputPort,
     Similarity,
     Subscription,
+    Target,
     Transformation,
     environment_rows,
 )
 from cfgplan.errors import CfgplanError, InputError, InvalidValueError
+from cfgplan.features import Feature as Feature
+from cfgplan.features import asked_features, states
 from cfgplan.qualities import price_us
 from cfgplan.summary import Summary, counted, cpu, summarised, summary
 
@@ -36,23 +40,6 @@ class Failures(StrEnum):
     UNITS = "units"
     HOSTS = "hosts"
     """The failure of a host, with all its units, or of a unit."""
-
-
-class Feature(StrEnum):
-    """An extension of the paper's problem; the value is its name in error messages."""
-
-    QUALITY = "quality of streams"
-    HOSTS = "hosts"
-    CONFLICTS = "conflicts"
-    BESIDE = "units that run with others"
-    INSTANCES = "numbers of instances"
-    SURVIVAL = "survival of failures"
-    OPTIONAL = "optional inputs"
-    COUNTS = "inputs that take several streams"
-    LIMITS = "outputs that serve only so many"
-    RUNS = "targets that want a unit, not a stream"
-    ORDER = "an order of objectives"
-    LATENCY = "latencies of links"
 
 
 def _problem_summary(problem: Problem) -> Summary:
@@ -77,7 +64,7 @@ class Problem:
     similarity: Similarity
     horizon_s: Natural
     max_cost_us: Natural | None = None
-    survive: Failures | None = None
+    survive: Failures | None = states(default=None, limit="survive")
 
     __getstate__ = fields_of
 
@@ -93,25 +80,22 @@ class Problem:
     def features(self) -> frozenset[Feature]:
         """The features of the problem beyond the paper; quality counts only if a target asks for it."""
         environment, library = self.environment, self.environment.library
-        inputs = [port for t in library for port in t.inputs]
-        outputs = [port for t in library for port in t.outputs]
+        parts: list[tuple[type[Any], Iterable[object]]] = [
+            (Transformation, library),
+            (InputPort, (port for t in library for port in t.inputs)),
+            (OutputPort, (port for t in library for port in t.outputs)),
+            (Target, environment.targets),
+        ]
         asked = {
-            Feature.QUALITY: any(target.quality for target in environment.targets),
             Feature.HOSTS: bool(environment.hosts),
-            Feature.CONFLICTS: any(map(any, _said(library, "conflicts", "conflicts_on_host"))),
-            Feature.BESIDE: bool(environment.companions),
-            Feature.INSTANCES: not _said(library, "min_instances", "max_instances", "per_host") <= {(0, None, None)},
-            Feature.OPTIONAL: True in _said(inputs, "optional"),
-            Feature.COUNTS: not _said(inputs, "count") <= {1},
-            Feature.LIMITS: not _said(outputs, "serves") <= {None},
-            Feature.RUNS: bool(environment.wanted_to_run),
             Feature.SURVIVAL: self.survive is not None or any(unit.standby for unit in environment.units),
             Feature.LATENCY: not {link.adds for link in environment.links}.isdisjoint(
                 wish.attribute for target in environment.targets for wish in target.quality
             ),
             Feature.ORDER: environment.minimise != (Objective.COST,),
         }
-        return frozenset(feature for feature, is_asked in asked.items() if is_asked)
+        said = (feature for kind, these in parts for feature in asked_features(kind, these))
+        return frozenset([*said, *(feature for feature, is_asked in asked.items() if is_asked)])
 
     @property
     def is_plain(self) -> bool:
@@ -383,11 +367,6 @@ class Decider(Protocol):
     def decide(self, pairs: Sequence[Pair]) -> int:
         """Ask about pairs, the most wanted first. Returns how many were asked; `similarity` has the answers."""
         ...
-
-
-def _said(parts: Iterable[object], *names: str) -> set[Any]:
-    """The different values that parts have of some attributes: mostly one, however many parts there are."""
-    return set(map(attrgetter(*names), parts))
 
 
 def fresh_unit_ids(environment: Environment, labels: list[str]) -> dict[str, str]:

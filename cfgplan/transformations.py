@@ -14,6 +14,7 @@ from cfgplan.arguments import AtLeast, Natural, checked
 from cfgplan.canonical import fields_of, refuse_duplicates, store_resources, store_sorted
 from cfgplan.errors import InvalidValueError
 from cfgplan.facts import check_requirement
+from cfgplan.features import Feature, states
 from cfgplan.qualities import Contribution, units
 from cfgplan.selectors import check_selector
 
@@ -49,11 +50,11 @@ class InputPort:
 
     name: str
     tag: str
-    distinct: str | None = None
+    distinct: str | None = states(default=None, limit="distinct")
     feedback: bool = False
-    optional: bool = False
+    optional: bool = states(default=False, feature=Feature.OPTIONAL)
     worth_us: Natural = 0
-    count: Natural = 1
+    count: Natural = states(default=1, feature=Feature.COUNTS, limit="count")
     service: bool = False
     type: str | None = None
     remap: str | None = None
@@ -98,7 +99,7 @@ class OutputPort:
     quality: tuple[Contribution, ...] = ()
     rate_uhz: Natural = 0
     size_bytes: Natural = 0
-    serves: Annotated[int, AtLeast(1)] | None = None
+    serves: Annotated[int, AtLeast(1)] | None = states(default=None, feature=Feature.LIMITS, limit="serves")
     type: str | None = None
     remap: str | None = None
     qos: str | None = None
@@ -200,22 +201,28 @@ class Transformation:
     pinned: bool = False
     required: bool = False
     source: str | None = None
-    host: str | None = None
+    host: str | None = states(default=None, is_of_hosts=True)
     kind: str | None = None
     params: Mapping[str, object] = field(default_factory=dict, hash=False)
     run: RunOptions = RunOptions()
-    hosts: tuple[str, ...] = ()
+    hosts: tuple[str, ...] = states(default=(), limit="host", is_of_hosts=True)
     memory_mb: Natural | None = None
-    conflicts: tuple[str, ...] = ()
-    min_instances: Natural = 0
-    max_instances: Natural | None = None
+    conflicts: tuple[str, ...] = states(default=(), feature=Feature.CONFLICTS, limit="conflicts")
+    min_instances: Natural = states(default=0, feature=Feature.INSTANCES, limit="min_instances")
+    max_instances: Natural | None = states(
+        default=None, feature=Feature.INSTANCES, limit="max_instances", limits_units=True
+    )
     standby_us: Natural | None = None
-    needs: Mapping[str, Natural] = field(default_factory=dict, hash=False)
-    seen_us: Mapping[str, tuple[Natural, Natural]] = field(default_factory=dict, hash=False)
-    per_host: Annotated[int, AtLeast(1)] | None = None
-    conflicts_on_host: tuple[str, ...] = ()
-    on: str | None = None
-    beside: tuple[str, ...] = ()
+    needs: Mapping[str, Natural] = states(default_factory=dict, hash=False, limit="needs")
+    seen_us: Mapping[str, tuple[Natural, Natural]] = states(default_factory=dict, hash=False, is_of_hosts=True)
+    per_host: Annotated[int, AtLeast(1)] | None = states(
+        default=None, feature=Feature.INSTANCES, limit="per_host", limits_units=True, is_by_host=True
+    )
+    conflicts_on_host: tuple[str, ...] = states(
+        default=(), feature=Feature.CONFLICTS, limit="conflicts: host", is_by_host=True
+    )
+    on: str | None = states(default=None, limit="on", is_of_hosts=True)
+    beside: tuple[str, ...] = states(default=(), feature=Feature.BESIDE, limit="with")
     requires: str | None = None
 
     def __post_init__(self) -> None:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
+from functools import cache
 from typing import Any, Final, TypeVar
 
-from cfgplan.domain import Environment
+from cfgplan.domain import Environment, Host, InputPort, Link, OutputPort, Target, Transformation
+from cfgplan.features import rule_rows
 from cfgplan.planning import Problem
 
 T = TypeVar("T")
@@ -28,28 +29,23 @@ class Limit:
         return f"`{self.key}` of {self.kind} {self.name}".rstrip()
 
 
-_LIFTED: Final[Mapping[str, Mapping[str, tuple[str, object]]]] = MappingProxyType(
-    {
-        "transformation": {
-            "host": ("hosts", ()),
-            "on": ("on", None),
-            "needs": ("needs", {}),
-            "with": ("beside", ()),
-            "conflicts": ("conflicts", ()),
-            "conflicts: host": ("conflicts_on_host", ()),
-            "min_instances": ("min_instances", 0),
-            "max_instances": ("max_instances", None),
-            "per_host": ("per_host", None),
-        },
-        "input": {"distinct": ("distinct", None), "count": ("count", 1)},
-        "output": {"serves": ("serves", None)},
-        "host": {"cpu": ("cpu_us", None), "memory": ("memory_mb", None), "energy": ("energy", None)},
-        "link": {"bandwidth": ("bandwidth", None)},
-        "target": {"quality": ("quality", ())},
-        "the environment": {"survive": ("survive", None)},
-    }
-)
-"""The attribute of each limit, and its value when the limit is lifted, by kind of part and key."""
+_CLASSES: Final[Mapping[str, type[Any]]] = {
+    "transformation": Transformation,
+    "input": InputPort,
+    "output": OutputPort,
+    "host": Host,
+    "link": Link,
+    "target": Target,
+    "the environment": Problem,
+}
+"""The class of each kind of part that sets limits."""
+
+
+@cache
+def _lifted(kind: str) -> Mapping[str, tuple[str, object]]:
+    """The attribute of each limit of a kind of part, and its value when the limit is lifted, by key."""
+    rows = rule_rows(_CLASSES[kind]).items()  # type: ignore[arg-type]
+    return {row.limit: (attribute, row.default) for attribute, row in rows if row.limit}
 
 
 def limits_of(problem: Problem) -> list[Limit]:
@@ -57,7 +53,7 @@ def limits_of(problem: Problem) -> list[Limit]:
     found: list[Limit] = []
 
     def note(kind: str, name: str, part: T) -> T:
-        said = (key for key, (attribute, lifted) in _LIFTED[kind].items() if getattr(part, attribute) != lifted)
+        said = (key for key, (attribute, lifted) in _lifted(kind).items() if getattr(part, attribute) != lifted)
         found.extend(Limit(kind, name, key) for key in said)
         return part
 
@@ -69,7 +65,7 @@ def without_limits(problem: Problem, limits: Collection[Limit]) -> Problem:
     """The problem with some of its limits lifted."""
 
     def lift(kind: str, name: str, part: Any) -> Any:
-        lifted = {of: value for key, (of, value) in _LIFTED[kind].items() if Limit(kind, name, key) in limits}
+        lifted = {of: value for key, (of, value) in _lifted(kind).items() if Limit(kind, name, key) in limits}
         return replace(part, **lifted) if lifted else part
 
     return _changed(problem, lift)

@@ -45,6 +45,7 @@ from cfgplan.formats.schema_values import (
     RuleName,
     Seconds,
     SelectorText,
+    Selects,
     Speed,
     StateName,
     StreamName,
@@ -92,7 +93,10 @@ class Use(Flag):
 
 @dataclass(frozen=True, slots=True)
 class FieldRow:
-    """A field as readers and writers need it; `plain` turns the domain's value into the file's."""
+    """A field as readers and writers need it.
+
+    `plain` turns the domain's value into the file's. A field that `selects` has selectors of hosts.
+    """
 
     to: str
     use: Use
@@ -100,6 +104,7 @@ class FieldRow:
     default: Any
     is_text: bool
     plain: Callable[[Any], Any]
+    selects: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +156,7 @@ class Part(BaseModel):
     def rows(cls) -> Mapping[str, FieldRow]:
         """The rows by key, in the order in which they are written."""
         hints = get_type_hints(cls, include_extras=True)
-        return {key: _row(cls, key, [*_pieces(hints[key])]) for key in cls.model_fields}
+        return {key: _row(cls, key, [*_pieces(hints[key])], selects=_selects(hints[key])) for key in cls.model_fields}
 
     @classmethod
     @cache
@@ -189,7 +194,7 @@ def _frozen(value: Any) -> Any:
     return tuple(dict.fromkeys(value)) if isinstance(value, list) else value
 
 
-def _row(part: type[Part], key: str, pieces: list[Any]) -> FieldRow:
+def _row(part: type[Part], key: str, pieces: list[Any], *, selects: bool) -> FieldRow:
     field = part.model_fields[key]
     said = next((each for each in field.metadata if isinstance(each, _Said)), _Said())
     holds_more = any(piece in (list, dict) or (isinstance(piece, type) and issubclass(piece, Part)) for piece in pieces)
@@ -201,7 +206,13 @@ def _row(part: type[Part], key: str, pieces: list[Any]) -> FieldRow:
         is_text=any(piece is str or isinstance(piece, str) for piece in pieces)
         and not any(piece is bool or piece == 0 for piece in pieces),
         plain=next((piece.plain for piece in pieces if isinstance(piece, Written)), as_it_is),
+        selects=selects,
     )
+
+
+def _selects(hint: Any) -> bool:
+    """Whether a type has texts that choose hosts, perhaps as the keys of a mapping."""
+    return isinstance(hint, Selects) or any(map(_selects, get_args(hint)))
 
 
 def _pieces(hint: Any) -> Iterator[Any]:

@@ -10,6 +10,7 @@ from networkx import DiGraph, is_directed_acyclic_graph
 
 from cfgplan.onward import grouped
 from cfgplan.planners.exact.candidates import Candidates, HostKind
+from cfgplan.planners.exact.rules import RULES
 from cfgplan.planners.exact.tracking import Tracking
 from cfgplan.planning import Feature
 
@@ -86,10 +87,12 @@ def host_kinds(candidates: Candidates) -> list[HostKind]:
         return [*candidates.hosts]
     firsts = [candidates.all[group[0]] for group in groups_of(candidates)]
     occupied = {host for first in firsts if first.running for host in first.hosts}
-    kinds: dict[object, list[HostKind]] = defaultdict(list)
+    environment, kinds = candidates.environment, defaultdict[object, list[HostKind]](list)
+    asked = [rule.trait for rule in RULES if rule.trait is not None and rule.is_asked(candidates.problem)]
     for host in candidates.hosts:
         places = [(n, first.places.get(host.first)) for n, first in enumerate(firsts)]
         there = tuple((n, place.cost_us, *sorted(place.takes.items())) for n, place in places if place is not None)
         own = host.first if host.first in occupied else None
-        kinds[own, host.rent_us, tuple(host.rooms.items()), there].append(host)
+        traits = tuple(trait(environment, environment.host[host.first or ""]) for trait in asked)
+        kinds[own, host.rent_us, tuple(host.rooms.items()), there, traits].append(host)
     return [replace(hosts[0], names=tuple(host.first for host in hosts)) for hosts in kinds.values()]

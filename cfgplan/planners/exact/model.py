@@ -118,6 +118,11 @@ class Model:
         for rule in rules:
             rule(self)
 
+    @staticmethod
+    def total(terms: Sequence[LinearExprT]) -> LinearExpr:
+        """The sum of some terms."""
+        return LinearExpr.sum(terms)
+
     def boolean(self) -> IntVar:
         literal = self.cp.new_bool_var("")
         self.literals.append(literal)

@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Final
 
 from cfgplan.domain import ALL, ComputationUnit, Environment, Target
 from cfgplan.planners.exact.candidates import Candidates, HostName
+from cfgplan.planners.exact.checked_units import CheckedUnits
 from cfgplan.planners.exact.reach import Reach
+from cfgplan.planners.exact.rule import Rule
 from cfgplan.planning import Failures, Feature
 from cfgplan.reasons import startable
 
@@ -144,3 +147,12 @@ def can_do_without(candidates: Candidates, units: Collection[ComputationUnit], o
     site = site_of(candidates.environment, one.transformation, one.host)
     matter = (f for f in failures(candidates, others) if are_counted(candidates) or site not in f.left)
     return not any(unmet(candidates, failure) for failure in matter)
+
+
+def _fatal_failures(checked: CheckedUnits) -> Iterator[str]:
+    if not bears_all_failures(checked.candidates, checked.units):
+        yield "a failure is not survived"
+
+
+SURVIVED: Final = Rule(None, Feature.SURVIVAL, _fatal_failures, keeps_units=True)
+"""The search demands what it takes, round by round: see `survival`."""
