@@ -189,8 +189,9 @@ class Transformation:
     No unit, running or cold spare, may exist beside one of a transformation in `conflicts`, or on one host with one of
     a transformation in `conflicts_on_host`. On its host there runs a unit of each in `beside`. At least `min_instances`
     units run. There are at most `max_instances` units, and at most `per_host` on one host, cold spares included;
-    without hosts all are on one. A cold spare takes `standby_us` each second; None: it has none. Units run only while
-    facts meet the expression `requires`, such as `visibility >= 2.25 and not night`.
+    without hosts all are on one. All hosts together that a selector in `at_most` chooses have at most so many, cold
+    spares included. A cold spare takes `standby_us` each second; None: it has none. Units run only while facts meet the
+    expression `requires`, such as `visibility >= 2.25 and not night`.
     """
 
     label: str
@@ -224,6 +225,16 @@ class Transformation:
     on: str | None = states(default=None, limit="on", is_of_hosts=True)
     beside: tuple[str, ...] = states(default=(), feature=Feature.BESIDE, limit="with")
     requires: str | None = None
+    at_most: Mapping[str, Natural] = states(
+        default_factory=dict,
+        hash=False,
+        feature=Feature.INSTANCES,
+        limit="at_most",
+        limits_units=True,
+        is_by_host=True,
+        is_of_hosts=True,
+        shown=lambda most: [f"(at most {number} on {text})" for text, number in most.items()],
+    )
 
     def __post_init__(self) -> None:
         store_sorted(self, "inputs", self.inputs, attrgetter("name"))
@@ -244,8 +255,10 @@ class Transformation:
         store_resources(self, "needs", {MEMORY: "memory_mb"})
         if self.max_instances is not None and self.max_instances < self.min_instances:
             raise InvalidValueError(f"transformation {self.label!r} asks for more instances than it allows")
-        if self.on is not None:
-            check_selector(self.on)
+        if self.at_most:
+            store_resources(self, "at_most", {})
+        for text in (*self.at_most, *(() if self.on is None else (self.on,))):
+            check_selector(text)
         if self.requires is not None:
             check_requirement(self.requires)
 

@@ -265,6 +265,17 @@ WORDS: Mapping[str, Word] = {
         never={"min_instances": 2},
         limit="`per_host` of transformation source",
     ),
+    "at_most": Word(
+        lambda e: any(t.at_most for t in e.library),
+        source={"at_most": {"spot": 1}},
+        hosts=({"name": "h", "labels": ["spot"]}, {"name": "k", "labels": ["spot"]}),
+        units=tuple({"id": f"source.{n}", "transformation": "source", "host": "hk"[n - 1]} for n in (1, 2)),
+        feature=Feature.INSTANCES,
+        broken="2 units of source are on spot, but at most 1 may run on spot",
+        never={"min_instances": 2},
+        limit="`at_most` of transformation source",
+        shown="(at most 1 on spot)",
+    ),
     "conflicts: host": Word(
         lambda e: any(t.conflicts_on_host for t in e.library),
         source={"conflicts": {"host": ["sink"]}},

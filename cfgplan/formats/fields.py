@@ -311,6 +311,7 @@ InputGiven = Annotated[Annotated[TagText, _SHORT] | Annotated[InputPart, _FULL],
 OutputGiven = Annotated[Annotated[TagText, _SHORT] | Annotated[OutputPart, _FULL], _CHOICE]
 OneOrMoreNames = Annotated[Annotated[Name, _SHORT] | Annotated[Names, _FULL], _CHOICE]
 OneOrMoreStreams = Annotated[Annotated[StreamName, _SHORT] | Annotated[StreamNames, _FULL], _CHOICE]
+AtMost = Annotated[Whole, Field(ge=0, le=LARGEST_AMOUNT)]
 FileNames = Annotated[Annotated[FileName, _SHORT] | Annotated[FileList, _FULL], _CHOICE]
 Imports = Annotated[Annotated[Literal["ignore"], _SHORT] | Annotated[dict[Name, FileName], _FULL], _CHOICE]
 
@@ -405,6 +406,9 @@ class TransformationPart(Part):
     min_instances: Whole = row("the least number of its units that run", 0, ge=0, le=MOST_INSTANCES)
     max_instances: Whole | None = row("the most units of it, spares included", ge=0, le=LARGEST_AMOUNT)
     per_host: Whole | None = row("the most units of it on one host", ge=1, le=LARGEST_AMOUNT)
+    at_most: dict[SelectorText, AtMost] | None = row(
+        "the most units of it on all hosts together that a selector chooses: selector to number"
+    )
     standby: Cost | None = row("CPU seconds per second of a spare that does not run", to="standby_us")
     run: RunPart | None = row("how its units run", use=Use.BOTH, xml=ELEMENT)
     inputs: dict[PortName, InputGiven] | None = row("input ports: name to tag", xml=ELEMENT)

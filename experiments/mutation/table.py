@@ -293,6 +293,7 @@ MODEL = _room(
     ("a link bears anything", "hosts.py", "loads[link].append(model.placed[stream] * journey)", "pass"),
     ("all links cost the same", "hosts.py", "model.more_costs.append((cost_us - least_us) * journey)", "pass"),
     ("hosts are free", "hosts.py", "model.cp.add_implication(has, used)", "pass"),
+    ("too many units are on hosts together", "company.py", "model.cp.add(model.total(chosen) <= most)", "pass"),
     ("too many units are on one host", "company.py", "<= t.per_host * model", "<= (t.per_host + 1) * model"),
     (
         "cold spares count as running",
@@ -397,6 +398,7 @@ JUDGE = _room(
         "there[label] > transformation.max_instances:",
         "there[label] < 0:",
     ),
+    ("too many units are on hosts together", "hosts.py", "if number > most:", "if False:"),
     ("units that conflict are on one host", "hosts.py", "if other in there and other != label:", "if False:"),
     ("a unit runs alone", "hosts.py", "if (other, unit.host) not in running:", "if False:"),
     ("company is needless", "facts.py", "if len(ids) == 1]", "if len(ids) == 9]"),
@@ -408,7 +410,7 @@ JUDGE = _room(
     ),
     ("a link bears anything", "hosts.py", "carried > link.bandwidth:", "carried < 0:"),
     ("energy never ends", "hosts.py", "energy > host.energy:", "False:"),
-    ("too many units are on one host", "hosts.py", "number > most:", "number < 0:"),
+    ("too many units are on one host", "hosts.py", "is not None and number > most:", "is not None and number < 0:"),
     ("what is left serves any number", "rewiring.py", "wiring.taken[stream] > most:", "False:"),
     (
         "what takes all closes cycles after a failure",

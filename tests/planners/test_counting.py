@@ -170,6 +170,24 @@ def test_a_host_where_something_runs_is_of_its_own_kind() -> None:
     assert sorted(one.names for one in kinds) == [("h0", "h2"), ("h1",)]
 
 
+def test_a_host_that_a_selector_chooses_is_of_another_kind() -> None:
+    hosts = (*THREE[:2], replace(THREE[2], labels=("spot",)))
+    candidates = Candidates(world("A", replicas(4, at_most={"spot": 1}), hosts=hosts))
+    assert [one.names for one in host_kinds(candidates)] == [("h0", "h1"), ("h2",)]
+
+
+@pytest.mark.parametrize("most", [0, 1, 3])
+def test_units_on_hosts_that_a_selector_chooses_are_counted_together(most: int) -> None:
+    """The hosts that cost nothing are chosen by it, and each host has room for two units."""
+    hosts = (*(replace(host, labels=("spot",)) for host in THREE), *(Host(f"i{n}", 4, 4, rent_us=9) for n in range(3)))
+    problem = world("A", replicas(4, at_most={"spot": most}), hosts=hosts)
+    found = counted(problem)
+    assert as_good(found) == as_good(named(problem))
+    assert found.cost_us is not None
+    free = named(replace(problem, environment=replace(problem.environment, library=(replicas(4),))))
+    assert found.cost_us - (free.cost_us or 0) == 9 * problem.horizon_s * -(-(4 - most) // 2)
+
+
 def test_a_host_with_another_price_is_of_another_kind() -> None:
     hosts = (*THREE[:2], replace(THREE[2], rent_us=1))
     candidates = Candidates(world("A", replicas(4), hosts=hosts))

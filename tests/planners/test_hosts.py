@@ -195,6 +195,10 @@ def test_which_replica_finds_no_host_is_said() -> None:
     for more, text in (
         ({"memory_mb": 512, "min_instances": 3}, "number 3 finds no host with 512 MB of memory left"),
         ({"per_host": 1, "min_instances": 3}, "number 3 finds no host with fewer than 1 of them"),
+        (
+            {"at_most": {"a or b": 1}, "min_instances": 2},
+            "number 2 finds no host with room for it, as at most 1 may run on a or b",
+        ),
     ):
         found = PLANNERS["cpsat"](world("A", kind("web", gives="A", **more), hosts=hosts))
         assert found.status is Status.INFEASIBLE

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from itertools import product
 from typing import TYPE_CHECKING, Final
 
-from cfgplan.domain import Transformation
+from cfgplan.domain import Environment, Host, Transformation
 from cfgplan.onward import grouped
 from cfgplan.planners.exact.candidates import HostName
 from cfgplan.planners.exact.checked_units import CheckedUnits
@@ -75,6 +75,31 @@ def _is_full(loads: HostLoads, kind: Transformation, name: HostName) -> Iterator
         yield f"fewer than {kind.per_host} of them"
 
 
+def hosts_that_a_selector_chooses_have_no_more_units_together_than_it_allows(model: Model) -> None:
+    for t in model.environment.library:
+        there = [on for i in model.candidates.units_of(t.label) for on in model.there_on(i)] if t.at_most else []
+        for text, most in t.at_most.items():
+            chosen = [number for host, number in there if _fits(model.environment, host, text)]
+            model.cp.add(model.total(chosen) <= most)
+
+
+def _is_full_with_others(loads: HostLoads, kind: Transformation, name: HostName) -> Iterator[str]:
+    for text, most in kind.at_most.items():
+        if _fits(loads.environment, name, text):
+            hosts = [host for host in loads.there if _fits(loads.environment, host, text)]
+            if sum(loads.there[host][kind.label] for host in hosts) >= most:
+                yield f"room for it, as {f'at most {most}' if most else 'none'} may run on {text}"
+
+
+def _chosen_by(environment: Environment, host: Host) -> frozenset[str]:
+    """The selectors of numbers of units that choose a host."""
+    return frozenset(text for t in environment.library for text in t.at_most if host.fits(text))
+
+
+def _fits(environment: Environment, name: HostName, text: str) -> bool:
+    return name is not None and environment.host[name].fits(text)
+
+
 def units_that_conflict_are_not_on_one_host(model: Model) -> None:
     for transformation in model.environment.library:
         for other in transformation.conflicts_on_host:
@@ -120,6 +145,13 @@ RULES: Final = (
     Rule(units_that_conflict_are_not_there_together, Feature.CONFLICTS, _conflicts),
     Rule(there_are_as_many_units_as_asked_for_and_allowed, Feature.INSTANCES, _wrong_numbers, keeps_units=True),
     Rule(no_host_has_more_units_of_a_transformation_than_it_allows, Feature.INSTANCES, lacks=_is_full, is_placed=True),
+    Rule(
+        hosts_that_a_selector_chooses_have_no_more_units_together_than_it_allows,
+        Feature.INSTANCES,
+        lacks=_is_full_with_others,
+        trait=_chosen_by,
+        is_placed=True,
+    ),
     Rule(units_that_conflict_are_not_on_one_host, Feature.CONFLICTS, lacks=_has_a_rival, is_placed=True),
     Rule(beside_a_running_unit_run_those_that_it_runs_with, Feature.BESIDE, _alone, is_placed=True, keeps_units=True),
 )
