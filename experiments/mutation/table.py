@@ -435,8 +435,8 @@ SURVIVAL = _room(
     (
         "what is left serves any number",
         "sharing.py",
-        "LinearExpr.sum(taking) <= most)",
-        "LinearExpr.sum(taking) <= 99)",
+        "    idle_inputs.a_stream_serves_no_more_than_it_may,\n",
+        "",
     ),
     (
         "one unit is as good as several after a failure",

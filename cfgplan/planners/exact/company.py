@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from itertools import product
 from typing import TYPE_CHECKING, Final
 
-from cfgplan.domain import Environment, Host, Transformation
+from cfgplan.domain import ComputationUnit, Environment, Host, Transformation
 from cfgplan.onward import grouped
 from cfgplan.planners.exact.candidates import HostName
 from cfgplan.planners.exact.checked_units import CheckedUnits
 from cfgplan.planners.exact.host_loads import HostLoads
-from cfgplan.planners.exact.pruning import have_company
 from cfgplan.planners.exact.rule import Rule
 from cfgplan.planning import Feature
 
@@ -134,6 +133,28 @@ def beside_a_running_unit_run_those_that_it_runs_with(model: Model) -> None:
                     model.needs_any(has, company)
                 else:
                     model.cp.add(has <= model.total(company))
+
+
+def have_company(environment: Environment, units: Collection[ComputationUnit]) -> bool:
+    """Whether on the host of each running unit there runs one of each transformation that it runs with."""
+    if not environment.companions:
+        return True
+    running = running_on(units)
+    return all(
+        running.get((unit.host, label))
+        for unit in units
+        if not unit.standby
+        for label in environment.transformation[unit.transformation].beside
+    )
+
+
+Running = dict[tuple[HostName, str], list[str]]
+"""The ids of the running units of each transformation on each host."""
+
+
+def running_on(units: Iterable[ComputationUnit]) -> Running:
+    """The running units of some."""
+    return grouped(((unit.host, unit.transformation), unit.id) for unit in units if not unit.standby)
 
 
 def _alone(checked: CheckedUnits) -> Iterator[str]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from cfgplan.domain import ComputationUnit, Environment, InputPort, Publication, Stream, Subscription, Target
 from cfgplan.onward import grouped
 from cfgplan.planners.exact.candidates import Candidates, HostName
-from cfgplan.planners.exact.pruning import have_company
+from cfgplan.planners.exact.company import have_company
 from cfgplan.planners.exact.rules import MAY_RUN_FOR_NOBODY
 from cfgplan.planning import Feature, fresh_units
 

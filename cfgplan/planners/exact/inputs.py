@@ -12,7 +12,6 @@ from cfgplan.planners.exact.candidates import HostName
 from cfgplan.planners.exact.checked_units import CheckedUnits
 from cfgplan.planners.exact.rule import Rule
 from cfgplan.planners.networks.keys import is_well_wired
-from cfgplan.planning import Feature
 
 if TYPE_CHECKING:
     from ortools.sat.python.cp_model import IntVar
@@ -170,7 +169,7 @@ def units_that_feed_each_other_come_one_after_the_other(model: Model) -> None:
 
     In small problems there are as many where streams are counted, limited or compared.
     """
-    if Feature.OPTIONAL not in model.problem.features and not model.is_small:
+    if not model.orders_rings:
         return
     from networkx import DiGraph, strongly_connected_components
 

@@ -8,15 +8,13 @@ from dataclasses import dataclass
 from typing import Final
 
 from cfgplan.domain import ALL, ComputationUnit, Environment, Target
-from cfgplan.planners.exact.candidates import Candidates, HostName
+from cfgplan.planners.exact.candidates import Candidates, HostName, Site
 from cfgplan.planners.exact.checked_units import CheckedUnits
 from cfgplan.planners.exact.reach import Reach
 from cfgplan.planners.exact.rule import Rule
 from cfgplan.planning import Failures, Feature
 from cfgplan.reasons import startable
 
-Site = tuple[str, HostName]
-"""A transformation and, where some run with others on their host, a host: units of one site may do the same."""
 UnitsBySite = Mapping[Site, int]
 """How many units of each site there are; 1 for any number where that does not matter, see `are_counted`."""
 
@@ -125,11 +123,11 @@ def _can_share(candidates: Candidates, units: UnitsBySite, targets: tuple[Target
     is_limited = any(port.serves is not None for kind in kinds for port in kind.outputs)
     if not is_limited and not any(port.count == ALL for kind in kinds for port in kind.inputs):
         return True
-    from cfgplan.planners.exact.sharing import Sharing  # the solver takes long to import
+    from cfgplan.planners.exact.sharing import can_share  # the solver takes long to import
 
     case = frozenset(units.items()), targets
     if case not in candidates.can_share:
-        candidates.can_share[case] = Sharing(candidates, units.items(), targets).exists()
+        candidates.can_share[case] = can_share(candidates.of_sites(units, targets))
     return candidates.can_share[case]
 
 
