@@ -25,7 +25,7 @@ from ortools.sat.python.cp_model import (
 import cfgplan
 from cfgplan.domain import Similarity, Target
 from cfgplan.planners.cpsat import PlannerSession
-from cfgplan.planners.exact import search
+from cfgplan.planners.exact import rounds, search
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.model import Model
 from cfgplan.planners.exact.standing import Standing
@@ -41,13 +41,13 @@ from experiments.fleet import instances
 @pytest.mark.parametrize("seed", [0, 2, 6])
 def test_a_solution_that_is_not_grounded_is_forbidden_before_anything_is_proven_of_it(seed: int) -> None:
     problem = random_library(seed, transformations=30, targets=3, back=0.4)
-    solve, statuses = search.solve, []
+    solve, statuses = rounds.solve, []
 
     def watched(*of: Any) -> Any:
         statuses.append(solve(*of))
         return statuses[-1]
 
-    with mock.patch.object(search, "solve", watched):
+    with mock.patch.object(rounds, "solve", watched):
         alone = search_alone(problem)
         alone.run()
     assert statuses[0] == FEASIBLE
@@ -60,10 +60,10 @@ def test_a_solution_that_is_not_grounded_is_forbidden_before_anything_is_proven_
 @pytest.mark.parametrize(
     ("room", "problem", "status"),
     [
-        (search, random_library(0, transformations=60), INFEASIBLE),
-        (search, random_library(0, transformations=60), MODEL_INVALID),
-        (search, instances.weighted(0, 40, 2), INFEASIBLE),
-        (search, replace(random_library(0, transformations=12, targets=1), survive=Failures.UNITS), INFEASIBLE),
+        (rounds, random_library(0, transformations=60), INFEASIBLE),
+        (rounds, random_library(0, transformations=60), MODEL_INVALID),
+        (rounds, instances.weighted(0, 40, 2), INFEASIBLE),
+        (rounds, replace(random_library(0, transformations=12, targets=1), survive=Failures.UNITS), INFEASIBLE),
     ],
     ids=["plain", "plain, invalid", "quality", "failures"],
 )

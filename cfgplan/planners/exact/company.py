@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Final
 from cfgplan.domain import ComputationUnit, Environment, Host, Transformation
 from cfgplan.onward import grouped
 from cfgplan.planners.exact.candidates import HostName
-from cfgplan.planners.exact.checked_units import CheckedUnits
-from cfgplan.planners.exact.host_loads import HostLoads
-from cfgplan.planners.exact.rule import Rule
+from cfgplan.planners.exact.rule import CheckedUnits, HostLoads, Rule
 from cfgplan.planning import Feature
 
 if TYPE_CHECKING:
@@ -162,7 +160,7 @@ def _alone(checked: CheckedUnits) -> Iterator[str]:
         yield "a unit runs without one that it runs with"
 
 
-RULES: Final = (
+COMPANY: Final = (
     Rule(units_that_conflict_are_not_there_together, Feature.CONFLICTS, _conflicts),
     Rule(there_are_as_many_units_as_asked_for_and_allowed, Feature.INSTANCES, _wrong_numbers, keeps_units=True),
     Rule(no_host_has_more_units_of_a_transformation_than_it_allows, Feature.INSTANCES, lacks=_is_full, is_placed=True),

@@ -12,14 +12,12 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from math import ceil
 from operator import attrgetter
 from typing import NamedTuple
 
 from ortools.sat.python.cp_model import (
     FEASIBLE,
     INFEASIBLE,
-    MODEL_INVALID,
     OPTIMAL,
     CpSolver,
     CpSolverSolutionCallback,
@@ -34,6 +32,7 @@ from cfgplan.planners.exact.groups import groups_of, host_kinds
 from cfgplan.planners.exact.model import Model
 from cfgplan.planners.exact.patterns import Patterns
 from cfgplan.planners.exact.pruning import lean
+from cfgplan.planners.exact.rounds import InfeasibleError, minimised
 from cfgplan.planners.exact.rules import PLACED, RULES
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.networks.keys import Key
@@ -126,9 +125,13 @@ class _Deployment:
         proven: list[int] = []
         for number, step in enumerate(steps):
             learn = step.learn if is_placed or not number else lambda _: None
-            found = self._minimise(model, step.what, values, learn, is_placed=is_placed)
+            try:
+                found = self._minimise(model, step.what, values, learn, is_placed=is_placed)
+            except InfeasibleError:
+                standing.prove_infeasible()
+                return True
             if found is None:
-                return standing.is_infeasible
+                return False
             values, least = found
             self._least = self._least if number else least
             model.cp.add(step.what <= least)
@@ -165,38 +168,32 @@ class _Deployment:
         *,
         is_placed: bool,
     ) -> tuple[Sequence[int], int] | None:
-        """The best numbers and their value; None if there are none, or the time is over before they are proven best.
+        """The best numbers and their value; None if the time is over before they are proven best.
 
-        `known` are numbers to begin with, if there are any. `learn` is told bounds.
+        `known` are numbers to begin with, if there are any. `learn` is told bounds. Raises InfeasibleError.
         """
         clock = self.standing.clock
-        model.cp.minimize(what)
-        if known:
-            model.cp.clear_hints()  # type: ignore[no-untyped-call]
-        for index, value in enumerate(known):
-            model.cp.add_hint(model.cp.get_int_var_from_proto_index(index), value)
-        solver = _solver(clock)
 
-        def learn_bound(bound: float) -> None:
-            learn(ceil(bound - 0.5))
+        def solver() -> CpSolver:
+            if known:
+                model.cp.clear_hints()  # type: ignore[no-untyped-call]
+            for index, value in enumerate(known):
+                model.cp.add_hint(model.cp.get_int_var_from_proto_index(index), value)
+            return _solver(clock)
 
         def look_at(solution: CpSolverSolutionCallback) -> bool:
             return not is_placed or self._offer(model, solution.response_proto.solution)
 
-        status = solve(solver, model.cp, clock, look_at, learn_bound)
-        self.standing.counts["rounds"] += 1
-        self.standing.counts["conflicts"] += solver.num_conflicts
-        if status == INFEASIBLE:
-            self.standing.prove_infeasible()
+        def taken(solver: CpSolver, is_best: bool) -> tuple[Sequence[int], int | None] | None:
+            values = list(solver.response_proto.solution)
+            if is_best and self.misfits and not is_placed and self._is_too_much(model, values):
+                return None
+            return values, int(solver.value(what)) if is_best else None
+
+        found = minimised(model, what, self.standing, solver=solver, look_at=look_at, learn=learn, taken=taken)
+        if found is None or found[1] is None:
             return None
-        if status == MODEL_INVALID:
-            raise ContradictionError("the engine refuses the model")
-        if status != OPTIMAL:
-            return None
-        values = list(solver.response_proto.solution)
-        if self.misfits and not is_placed and self._is_too_much(model, values):
-            return self._minimise(model, what, values, learn, is_placed=is_placed)
-        return values, int(solver.value(what))
+        return found[0], found[1]
 
     def _offer(self, model: Model, values: Sequence[int]) -> bool:
         """Offer the plan that numbers say, with more hosts if their units do not fit on so many; False then."""

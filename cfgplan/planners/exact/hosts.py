@@ -11,9 +11,7 @@ from cfgplan.domain import Link, Objective, Transformation, amount_of
 from cfgplan.figures import links_bear
 from cfgplan.onward import grouped
 from cfgplan.planners.exact.candidates import HostName
-from cfgplan.planners.exact.checked_units import CheckedUnits
-from cfgplan.planners.exact.host_loads import HostLoads
-from cfgplan.planners.exact.rule import Rule
+from cfgplan.planners.exact.rule import CheckedUnits, HostLoads, Rule
 from cfgplan.planning import Feature
 
 if TYPE_CHECKING:

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 from cfgplan.domain import ALL, ComputationUnit, InputPort, Stream
 from cfgplan.onward import reached
-from cfgplan.planners.exact.checked_units import CheckedUnits
-from cfgplan.planners.exact.rule import Rule
+from cfgplan.planners.exact.rule import CheckedUnits, Rule
 from cfgplan.planners.exact.targets import who_is_needed
 from cfgplan.planning import Feature
 
@@ -142,7 +141,7 @@ def _free(checked: CheckedUnits, unit: ComputationUnit, port: InputPort) -> Coll
     return found
 
 
-RULES: Final = (
+IDLE: Final = (
     Rule(a_stream_serves_no_more_than_it_may, Feature.LIMITS, _overtaken),
     Rule(None, Feature.COUNTS, _incomplete),
     Rule(an_input_that_starts_nothing_is_fed_by_what_is_needed_anyway, Feature.OPTIONAL),

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Final
 from cfgplan.domain import ALL, InputPort, Stream
 from cfgplan.onward import grouped
 from cfgplan.planners.exact.candidates import HostName
-from cfgplan.planners.exact.checked_units import CheckedUnits
-from cfgplan.planners.exact.rule import Rule
+from cfgplan.planners.exact.rule import CheckedUnits, Rule
 from cfgplan.planners.networks.keys import is_well_wired
 
 if TYPE_CHECKING:
@@ -270,7 +269,7 @@ def _cycles(checked: CheckedUnits) -> Iterator[str]:
         yield "units feed each other in a cycle"
 
 
-RULES: Final = (
+FEEDING: Final = (
     Rule(a_staying_unit_keeps_its_feeders),
     Rule(a_wired_unit_is_fed, flaws=_badly_wired),
     Rule(inputs_of_a_group_are_fed_by_different_transformations),

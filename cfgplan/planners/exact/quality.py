@@ -16,10 +16,9 @@ from cfgplan.domain import InputPort, Stream
 from cfgplan.figures import qualities_of_targets
 from cfgplan.planners.exact.best_case import Making, least_badness, most_badness
 from cfgplan.planners.exact.candidates import HostName
-from cfgplan.planners.exact.checked_units import CheckedUnits
 from cfgplan.planners.exact.quality_chains import ChainCut
 from cfgplan.planners.exact.quality_numbers import most_together, numbers_of
-from cfgplan.planners.exact.rule import Rule
+from cfgplan.planners.exact.rule import CheckedUnits, Rule
 from cfgplan.planning import Feature
 from cfgplan.qualities import MICRO, Over, QualityAttribute, Wish, is_met
 

@@ -1,28 +1,34 @@
-"""The rules of an update, each a function named by its content in the file of its subject.
+"""The rules of an update, each a function named by its content in the file of its subject, and what breaks them.
 
-Adding a rule is a row in one of these files. A rule that a problem does not ask for adds nothing.
+Adding a rule is a row in one of these files. A rule that a problem does not ask for adds nothing. Each configuration is
+checked before it becomes the incumbent, because an invalid incumbent makes proofs false. The judge checks the answer
+again, and shares no code with this room.
 """
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterator
 from typing import Final
 
+from cfgplan.domain import ComputationUnit
 from cfgplan.planners.exact import company, hosts, idle_inputs, inputs, quality, survivors, targets, units
-from cfgplan.planners.exact.host_loads import HostLoads
-from cfgplan.planners.exact.rule import Rule
+from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.pruning import needed_in_all
+from cfgplan.planners.exact.rule import CheckedUnits, HostLoads, Rule
+from cfgplan.planners.exact.survivors import can_do_without
 from cfgplan.planning import Problem
 
 RULES: Final[tuple[Rule, ...]] = (
     *units.STATES,
-    *inputs.RULES,
+    *inputs.FEEDING,
     *targets.MET,
     *hosts.CARRYING,
     units.PINNED,
     targets.REQUIRED,
-    *idle_inputs.RULES,
+    *idle_inputs.IDLE,
     targets.NEEDED,
     *hosts.ROOM,
-    *company.RULES,
+    *company.COMPANY,
     hosts.SYMMETRY,
     *units.ORDER,
     quality.ASKED,
@@ -38,3 +44,36 @@ MAY_RUN_FOR_NOBODY: Final = frozenset(rule.feature for rule in RULES if rule.kee
 def host_loads(problem: Problem) -> HostLoads:
     """Return empty hosts, on which units can be put as the rules that a problem asks for let them."""
     return HostLoads(problem, [rule.lacks for rule in RULES if rule.lacks is not None and rule.is_asked(problem)])
+
+
+def flaws(candidates: Candidates, units: Collection[ComputationUnit]) -> Iterator[str]:
+    """Yield each flaw of a configuration as text; a valid one yields none.
+
+    The candidates may be a part of all: the rules about units that must run are checked against the problem.
+    """
+    problem, checked = candidates.problem, CheckedUnits(candidates, units)
+    for rule in RULES:
+        if rule.flaws is not None and rule.is_asked(problem):
+            yield from rule.flaws(checked)
+    if problem.features:
+        yield from _overloads(checked)
+    if _has_needless_units(candidates, units):
+        yield "nothing needs some unit"
+
+
+def _overloads(checked: CheckedUnits) -> Iterator[str]:
+    """Yield units for which their hosts lack something, beside the units before them."""
+    loads = host_loads(checked.problem)
+    for unit in checked.units:
+        if not loads.put(checked.kind(unit), unit.host):
+            yield f"the host of unit {unit.id} has no room for it"
+
+
+def _has_needless_units(candidates: Candidates, units: Collection[ComputationUnit]) -> bool:
+    """Whether some unit is needless: no target, pin, number, company or failure needs it."""
+    needed = needed_in_all(candidates.problem, units, ())
+    if len(needed) < len(units) and candidates.problem.survive is not None:
+        left = [unit for unit in units if unit.id not in needed]
+        spares = {unit.id for unit in left if not can_do_without(candidates, units, unit)}
+        needed = needed_in_all(candidates.problem, units, spares)
+    return len(needed) < len(units)

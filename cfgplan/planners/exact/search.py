@@ -4,22 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Sequence
 from functools import partial
-from math import ceil, inf
+from math import inf
 
-from ortools.sat.python.cp_model import (
-    FEASIBLE,
-    INFEASIBLE,
-    MODEL_INVALID,
-    OPTIMAL,
-    CpSolver,
-    CpSolverSolutionCallback,
-    IntVar,
-    LinearExpr,
-    LinearExprT,
-)
+from ortools.sat.python.cp_model import CpSolver, CpSolverSolutionCallback, IntVar, LinearExpr, LinearExprT
 
 from cfgplan.domain import Objective
-from cfgplan.errors import InputError
 from cfgplan.planners.exact.candidates import ONLY_IN_THE_MODEL, Candidates
 from cfgplan.planners.exact.decode import decode, named
 from cfgplan.planners.exact.first_plans import FirstPlans
@@ -27,12 +16,13 @@ from cfgplan.planners.exact.model import Model, ModelRule
 from cfgplan.planners.exact.pruning import lean
 from cfgplan.planners.exact.quality import chains_are_as_bad_as_who_runs_lets_them
 from cfgplan.planners.exact.quality_chains import ChainCut
+from cfgplan.planners.exact.rounds import InfeasibleError, minimised
 from cfgplan.planners.exact.rules import RULES
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.exact.survival import Survival
 from cfgplan.planners.networks.keys import Key
 from cfgplan.planners.solving.clock import Clock, ContradictionError
-from cfgplan.planners.solving.engine import LARGEST_PRODUCT, repeatable_solver, solve
+from cfgplan.planners.solving.engine import LARGEST_PRODUCT, repeatable_solver
 from cfgplan.planning import Feature
 
 EXACT = 2**50
@@ -43,10 +33,6 @@ Landmarks = Iterable[tuple[Iterable[str], int]]
 """Labels of which every plan has so many or more; each counts as often as it is named."""
 LandmarkFinder = Callable[[Collection[str], Clock], Landmarks]
 """Finds landmarks that the transformations of a solution do not hit."""
-
-
-class InfeasibleError(Exception):
-    """No plan meets all that was added to the model."""
 
 
 class Search:
@@ -210,41 +196,41 @@ class Search:
         `level_of` gives the objective of a plan. `learn` is called with bounds on it. Raises InfeasibleError if no plan
         exists. The rounds end: each forbids a solution.
         """
-        self.model.cp.minimize(objective)
         standing = self.standing
 
-        def learn_bound(bound: float) -> None:
+        def learn_bound(bound: int) -> None:
             if learn is not None and self.is_all:
-                learn(ceil(bound - 0.5))
+                learn(bound)
 
-        while self._left_s > 0 and not standing.clock.is_over():
-            standing.counts["rounds"] += 1
-            solver = self.solver()
-            self._hint()
-            status = solve(solver, self.model.cp, standing.clock, self._look_at, learn_bound)
-            standing.counts["conflicts"] += solver.num_conflicts
+        def taken(solver: CpSolver, is_best: bool) -> bool | None:
             self._left_s -= solver.response_proto.deterministic_time
-            if status == INFEASIBLE:
-                raise InfeasibleError
-            if status == MODEL_INVALID:
-                self._refuse()
-            if status not in (OPTIMAL, FEASIBLE):
-                return False
             true = self.true_of(solver.boolean_value)
             key = self.consider(true)
-            if key is not None:
-                if level_of(key) > round(solver.objective_value):
-                    raise ContradictionError("a plan costs or changes more than the model says")
-                return status == OPTIMAL
-            self.forbid(true)
-        return False
+            if key is None:
+                self.forbid(true)
+                return None
+            if level_of(key) > round(solver.objective_value):
+                raise ContradictionError("a plan costs or changes more than the model says")
+            return is_best
 
-    def _refuse(self) -> None:
-        """Raise the error that says why the engine refuses the model."""
-        if self.problem.is_plain:
-            raise ContradictionError("the engine refuses the model")
-        mend = "give the quality attributes a `worst` and a `best` that are closer, or fewer decimals"
-        raise InputError.of("the numbers are too large to be computed exactly", mend=mend)
+        return bool(
+            minimised(
+                self.model,
+                objective,
+                standing,
+                solver=self._next_solver,
+                look_at=self._look_at,
+                learn=learn_bound,
+                taken=taken,
+            )
+        )
+
+    def _next_solver(self) -> CpSolver | None:
+        """A solver for one round, with the incumbent as a hint; None if the time is over."""
+        if self._left_s <= 0 or self.standing.clock.is_over():
+            return None
+        self._hint()
+        return self.solver()
 
     def true_of(self, holds: Callable[[IntVar], bool]) -> set[int]:
         return {literal.index for literal in self.model.literals if holds(literal)}

@@ -18,7 +18,7 @@ from cfgplan.planners.solving.engine import repeatable_solver, solve
 
 _WIRED: Final[tuple[ModelRule, ...]] = (
     *units.STATES,
-    *inputs.RULES,
+    *inputs.FEEDING,
     *targets.MET,
     idle_inputs.a_stream_serves_no_more_than_it_may,
     company.beside_a_running_unit_run_those_that_it_runs_with,

@@ -9,9 +9,8 @@ from typing import Final
 
 from cfgplan.domain import ALL, ComputationUnit, Environment, Target
 from cfgplan.planners.exact.candidates import Candidates, HostName, Site
-from cfgplan.planners.exact.checked_units import CheckedUnits
 from cfgplan.planners.exact.reach import Reach
-from cfgplan.planners.exact.rule import Rule
+from cfgplan.planners.exact.rule import CheckedUnits, Rule
 from cfgplan.planning import Failures, Feature
 from cfgplan.reasons import startable
 

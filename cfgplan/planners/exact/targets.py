@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 from cfgplan.domain import Stream
 from cfgplan.onward import grouped
-from cfgplan.planners.exact.checked_units import CheckedUnits
-from cfgplan.planners.exact.rule import Rule
+from cfgplan.planners.exact.rule import CheckedUnits, Rule
 from cfgplan.planning import Feature
 
 if TYPE_CHECKING:

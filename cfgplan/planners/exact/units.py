@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from cfgplan.onward import grouped
 from cfgplan.planners.exact.candidates import Candidate, HostKind
-from cfgplan.planners.exact.checked_units import CheckedUnits
-from cfgplan.planners.exact.rule import Rule
+from cfgplan.planners.exact.rule import CheckedUnits, Rule
 
 if TYPE_CHECKING:
     from ortools.sat.python.cp_model import IntVar
