@@ -65,10 +65,8 @@ def lead_of(problem: Problem, who: str, time_limit_s: float | None) -> Lead:
     by_label: dict[str, list[int]] = defaultdict(list)
     for i, candidate in enumerate(selection.candidates):
         by_label[candidate.transformation.label].append(i)
-    left = set(work.left.names)
-    landmarks = [
-        (least, Counter(i for label in labels for i in by_label[label])) for labels, least in work.left.landmarks()
-    ]
+    left = set(work.remaining.names(work.network))
+    landmarks = [(least, Counter(i for label in labels for i in by_label[label])) for labels, least in work.landmarks()]
     return Lead(
         None if standing.best is None else sorted(by_id[unit.id] for unit in standing.best.units),
         standing.bound_us,

@@ -63,9 +63,9 @@ def test_what_costs_more_than_the_best_plan_on_any_host_is_left_out() -> None:
     library = (kind("s", gives="A"), kind("dear", gives="A", labor_us=9), kind("f", "A", "B"))
     problem = world("B", *library, hosts=(Host("h0"), Host("h1")))
     candidates, standing = Candidates(problem), Standing(problem, Clock(), None)
-    assert left_by_bounds(candidates, standing).labels == {"s", "dear", "f"}
+    assert left_by_bounds(candidates, standing).names(candidates.network) == ["dear", "f", "s"]
     FirstPlans(candidates, standing).look(0)
-    assert left_by_bounds(candidates, standing).labels == {"s", "f"}
+    assert left_by_bounds(candidates, standing).names(candidates.network) == ["f", "s"]
 
 
 def test_a_dearer_unit_on_the_target_s_host_beats_a_cheap_one_and_a_transfer() -> None:

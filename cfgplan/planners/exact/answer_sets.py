@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from cfgplan.extras import is_there
-from cfgplan.planners.exact.work import Left, Work, numbers
+from cfgplan.planners.exact.remaining import Remaining
+from cfgplan.planners.exact.work import Work, numbers
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.greedy import first_plan
 from cfgplan.planners.networks.network import Network, Weighing
@@ -42,7 +43,7 @@ def prove_by_answer_sets(work: Work) -> bool:
     if not program.run(tuning.first, clock) and program.value >= room:
         program.run(tuning.conflicts, clock)
     plan = min((plan, *program.plans), key=weighing.of_plan)
-    work.take(Left(network, weighing, plan, program.value, plan, is_complete=False))
+    work.take(Remaining(plan, program.value, is_complete=False), network, weighing, plan)
     work.standing.counts["conflicts"] = program.conflicts
     clock.end("bounds")
     return work.standing.is_over

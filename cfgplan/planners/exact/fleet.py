@@ -8,7 +8,7 @@ model.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.first_plans import FirstPlans
 from cfgplan.planners.exact.quality_chains import ChainCut, has_chains
 from cfgplan.planners.exact.quality_cuts import chain_cuts
+from cfgplan.planners.exact.remaining import Remaining, named_landmarks
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.networks.core import Floats
 from cfgplan.planning import Feature
@@ -29,7 +30,7 @@ def plan_fleet(candidates: Candidates, standing: Standing, last: Collection[str]
     _count(candidates, standing)
     if clock.tuning.is_solver_only:
         if standing.is_cost_proven:
-            candidates = candidates.among(left_by_bounds(candidates, standing).labels)
+            candidates, _ = _left(candidates, standing)
         _solve(candidates, standing)
         return
     least_us, rewired, started = least_of_all(candidates)
@@ -72,13 +73,23 @@ def _search(candidates: Candidates, standing: Standing, first: FirstPlans) -> No
         look_among_few(candidates, standing, first)
     if standing.is_over:
         return
-    left = left_by_bounds(candidates, standing)
-    candidates = candidates.among(left.labels)
-    cuts, share = chain_cuts(candidates, left.landmarks, clock) if is_cut else ([], None)
+    candidates, landmarks = _left(candidates, standing)
+    cuts, share = chain_cuts(candidates, landmarks, clock) if is_cut else ([], None)
     clock.end("bounds")
     if share is not None:
         _look_among_used(candidates, standing, cuts, share)
-    _solve(candidates, standing, left.landmarks, cuts)
+    _solve(candidates, standing, landmarks, cuts)
+
+
+def _left(candidates: Candidates, standing: Standing) -> tuple[Candidates, list[tuple[list[str], int]]]:
+    """The candidates that bounds leave, and landmarks of all plans."""
+    left, network = left_by_bounds(candidates, standing), candidates.network
+    landmarks: list[tuple[list[str], int]] = []
+    if left.bound is not None:
+        is_short = Feature.QUALITY not in candidates.problem.features
+        landmarks = [*named_landmarks(left.bound, network, is_short=is_short)]
+        standing.counts["landmarks"] = len(landmarks)
+    return (candidates.among(left.names(network)) if left.is_complete else candidates), landmarks
 
 
 def _look_among_used(candidates: Candidates, standing: Standing, cuts: Iterable[ChainCut], share: Floats) -> None:
@@ -107,54 +118,44 @@ def _solve(
     standing.clock.end("search")
 
 
-@dataclass(frozen=True)
-class Shortlist:
-    """The transformations that a plan at the incumbent's cost or less can contain, and landmarks that it hits.
-
-    `order` sorts the transformations by reduced cost, the least first.
-    """
-
-    labels: frozenset[str]
-    order: tuple[str, ...] = ()
-    landmarks: tuple[tuple[list[str], int], ...] = ()
-
-
-def left_by_bounds(candidates: Candidates, standing: Standing) -> Shortlist:
+def left_by_bounds(candidates: Candidates, standing: Standing) -> Remaining:
     """Leave out transformations by reduced costs, and raise the proven bound.
 
     Hosts, transfers, failures, conflicts and numbers only add to the cost, and quality adds at least its least price.
     """
-    network = candidates.network
-    everything = frozenset(candidate.transformation.label for candidate in candidates.all)
+    network, everything = candidates.network, np.arange(len(candidates.network.labels))
     if len(network.targets) < len(candidates.environment.targets):
-        return Shortlist(everything)
+        return Remaining(everything, 0, is_complete=False)
     cost = candidates.least_us
     prices_us = sum(least_prices_us(candidates).values())
     largest_us = standing.largest_us
     most = int(cost.sum()) if largest_us is None else largest_us - prices_us
     bound = tightened(Bound(network.core, cost), most, most, standing.clock)
     standing.raise_bound(bound.value + prices_us)
-    names = [network.labels[i] for i in bound.core.labels.tolist()]
-    known = bound.landmarks if Feature.QUALITY in candidates.problem.features else bound.short()
-    landmarks = tuple(([names[i] for i in one.counted.tolist()], one.least) for one in known)
+    if largest_us is None:
+        return Remaining(everything, bound.value, bound, is_complete=False)
+    waiting = {c.transformation.label for c in candidates.all if c.may_wait and bound.value + c.waiting_cost_us <= most}
+    part = Remaining.by(bound, most)
+    kept = [*part.labels.tolist(), *network.pinned, *candidates.numbers(waiting)]
+    standing.counts["left by bounds"] = len(set(kept))
+    return replace(part, labels=np.unique(np.array(kept, np.int64)))
+
+
+def _by_reduced_cost(candidates: Candidates, bound: Bound | None) -> list[str]:
+    """The transformations by their reduced costs, the least first; empty without a bound."""
+    if bound is None:
+        return []
     _, before = cheapest_way(bound.core, bound.residual)
     least = (before[:-1] + bound.residual).tolist()
-    order = tuple(name for _, name in sorted(zip(least, names, strict=True)))
-    standing.counts["landmarks"] = len(landmarks)
-    if largest_us is None:
-        return Shortlist(everything, order, landmarks)
-    left = {name for name, may in zip(names, bound.may_be_used(most).tolist(), strict=True) if may}
-    left |= {network.labels[i] for i in network.pinned}
-    left |= {c.transformation.label for c in candidates.all if c.may_wait and bound.value + c.waiting_cost_us <= most}
-    standing.counts["left by bounds"] = len(left)
-    return Shortlist(frozenset(left), order, landmarks)
+    names = [candidates.network.labels[i] for i in bound.core.labels.tolist()]
+    return [name for _, name in sorted(zip(least, names, strict=True))]
 
 
 def look_among_few(candidates: Candidates, standing: Standing, first: FirstPlans) -> None:
     """Search among the incumbent's transformations and a growing number of others; offer plans and raise the bound."""
     from cfgplan.planners.exact.search import Search
 
-    tuning, order = standing.clock.tuning, left_by_bounds(candidates, standing).order
+    tuning, order = standing.clock.tuning, _by_reduced_cost(candidates, left_by_bounds(candidates, standing).bound)
     sizes = [size for size in tuning.fleet.sizes if 2 * size <= len(order)]
 
     def among(size: int) -> Candidates:

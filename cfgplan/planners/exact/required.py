@@ -11,17 +11,17 @@ import heapq
 import numpy as np
 
 from cfgplan.planners.bounding.bounds import Bound, tightened
-from cfgplan.planners.exact.rest import Remainder
+from cfgplan.planners.exact.remaining import Remaining
 from cfgplan.planners.exact.standing import Incumbent, Standing
-from cfgplan.planners.exact.work import Left, Work
+from cfgplan.planners.exact.work import Work
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.greedy import first_plan, support_of
 from cfgplan.planners.networks.network import Network, Weighing, costs
 
 
-def left_with_all(work: Work) -> Left:
-    """Return the labels that a plan with all required transformations can contain; offer such a plan if one
-    is found.
+def take_with_all(work: Work) -> None:
+    """Go on with the labels that a plan with all required transformations can contain; offer such a plan if one is
+    found.
     """
     clock, structure, standing = work.clock, work.structure, work.standing
     required = frozenset(t.label for t in structure.network.transformations if t.required)
@@ -38,10 +38,11 @@ def left_with_all(work: Work) -> Left:
     best = standing.best
     is_with_all = best is not None and best.key.unused == structure.hopeless_required
     limit = best.key.cost_us - fixed_us if best is not None and is_with_all else int(cost.sum())
-    part = Remainder.by(tightened(Bound(network.core, cost), limit, limit, clock), limit)
+    part = Remaining.by(tightened(Bound(network.core, cost), limit, limit, clock), limit)
     labels = np.union1d(part.labels, np.array(network.pinned, np.int64))
     weighing = Weighing(cost, 1, 1, fixed_us)
-    return Left(network, weighing, labels, part.value, bound=part.bound, holds_for=structure.hopeless_required)
+    left = Remaining(labels, part.value, part.bound, holds_for=structure.hopeless_required)
+    work.take(left, network, weighing)
 
 
 def _few(work: Work, required: frozenset[str], shunned: set[int]) -> list[str] | None:

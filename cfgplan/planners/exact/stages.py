@@ -14,9 +14,9 @@ from cfgplan.planners.bounding.branching import Branching
 from cfgplan.planners.closing.gap import Closing
 from cfgplan.planners.exact.answer_sets import prove_by_answer_sets
 from cfgplan.planners.exact.candidates import Candidates
-from cfgplan.planners.exact.required import left_with_all
-from cfgplan.planners.exact.rest import Remainder
-from cfgplan.planners.exact.work import Left, Work, numbers
+from cfgplan.planners.exact.remaining import Remaining
+from cfgplan.planners.exact.required import take_with_all
+from cfgplan.planners.exact.work import Work, numbers
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.greedy import FREE, cost_of, first_plan, is_plan, plan_at, with_less
 from cfgplan.planners.networks.network import Network, Weighing, costs
@@ -60,10 +60,10 @@ def use_all_required(work: Work) -> bool:
     plan = first_plan(network, cost, 0, work.clock)
     if plan is not None:
         work.offer(plan)
-    work.take(left_with_all(work))
+    take_with_all(work)
     work.clock.end("bounds")
-    if not work.search(work.left.landmarks()).run_with_all_required():
-        work.take(Left(network, Weighing(cost, 1, 1, fixed_us), np.arange(len(network.labels)), 0))
+    if not work.search(work.landmarks()).run_with_all_required():
+        work.take(Remaining(np.arange(len(network.labels)), 0), network, Weighing(cost, 1, 1, fixed_us))
         work.clock.end("bounds")
         work.search().run()
     return True
@@ -100,7 +100,7 @@ def raise_bound(work: Work) -> bool:
         part = memory.rest.left(weighing.weight, weighing.step, labels, clock)
     if part is None:
         labels, part = _bounded(work, weighing, labels)
-    work.take(Left.by(part, network, weighing, labels, is_over=clock.is_over()))
+    work.take_bounded(part, network, weighing, labels)
     work.clock.end("bounds")
     return False
 
@@ -115,7 +115,7 @@ def _known_plan(work: Work, network: Network) -> set[int] | None:
     return known if is_plan(network, known) else None
 
 
-def _bounded(work: Work, weighing: Weighing, plan: Ints | None) -> tuple[Ints | None, Remainder]:
+def _bounded(work: Work, weighing: Weighing, plan: Ints | None) -> tuple[Ints | None, Remaining]:
     """Raise the bound by landmarks. Returns the plan, or a cheaper one, and the labels that the bound leaves.
 
     If closing may follow and no label has distinct inputs, less work is spent. With distinct inputs the labels that a
@@ -132,7 +132,7 @@ def _bounded(work: Work, weighing: Weighing, plan: Ints | None) -> tuple[Ints | 
     work.memory.keep_landmarks(lambda: bound, weighing.scale)
     if plan is not None and weighing.least(bound.value) < limit and not clock.is_over():
         work.closing = Closing(network, bound, weighing.weight, plan, weighing.step, clock.tuning)
-    return plan, Remainder.by(bound, limit)
+    return plan, Remaining.by(bound, limit)
 
 
 def _at_what_is_left(network: Network, weighing: Weighing, bound: Bound, plan: Ints) -> Ints:
@@ -145,11 +145,11 @@ def _at_what_is_left(network: Network, weighing: Weighing, bound: Bound, plan: I
 
 def close_gap(work: Work) -> bool:
     """Bring bound and plan closer."""
-    closing, left, clock = work.closing, work.left, work.clock
+    closing, clock = work.closing, work.clock
     if closing is not None and not closing.is_closed and not work.standing.is_over:
         closing.go_on(clock)
-        part = Remainder.by(closing.bound.restricted(closing.bound.may_be_used(closing.limit)), closing.limit)
-        work.take(Left.by(part, left.network, left.weighing, closing.plan, is_over=clock.is_over()))
+        part = Remaining.by(closing.bound.restricted(closing.bound.may_be_used(closing.limit)), closing.limit)
+        work.take_bounded(part, work.network, work.weighing, closing.plan)
         clock.end("bounds")
     return False
 
@@ -157,7 +157,7 @@ def close_gap(work: Work) -> bool:
 def solve(work: Work) -> bool:
     """Search the remaining labels by the solver."""
     if not work.standing.is_over:
-        work.search(work.left.landmarks(), work.missed).run()
+        work.search(work.landmarks(), work.missed).run()
     return True
 
 
@@ -221,22 +221,22 @@ def _proves(work: Work, weighing: Weighing, plan: set[int]) -> bool:
             plan = search.best.union(network.pinned)
     labels = numbers(plan)
     value = weighing.of_plan(labels) if is_proven else weighing.least(least)
-    left = Left(network, weighing, labels, value, labels, is_complete=False)
-    work.take(left)
-    return is_proven and (work.standing.is_over or _takes_others(work, left, plan))
+    work.take(Remaining(labels, value, is_complete=False), network, weighing, labels)
+    return is_proven and (work.standing.is_over or _takes_others(work, plan))
 
 
-def _takes_others(work: Work, left: Left, plan: set[int]) -> bool:
+def _takes_others(work: Work, plan: set[int]) -> bool:
     """Go on with the labels of all plans that cost as little as the incumbent, the least, and may change less.
 
     False if the search for them takes too many steps.
     """
-    best, clock, weighing = work.standing.best, work.clock, left.weighing
+    best, clock, weighing = work.standing.best, work.clock, work.weighing
     if best is None:
         return False
     limit = weighing.of_key(best.key)
-    search = Branching(left.network.core, weighing.weight, limit, weighing.step, clock.is_over)
+    search = Branching(work.network.core, weighing.weight, limit, weighing.step, clock.is_over)
     others = search.others(plan, clock.tuning.decide.steps)
     if others is not None:
-        work.take(replace(left, labels=numbers(plan | others), is_complete=True))
+        left = replace(work.remaining, labels=numbers(plan | others), is_complete=True)
+        work.take(left, work.network, weighing, numbers(plan))
     return others is not None

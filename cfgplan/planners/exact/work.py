@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.closing.gap import Closing
 from cfgplan.planners.closing.separation import Separator
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.configuration import wire
 from cfgplan.planners.exact.memory import Memory
-from cfgplan.planners.exact.rest import Remainder
+from cfgplan.planners.exact.remaining import Remaining
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.network import Network, Weighing
@@ -25,51 +24,13 @@ if TYPE_CHECKING:
     from cfgplan.planners.exact.search import LandmarkFinder, Landmarks, Search
 
 
-@dataclass(frozen=True)
-class Left:
-    """The remaining labels of a network, which a better plan can contain, and a plan if one is known.
-
-    No plan weighs less than `value`. With `is_complete` no other labels can be in a better plan. With `holds_for` all
-    this holds only for plans that leave no more required transformations unused.
-    """
-
-    network: Network
-    weighing: Weighing
-    labels: Ints
-    value: int
-    plan: Ints | None = None
-    bound: Bound | None = None
-    is_complete: bool = True
-    holds_for: int | None = None
-
-    @classmethod
-    def by(cls, part: Remainder, network: Network, weighing: Weighing, plan: Ints | None, *, is_over: bool) -> Left:
-        """The labels that a bound leaves; only the plan's if the time `is_over`."""
-        value, labels = weighing.least(part.value), part.labels
-        if plan is not None and is_over and value < weighing.of_plan(plan):
-            labels = plan
-        return cls(network, weighing, labels, value, plan, part.bound)
-
-    @property
-    def names(self) -> list[str]:
-        return [self.network.labels[i] for i in self.labels.tolist()]
-
-    def landmarks(self) -> list[tuple[list[str], int]]:
-        """Short landmarks for plans that have no other labels, as (labels, number).
-
-        A plan has so many of the labels or more, a label counts as often as it is named.
-        """
-        if self.bound is None:
-            return []
-        part = self.bound.restricted(np.isin(self.bound.core.labels, self.labels))
-        labels, names = part.core.labels, self.network.labels
-        return [([names[i] for i in labels[one.counted].tolist()], one.least) for one in part.short()]
-
-
 class Work:
     """The state of one plan in progress. Each stage starts from the state that the previous stage left."""
 
-    left: Left
+    remaining: Remaining
+    network: Network
+    """The network of these labels."""
+    weighing: Weighing
     candidates: Candidates
     """The units of the labels that are left."""
 
@@ -86,31 +47,43 @@ class Work:
         if units is not None:
             self.standing.offer(candidates, units)
 
-    def take(self, left: Left) -> None:
-        """Continue with the remaining labels: raise the proven bound and offer the plan.
+    def take(self, remaining: Remaining, network: Network, weighing: Weighing, plan: Ints | None = None) -> None:
+        """Continue with the remaining labels of a network: raise the proven bound and offer the plan, if one is known.
 
         Raises OutOfTimeError if no plan can be offered.
         """
-        standing, weighing = self.standing, left.weighing
-        standing.counts["left by bounds"] = len(left.labels)
-        if left.bound is not None:
-            standing.counts["landmarks"] = len(left.bound.landmarks)
-        if left.holds_for != standing.holds_for:
-            standing.holds_for, standing.bound_us = left.holds_for, 0
-        standing.raise_bound(weighing.cost_us(left.value))
-        clock = self.clock if left.plan is None else None  # a plan that is known is offered whatever the time
-        self.left, self.candidates = left, self.structure.candidates(self.problem, left.names, clock)
-        if left.plan is None:
+        standing = self.standing
+        standing.counts["left by bounds"] = len(remaining.labels)
+        if remaining.bound is not None:
+            standing.counts["landmarks"] = len(remaining.bound.landmarks)
+        if remaining.holds_for != standing.holds_for:
+            standing.holds_for, standing.bound_us = remaining.holds_for, 0
+        standing.raise_bound(weighing.cost_us(remaining.value))
+        clock = self.clock if plan is None else None  # a plan that is known is offered whatever the time
+        self.remaining, self.network, self.weighing = remaining, network, weighing
+        self.candidates = self.structure.candidates(self.problem, remaining.names(network), clock)
+        if plan is None:
             return
-        cost_us = weighing.cost_us(weighing.of_plan(left.plan))
+        cost_us = weighing.cost_us(weighing.of_plan(plan))
         if standing.best is not None and standing.best.key.cost_us == cost_us and self.clock.is_over():
             return
-        chosen = self.candidates.first_of_each(left.network.labels[i] for i in left.plan.tolist())
+        chosen = self.candidates.first_of_each(network.labels[i] for i in plan.tolist())
         units = wire(self.candidates, chosen)
         if units is not None:
             standing.offer(self.candidates, units)
         if self._proves_all(chosen):
             standing.prove_all()
+
+    def take_bounded(self, part: Remaining, network: Network, weighing: Weighing, plan: Ints | None) -> None:
+        """Continue with the labels that a bound leaves; with the plan's only, if the time is over."""
+        value, labels = weighing.least(part.value), part.labels
+        if plan is not None and self.clock.is_over() and value < weighing.of_plan(plan):
+            labels = plan
+        self.take(replace(part, labels=labels, value=value), network, weighing, plan)
+
+    def landmarks(self) -> Landmarks:
+        """The landmarks of what is left."""
+        return self.remaining.landmarks(self.network)
 
     def _proves_all(self, chosen: set[int]) -> bool:
         """Whether the incumbent can't be beaten in changes, or is the only choice of units at its cost.
@@ -121,11 +94,11 @@ class Work:
         standing, candidates, best = self.standing, self.candidates, self.standing.best
         if best is None:
             return False
-        fewest_changes = self.left.weighing.changes(self.left.value)
+        fewest_changes = self.weighing.changes(self.remaining.value)
         if fewest_changes is not None and best.key == (0, (), standing.bound_us, *fewest_changes):
             return True
         return (
-            self.left.is_complete
+            self.remaining.is_complete
             and best.key[:3] == (0, (), standing.bound_us)
             and len(chosen) == len(candidates.all) == len(best.units)
             and all(c.cost_us or candidates.is_pinned(i) for i, c in enumerate(candidates.all))
