@@ -27,8 +27,8 @@ from cfgplan.errors import InputError
 from cfgplan.explaining.why_not import why_not
 from cfgplan.planners import PLANNERS
 from cfgplan.planners.exact import session
+from cfgplan.planners.exact.solve_run import SolveRun
 from cfgplan.planners.exact.stages import STAGES, Stage
-from cfgplan.planners.exact.work import Work
 from cfgplan.planning import Feature, Plan, Problem
 from cfgplan.validity.plans import kept_us
 from experiments.families.random_library import random_library
@@ -462,7 +462,7 @@ def entered(problem: Problem) -> tuple[Plan, list[str]]:
     names: list[str] = []
 
     def noted(stage: Stage) -> Stage:
-        def enter(work: Work) -> bool:
+        def enter(work: SolveRun) -> bool:
             names.append(stage.__name__)
             return stage(work)
 

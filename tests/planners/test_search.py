@@ -28,7 +28,7 @@ from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planners.exact import rounds, search
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.model import Model
-from cfgplan.planners.exact.standing import Standing
+from cfgplan.planners.exact.solve_state import SolveState
 from cfgplan.planners.exact.survival import Missed, Survival
 from cfgplan.planners.solving.clock import Clock, ContradictionError
 from cfgplan.planners.tuning import USUAL
@@ -52,7 +52,7 @@ def test_a_solution_that_is_not_grounded_is_forbidden_before_anything_is_proven_
         alone.run()
     assert statuses[0] == FEASIBLE
     assert statuses[-1] == OPTIMAL
-    found, other = alone.standing.plan(), PlannerSession().plan(problem)
+    found, other = alone.state.plan(), PlannerSession().plan(problem)
     assert found.status is other.status is Status.OPTIMAL
     assert found.cost_us == other.cost_us
 
@@ -140,7 +140,7 @@ def test_what_breaks_a_rule_never_becomes_the_incumbent() -> None:
     for problem in drawn:
         after = problem.after(PlannerSession().plan(problem))
         candidates, units = Candidates(problem), list(after.units)
-        assert Standing(problem, Clock(), None).offer(candidates, units) is not None
+        assert SolveState(problem, Clock(), None).offer(candidates, units) is not None
         broken = [[other for other in units if other is not one] for one in units]
         for number, one in enumerate(units):
             others = units[:number] + units[number + 1 :]
@@ -148,9 +148,9 @@ def test_what_breaks_a_rule_never_becomes_the_incumbent() -> None:
             broken += [[*others, replace(one, publications=())]] * bool(one.publications)
             broken += [[*others, replace(one, host="nowhere")]] * bool(problem.environment.hosts)
         for configuration in broken:
-            standing = Standing(problem, Clock(), None)
-            assert standing.offer(candidates, configuration) is None
-            assert (standing.best, standing.counts["refused configurations"]) == (None, 1)
+            state = SolveState(problem, Clock(), None)
+            assert state.offer(candidates, configuration) is None
+            assert (state.best, state.counts["refused configurations"]) == (None, 1)
 
 
 @pytest.mark.parametrize("problem", [instances.hosted(0, 30), instances.weighted(0, 30, 3)], ids=["hosts", "quality"])

@@ -90,7 +90,7 @@ class Places:
         was = {each.topic: Stream(unit.id, each.port) for unit in running for each in unit.publications}
         for target in environment.stream_targets:
             if choices := grounded.published(target.tag):
-                in_order = sorted(choices, key=partial(self._reluctance, was.get(target.topic)))
+                in_order = sorted(choices, key=partial(self._publish_preference, was.get(target.topic)))
                 self.published[target.topic] = taken(in_order, target.host, ())
         for i in grounded.order:
             kept = all_of[i].running
@@ -98,7 +98,7 @@ class Places:
                 now = () if kept is None else kept.feeds.get(port.name, ())
                 self.feeds[i, port.name] = taken(grounded.choices(i, port), self.host_of[i], now)
 
-    def _reluctance(self, old: Stream | None, stream: Stream) -> tuple[bool, bool, bool]:
+    def _publish_preference(self, old: Stream | None, stream: Stream) -> tuple[bool, bool, bool]:
         """The less of it, the sooner a stream is published where the `old` one is now."""
         publishes = old is not None and stream.unit == old.unit
         may_stay = self.candidates.may_stay(self.candidates.index_of[stream.unit])

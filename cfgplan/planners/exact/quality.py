@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 from cfgplan.domain import InputPort, Stream
 from cfgplan.figures import qualities_of_targets
-from cfgplan.planners.exact.best_case import Making, least_badness, most_badness
+from cfgplan.planners.exact.best_case import OutputRule, least_badness, most_badness
 from cfgplan.planners.exact.candidates import HostName
 from cfgplan.planners.exact.quality_chains import ChainCut
 from cfgplan.planners.exact.quality_numbers import most_together, numbers_of
@@ -207,7 +207,7 @@ class _Badness:
         """The lower bound of a stream's number times another one, under some literals."""
         model, numbers, unit = self.model, self.numbers, self.model.unit_of(stream)
         transformation = model.candidates.all[unit].transformation
-        making = Making.of(self.attribute, transformation, transformation.output[stream.port])
+        making = OutputRule.of(self.attribute, transformation, transformation.output[stream.port])
         yield 1, numbers.at_least(making.least), []
         found = [one for port in making.inputs for one in self._counted(unit, port)]
         if making.inputs and all(so for _, so in found):

@@ -18,7 +18,7 @@ from ortools.sat.python.cp_model import (
 
 from cfgplan.errors import InputError
 from cfgplan.planners.exact.model import Model
-from cfgplan.planners.exact.standing import Standing
+from cfgplan.planners.exact.solve_state import SolveState
 from cfgplan.planners.solving.clock import ContradictionError
 from cfgplan.planners.solving.engine import solve
 
@@ -32,7 +32,7 @@ class InfeasibleError(Exception):
 def minimised(
     model: Model,
     objective: LinearExprT,
-    standing: Standing,
+    state: SolveState,
     *,
     solver: Callable[[], CpSolver | None],
     look_at: Callable[[CpSolverSolutionCallback], bool],
@@ -47,9 +47,9 @@ def minimised(
     """
     model.cp.minimize(objective)
     while (engine := solver()) is not None:
-        standing.counts["rounds"] += 1
-        status = solve(engine, model.cp, standing.clock, look_at, lambda bound: learn(ceil(bound - 0.5)))
-        standing.counts["conflicts"] += engine.num_conflicts
+        state.counts["rounds"] += 1
+        status = solve(engine, model.cp, state.clock, look_at, lambda bound: learn(ceil(bound - 0.5)))
+        state.counts["conflicts"] += engine.num_conflicts
         if status == INFEASIBLE:
             raise InfeasibleError
         if status == MODEL_INVALID:

@@ -9,35 +9,35 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cfgplan.planners.closing.gap import Closing
+from cfgplan.planners.closing.gap import GapClosing
 from cfgplan.planners.closing.separation import Separator
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.configuration import wire
 from cfgplan.planners.exact.memory import Memory
 from cfgplan.planners.exact.remaining import Remaining
-from cfgplan.planners.exact.standing import Standing
+from cfgplan.planners.exact.solve_state import SolveState
 from cfgplan.planners.networks.core import Ints
-from cfgplan.planners.networks.network import Network, Weighing
+from cfgplan.planners.networks.network import LexicographicWeights, Network
 from cfgplan.planners.solving.clock import Clock
 
 if TYPE_CHECKING:
     from cfgplan.planners.exact.search import LandmarkFinder, Landmarks, Search
 
 
-class Work:
+class SolveRun:
     """The state of one plan in progress. Each stage starts from the state that the previous stage left."""
 
     remaining: Remaining
     network: Network
     """The network of these labels."""
-    weighing: Weighing
+    weighing: LexicographicWeights
     candidates: Candidates
     """The units of the labels that are left."""
 
-    def __init__(self, standing: Standing, memory: Memory) -> None:
-        self.standing, self.memory, self.structure = standing, memory, memory.structure
-        self.problem, self.clock = standing.problem, standing.clock
-        self.closing: Closing | None = None
+    def __init__(self, state: SolveState, memory: Memory) -> None:
+        self.state, self.memory, self.structure = state, memory, memory.structure
+        self.problem, self.clock = state.problem, state.clock
+        self.closing: GapClosing | None = None
 
     def offer(self, plan: Collection[int]) -> None:
         """Offer a plan of labels, by their numbers. Raises OutOfTimeError."""
@@ -45,36 +45,40 @@ class Work:
         candidates = self.structure.candidates(self.problem, labels, self.clock)
         units = wire(candidates, candidates.first_of_each(labels))
         if units is not None:
-            self.standing.offer(candidates, units)
+            self.state.offer(candidates, units)
 
-    def take(self, remaining: Remaining, network: Network, weighing: Weighing, plan: Ints | None = None) -> None:
+    def take(
+        self, remaining: Remaining, network: Network, weighing: LexicographicWeights, plan: Ints | None = None
+    ) -> None:
         """Continue with the remaining labels of a network: raise the proven bound and offer the plan, if one is known.
 
         Raises OutOfTimeError if no plan can be offered.
         """
-        standing = self.standing
-        standing.counts["left by bounds"] = len(remaining.labels)
+        state = self.state
+        state.counts["left by bounds"] = len(remaining.labels)
         if remaining.bound is not None:
-            standing.counts["landmarks"] = len(remaining.bound.landmarks)
-        if remaining.holds_for != standing.holds_for:
-            standing.holds_for, standing.bound_us = remaining.holds_for, 0
-        standing.raise_bound(weighing.cost_us(remaining.value))
+            state.counts["landmarks"] = len(remaining.bound.landmarks)
+        if remaining.holds_for != state.holds_for:
+            state.holds_for, state.bound_us = remaining.holds_for, 0
+        state.raise_bound(weighing.cost_us(remaining.value))
         clock = self.clock if plan is None else None  # a plan that is known is offered whatever the time
         self.remaining, self.network, self.weighing = remaining, network, weighing
         self.candidates = self.structure.candidates(self.problem, remaining.names(network), clock)
         if plan is None:
             return
         cost_us = weighing.cost_us(weighing.of_plan(plan))
-        if standing.best is not None and standing.best.key.cost_us == cost_us and self.clock.is_over():
+        if state.best is not None and state.best.key.cost_us == cost_us and self.clock.is_over():
             return
         chosen = self.candidates.first_of_each(network.labels[i] for i in plan.tolist())
         units = wire(self.candidates, chosen)
         if units is not None:
-            standing.offer(self.candidates, units)
+            state.offer(self.candidates, units)
         if self._proves_all(chosen):
-            standing.prove_all()
+            state.prove_all()
 
-    def take_bounded(self, part: Remaining, network: Network, weighing: Weighing, plan: Ints | None) -> None:
+    def take_bounded(
+        self, part: Remaining, network: Network, weighing: LexicographicWeights, plan: Ints | None
+    ) -> None:
         """Continue with the labels that a bound leaves; with the plan's only, if the time is over."""
         value, labels = weighing.least(part.value), part.labels
         if plan is not None and self.clock.is_over() and value < weighing.of_plan(plan):
@@ -91,15 +95,15 @@ class Work:
         An only choice must not rewire more than it has to. A choice is the only one if it has all candidates and each
         of them costs something, or has to run: one that costs nothing might be left out.
         """
-        standing, candidates, best = self.standing, self.candidates, self.standing.best
+        state, candidates, best = self.state, self.candidates, self.state.best
         if best is None:
             return False
         fewest_changes = self.weighing.changes(self.remaining.value)
-        if fewest_changes is not None and best.key == (0, (), standing.bound_us, *fewest_changes):
+        if fewest_changes is not None and best.key == (0, (), state.bound_us, *fewest_changes):
             return True
         return (
             self.remaining.is_complete
-            and best.key[:3] == (0, (), standing.bound_us)
+            and best.key[:3] == (0, (), state.bound_us)
             and len(chosen) == len(candidates.all) == len(best.units)
             and all(c.cost_us or candidates.is_pinned(i) for i, c in enumerate(candidates.all))
             and best.key.rewired == _forced_changes(candidates, chosen)
@@ -110,7 +114,7 @@ class Work:
         from cfgplan.planners.exact.search import Search  # the solver takes long to import
 
         self.candidates.clock = self.clock
-        return Search(self.candidates, self.standing, landmarks=landmarks, missed=missed)
+        return Search(self.candidates, self.state, landmarks=landmarks, missed=missed)
 
     def missed(self, labels: Collection[str], clock: Clock) -> list[tuple[list[str], int]]:
         """Landmarks that these labels do not hit. Empty if the labels are grounded and meet every target."""
