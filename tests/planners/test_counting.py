@@ -84,6 +84,23 @@ def test_units_that_are_told_apart_beside_counted_ones_are_proven_as_with_names(
     assert as_good(PlannerSession(ALIKE).plan(problem)) == as_good(named(problem))
 
 
+def test_a_required_transformation_does_not_end_the_counting_of_others() -> None:
+    problem = deployment(1, hosts=8)
+    library = tuple(replace(t, required=t.label == "agent") for t in problem.environment.library)
+    asked = replace(problem, environment=replace(problem.environment, library=library))
+    found = counted(asked)
+    assert found.status is Status.OPTIMAL
+    assert as_good(found) == as_good(named(asked))
+
+
+def test_a_required_transformation_that_no_numbers_let_serve_a_target_is_proven_unused() -> None:
+    alone = replace(kind("x", gives="X"), required=True)
+    problem = world("A", replicas(4), alone, hosts=THREE)
+    found = counted(problem)
+    assert (found.status, found.unused_required) == (Status.OPTIMAL, ("x",))
+    assert as_good(found) == as_good(named(problem))
+
+
 def test_each_new_unit_with_an_optional_input_is_a_group_and_so_is_whom_it_takes_all_of() -> None:
     reader = Transformation("f", (InputPort("i", "A", count=2, optional=True, worth_us=5),), (OutputPort("o", "B"),))
     problem = world("B", replicas(3), replace(reader, max_instances=2))

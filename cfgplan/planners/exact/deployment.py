@@ -149,6 +149,9 @@ class _Deployment:
 
     def _steps(self, model: Model) -> Iterator[_Step]:
         problem, state = self.candidates.problem, self.state
+        if model.uses_required:
+            unused = len(problem.environment.required) - model.total([*model.uses_required.values()])
+            yield _Step(unused, attrgetter("unused"), state.raise_least_unused)
         named = problem.environment.minimise if Feature.ORDER in problem.features else ()
         for place, each in enumerate(named, 1):
             learn = partial(state.raise_bound_of, each)

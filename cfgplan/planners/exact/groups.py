@@ -21,18 +21,16 @@ NAMED: Final = frozenset({Feature.QUALITY, Feature.LATENCY, Feature.SURVIVAL})
 def is_countable(candidates: Candidates) -> bool:
     """Whether units are counted: many units or hosts may take each other's place, and wirings close no cycles.
 
-    No stream may have a price on its way, and nothing be required or take streams only for nothing.
+    No stream may have a price on its way.
     """
     problem, environment = candidates.problem, candidates.environment
     kinds = candidates.kinds
     is_carried = any(port.bytes_per_s for kind in kinds.values() for port in kind.outputs)
     return (
         NAMED.isdisjoint(problem.features)
-        and not environment.required
         and not environment.links
         and not (environment.transfer_us and is_carried and environment.hosts)
         and not (Feature.ORDER in problem.features and problem.max_cost_us is not None)
-        and not any(port.starts_nothing for kind in kinds.values() for port in kind.inputs)
         and is_directed_acyclic_graph(_feeds(candidates))
         and _is_much_smaller(candidates)
     )

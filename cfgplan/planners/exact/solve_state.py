@@ -131,6 +131,10 @@ class SolveState:
             self.bound_us = bound_us
             self.tell()
 
+    def raise_least_unused(self, number: int) -> None:
+        """Note that each plan leaves at least so many required transformations unused."""
+        self.min_unused = max(self.min_unused, number)
+
     def raise_bound_of(self, objective: Objective, bound: int) -> None:
         """Note a lower bound of an objective for plans that are as good in the objectives before it."""
         if objective is Objective.COST:
