@@ -1,4 +1,4 @@
-"""The loop of the search: each round solves a model, and looks at what it finds."""
+"""The loop of the search: each round solves a model, and checks its solution."""
 
 from __future__ import annotations
 
@@ -39,11 +39,12 @@ def minimised(
     learn: Callable[[int], None],
     taken: Callable[[CpSolver, bool], Found | None],
 ) -> Found | None:
-    """Minimise an objective in rounds. Returns what is made of the last solution; None if the time is over before.
+    """Minimise an objective in rounds. Returns the value of `taken` for the last solution; None if time is over.
 
-    `solver` makes one for each round, with hints in the model; None if no time is left. `look_at` sees the solutions on
-    the way, and returns whether the round goes on; `learn` is told bounds. `taken` gets the solution of a round, and
-    whether it is proven best; None from it means that the model forbids that solution now. Raises InfeasibleError.
+    `solver` makes a solver for each round and hints at a solution; None ends the rounds. `look_at` gets each solution
+    that the solver finds, and returns whether the round continues. `learn` gets bounds. `taken` gets the solution of a
+    round, and whether it is proven best; it returns None if the model forbids that solution now. Raises
+    InfeasibleError.
     """
     model.cp.minimize(objective)
     while (engine := solver()) is not None:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class CheckedUnits:
-    """Units, of which the `hot` ones run, and figures of them."""
+    """The units of a configuration; `hot` has those that run."""
 
     def __init__(self, candidates: Candidates, units: Collection[ComputationUnit]) -> None:
         self.candidates, self.problem, self.environment = candidates, candidates.problem, candidates.environment
@@ -123,13 +123,13 @@ class HostLoads:
 class Rule:
     """A rule, which holds for problems with the `feature`, or for all if that is None.
 
-    `add` adds it to the constraint model; None if the search cuts off what breaks it. It has to hold for groups of
-    units and kinds of hosts (`Candidates.alike`). `flaws` yields, as text, where units break the rule. A rule about
-    units on hosts says instead what a host `lacks` for one more unit, beside those that are placed already: first plans
-    heed it, checks follow from it, and explanations quote it.
+    `add` adds it to the constraint model; None if the search cuts off what breaks it. Candidates may be groups of
+    units, and hosts kinds of hosts (`Candidates.alike`). `flaws` yields, as text, where units break the rule. A rule
+    about units on hosts says instead what a host `lacks` for one more unit, beside those that are placed already:
+    first plans heed it, checks follow from it, and explanations quote it.
 
-    Hosts are interchangeable only if they have the same `trait`. A rule that `is_placed` holds whatever the wiring. By
-    one that `keeps_units`, units may run that feed nobody and meet no target.
+    Hosts are interchangeable only if they have the same `trait`. A rule that `is_placed` holds for any
+    wiring. A rule that `keeps_units` may need units that feed no other and meet no target.
     """
 
     add: Callable[[Model], None] | None

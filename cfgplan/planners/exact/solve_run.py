@@ -86,7 +86,7 @@ class SolveRun:
         self.take(replace(part, labels=labels, value=value), network, weighing, plan)
 
     def landmarks(self) -> Landmarks:
-        """The landmarks of what is left."""
+        """The landmarks of the remaining labels."""
         return self.remaining.landmarks(self.network)
 
     def _proves_all(self, chosen: set[int]) -> bool:
