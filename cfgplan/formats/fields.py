@@ -14,7 +14,7 @@ from enum import Flag
 from functools import cache
 from typing import Annotated, Any, ClassVar, Final, Literal, get_args, get_origin, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, WithJsonSchema
 
 from cfgplan.domain import Transformation
 from cfgplan.formats.schema_values import (
@@ -311,7 +311,8 @@ InputGiven = Annotated[Annotated[TagText, _SHORT] | Annotated[InputPart, _FULL],
 OutputGiven = Annotated[Annotated[TagText, _SHORT] | Annotated[OutputPart, _FULL], _CHOICE]
 OneOrMoreNames = Annotated[Annotated[Name, _SHORT] | Annotated[Names, _FULL], _CHOICE]
 OneOrMoreStreams = Annotated[Annotated[StreamName, _SHORT] | Annotated[StreamNames, _FULL], _CHOICE]
-AtMost = Annotated[Whole, Field(ge=0, le=LARGEST_AMOUNT)]
+_AT_MOST: Final = {"type": "integer", "minimum": 0, "maximum": LARGEST_AMOUNT}
+AtMost = Annotated[Whole, Field(ge=0, le=LARGEST_AMOUNT), WithJsonSchema(_AT_MOST)]
 FileNames = Annotated[Annotated[FileName, _SHORT] | Annotated[FileList, _FULL], _CHOICE]
 Imports = Annotated[Annotated[Literal["ignore"], _SHORT] | Annotated[dict[Name, FileName], _FULL], _CHOICE]
 
