@@ -19,6 +19,7 @@ from cfgplan.domain import ALL, ChangeSet, ComputationUnit, Environment, Host, S
 from cfgplan.figures import told_qualities
 from cfgplan.qualities import MICRO
 from cfgplan.qualities import units as units_of
+from cfgplan.rows import shown_of
 
 _SPECIAL_IN_MERMAID = '"#<>&%$`\\'
 FORMATS = ("svg", "png", "dot", "mermaid")
@@ -216,12 +217,13 @@ def picture(environment: Environment, change_set: ChangeSet | None = None) -> Pi
 
 
 def _unit_lines(after: Environment, unit: ComputationUnit) -> tuple[str, ...]:
-    """Its id, and which optional inputs are not fed afterwards."""
+    """Its id, which optional inputs are not fed afterwards, and rules of its transformation."""
     if unit.standby:
         return unit.id, "(cold spare)"
     kind = after.transformation.get(unit.transformation) if unit.id in after.unit else None
     unfed = [] if kind is None else [p.name for p in kind.inputs if p.optional and p.name not in unit.feeds]
-    return unit.id, *([f"({', '.join(unfed)}: not fed)"] if unfed else [])
+    shown = [] if kind is None else shown_of(kind)
+    return unit.id, *([f"({', '.join(unfed)}: not fed)"] if unfed else []), *shown
 
 
 def _host_lines(host: Host) -> tuple[str, ...]:

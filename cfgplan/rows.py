@@ -5,7 +5,7 @@ Schema, readers, writers, digests, limits, features, the manual's table and the 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from enum import Flag, StrEnum
 from functools import cache
@@ -56,7 +56,10 @@ class Row:
     default, unless it is declared here: None means that another rule decides. `xml` is the attribute of the XML format,
     ELEMENT or UNSAID. In files the key stands below the one of the previous attribute, or below `below`.
 
-    A value other than the default asks for a `feature`. If it `is_limit`, it can only forbid plans.
+    A value other than the default asks for a `feature`. If it `is_limit`, it can only forbid plans. A field that
+    `limits_units` says how many units of its transformation may be there: a number, or a number for each selector of
+    hosts. A field that `is_by_host` may be kept by several hosts where one could not keep it. One that `is_of_hosts`
+    says nothing where no hosts are declared. `shown` gives lines for a picture of a unit.
     """
 
     meaning: str = ""
@@ -70,6 +73,10 @@ class Row:
     below: str = ""
     feature: Feature | None = None
     is_limit: bool = False
+    limits_units: bool = False
+    is_by_host: bool = False
+    is_of_hosts: bool = False
+    shown: Callable[[Any], Iterable[str]] | None = None
 
 
 FOUND = Row(use=Use.NONE)
@@ -157,3 +164,14 @@ def features(kind: type[Any], values: Iterable[object]) -> set[Feature]:
 def limits(kind: type[Any]) -> Mapping[str, Attribute]:
     """The attributes of a dataclass that can only forbid plans, by key."""
     return {each.key: each for each in attributes(kind) if each.row.is_limit}
+
+
+def least_limit(value: int | Mapping[str, int] | None) -> int | None:
+    """The least number in the value of a field that limits units; None if it limits nothing."""
+    return min(value.values(), default=None) if isinstance(value, Mapping) else value
+
+
+def shown_of(part: object) -> list[str]:
+    """The lines that pictures show of the fields of a part."""
+    rows = [(each.name, each.row.shown) for each in attributes(type(part)) if each.row.shown is not None]
+    return [line for name, shown in rows for line in shown(getattr(part, name))]

@@ -15,7 +15,7 @@ from cfgplan.canonical import fields_of, refuse_duplicates, store_resources, sto
 from cfgplan.errors import InvalidValueError
 from cfgplan.facts import check_requirement
 from cfgplan.qualities import Contribution, units
-from cfgplan.rows import ELEMENT, FOUND, MOST_IN_A_QUEUE, QOS, UNSAID, Feature, Row, Use, running
+from cfgplan.rows import ELEMENT, MOST_IN_A_QUEUE, QOS, UNSAID, Feature, Row, Use, running
 from cfgplan.selectors import check_selector
 
 ALL = 0
@@ -299,8 +299,9 @@ class Transformation:
     No unit, running or cold spare, may exist beside one of a transformation in `conflicts`, or on one host with one of
     a transformation in `conflicts_on_host`. On its host there runs a unit of each in `beside`. At least `min_instances`
     units run. There are at most `max_instances` units, and at most `per_host` on one host, cold spares included;
-    without hosts all are on one. A cold spare takes `standby_us` each second; None: it has none. Units run only while
-    facts meet the expression `requires`, such as `visibility >= 2.25 and not night`.
+    without hosts all are on one. All hosts together that a selector in `at_most` chooses have at most so many, cold
+    spares included. A cold spare takes `standby_us` each second; None: it has none. Units run only while facts meet the
+    expression `requires`, such as `visibility >= 2.25 and not night`.
     """
 
     label: Annotated[
@@ -331,15 +332,22 @@ class Transformation:
     kind: Annotated[str | None, Row("free text, the paper's type attribute", use=Use.RUNNING, xml="type")] = None
     host: Annotated[
         str | None,
-        Row("where its units run: a host, or a list to choose from", form="OneOrMoreNames", use=Use.BOTH, xml="host"),
+        Row(
+            "where its units run: a host, or a list to choose from",
+            form="OneOrMoreNames",
+            use=Use.BOTH,
+            xml="host",
+            is_of_hosts=True,
+        ),
     ] = None
-    hosts: Annotated[tuple[str, ...], Row(key="host", is_limit=True)] = ()
+    hosts: Annotated[tuple[str, ...], Row(key="host", is_limit=True, is_of_hosts=True)] = ()
     on: Annotated[
         str | None,
         Row(
             "the hosts that its units may run on: an expression such as `robot and not spot`",
             form="SelectorText",
             is_limit=True,
+            is_of_hosts=True,
         ),
     ] = None
     params: Annotated[
@@ -383,7 +391,7 @@ class Transformation:
         ),
     ] = ()
     conflicts_on_host: Annotated[
-        tuple[str, ...], Row(key="conflicts: host", feature=Feature.CONFLICTS, is_limit=True)
+        tuple[str, ...], Row(key="conflicts: host", feature=Feature.CONFLICTS, is_limit=True, is_by_host=True)
     ] = ()
     min_instances: Annotated[
         Natural,
@@ -391,17 +399,38 @@ class Transformation:
     ] = 0
     max_instances: Annotated[
         Natural | None,
-        Row("the most units of it, spares included", feature=Feature.INSTANCES, is_limit=True),
+        Row("the most units of it, spares included", feature=Feature.INSTANCES, is_limit=True, limits_units=True),
     ] = None
     per_host: Annotated[
         Annotated[int, AtLeast(1)] | None,
-        Row("the most units of it on one host", feature=Feature.INSTANCES, is_limit=True),
+        Row(
+            "the most units of it on one host",
+            feature=Feature.INSTANCES,
+            is_limit=True,
+            limits_units=True,
+            is_by_host=True,
+        ),
     ] = None
+    at_most: Annotated[
+        Mapping[str, Natural],
+        Row(
+            "the most units of it on all hosts together that a selector chooses: selector to number",
+            form="dict[SelectorText, AtMost]",
+            feature=Feature.INSTANCES,
+            is_limit=True,
+            limits_units=True,
+            is_by_host=True,
+            is_of_hosts=True,
+            shown=lambda most: [f"(at most {number} on {text})" for text, number in most.items()],
+        ),
+    ] = field(default_factory=dict, hash=False)
     standby_us: Annotated[Natural | None, Row("CPU seconds per second of a spare that does not run")] = None
     run: Annotated[RunOptions, Row("how its units run", form="RunPart", use=Use.BOTH, absent=None, xml=ELEMENT)] = (
         RunOptions()
     )
-    seen_us: Annotated[Mapping[str, tuple[Natural, Natural]], FOUND] = field(default_factory=dict, hash=False)
+    seen_us: Annotated[Mapping[str, tuple[Natural, Natural]], Row(use=Use.NONE, is_of_hosts=True)] = field(
+        default_factory=dict, hash=False
+    )
 
     def __post_init__(self) -> None:
         store_sorted(self, "inputs", self.inputs, attrgetter("name"))
@@ -422,8 +451,10 @@ class Transformation:
         store_resources(self, "needs", {MEMORY: "memory_mb"})
         if self.max_instances is not None and self.max_instances < self.min_instances:
             raise InvalidValueError(f"transformation {self.label!r} asks for more instances than it allows")
-        if self.on is not None:
-            check_selector(self.on)
+        if self.at_most:
+            store_resources(self, "at_most", {})
+        for text in (*self.at_most, *(() if self.on is None else (self.on,))):
+            check_selector(text)
         if self.requires is not None:
             check_requirement(self.requires)
 

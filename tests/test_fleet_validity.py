@@ -124,6 +124,24 @@ def test_too_many_units_on_one_host_are_refused() -> None:
         assert rules(without) == broken
 
 
+def test_too_many_units_on_the_hosts_that_a_selector_chooses_are_refused() -> None:
+    hosts = (Host("h", labels=("spot",)), Host("i", labels=("spot", "old")), Host("j"))
+    of = Transformation("s", min_instances=2, max_instances=2)
+    two = Environment(tuple(ComputationUnit(f"s.{n}", "s", host="hi"[n]) for n in (0, 1)), (of,), (), hosts)
+    for at_most, broken in (
+        ({"spot": 1}, {Broken.INSTANCES}),
+        ({"spot": 2}, set()),
+        ({"spot and not old": 1, "j": 0}, set()),
+        ({"old": 0}, {Broken.INSTANCES}),
+    ):
+        assert rules(replace(two, library=(replace(of, at_most=at_most),))) == broken
+    elsewhere = replace(two, units=(two.units[0], replace(two.units[1], host="j")))
+    assert rules(replace(elsewhere, library=(replace(of, at_most={"spot": 1}),))) == set()
+    spare = replace(two, units=(two.units[0], replace(two.units[1], standby=True)))
+    one = replace(of, at_most={"spot": 1}, min_instances=1, standby_us=1)
+    assert Broken.INSTANCES in rules(replace(spare, library=(one,)))
+
+
 def test_transformations_that_conflict_on_a_host_are_on_different_ones_whoever_says_so() -> None:
     roomy = replace(VALID, hosts=(Host("robot"), HOSTS[1]))
     for library in (

@@ -27,8 +27,8 @@ from cfgplan.errors import InputError
 from cfgplan.explaining.why_not import why_not
 from cfgplan.planners import PLANNERS
 from cfgplan.planners.exact import session
+from cfgplan.planners.exact.solve_run import SolveRun
 from cfgplan.planners.exact.stages import STAGES, Stage
-from cfgplan.planners.exact.work import Work
 from cfgplan.planning import Feature, Plan, Problem
 from cfgplan.validity.plans import kept_us
 from experiments.families.random_library import random_library
@@ -265,6 +265,17 @@ WORDS: Mapping[str, Word] = {
         never={"min_instances": 2},
         limit="`per_host` of transformation source",
     ),
+    "at_most": Word(
+        lambda e: any(t.at_most for t in e.library),
+        source={"at_most": {"spot": 1}},
+        hosts=({"name": "h", "labels": ["spot"]}, {"name": "k", "labels": ["spot"]}),
+        units=tuple({"id": f"source.{n}", "transformation": "source", "host": "hk"[n - 1]} for n in (1, 2)),
+        feature=Feature.INSTANCES,
+        broken="2 units of source are on spot, but at most 1 may run on spot",
+        never={"min_instances": 2},
+        limit="`at_most` of transformation source",
+        shown="(at most 1 on spot)",
+    ),
     "conflicts: host": Word(
         lambda e: any(t.conflicts_on_host for t in e.library),
         source={"conflicts": {"host": ["sink"]}},
@@ -451,7 +462,7 @@ def entered(problem: Problem) -> tuple[Plan, list[str]]:
     names: list[str] = []
 
     def noted(stage: Stage) -> Stage:
-        def enter(work: Work) -> bool:
+        def enter(work: SolveRun) -> bool:
             names.append(stage.__name__)
             return stage(work)
 

@@ -179,7 +179,7 @@ class Expander:
         hosts = self._hosts(entry.at("host"), filled.host)
         if not (
             _is_well_numbered(entry, part)
-            & self._fleet.is_selector(entry.at("on"), filled.on)
+            & self._fleet.are_selectors(entry, filled)
             & self._fleet.is_requirement(entry.at("requires"), filled.requires)
         ):
             self._left_out.add("transformations", filled.label)

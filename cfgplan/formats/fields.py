@@ -14,7 +14,7 @@ from dataclasses import MISSING, dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args, get_origin, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, WithJsonSchema
 
 from cfgplan.arguments import AtLeast, Natural
 from cfgplan.domain import ComputationUnit, Host, Link, Target
@@ -32,6 +32,7 @@ from cfgplan.formats.schema_values import (
     Names,
     Objectives,
     PositiveMicro,
+    Selects,
     StreamName,
     StreamNames,
     Survived,
@@ -43,8 +44,8 @@ from cfgplan.formats.schema_values import (
 )
 from cfgplan.qualities import Contribution, QualityAttribute, QualityRule, Wish
 from cfgplan.rows import ELEMENT as ELEMENT
+from cfgplan.rows import LARGEST_AMOUNT, Attribute, attributes
 from cfgplan.rows import UNSAID as UNSAID
-from cfgplan.rows import Attribute, attributes
 from cfgplan.rows import Use as Use
 from cfgplan.transformations import (
     ContainerKind,
@@ -73,7 +74,10 @@ def as_it_is(value: Any) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class FieldRow:
-    """A field as readers and writers need it; `plain` turns the domain's value into the file's."""
+    """A field as readers and writers need it.
+
+    `plain` turns the domain's value into the file's. A field that `selects` has selectors of hosts.
+    """
 
     to: str
     use: Use
@@ -81,6 +85,7 @@ class FieldRow:
     default: Any
     is_text: bool
     plain: Callable[[Any], Any]
+    selects: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,7 +208,7 @@ class Part(BaseModel):
     def rows(cls) -> Mapping[str, FieldRow]:
         """The rows by key, in the order in which they are written."""
         hints = get_type_hints(cls, include_extras=True)
-        return {key: _row(cls, key, [*_pieces(hints[key])]) for key in cls.model_fields}
+        return {key: _row(cls, key, [*_pieces(hints[key])], selects=_selects(hints[key])) for key in cls.model_fields}
 
     @classmethod
     @cache
@@ -241,7 +246,7 @@ def _frozen(value: Any) -> Any:
     return tuple(dict.fromkeys(value)) if isinstance(value, list) else value
 
 
-def _row(part: type[Part], key: str, pieces: list[Any]) -> FieldRow:
+def _row(part: type[Part], key: str, pieces: list[Any], *, selects: bool) -> FieldRow:
     field = part.model_fields[key]
     said = next((each for each in field.metadata if isinstance(each, _Said)), _Said())
     holds_more = any(piece in (list, dict) or (isinstance(piece, type) and issubclass(piece, Part)) for piece in pieces)
@@ -253,7 +258,13 @@ def _row(part: type[Part], key: str, pieces: list[Any]) -> FieldRow:
         is_text=any(piece is str or isinstance(piece, str) for piece in pieces)
         and not any(piece is bool or piece == 0 for piece in pieces),
         plain=_plain_of(pieces),
+        selects=selects,
     )
+
+
+def _selects(hint: Any) -> bool:
+    """Whether a type has texts that choose hosts, perhaps as the keys of a mapping."""
+    return isinstance(hint, Selects) or any(map(_selects, get_args(hint)))
 
 
 def _plain_of(pieces: Iterable[Any]) -> Callable[[Any], Any]:
@@ -319,6 +330,8 @@ InputGiven = Annotated[Annotated[TagText, _SHORT] | Annotated[InputPart, _FULL],
 OutputGiven = Annotated[Annotated[TagText, _SHORT] | Annotated[OutputPart, _FULL], _CHOICE]
 OneOrMoreNames = Annotated[Annotated[Name, _SHORT] | Annotated[Names, _FULL], _CHOICE]
 OneOrMoreStreams = Annotated[Annotated[StreamName, _SHORT] | Annotated[StreamNames, _FULL], _CHOICE]
+_AT_MOST: Final = {"type": "integer", "minimum": 0, "maximum": LARGEST_AMOUNT}
+AtMost = Annotated[Whole, Field(ge=0, le=LARGEST_AMOUNT), WithJsonSchema(_AT_MOST)]
 FileNames = Annotated[Annotated[FileName, _SHORT] | Annotated[FileList, _FULL], _CHOICE]
 Imports = Annotated[Annotated[Literal["ignore"], _SHORT] | Annotated[dict[Name, FileName], _FULL], _CHOICE]
 

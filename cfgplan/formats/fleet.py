@@ -16,6 +16,7 @@ from cfgplan.formats.fields import (
     FactPart,
     HostPart,
     LinkPart,
+    Part,
     TargetPart,
     UnitPart,
     WishPart,
@@ -125,14 +126,25 @@ class FleetReader:
         elif self.hosts or is_choice:
             entry.note(f"there is no host `{name}`", did_you_mean(name, self.hosts, "declare it under `hosts:`"))
 
-    def is_selector(self, entry: Passage, text: str | None) -> bool:
-        """Whether an expression over labels can be read; None can."""
+    def is_selector(self, entry: Passage, text: str) -> bool:
+        """Whether an expression over labels can be read."""
         try:
-            selector(text or "⊤")
+            selector(text)
         except TagError as error:
             entry.note(error.message, error.mend, text_column=error.column)
             return False
         return True
+
+    def are_selectors(self, entry: Passage, part: Part) -> bool:
+        """Whether each expression over labels that a part says can be read."""
+        said = ((key, getattr(part, key)) for key, row in part.rows().items() if row.selects)
+        places = [
+            (entry.at(key, text) if isinstance(value, dict) else entry.at(key), text)
+            for key, value in said
+            if value is not None
+            for text in (value if isinstance(value, dict) else [value])
+        ]
+        return sum(self.is_selector(at, text) for at, text in places) == len(places)
 
     def is_requirement(self, entry: Passage, text: str | None) -> bool:
         """Whether an expression over facts can be read and asks about declared facts; None does."""

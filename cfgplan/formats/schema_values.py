@@ -269,6 +269,11 @@ def list_or_mapping(value: object) -> str:
 
 
 @dataclass(frozen=True, slots=True)
+class Selects:
+    """Marks a text that chooses hosts by their labels."""
+
+
+@dataclass(frozen=True, slots=True)
 class Written:
     """The written form of a domain's value, if that is not the value itself."""
 
@@ -303,7 +308,7 @@ TagText = Annotated[
     str, Field(min_length=1, description="a concept in description logic, or the paper's P(a)"), AfterValidator(normal)
 ]
 SelectorText = Annotated[
-    str, Field(min_length=1, description="labels joined by and, or and not"), AfterValidator(normal)
+    str, Field(min_length=1, description="labels joined by and, or and not"), AfterValidator(normal), Selects()
 ]
 RequirementText = Annotated[
     str, Field(min_length=1, description="comparisons of facts joined by and, or and not"), AfterValidator(normal)

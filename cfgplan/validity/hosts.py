@@ -47,7 +47,7 @@ def placing_violations(environment: Environment, horizon_s: int = 0) -> Iterator
 
 
 def company_violations(environment: Environment) -> Iterator[Violation]:
-    """Yield violations of `beside`, `per_host` and `conflicts_on_host`.
+    """Yield violations of `beside`, `per_host`, `at_most` and `conflicts_on_host`.
 
     Without hosts, all units count as being on one host.
     """
@@ -69,6 +69,13 @@ def company_violations(environment: Environment) -> Iterator[Violation]:
             for other in environment.transformation[label].conflicts_on_host:
                 if other in there and other != label:
                     yield Violation(Rule.APART, f"units of {label} and {other} are {where}, which conflict on a host")
+    for transformation in environment.library:
+        for text, most in transformation.at_most.items():
+            hosts = {host.name for host in environment.hosts if host.fits(text)}
+            number = sum(u.transformation == transformation.label and u.host in hosts for u in environment.units)
+            if number > most:
+                those = f"{number} units of {transformation.label} are on {text}"
+                yield Violation(Rule.INSTANCES, f"{those}, but at most {most} may run on {text}")
 
 
 def costs_there(

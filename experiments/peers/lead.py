@@ -48,15 +48,15 @@ def lead_of(problem: Problem, who: str, time_limit_s: float | None) -> Lead:
     """Return the results of bounds and closing; the planner's own search of small problems is not used."""
     from cfgplan.planners.exact.memory import Memory
     from cfgplan.planners.exact.session import offer_what_runs
+    from cfgplan.planners.exact.solve_run import SolveRun
+    from cfgplan.planners.exact.solve_state import SolveState
     from cfgplan.planners.exact.stages import close_gap, raise_bound, see_what_can_be_met
-    from cfgplan.planners.exact.standing import Standing
-    from cfgplan.planners.exact.work import Work
     from cfgplan.planners.solving.clock import Clock
 
     selection, clock = Selection(problem, who), Clock(time_limit_s)
-    standing = Standing(problem, clock, None)
-    offer_what_runs(standing)
-    work = Work(standing, Memory.of(problem, None, clock))
+    state = SolveState(problem, clock, None)
+    offer_what_runs(state)
+    work = SolveRun(state, Memory.of(problem, None, clock))
     if see_what_can_be_met(work):
         return Lead(None, 0, [], [])
     raise_bound(work)
@@ -65,13 +65,11 @@ def lead_of(problem: Problem, who: str, time_limit_s: float | None) -> Lead:
     by_label: dict[str, list[int]] = defaultdict(list)
     for i, candidate in enumerate(selection.candidates):
         by_label[candidate.transformation.label].append(i)
-    left = set(work.left.names)
-    landmarks = [
-        (least, Counter(i for label in labels for i in by_label[label])) for labels, least in work.left.landmarks()
-    ]
+    left = set(work.remaining.names(work.network))
+    landmarks = [(least, Counter(i for label in labels for i in by_label[label])) for labels, least in work.landmarks()]
     return Lead(
-        None if standing.best is None else sorted(by_id[unit.id] for unit in standing.best.units),
-        standing.bound_us,
+        None if state.best is None else sorted(by_id[unit.id] for unit in state.best.units),
+        state.bound_us,
         [(least, dict(members)) for least, members in landmarks],
         [i for label, numbers in by_label.items() if label not in left for i in numbers if i not in selection.kept],
     )

@@ -62,9 +62,9 @@ def matched(rows: Iterable[Row], base: str, others: Sequence[str]) -> Iterator[t
     """For each instance the base's row and the first to prove among the others' rows, any if none did."""
     for group in by_instance(rows).values():
         bases = [row for row in group if row.planner == base and took_part(row)]
-        rivals = [row for row in group if row.planner in others and took_part(row)]
-        if bases and rivals:
-            yield bases[0], min(rivals, key=lambda row: (not row.proven, seconds(row), -row.bound_us, _cost_us(row)))
+        ties = [row for row in group if row.planner in others and took_part(row)]
+        if bases and ties:
+            yield bases[0], min(ties, key=lambda row: (not row.proven, seconds(row), -row.bound_us, _cost_us(row)))
 
 
 def seconds(row: Row) -> float:

@@ -11,7 +11,7 @@ from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.model import ModelRule
 from cfgplan.planners.exact.rules import RULES
 from cfgplan.planners.exact.search import Search
-from cfgplan.planners.exact.standing import Standing
+from cfgplan.planners.exact.solve_state import SolveState
 from cfgplan.planners.reducing.closure import Closure
 from cfgplan.planners.solving.clock import Clock, OutOfTimeError
 from cfgplan.planning import Plan, Problem, Progress, Status, refuse_features
@@ -28,7 +28,7 @@ class Defaults(Search):
     def solver(self) -> CpSolver:
         solver = CpSolver()
         solver.parameters.num_workers = 1
-        left_s = self.standing.clock.left_s()
+        left_s = self.state.clock.left_s()
         if left_s is not None:
             solver.parameters.max_time_in_seconds = left_s
         return solver
@@ -43,11 +43,11 @@ def _unprepared(
     reasons = unmet_reasons(problem, possible=closure.possible)
     if reasons:
         return Plan("cpsat", Status.INFEASIBLE, reasons=reasons, seconds=clock.end("closure"))
-    standing = Standing(problem, clock, report)
+    state = SolveState(problem, clock, report)
     with suppress(OutOfTimeError):
-        search(Candidates(problem, closure, clock=clock), standing, rules=rules).run()
+        search(Candidates(problem, closure, clock=clock), state, rules=rules).run()
     clock.end("search")
-    return standing.plan()
+    return state.plan()
 
 
 def cuts_alone(problem: Problem, *, time_limit_s: float | None = None, report: Report = None) -> Plan:

@@ -11,7 +11,7 @@ from cfgplan.planners.exact.model import ModelRule
 from cfgplan.planners.exact.rules import RULES
 from cfgplan.planners.exact.search import Search
 from cfgplan.planners.exact.session import PlannerSession
-from cfgplan.planners.exact.standing import Standing
+from cfgplan.planners.exact.solve_state import SolveState
 from cfgplan.planners.networks.core import Core
 from cfgplan.planners.networks.network import Network
 from cfgplan.planners.solving.clock import Clock
@@ -22,9 +22,9 @@ from cfgplan.reasons import Givers
 
 def search_alone(problem: Problem, *, is_apart: bool = False, rules: Sequence[ModelRule] = RULES) -> Search:
     """A search in the one model, from nothing; with `is_apart` every subscription has a boolean."""
-    candidates, standing = Candidates(problem), Standing(problem, Clock(), None)
-    standing.fewest_unused = sum(not candidates.of(label) for label in problem.environment.required)
-    return Search(candidates, standing, is_apart=is_apart, rules=rules)
+    candidates, state = Candidates(problem), SolveState(problem, Clock(), None)
+    state.min_unused = sum(not candidates.of(label) for label in problem.environment.required)
+    return Search(candidates, state, is_apart=is_apart, rules=rules)
 
 
 def plan_alone(problem: Problem) -> Plan:
@@ -36,16 +36,16 @@ def plan_apart(problem: Problem) -> Plan:
     """The same in the model in which every possible subscription has a boolean."""
     search = search_alone(problem, is_apart=True)
     required = problem.environment.required
-    search.standing.fewest_unused = sum(not search.model.candidates.of(label) for label in required)
+    search.state.min_unused = sum(not search.model.candidates.of(label) for label in required)
     search.run()
-    return search.standing.plan()
+    return search.state.plan()
 
 
 def plan_as_fleet(problem: Problem) -> Plan:
     """The optimal update by the stages of fleets, even if nothing is asked beyond the paper."""
-    standing = Standing(problem, Clock(), None)
-    plan_fleet(Candidates(problem), standing, ())
-    return standing.plan()
+    state = SolveState(problem, Clock(), None)
+    plan_fleet(Candidates(problem), state, ())
+    return state.plan()
 
 
 def network_of(core: Core) -> Network:

@@ -153,6 +153,7 @@ def transformations(
         changes["min_instances"] = least
         changes["max_instances"] = draw(st.sampled_from([None, None, max(1, least), 2]))
         changes["per_host"] = draw(st.sampled_from([None, None, None, 1, 2]))
+        changes["at_most"] = draw(st.sampled_from([{}, {}, {}, {"a": 1}, {"⊤": 1, "b": 0}, {"not h0": 1, "a": 2}]))
     if Feature.SURVIVAL in features:
         changes["standby_us"] = draw(st.sampled_from([None, 0, 1, 2]))
     return replace(plain, **changes)  # type: ignore[arg-type]
@@ -261,6 +262,7 @@ def with_words_that_do_nothing(draw: st.DrawFn, plain: st.SearchStrategy[Problem
                 {"pinned": True},
                 {"max_instances": 2},
                 {"per_host": 1},
+                {"at_most": {"a": 1}},
                 {"beside": (labels[0],)},
                 {"conflicts": (labels[0],)},
                 {"conflicts_on_host": (labels[0],)},

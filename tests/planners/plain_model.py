@@ -263,6 +263,9 @@ class PlainModel:
                     company = [self.on[j][host] for j in self.of_label(other) if host in self.on[j]]
                     for one in here:
                         self.cp.add_bool_or([~one, *company])
+            for text, most in t.at_most.items():
+                chosen = {host.name for host in self.environment.hosts if host.fits(text)}
+                self.cp.add(sum(on for i in units for host, on in self.on[i].items() if host in chosen) <= most)
             for other in t.conflicts:
                 self._are_apart([self.runs[i] for i in units], [self.runs[j] for j in self.of_label(other)], t, other)
         possible = startable(self.environment, self.problem.similarity)

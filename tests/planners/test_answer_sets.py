@@ -14,7 +14,7 @@ from cfgplan.planners.exact import answer_sets
 from cfgplan.planners.exact.answer_sets import LogicProgram
 from cfgplan.planners.exact.memory import Structure
 from cfgplan.planners.exact.session import PlannerSession
-from cfgplan.planners.networks.network import Weighing
+from cfgplan.planners.networks.network import LexicographicWeights
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import USUAL, Cycles
 from cfgplan.planning import Problem, Status
@@ -28,7 +28,7 @@ ALWAYS = replace(USUAL, cycles=Cycles(labels=0, values=1000, near=1.0))
 
 def program_of(problem: Problem) -> LogicProgram:
     structure = Structure.of(problem, None, Clock())
-    weighing = Weighing.with_changes(problem, structure.network)
+    weighing = LexicographicWeights.with_changes(problem, structure.network)
     assert weighing is not None
     return LogicProgram(structure.network, weighing, Clock())
 

@@ -16,7 +16,7 @@ from worlds import problems
 from cfgplan.costs import start_cost_us
 from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.bounding.landmarks import Landmark, landmark_of
-from cfgplan.planners.closing.gap import Closing, Repairs
+from cfgplan.planners.closing.gap import GapClosing, Repairs
 from cfgplan.planners.closing.neighbourhoods import Neighbourhoods
 from cfgplan.planners.closing.program import LandmarkProgram
 from cfgplan.planners.closing.separation import Separator
@@ -34,12 +34,12 @@ from experiments.families.random_library import random_library
 LONG = Tuning(close=Close(work=1e6))
 
 
-def closing(stage: Stage) -> Closing:
+def closing(stage: Stage) -> GapClosing:
     plan = first_plan(stage.network, stage.cost, 0, Clock())
     assert plan is not None
     bound = Bound(stage.network.core, stage.cost)
     short = Tuning(close=Close(work=1e3))
-    return Closing(stage.network, bound, stage.cost, np.array(sorted(plan), np.int64), 1, short)
+    return GapClosing(stage.network, bound, stage.cost, np.array(sorted(plan), np.int64), 1, short)
 
 
 @fewer
@@ -64,7 +64,7 @@ def test_bounds_that_are_cut_short_at_any_round_are_no_worse_than_before() -> No
     solve, values = LandmarkProgram.solve, []
     for rounds in range(12):
         left = iter(range(rounds))
-        both = Closing(network, Bound(network.core, cost), cost, plan, 1, LONG)
+        both = GapClosing(network, Bound(network.core, cost), cost, plan, 1, LONG)
         with mock.patch.object(
             LandmarkProgram, "solve", lambda *of, left=left: None if next(left, None) is None else solve(*of)
         ):
@@ -138,7 +138,7 @@ def test_a_landmark_that_is_known_twice_is_charged_once() -> None:
     core = Core(Rows.of([[], [], [], [0, 1, 2]]), Rows.of(pairs), np.arange(3), np.arange(3))
     landmarks = [landmark_of(core, [fact]) for fact in (0, 0, 1, 2)]
     cost = np.array([10, 10, 10])
-    both = Closing(network_of(core), Bound(core, cost, landmarks, [5, 5, 0, 0], 10), cost, np.array([0, 1]), 1, LONG)
+    both = GapClosing(network_of(core), Bound(core, cost, landmarks, [5, 5, 0, 0], 10), cost, np.array([0, 1]), 1, LONG)
     both.go_on(Clock())
     assert both.bound.value == 15
 
@@ -162,18 +162,18 @@ def test_related_targets_planned_anew_make_a_plan_no_dearer_and_leave_it_a_plan(
     plan = first_plan(stage.network, stage.cost, 0, Clock())
     assert plan is not None
     bound, before = Bound(stage.network.core, stage.cost), np.array(sorted(plan), np.int64)
-    both = Closing(stage.network, bound, stage.cost, before, 1, Tuning(near=EVERYWHERE))
+    both = GapClosing(stage.network, bound, stage.cost, before, 1, Tuning(near=EVERYWHERE))
     both.look_near(Clock())
     assert (stage.plan.cost_us or 0) <= both.limit <= int(stage.cost[before].sum())
     assert is_plan(stage.network, set(both.plan.tolist()))
 
 
-def first_closing(problem: Problem, near: Near = EVERYWHERE) -> Closing:
-    """Closing of a problem, from a greedy plan and without landmarks."""
+def first_closing(problem: Problem, near: Near = EVERYWHERE) -> GapClosing:
+    """The closing of a problem, from a greedy plan and without landmarks."""
     network = Structure.of(problem, None, Clock()).network
     cost = np.array([start_cost_us(t, problem.horizon_s) for t in network.transformations], np.int64)
     plan = np.array(sorted(first_plan(network, cost, 0, Clock()) or ()), np.int64)
-    return Closing(network, Bound(network.core, cost), cost, plan, 1, Tuning(near=near))
+    return GapClosing(network, Bound(network.core, cost), cost, plan, 1, Tuning(near=near))
 
 
 @pytest.mark.parametrize("seed", [3, 4])

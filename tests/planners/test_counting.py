@@ -84,6 +84,23 @@ def test_units_that_are_told_apart_beside_counted_ones_are_proven_as_with_names(
     assert as_good(PlannerSession(ALIKE).plan(problem)) == as_good(named(problem))
 
 
+def test_a_required_transformation_does_not_end_the_counting_of_others() -> None:
+    problem = deployment(1, hosts=8)
+    library = tuple(replace(t, required=t.label == "agent") for t in problem.environment.library)
+    asked = replace(problem, environment=replace(problem.environment, library=library))
+    found = counted(asked)
+    assert found.status is Status.OPTIMAL
+    assert as_good(found) == as_good(named(asked))
+
+
+def test_a_required_transformation_that_no_numbers_let_serve_a_target_is_proven_unused() -> None:
+    alone = replace(kind("x", gives="X"), required=True)
+    problem = world("A", replicas(4), alone, hosts=THREE)
+    found = counted(problem)
+    assert (found.status, found.unused_required) == (Status.OPTIMAL, ("x",))
+    assert as_good(found) == as_good(named(problem))
+
+
 def test_each_new_unit_with_an_optional_input_is_a_group_and_so_is_whom_it_takes_all_of() -> None:
     reader = Transformation("f", (InputPort("i", "A", count=2, optional=True, worth_us=5),), (OutputPort("o", "B"),))
     problem = world("B", replicas(3), replace(reader, max_instances=2))
@@ -168,6 +185,24 @@ def test_a_host_where_something_runs_is_of_its_own_kind() -> None:
     candidates = Candidates(world("A", replicas(4), hosts=THREE, units=(ComputationUnit("s.1", "s", host="h1"),)))
     kinds = host_kinds(candidates)
     assert sorted(one.names for one in kinds) == [("h0", "h2"), ("h1",)]
+
+
+def test_a_host_that_a_selector_chooses_is_of_another_kind() -> None:
+    hosts = (*THREE[:2], replace(THREE[2], labels=("spot",)))
+    candidates = Candidates(world("A", replicas(4, at_most={"spot": 1}), hosts=hosts))
+    assert [one.names for one in host_kinds(candidates)] == [("h0", "h1"), ("h2",)]
+
+
+@pytest.mark.parametrize("most", [0, 1, 3])
+def test_units_on_hosts_that_a_selector_chooses_are_counted_together(most: int) -> None:
+    """The hosts that cost nothing are chosen by it, and each host has room for two units."""
+    hosts = (*(replace(host, labels=("spot",)) for host in THREE), *(Host(f"i{n}", 4, 4, rent_us=9) for n in range(3)))
+    problem = world("A", replicas(4, at_most={"spot": most}), hosts=hosts)
+    found = counted(problem)
+    assert as_good(found) == as_good(named(problem))
+    assert found.cost_us is not None
+    free = named(replace(problem, environment=replace(problem.environment, library=(replicas(4),))))
+    assert found.cost_us - (free.cost_us or 0) == 9 * problem.horizon_s * -(-(4 - most) // 2)
 
 
 def test_a_host_with_another_price_is_of_another_kind() -> None:

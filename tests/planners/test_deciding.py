@@ -17,12 +17,12 @@ from cfgplan.planners.bounding.bounds import cheapest_way
 from cfgplan.planners.bounding.branching import LEFT_OUT, Branching, Links, Ways
 from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planners.exact.memory import Memory, Structure
+from cfgplan.planners.exact.solve_run import SolveRun
+from cfgplan.planners.exact.solve_state import SolveState
 from cfgplan.planners.exact.stages import decide
-from cfgplan.planners.exact.standing import Standing
-from cfgplan.planners.exact.work import Work
 from cfgplan.planners.networks.greedy import is_plan
 from cfgplan.planners.networks.keys import Key
-from cfgplan.planners.networks.network import Weighing
+from cfgplan.planners.networks.network import LexicographicWeights
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import USUAL, Decide, Tuning
 from cfgplan.planning import Problem, Status
@@ -132,7 +132,7 @@ def test_a_search_step_by_step_ends_with_the_same_plan_and_its_bounds_hold(probl
 def test_no_bound_of_an_interrupted_search_is_above_the_best_plan_though_some_nodes_ahead_are(seed: int) -> None:
     problem = random_library(seed, transformations=20, depth=3, targets=2)
     structure = Structure.of(problem, None, Clock())
-    weight = Weighing.of(problem, structure.network).weight
+    weight = LexicographicWeights.of(problem, structure.network).weight
     search = Branching(structure.network.core, weight, 2**50, 1, lambda: False)
     bounds = []
     while not search.run(1):
@@ -162,7 +162,7 @@ def test_others_are_all_labels_of_plans_below_the_limit_but_those_of_one(problem
 @given(problems(special=False))
 def test_the_weight_of_labels_is_never_more_than_what_a_plan_costs_and_changes(problem: Problem) -> None:
     stage = Stage(problem)
-    weighing = Weighing.with_changes(problem, stage.network)
+    weighing = LexicographicWeights.with_changes(problem, stage.network)
     changes = stage.plan.change_set
     assert weighing is not None
     assert changes is not None
@@ -181,8 +181,8 @@ def test_a_small_problem_is_decided_without_the_solver_and_with_too_few_steps_by
     assert "nodes" in quick.counts
     assert "rounds" not in quick.counts
     structure = Structure.of(problem, None, Clock())
-    hasty, patient = (Standing(problem, Clock(tuning=Tuning(Decide(steps=steps))), None) for steps in (1, 100))
-    assert not decide(Work(hasty, Memory(structure)))
+    hasty, patient = (SolveState(problem, Clock(tuning=Tuning(Decide(steps=steps))), None) for steps in (1, 100))
+    assert not decide(SolveRun(hasty, Memory(structure)))
     assert not hasty.is_over
-    assert decide(Work(patient, Memory(structure)))
+    assert decide(SolveRun(patient, Memory(structure)))
     assert patient.is_over

@@ -23,7 +23,7 @@ from cfgplan.planners.exact.first_plans import FirstPlans
 from cfgplan.planners.exact.grounded import Grounded
 from cfgplan.planners.exact.reach import Reach
 from cfgplan.planners.exact.session import offer_what_runs
-from cfgplan.planners.exact.standing import Standing
+from cfgplan.planners.exact.solve_state import SolveState
 from cfgplan.planners.exact.survivors import can_do_without
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import USUAL
@@ -34,9 +34,9 @@ from experiments.fleet import instances
 
 
 def first(problem: Problem) -> Plan:
-    standing = Standing(problem, Clock(), None)
-    FirstPlans(Candidates(problem), standing).look(USUAL.begin.attempts)
-    return standing.plan()
+    state = SolveState(problem, Clock(), None)
+    FirstPlans(Candidates(problem), state).look(USUAL.begin.attempts)
+    return state.plan()
 
 
 @some
@@ -59,9 +59,9 @@ def test_first_plans_are_valid_beyond_the_oracles_reach(problem: Problem) -> Non
 
 
 def what_runs(problem: Problem) -> Plan:
-    standing = Standing(problem, Clock(), None)
-    offer_what_runs(standing)
-    return standing.plan()
+    state = SolveState(problem, Clock(), None)
+    offer_what_runs(state)
+    return state.plan()
 
 
 @some

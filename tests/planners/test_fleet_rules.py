@@ -316,6 +316,24 @@ def test_without_hosts_all_units_are_on_one(model: type[Hubs]) -> None:
     assert not fixed.allows(runs("s.1"), runs("s.2"), runs("s.3"))
 
 
+@every_model
+def test_hosts_that_a_selector_chooses_have_no_more_units_together_than_it_allows(model: type[Hubs]) -> None:
+    hosts = (*(replace(host, labels=("spot",)) for host in TWO), Host("h2"))
+    fixed = model(world("A", kind("s", gives="A", max_instances=3, at_most={"spot": 1}), hosts=hosts))
+    assert fixed.allows(on("s.1", "h0"), on("s.2", "h2"), on("s.3", "h2"))
+    assert not fixed.allows(on("s.1", "h0"), on("s.2", "h1"))
+    assert not fixed.allows(on("s.1", "h1"), on("s.2", "h1"))
+    none = model(world("A", kind("s", gives="A", at_most={"spot": 0}), hosts=hosts))
+    assert none.allows(on("s.1", "h2")) and not none.allows(on("s.1", "h0"))
+
+
+def test_cold_spares_count_among_those_on_the_hosts_that_a_selector_chooses() -> None:
+    spot = kind("s", gives="A", standby_us=1, at_most={"h0 or h1": 1})
+    fixed = Apart(world("A", spot, hosts=(*TWO, Host("h2")), survive=Failures.UNITS))
+    assert fixed.allows(on("s.1", "h0"), waits("s.2"), on("s.2", "h2"))
+    assert not fixed.allows(on("s.1", "h0"), waits("s.2"), on("s.2", "h1"))
+
+
 def test_cold_spares_count_among_those_allowed_on_a_host() -> None:
     fixed = Apart(world("A", kind("s", gives="A", standby_us=1, per_host=1), hosts=TWO, survive=Failures.UNITS))
     assert fixed.allows(on("s.1", "h0"), waits("s.2"), on("s.2", "h1"))

@@ -19,9 +19,9 @@ from cfgplan.planners import PLANNERS
 from cfgplan.planners.exact import fleet
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.first_plans import FirstPlans
-from cfgplan.planners.exact.fleet import left_by_bounds
+from cfgplan.planners.exact.fleet import remaining_by_bounds
 from cfgplan.planners.exact.session import PlannerSession
-from cfgplan.planners.exact.standing import Standing
+from cfgplan.planners.exact.solve_state import SolveState
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import Fleets, Tuning
 from cfgplan.planning import Failures, Feature, Problem, Status
@@ -51,21 +51,21 @@ def test_looks_that_are_too_short_change_no_answer(problem: Problem) -> None:
 @given(on_hosts)
 def test_with_hosts_forgotten_no_plan_costs_less_than_the_bound(problem: Problem) -> None:
     assume(not unmet_reasons(problem))
-    standing = Standing(problem, Clock(), None)
-    left_by_bounds(Candidates(problem), standing)
+    state = SolveState(problem, Clock(), None)
+    remaining_by_bounds(Candidates(problem), state)
     found = PlannerSession(IN_PARTS).plan(problem)
     assume(found.status is Status.OPTIMAL)
     assert found.cost_us is not None
-    assert standing.bound_us <= found.cost_us
+    assert state.bound_us <= found.cost_us
 
 
 def test_what_costs_more_than_the_best_plan_on_any_host_is_left_out() -> None:
     library = (kind("s", gives="A"), kind("dear", gives="A", labor_us=9), kind("f", "A", "B"))
     problem = world("B", *library, hosts=(Host("h0"), Host("h1")))
-    candidates, standing = Candidates(problem), Standing(problem, Clock(), None)
-    assert left_by_bounds(candidates, standing).labels == {"s", "dear", "f"}
-    FirstPlans(candidates, standing).look(0)
-    assert left_by_bounds(candidates, standing).labels == {"s", "f"}
+    candidates, state = Candidates(problem), SolveState(problem, Clock(), None)
+    assert remaining_by_bounds(candidates, state).names(candidates.network) == ["dear", "f", "s"]
+    FirstPlans(candidates, state).look(0)
+    assert remaining_by_bounds(candidates, state).names(candidates.network) == ["f", "s"]
 
 
 def test_a_dearer_unit_on_the_target_s_host_beats_a_cheap_one_and_a_transfer() -> None:
@@ -195,6 +195,10 @@ def test_which_replica_finds_no_host_is_said() -> None:
     for more, text in (
         ({"memory_mb": 512, "min_instances": 3}, "number 3 finds no host with 512 MB of memory left"),
         ({"per_host": 1, "min_instances": 3}, "number 3 finds no host with fewer than 1 of them"),
+        (
+            {"at_most": {"a or b": 1}, "min_instances": 2},
+            "number 2 finds no host with room for it, as at most 1 may run on a or b",
+        ),
     ):
         found = PLANNERS["cpsat"](world("A", kind("web", gives="A", **more), hosts=hosts))
         assert found.status is Status.INFEASIBLE

@@ -15,7 +15,7 @@ from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.configuration import wire
 from cfgplan.planners.networks.greedy import first_plan, is_plan
-from cfgplan.planners.networks.network import Network, Weighing
+from cfgplan.planners.networks.network import LexicographicWeights, Network
 from cfgplan.planners.reducing.closure import Closure
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Plan, Problem, Status
@@ -143,7 +143,7 @@ def test_dearest_chains_charged_one_after_the_other_are_never_more_than_the_opti
 @given(problems(special=False))
 def test_a_weight_is_cost_and_where_nothing_runs_started_units(problem: Problem) -> None:
     stage = Stage(problem)
-    weighing = Weighing.of(problem, stage.network)
+    weighing = LexicographicWeights.of(problem, stage.network)
     used = np.array(sorted(stage.numbers(stage.used)), np.int64)
     weight = weighing.of_plan(used)
     assert weighing.cost_us(weight) == int(stage.cost[used].sum())

@@ -25,10 +25,10 @@ from ortools.sat.python.cp_model import (
 import cfgplan
 from cfgplan.domain import Similarity, Target
 from cfgplan.planners.cpsat import PlannerSession
-from cfgplan.planners.exact import search
+from cfgplan.planners.exact import rounds, search
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.model import Model
-from cfgplan.planners.exact.standing import Standing
+from cfgplan.planners.exact.solve_state import SolveState
 from cfgplan.planners.exact.survival import Missed, Survival
 from cfgplan.planners.solving.clock import Clock, ContradictionError
 from cfgplan.planners.tuning import USUAL
@@ -41,18 +41,18 @@ from experiments.fleet import instances
 @pytest.mark.parametrize("seed", [0, 2, 6])
 def test_a_solution_that_is_not_grounded_is_forbidden_before_anything_is_proven_of_it(seed: int) -> None:
     problem = random_library(seed, transformations=30, targets=3, back=0.4)
-    solve, statuses = search.solve, []
+    solve, statuses = rounds.solve, []
 
     def watched(*of: Any) -> Any:
         statuses.append(solve(*of))
         return statuses[-1]
 
-    with mock.patch.object(search, "solve", watched):
+    with mock.patch.object(rounds, "solve", watched):
         alone = search_alone(problem)
         alone.run()
     assert statuses[0] == FEASIBLE
     assert statuses[-1] == OPTIMAL
-    found, other = alone.standing.plan(), PlannerSession().plan(problem)
+    found, other = alone.state.plan(), PlannerSession().plan(problem)
     assert found.status is other.status is Status.OPTIMAL
     assert found.cost_us == other.cost_us
 
@@ -60,10 +60,10 @@ def test_a_solution_that_is_not_grounded_is_forbidden_before_anything_is_proven_
 @pytest.mark.parametrize(
     ("room", "problem", "status"),
     [
-        (search, random_library(0, transformations=60), INFEASIBLE),
-        (search, random_library(0, transformations=60), MODEL_INVALID),
-        (search, instances.weighted(0, 40, 2), INFEASIBLE),
-        (search, replace(random_library(0, transformations=12, targets=1), survive=Failures.UNITS), INFEASIBLE),
+        (rounds, random_library(0, transformations=60), INFEASIBLE),
+        (rounds, random_library(0, transformations=60), MODEL_INVALID),
+        (rounds, instances.weighted(0, 40, 2), INFEASIBLE),
+        (rounds, replace(random_library(0, transformations=12, targets=1), survive=Failures.UNITS), INFEASIBLE),
     ],
     ids=["plain", "plain, invalid", "quality", "failures"],
 )
@@ -140,7 +140,7 @@ def test_what_breaks_a_rule_never_becomes_the_incumbent() -> None:
     for problem in drawn:
         after = problem.after(PlannerSession().plan(problem))
         candidates, units = Candidates(problem), list(after.units)
-        assert Standing(problem, Clock(), None).offer(candidates, units) is not None
+        assert SolveState(problem, Clock(), None).offer(candidates, units) is not None
         broken = [[other for other in units if other is not one] for one in units]
         for number, one in enumerate(units):
             others = units[:number] + units[number + 1 :]
@@ -148,9 +148,9 @@ def test_what_breaks_a_rule_never_becomes_the_incumbent() -> None:
             broken += [[*others, replace(one, publications=())]] * bool(one.publications)
             broken += [[*others, replace(one, host="nowhere")]] * bool(problem.environment.hosts)
         for configuration in broken:
-            standing = Standing(problem, Clock(), None)
-            assert standing.offer(candidates, configuration) is None
-            assert (standing.best, standing.counts["refused configurations"]) == (None, 1)
+            state = SolveState(problem, Clock(), None)
+            assert state.offer(candidates, configuration) is None
+            assert (state.best, state.counts["refused configurations"]) == (None, 1)
 
 
 @pytest.mark.parametrize("problem", [instances.hosted(0, 30), instances.weighted(0, 30, 3)], ids=["hosts", "quality"])

@@ -18,7 +18,7 @@ from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import USUAL, Close, Tuning
 
 
-class Closing:
+class GapClosing:
     """Closes the optimality gap: improves a plan, and the bound for plans that cost no more, until they meet.
 
     `cost` holds the costs of all labels of the network, multiples of `step`.

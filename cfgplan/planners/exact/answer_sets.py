@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from cfgplan.extras import is_there
-from cfgplan.planners.exact.work import Left, Work, numbers
+from cfgplan.planners.exact.remaining import Remaining
+from cfgplan.planners.exact.solve_run import SolveRun, numbers
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.greedy import first_plan
-from cfgplan.planners.networks.network import Network, Weighing
+from cfgplan.planners.networks.network import LexicographicWeights, Network
 from cfgplan.planners.solving.clock import Clock
 
 if TYPE_CHECKING:
@@ -25,12 +26,12 @@ LARGEST_WEIGHT: Final = 2**31 - 1
 """The largest weight that clingo takes."""
 
 
-def prove_by_answer_sets(work: Work) -> bool:
+def prove_by_answer_sets(work: SolveRun) -> bool:
     """Have clingo raise the bound for some conflicts, and for many if that brings it near the first plan."""
     network, clock, tuning = work.structure.network, work.clock, work.clock.tuning.cycles
-    if len(network.labels) < tuning.labels or network.special or work.memory.rest is not None:
+    if len(network.labels) < tuning.labels or network.special or work.memory.warm_start is not None:
         return False
-    weighing = Weighing.with_changes(work.problem, network)
+    weighing = LexicographicWeights.with_changes(work.problem, network)
     if weighing is None or not _is_fit(weighing, tuning.values) or not is_there("clingo"):
         return False
     first = first_plan(network, weighing.weight, clock.tuning.begin.attempts, clock)
@@ -42,13 +43,13 @@ def prove_by_answer_sets(work: Work) -> bool:
     if not program.run(tuning.first, clock) and program.value >= room:
         program.run(tuning.conflicts, clock)
     plan = min((plan, *program.plans), key=weighing.of_plan)
-    work.take(Left(network, weighing, plan, program.value, plan, is_complete=False))
-    work.standing.counts["conflicts"] = program.conflicts
+    work.take(Remaining(plan, program.value, is_complete=False), network, weighing, plan)
+    work.state.counts["conflicts"] = program.conflicts
     clock.end("bounds")
-    return work.standing.is_over
+    return work.state.is_over
 
 
-def _is_fit(weighing: Weighing, most: int) -> bool:
+def _is_fit(weighing: LexicographicWeights, most: int) -> bool:
     """Whether clingo can weigh these costs: they have few values, and each is small enough."""
     costs = weighing.weight // weighing.scale
     return len(set(costs.tolist())) <= most and int(costs.max(initial=0)) // _unit(costs) <= LARGEST_WEIGHT
@@ -65,7 +66,7 @@ class LogicProgram:
     Raises OutOfTimeError.
     """
 
-    def __init__(self, network: Network, weighing: Weighing, clock: Clock) -> None:
+    def __init__(self, network: Network, weighing: LexicographicWeights, clock: Clock) -> None:
         import clingo  # there with the extra only
 
         weight = weighing.weight.copy()

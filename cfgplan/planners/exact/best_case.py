@@ -112,7 +112,7 @@ def _least_badness(candidates: Candidates, attribute: QualityAttribute) -> dict[
 
 
 @dataclass(frozen=True, slots=True)
-class Making:
+class OutputRule:
     """How bad an output is: `gain` times its `inputs` together, plus `shift`, in millionths; and at least `least`.
 
     It is `alone` if none of them is fed.
@@ -126,7 +126,7 @@ class Making:
     alone: int
 
     @classmethod
-    def of(cls, attribute: QualityAttribute, transformation: Transformation, port: OutputPort) -> Making:
+    def of(cls, attribute: QualityAttribute, transformation: Transformation, port: OutputPort) -> OutputRule:
         """The rule by which an output of a transformation derives its badness from the inputs that count."""
         stated = stated_of(port, attribute)
         inputs = tuple(port for port in transformation.inputs if not port.feedback)
@@ -187,7 +187,7 @@ def _most_badness(candidates: Candidates, attribute: QualityAttribute) -> dict[s
             allow(port.tag, attribute.scale)
     demands = _demands(candidates)
     fed = [
-        (demands[output.tag], Making.of(attribute, t, output), t.inputs)
+        (demands[output.tag], OutputRule.of(attribute, t, output), t.inputs)
         for t in (candidate.transformation for candidate in candidates.all)
         for output in t.outputs
         if output.tag in demands and t.inputs

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from cfgplan.costs import keep_cost_us, standby_cost_us, start_cost_us, taken, transfer_cost_us
-from cfgplan.domain import ComputationUnit, Environment, Host, Stream, Transformation
+from cfgplan.domain import ComputationUnit, Environment, Host, Stream, Target, Transformation
 from cfgplan.onward import grouped
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.keys import may_stay
@@ -25,8 +25,14 @@ from cfgplan.reasons import startable
 
 ONLY_IN_THE_MODEL: Final = frozenset({Feature.OPTIONAL, Feature.COUNTS, Feature.LIMITS})
 """Features that first plans and bounds do not handle."""
+_DERIVED: Final = ("kinds", "hosts", "host_kind", "network", "asked_for", "least_us")
+"""The cached properties of candidates."""
 HostName = str | None
 """Where something is; None where there are no hosts, or on no host in particular."""
+
+
+Site = tuple[str, HostName]
+"""A transformation and, where some run with others on their host, a host: units of one site may do the same."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +154,7 @@ class Candidates:
         A stream is known by the first unit of its group. Units outside the groups are left out.
         """
         found = copy.copy(self)
-        for cached in ("kinds", "hosts", "host_kind", "network", "asked_for", "least_us"):
+        for cached in _DERIVED:
             vars(found).pop(cached, None)
         found.groups, found.hosts = tuple(groups), tuple(kinds)
         firsts = [self.all[group[0]] for group in found.groups]
@@ -162,6 +168,26 @@ class Candidates:
         )
         found.index_of = {self.all[i].id: number for number, group in enumerate(found.groups) for i in group}
         found._units = grouped((first.transformation.label, number) for number, first in enumerate(firsts))
+        found._streams, found._feeders, found._may_stay = {}, {}, {}
+        return found
+
+    def of_sites(self, units: Mapping[Site, int], targets: Iterable[Target]) -> Candidates:
+        """New units, so many of each site, where it is, which have to meet some targets by their wiring alone."""
+        library = tuple(self.environment.transformation[label] for label in sorted({label for label, _ in units}))
+        wanted = tuple(replace(target, host=None, quality=()) for target in targets)
+        found = copy.copy(self)
+        for cached in _DERIVED:
+            vars(found).pop(cached, None)
+        found.environment = Environment((), library, wanted)
+        found.problem = Problem(found.environment, self.problem.similarity, 0)
+        found.hosts = tuple(HostKind((host,), {}) for host in dict.fromkeys(host for _, host in units))
+        sites = [site for site, number in sorted(units.items(), key=str) for _ in range(number)]
+        found.all = tuple(
+            Candidate(str(i), self.environment.transformation[label], None, {host: OnHost(0, 0, {})})
+            for i, (label, host) in enumerate(sites)
+        )
+        found.index_of = {candidate.id: i for i, candidate in enumerate(found.all)}
+        found._units = grouped((candidate.transformation.label, i) for i, candidate in enumerate(found.all))
         found._streams, found._feeders, found._may_stay = {}, {}, {}
         return found
 

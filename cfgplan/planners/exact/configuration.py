@@ -12,13 +12,13 @@ from functools import partial
 import numpy as np
 
 from cfgplan.domain import ComputationUnit, Target
-from cfgplan.planners.exact.candidates import Candidate, Candidates, HostName
+from cfgplan.planners.exact.candidates import Candidate, Candidates, HostName, Site
 from cfgplan.planners.exact.decode import named
 from cfgplan.planners.exact.grounded import Grounded
 from cfgplan.planners.exact.places import Places
 from cfgplan.planners.exact.pruning import lean, needed_units
 from cfgplan.planners.exact.reach import Reach
-from cfgplan.planners.exact.survivors import Failure, Site, site_of, unmet
+from cfgplan.planners.exact.survivors import Failure, site_of, unmet
 from cfgplan.planners.networks.core import Floats
 from cfgplan.planners.networks.greedy import FREE, plan_at
 from cfgplan.planning import Failures

@@ -15,7 +15,7 @@ from cfgplan.planners.exact.model import Model
 from cfgplan.planners.solving.clock import ContradictionError
 
 
-class _Taker(NamedTuple):
+class _Consumer(NamedTuple):
     """An input of a unit, or a target, with the streams that it may take and those that it has.
 
     It is known by the unit's id and the input's name, or by "" and the target's label.
@@ -73,7 +73,7 @@ class CountedWiring:
     def _running(self, tag: str) -> list[Stream]:
         return [s for s in self._candidates.streams(tag) if self._candidates.index_of[s.unit] in self._host_of]
 
-    def _demands(self) -> Iterator[_Taker]:
+    def _demands(self) -> Iterator[_Consumer]:
         """The inputs of units that do not stay as they are, and the targets that such units meet."""
         index_of, group_of = self._candidates.index_of, self._model.candidates.index_of
         for i in sorted(self._host_of.keys() - self._stays.keys()):
@@ -84,16 +84,16 @@ class CountedWiring:
                 if connects is not None:
                     taken = {(group_of[s.unit], s.port) for s, one in connects.items() if self._values[one.index]}
                     streams, number = [s for s in streams if (group_of[s.unit], s.port) in taken], len(taken)
-                yield _Taker((self._all[i].id, port.name), number, streams, old.get(port.name, ()))
+                yield _Consumer((self._all[i].id, port.name), number, streams, old.get(port.name, ()))
         for target in self._candidates.environment.stream_targets:
             publishes = self._model.publishes[target.label]
             sources = {(group_of[s.unit], s.port) for s, taken in publishes.items() if self._values[taken.index]}
             there = [s for s in self._running(target.tag) if index_of[s.unit] not in self._stays]
             streams = [stream for stream in there if (group_of[stream.unit], stream.port) in sources]
             if streams:
-                yield _Taker(("", target.label), 1, streams)
+                yield _Consumer(("", target.label), 1, streams)
 
-    def _shared_out(self, demands: Sequence[_Taker]) -> dict[tuple[str, str], list[Stream]]:
+    def _shared_out(self, demands: Sequence[_Consumer]) -> dict[tuple[str, str], list[Stream]]:
         """The streams that each demand takes where some serve only so many: a flow from streams to demands."""
         if not demands:
             return {}
@@ -129,7 +129,7 @@ class CountedWiring:
         return taken
 
 
-def _first(demand: _Taker) -> list[Stream]:
+def _first(demand: _Consumer) -> list[Stream]:
     """The streams of as many different units as are demanded, those that it has first."""
     of_units: dict[str, Stream] = {}
     for stream in (*(stream for stream in demand.old if stream in demand.streams), *demand.streams):

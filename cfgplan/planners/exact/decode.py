@@ -10,14 +10,12 @@ from typing import TYPE_CHECKING
 from cfgplan.domain import ComputationUnit, Environment, InputPort, Publication, Stream, Subscription, Target
 from cfgplan.onward import grouped
 from cfgplan.planners.exact.candidates import Candidates, HostName
-from cfgplan.planners.exact.pruning import have_company
+from cfgplan.planners.exact.company import have_company
+from cfgplan.planners.exact.rules import MAY_RUN_FOR_NOBODY
 from cfgplan.planning import Feature, fresh_units
 
 if TYPE_CHECKING:
     from cfgplan.planners.exact.model import Model  # the solver takes long to import
-
-MAY_RUN_FOR_NOBODY = {Feature.SURVIVAL, Feature.INSTANCES, Feature.BESIDE}
-"""With these, units may be needed that feed nobody and meet no target."""
 
 
 def decode(model: Model, true: Collection[int]) -> list[ComputationUnit] | None:

@@ -12,14 +12,12 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from math import ceil
 from operator import attrgetter
 from typing import NamedTuple
 
 from ortools.sat.python.cp_model import (
     FEASIBLE,
     INFEASIBLE,
-    MODEL_INVALID,
     OPTIMAL,
     CpSolver,
     CpSolverSolutionCallback,
@@ -34,32 +32,33 @@ from cfgplan.planners.exact.groups import groups_of, host_kinds
 from cfgplan.planners.exact.model import Model
 from cfgplan.planners.exact.patterns import Patterns
 from cfgplan.planners.exact.pruning import lean
+from cfgplan.planners.exact.rounds import InfeasibleError, minimised
 from cfgplan.planners.exact.rules import PLACED, RULES
-from cfgplan.planners.exact.standing import Standing
+from cfgplan.planners.exact.solve_state import SolveState
 from cfgplan.planners.networks.keys import Key
 from cfgplan.planners.solving.clock import Clock, ContradictionError
 from cfgplan.planners.solving.engine import repeatable_solver, solve
 from cfgplan.planning import Feature
 
 
-def plan_by_counting(candidates: Candidates, standing: Standing) -> None:
+def plan_by_counting(candidates: Candidates, state: SolveState) -> None:
     """Count units until the best plan is proven or the time is over."""
     kinds = host_kinds(candidates)
-    deployment = _Deployment(candidates, standing)
-    standing.counts |= {"groups": len(deployment.groups), "kinds of hosts": len(kinds), "rounds": 0, "conflicts": 0}
-    hosts, tuning = sum(len(kind.names) for kind in kinds), standing.clock.tuning.fleet
+    deployment = _Deployment(candidates, state)
+    state.counts |= {"groups": len(deployment.groups), "kinds of hosts": len(kinds), "rounds": 0, "conflicts": 0}
+    hosts, tuning = sum(len(kind.names) for kind in kinds), state.clock.tuning.fleet
     recounts = tuning.recounts if hosts > tuning.apart else 1
     for _ in range(recounts if hosts > len(kinds) else 0):
-        known = len(deployment.misfits)
-        if deployment.count(kinds) or standing.is_over:
+        known = len(deployment.infeasible)
+        if deployment.count(kinds) or state.is_over:
             return
-        if len(deployment.misfits) == known:
+        if len(deployment.infeasible) == known:
             break
     deployment.count(deployment.apart(kinds))
 
 
 @dataclass(frozen=True)
-class _Misfit:
+class _InfeasibleCounts:
     """Numbers of units, by their groups, that do not fit on so many hosts of a kind, which is known by its first."""
 
     kind: HostName
@@ -90,18 +89,18 @@ class _Step(NamedTuple):
 
 
 class _Placed(NamedTuple):
-    """The hosts of each group's units if they fit. It `is_misfit` if it is proven that they do not."""
+    """The hosts of each group's units if they fit. It `is_infeasible` if it is proven that they do not."""
 
     hosts: Mapping[int, Sequence[HostName]]
     is_fit: bool = False
-    is_misfit: bool = False
+    is_infeasible: bool = False
 
 
 class _Deployment:
-    def __init__(self, candidates: Candidates, standing: Standing) -> None:
-        self.candidates, self.standing = candidates, standing
+    def __init__(self, candidates: Candidates, state: SolveState) -> None:
+        self.candidates, self.state = candidates, state
         self.groups = groups_of(candidates)
-        self.misfits: tuple[_Misfit, ...] = ()
+        self.infeasible: tuple[_InfeasibleCounts, ...] = ()
         """Numbers of units that are known not to fit."""
         self._patterns: dict[HostName, Patterns] = {}
         """Of kinds of several hosts, by their first, once something did not fit."""
@@ -114,47 +113,54 @@ class _Deployment:
         If each kind is one host, each solution is a plan. Otherwise the best numbers have to be placed, and until then
         only the bound on the first objective is proven.
         """
-        standing, is_placed = self.standing, all(kind.is_one for kind in kinds)
+        state, is_placed = self.state, all(kind.is_one for kind in kinds)
         model = Model(self.candidates.alike(self.groups, kinds), RULES) if is_placed else self._limited(kinds)
-        standing.counts["counts"] = len(model.cp.proto.variables)
+        state.counts["counts"] = len(model.cp.proto.variables)
         steps = list(self._steps(model))
         model.cp.add(steps[0].what >= self._least)
-        if is_placed and standing.best is not None:
-            model.cp.add(steps[0].what <= steps[0].value(standing.best.key))
+        if is_placed and state.best is not None:
+            model.cp.add(steps[0].what <= steps[0].value(state.best.key))
             self._hint(model)
         values: Sequence[int] = ()
         proven: list[int] = []
         for number, step in enumerate(steps):
             learn = step.learn if is_placed or not number else lambda _: None
-            found = self._minimise(model, step.what, values, learn, is_placed=is_placed)
+            try:
+                found = self._minimise(model, step.what, values, learn, is_placed=is_placed)
+            except InfeasibleError:
+                state.prove_infeasible()
+                return True
             if found is None:
-                return standing.is_infeasible
+                return False
             values, least = found
             self._least = self._least if number else least
             model.cp.add(step.what <= least)
             proven.append(least)
         if not is_placed and not self._offer(model, values):
             return False
-        if standing.best is None:
+        if state.best is None:
             raise ContradictionError("the numbers of units are those of no plan")
         for step, least in zip(steps, proven, strict=True):
-            if step.value(standing.best.key) > least:
+            if step.value(state.best.key) > least:
                 raise ContradictionError("a plan costs or changes more than the numbers of its units say")
             step.learn(least)
-        standing.prove_all()
+        state.prove_all()
         return True
 
     def _steps(self, model: Model) -> Iterator[_Step]:
-        problem, standing = self.candidates.problem, self.standing
+        problem, state = self.candidates.problem, self.state
+        if model.uses_required:
+            unused = len(problem.environment.required) - model.total([*model.uses_required.values()])
+            yield _Step(unused, attrgetter("unused"), state.raise_least_unused)
         named = problem.environment.minimise if Feature.ORDER in problem.features else ()
         for place, each in enumerate(named, 1):
-            learn = partial(standing.raise_bound_of, each)
+            learn = partial(state.raise_bound_of, each)
             yield _Step(model.objective(each), partial(_of_order, place), learn)
         if Objective.COST not in named:
-            yield _Step(model.objective(Objective.COST), attrgetter("cost_us"), standing.raise_bound)
+            yield _Step(model.objective(Objective.COST), attrgetter("cost_us"), state.raise_bound)
         is_running = any(candidate.running for candidate in model.candidates.all)
         for each in (Objective.REWIRED, Objective.STARTED) if is_running else (Objective.STARTED,):
-            yield _Step(model.objective(each), attrgetter(each), partial(standing.raise_bound_of, each))
+            yield _Step(model.objective(each), attrgetter(each), partial(state.raise_bound_of, each))
 
     def _minimise(
         self,
@@ -165,38 +171,32 @@ class _Deployment:
         *,
         is_placed: bool,
     ) -> tuple[Sequence[int], int] | None:
-        """The best numbers and their value; None if there are none, or the time is over before they are proven best.
+        """The best numbers and their value; None if the time is over before they are proven best.
 
-        `known` are numbers to begin with, if there are any. `learn` is told bounds.
+        `known` are numbers to begin with, if there are any. `learn` is told bounds. Raises InfeasibleError.
         """
-        clock = self.standing.clock
-        model.cp.minimize(what)
-        if known:
-            model.cp.clear_hints()  # type: ignore[no-untyped-call]
-        for index, value in enumerate(known):
-            model.cp.add_hint(model.cp.get_int_var_from_proto_index(index), value)
-        solver = _solver(clock)
+        clock = self.state.clock
 
-        def learn_bound(bound: float) -> None:
-            learn(ceil(bound - 0.5))
+        def solver() -> CpSolver:
+            if known:
+                model.cp.clear_hints()  # type: ignore[no-untyped-call]
+            for index, value in enumerate(known):
+                model.cp.add_hint(model.cp.get_int_var_from_proto_index(index), value)
+            return _solver(clock)
 
         def look_at(solution: CpSolverSolutionCallback) -> bool:
             return not is_placed or self._offer(model, solution.response_proto.solution)
 
-        status = solve(solver, model.cp, clock, look_at, learn_bound)
-        self.standing.counts["rounds"] += 1
-        self.standing.counts["conflicts"] += solver.num_conflicts
-        if status == INFEASIBLE:
-            self.standing.prove_infeasible()
+        def taken(solver: CpSolver, is_best: bool) -> tuple[Sequence[int], int | None] | None:
+            values = list(solver.response_proto.solution)
+            if is_best and self.infeasible and not is_placed and self._is_too_much(model, values):
+                return None
+            return values, int(solver.value(what)) if is_best else None
+
+        found = minimised(model, what, self.state, solver=solver, look_at=look_at, learn=learn, taken=taken)
+        if found is None or found[1] is None:
             return None
-        if status == MODEL_INVALID:
-            raise ContradictionError("the engine refuses the model")
-        if status != OPTIMAL:
-            return None
-        values = list(solver.response_proto.solution)
-        if self.misfits and not is_placed and self._is_too_much(model, values):
-            return self._minimise(model, what, values, learn, is_placed=is_placed)
-        return values, int(solver.value(what))
+        return found[0], found[1]
 
     def _offer(self, model: Model, values: Sequence[int]) -> bool:
         """Offer the plan that numbers say, with more hosts if their units do not fit on so many; False then."""
@@ -208,10 +208,10 @@ class _Deployment:
             placed = self._placed(kind, here, used)
             if not placed.is_fit:
                 is_fit = False
-                if placed.is_misfit:
+                if placed.is_infeasible:
                     companions = self.candidates.environment.companions
                     company = {n for n in here if model.candidates.all[n].transformation.label in companions}
-                    self.misfits = (*self.misfits, _Misfit(kind.first, used, here, frozenset(company)))
+                    self.infeasible = (*self.infeasible, _InfeasibleCounts(kind.first, used, here, frozenset(company)))
                 more = (self._placed(kind, here, n, has_more_company=True) for n in _more(used, len(kind.names)))
                 placed = next((found for found in more if found.is_fit), placed)
                 if not placed.is_fit:
@@ -219,7 +219,7 @@ class _Deployment:
             for n, hosts in placed.hosts.items():
                 hosts_of[n] += hosts
         units = CountedWiring(self.candidates, model, values, hosts_of).units()
-        key = self.standing.offer(self.candidates, named(self.candidates, lean(self.candidates, units)))
+        key = self.state.offer(self.candidates, named(self.candidates, lean(self.candidates, units)))
         return is_fit and key is not None
 
     def _placed(self, kind: HostKind, here: Mapping[int, int], used: int, *, has_more_company: bool = False) -> _Placed:
@@ -229,7 +229,7 @@ class _Deployment:
         """
         if kind.is_one or not here:
             return _Placed({n: [kind.first] * number for n, number in here.items()}, is_fit=True)
-        clock = self.standing.clock
+        clock = self.state.clock
         model = Model(self.candidates.alike([self.groups[n] for n in here], kind.apart()[:used]), PLACED)
         for n, units in enumerate(here.values()):
             label = model.candidates.all[n].transformation.label
@@ -239,7 +239,7 @@ class _Deployment:
         solver.parameters.max_deterministic_time = clock.tuning.fleet.place
         status = solve(solver, model.cp, clock)
         if status not in (OPTIMAL, FEASIBLE):
-            return _Placed({}, is_misfit=status == INFEASIBLE)
+            return _Placed({}, is_infeasible=status == INFEASIBLE)
         found = {
             n: [host for host, number in numbers.items() for _ in range(solver.value(number))]
             for n, numbers in zip(here, model.numbers_on.values(), strict=True)
@@ -248,10 +248,10 @@ class _Deployment:
 
     def _hint(self, model: Model) -> None:
         """Hint the incumbent's units and hosts."""
-        assert self.standing.best is not None
+        assert self.state.best is not None
         new = {c.transformation.label: n for n, c in enumerate(model.candidates.all) if c.running is None}
         running = {c.id: n for n, c in enumerate(model.candidates.all) if c.running is not None}
-        units = self.standing.best.units
+        units = self.state.best.units
         number = Counter((running.get(unit.id, new.get(unit.transformation)), unit.host) for unit in units)
         for n, there in model.numbers_on.items():
             for host, on in there.items():
@@ -260,8 +260,8 @@ class _Deployment:
     def _limited(self, kinds: Sequence[HostKind]) -> Model:
         """The model of kinds of hosts without the numbers of units that are known not to fit."""
         model = Model(self.candidates.alike(self.groups, kinds), RULES)
-        for misfit in self.misfits:
-            misfit.forbid(model)
+        for numbers in self.infeasible:
+            numbers.forbid(model)
         for host, patterns in self._patterns.items():
             for weights in patterns.limits:
                 weights.limit(model, host)
@@ -275,7 +275,7 @@ class _Deployment:
                 if kind.first not in self._patterns:
                     self._patterns[kind.first] = Patterns(self.candidates, self.groups, kind)
                 patterns, here = self._patterns[kind.first], _on(model, values, kind.first)
-                if patterns.is_too_much(here, _used(model, values, kind.first), self.standing.clock):
+                if patterns.is_too_much(here, _used(model, values, kind.first), self.state.clock):
                     patterns.limits[-1].limit(model, kind.first)
                     is_limited = True
         return is_limited
@@ -285,13 +285,13 @@ class _Deployment:
         found: list[HostKind] = []
         for kind in kinds:
             most = len(kind.names)
-            if most > 1 and self.standing.best is not None:
+            if most > 1 and self.state.best is not None:
                 model = self._limited(kinds)
                 first = next(self._steps(model))
-                model.cp.add(first.what <= first.value(self.standing.best.key))
+                model.cp.add(first.what <= first.value(self.state.best.key))
                 model.cp.maximize(model.uses[kind.first])
-                solver = _solver(self.standing.clock)
-                if solve(solver, model.cp, self.standing.clock) == OPTIMAL:
+                solver = _solver(self.state.clock)
+                if solve(solver, model.cp, self.state.clock) == OPTIMAL:
                     most = solver.value(model.uses[kind.first])
             found += kind.apart()[:most]
         return found

@@ -11,7 +11,7 @@ import numpy as np
 
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.configuration import Configuration, spare_prices
-from cfgplan.planners.exact.standing import Standing
+from cfgplan.planners.exact.solve_state import SolveState
 from cfgplan.planners.networks.core import Floats
 from cfgplan.planners.networks.greedy import FREE, plan_at
 from cfgplan.planners.reducing.closure import with_companions
@@ -21,8 +21,8 @@ from cfgplan.qualities import QualityAttribute, QualityRule
 class FirstPlans:
     """Offers plans made of chosen transformations or candidates."""
 
-    def __init__(self, candidates: Candidates, standing: Standing) -> None:
-        self.candidates, self.standing = candidates, standing
+    def __init__(self, candidates: Candidates, state: SolveState) -> None:
+        self.candidates, self.state = candidates, state
         self.network = candidates.network
         self._spare_us = spare_prices(candidates)
         labels = candidates.clock.each(self.network.labels)
@@ -36,15 +36,15 @@ class FirstPlans:
         """Offer a plan of cheap transformations, then make up to `attempts` more, each without one of the most
         expensive ones.
         """
-        candidates, standing = self.candidates, self.standing
+        candidates, state = self.candidates, self.state
         if len(self.network.targets) < len(candidates.environment.targets):
             return
         price = self._first()
         tried: set[str] = set()
-        while price is not None and standing.best is not None and len(tried) < attempts:
-            if standing.clock.is_over() or standing.is_at_bound:
+        while price is not None and state.best is not None and len(tried) < attempts:
+            if state.clock.is_over() or state.is_at_bound:
                 break
-            labels = {unit.transformation for unit in standing.best.units if not unit.standby}
+            labels = {unit.transformation for unit in state.best.units if not unit.standby}
             ahead = sorted(candidates.numbers(labels - tried), key=lambda n: (-self._cost[n], n))
             if not ahead:
                 break
@@ -66,12 +66,12 @@ class FirstPlans:
         burden = self._burden()
         usual = price[np.isfinite(price)].mean() / burden[burden > 0].mean() if (burden > 0).any() else 0.0
         found: Floats | None = None
-        shares = self.standing.clock.tuning.begin.shares
+        shares = self.state.clock.tuning.begin.shares
         for share in shares if usual else shares[:1]:
-            priced, before = price + share * usual * burden, self.standing.best
-            if self._offer_supports(priced) and (found is None or self.standing.best is not before):
+            priced, before = price + share * usual * burden, self.state.best
+            if self._offer_supports(priced) and (found is None or self.state.best is not before):
                 found = priced
-            if self.standing.is_at_bound or (found is not None and not self._is_weighed):
+            if self.state.is_at_bound or (found is not None and not self._is_weighed):
                 break
         return found
 
@@ -144,7 +144,7 @@ class FirstPlans:
     def offer(self, hot: Collection[int]) -> bool:
         """Offer a configuration in which these candidates run; False if it is not valid."""
         units = Configuration(self.candidates, hot, self._attribute, self._spare_us).units()
-        return units is not None and self.standing.offer(self.candidates, units) is not None
+        return units is not None and self.state.offer(self.candidates, units) is not None
 
 
 def _asked(candidates: Candidates) -> QualityAttribute | None:

@@ -8,7 +8,7 @@ model.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,82 +18,93 @@ from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.first_plans import FirstPlans
 from cfgplan.planners.exact.quality_chains import ChainCut, has_chains
 from cfgplan.planners.exact.quality_cuts import chain_cuts
-from cfgplan.planners.exact.standing import Standing
+from cfgplan.planners.exact.remaining import Remaining, named_landmarks
+from cfgplan.planners.exact.solve_state import SolveState
 from cfgplan.planners.networks.core import Floats
 from cfgplan.planning import Feature
 
 
-def plan_fleet(candidates: Candidates, standing: Standing, last: Collection[str]) -> None:
+def plan_fleet(candidates: Candidates, state: SolveState, last: Collection[str]) -> None:
     """Look for first plans, one of them of the transformations in `last`, then for the best plan and its proof."""
-    problem, clock = standing.problem, standing.clock
-    _count(candidates, standing)
+    problem, clock = state.problem, state.clock
+    _count(candidates, state)
     if clock.tuning.is_solver_only:
-        if standing.is_cost_proven:
-            candidates = candidates.among(left_by_bounds(candidates, standing).labels)
-        _solve(candidates, standing)
+        if state.is_cost_proven:
+            candidates, _ = _left(candidates, state)
+        _solve(candidates, state)
         return
     least_us, rewired, started = least_of_all(candidates)
-    standing.raise_bound(least_us)
+    state.raise_bound(least_us)
     clock.end("closure")
-    first = FirstPlans(candidates, standing)
+    first = FirstPlans(candidates, state)
     known = candidates.kinds.keys() & set(last)
     is_known = bool(known) and first.offer(first.units_of(known))
     attempts = 0 if problem.survive is not None or is_known else clock.tuning.begin.attempts
     first.look(attempts)  # each attempt needs spares where failures are to be survived
     clock.end("first plans")
-    if standing.best is not None and standing.best.key == (standing.fewest_unused, (), least_us, rewired, started):
-        standing.prove_cost()
-        standing.are_ties_proven = True
+    if state.best is not None and state.best.key == (state.min_unused, (), least_us, rewired, started):
+        state.prove_cost()
+        state.are_ties_proven = True
         return
-    _search(candidates, standing, first)
+    _search(candidates, state, first)
 
 
-def solve_apart(candidates: Candidates, standing: Standing) -> None:
+def solve_apart(candidates: Candidates, state: SolveState) -> None:
     """Leave all to the solver, in the model of all wires of all candidates, without bounds and first plans."""
-    _count(candidates, standing)
-    _solve(candidates, standing, is_apart=True)
+    _count(candidates, state)
+    _solve(candidates, state, is_apart=True)
 
 
-def _count(candidates: Candidates, standing: Standing) -> None:
-    standing.counts |= {"candidates": len(candidates.all), "conflicts": 0}
+def _count(candidates: Candidates, state: SolveState) -> None:
+    state.counts |= {"candidates": len(candidates.all), "conflicts": 0}
     required = candidates.environment.required
-    standing.fewest_unused = sum(not candidates.of(label) for label in required)
+    state.min_unused = sum(not candidates.of(label) for label in required)
 
 
-def _search(candidates: Candidates, standing: Standing, first: FirstPlans) -> None:
+def _search(candidates: Candidates, state: SolveState, first: FirstPlans) -> None:
     """Search among few transformations, then among all that bounds leave.
 
     Where quality is priced, the few are those that the linear relaxation with chains uses.
     """
-    clock, tuning = standing.clock, standing.clock.tuning.fleet
+    clock, tuning = state.clock, state.clock.tuning.fleet
     is_chained = has_chains(candidates)
     is_cut = is_chained and bool(least_prices_us(candidates))
     if not is_chained or (not is_cut and len(candidates.network.labels) >= tuning.many):
-        look_among_few(candidates, standing, first)
-    if standing.is_over:
+        look_among_few(candidates, state, first)
+    if state.is_over:
         return
-    left = left_by_bounds(candidates, standing)
-    candidates = candidates.among(left.labels)
-    cuts, share = chain_cuts(candidates, left.landmarks, clock) if is_cut else ([], None)
+    candidates, landmarks = _left(candidates, state)
+    cuts, share = chain_cuts(candidates, landmarks, clock) if is_cut else ([], None)
     clock.end("bounds")
     if share is not None:
-        _look_among_used(candidates, standing, cuts, share)
-    _solve(candidates, standing, left.landmarks, cuts)
+        _look_among_used(candidates, state, cuts, share)
+    _solve(candidates, state, landmarks, cuts)
 
 
-def _look_among_used(candidates: Candidates, standing: Standing, cuts: Iterable[ChainCut], share: Floats) -> None:
+def _left(candidates: Candidates, state: SolveState) -> tuple[Candidates, list[tuple[list[str], int]]]:
+    """The candidates that bounds leave, and landmarks of all plans."""
+    left, network = remaining_by_bounds(candidates, state), candidates.network
+    landmarks: list[tuple[list[str], int]] = []
+    if left.bound is not None:
+        is_short = Feature.QUALITY not in candidates.problem.features
+        landmarks = [*named_landmarks(left.bound, network, is_short=is_short)]
+        state.counts["landmarks"] = len(landmarks)
+    return (candidates.among(left.names(network)) if left.is_complete else candidates), landmarks
+
+
+def _look_among_used(candidates: Candidates, state: SolveState, cuts: Iterable[ChainCut], share: Floats) -> None:
     """Search among the incumbent's transformations and those that run to a `share` in the relaxation."""
     from cfgplan.planners.exact.search import Search
 
-    used = _best(standing) | {candidates.all[i].transformation.label for i in np.flatnonzero(share > 1e-6)}
-    tuning = standing.clock.tuning.fleet
+    used = _best(state) | {candidates.all[i].transformation.label for i in np.flatnonzero(share > 1e-6)}
+    tuning = state.clock.tuning.fleet
     if tuning.fewer * len(used) < len(candidates.kinds):
-        Search(candidates.among(used), standing, is_all=False, cuts=cuts).run(tuning.look)
+        Search(candidates.among(used), state, is_all=False, cuts=cuts).run(tuning.look)
 
 
 def _solve(
     candidates: Candidates,
-    standing: Standing,
+    state: SolveState,
     landmarks: Iterable[tuple[list[str], int]] = (),
     cuts: Iterable[ChainCut] = (),
     *,
@@ -101,72 +112,62 @@ def _solve(
 ) -> None:
     from cfgplan.planners.exact.search import Search
 
-    search = Search(candidates, standing, is_apart=is_apart, landmarks=landmarks, cuts=cuts)
-    standing.clock.end("model")
+    search = Search(candidates, state, is_apart=is_apart, landmarks=landmarks, cuts=cuts)
+    state.clock.end("model")
     search.run()
-    standing.clock.end("search")
+    state.clock.end("search")
 
 
-@dataclass(frozen=True)
-class Shortlist:
-    """The transformations that a plan at the incumbent's cost or less can contain, and landmarks that it hits.
-
-    `order` sorts the transformations by reduced cost, the least first.
-    """
-
-    labels: frozenset[str]
-    order: tuple[str, ...] = ()
-    landmarks: tuple[tuple[list[str], int], ...] = ()
-
-
-def left_by_bounds(candidates: Candidates, standing: Standing) -> Shortlist:
+def remaining_by_bounds(candidates: Candidates, state: SolveState) -> Remaining:
     """Leave out transformations by reduced costs, and raise the proven bound.
 
     Hosts, transfers, failures, conflicts and numbers only add to the cost, and quality adds at least its least price.
     """
-    network = candidates.network
-    everything = frozenset(candidate.transformation.label for candidate in candidates.all)
+    network, everything = candidates.network, np.arange(len(candidates.network.labels))
     if len(network.targets) < len(candidates.environment.targets):
-        return Shortlist(everything)
+        return Remaining(everything, 0, is_complete=False)
     cost = candidates.least_us
     prices_us = sum(least_prices_us(candidates).values())
-    largest_us = standing.largest_us
+    largest_us = state.largest_us
     most = int(cost.sum()) if largest_us is None else largest_us - prices_us
-    bound = tightened(Bound(network.core, cost), most, most, standing.clock)
-    standing.raise_bound(bound.value + prices_us)
-    names = [network.labels[i] for i in bound.core.labels.tolist()]
-    known = bound.landmarks if Feature.QUALITY in candidates.problem.features else bound.short()
-    landmarks = tuple(([names[i] for i in one.counted.tolist()], one.least) for one in known)
+    bound = tightened(Bound(network.core, cost), most, most, state.clock)
+    state.raise_bound(bound.value + prices_us)
+    if largest_us is None:
+        return Remaining(everything, bound.value, bound, is_complete=False)
+    waiting = {c.transformation.label for c in candidates.all if c.may_wait and bound.value + c.waiting_cost_us <= most}
+    part = Remaining.by(bound, most)
+    kept = [*part.labels.tolist(), *network.pinned, *candidates.numbers(waiting)]
+    state.counts["left by bounds"] = len(set(kept))
+    return replace(part, labels=np.unique(np.array(kept, np.int64)))
+
+
+def _by_reduced_cost(candidates: Candidates, bound: Bound | None) -> list[str]:
+    """The transformations by their reduced costs, the least first; empty without a bound."""
+    if bound is None:
+        return []
     _, before = cheapest_way(bound.core, bound.residual)
     least = (before[:-1] + bound.residual).tolist()
-    order = tuple(name for _, name in sorted(zip(least, names, strict=True)))
-    standing.counts["landmarks"] = len(landmarks)
-    if largest_us is None:
-        return Shortlist(everything, order, landmarks)
-    left = {name for name, may in zip(names, bound.may_be_used(most).tolist(), strict=True) if may}
-    left |= {network.labels[i] for i in network.pinned}
-    left |= {c.transformation.label for c in candidates.all if c.may_wait and bound.value + c.waiting_cost_us <= most}
-    standing.counts["left by bounds"] = len(left)
-    return Shortlist(frozenset(left), order, landmarks)
+    names = [candidates.network.labels[i] for i in bound.core.labels.tolist()]
+    return [name for _, name in sorted(zip(least, names, strict=True))]
 
 
-def look_among_few(candidates: Candidates, standing: Standing, first: FirstPlans) -> None:
+def look_among_few(candidates: Candidates, state: SolveState, first: FirstPlans) -> None:
     """Search among the incumbent's transformations and a growing number of others; offer plans and raise the bound."""
     from cfgplan.planners.exact.search import Search
 
-    tuning, order = standing.clock.tuning, left_by_bounds(candidates, standing).order
+    tuning, order = state.clock.tuning, _by_reduced_cost(candidates, remaining_by_bounds(candidates, state).bound)
     sizes = [size for size in tuning.fleet.sizes if 2 * size <= len(order)]
 
     def among(size: int) -> Candidates:
-        return candidates.among(_best(standing).union(order[:size]))
+        return candidates.among(_best(state).union(order[:size]))
 
     if sizes:
-        FirstPlans(among(sizes[0]), standing).look(tuning.begin.attempts)
+        FirstPlans(among(sizes[0]), state).look(tuning.begin.attempts)
     first.look(tuning.begin.attempts)
-    for size in standing.clock.each(sizes, 1):
-        Search(among(size), standing, is_all=False).run(tuning.fleet.look)
+    for size in state.clock.each(sizes, 1):
+        Search(among(size), state, is_all=False).run(tuning.fleet.look)
 
 
-def _best(standing: Standing) -> set[str]:
+def _best(state: SolveState) -> set[str]:
     """The labels of the incumbent's transformations; empty without an incumbent."""
-    return set() if standing.best is None else {unit.transformation for unit in standing.best.units}
+    return set() if state.best is None else {unit.transformation for unit in state.best.units}

@@ -10,6 +10,7 @@ from networkx import DiGraph, is_directed_acyclic_graph
 
 from cfgplan.onward import grouped
 from cfgplan.planners.exact.candidates import Candidates, HostKind
+from cfgplan.planners.exact.rules import RULES
 from cfgplan.planners.exact.tracking import Tracking
 from cfgplan.planning import Feature
 
@@ -20,18 +21,16 @@ NAMED: Final = frozenset({Feature.QUALITY, Feature.LATENCY, Feature.SURVIVAL})
 def is_countable(candidates: Candidates) -> bool:
     """Whether units are counted: many units or hosts may take each other's place, and wirings close no cycles.
 
-    No stream may have a price on its way, and nothing be required or take streams only for nothing.
+    No stream may have a price on its way.
     """
     problem, environment = candidates.problem, candidates.environment
     kinds = candidates.kinds
     is_carried = any(port.bytes_per_s for kind in kinds.values() for port in kind.outputs)
     return (
         NAMED.isdisjoint(problem.features)
-        and not environment.required
         and not environment.links
         and not (environment.transfer_us and is_carried and environment.hosts)
         and not (Feature.ORDER in problem.features and problem.max_cost_us is not None)
-        and not any(port.starts_nothing for kind in kinds.values() for port in kind.inputs)
         and is_directed_acyclic_graph(_feeds(candidates))
         and _is_much_smaller(candidates)
     )
@@ -86,10 +85,12 @@ def host_kinds(candidates: Candidates) -> list[HostKind]:
         return [*candidates.hosts]
     firsts = [candidates.all[group[0]] for group in groups_of(candidates)]
     occupied = {host for first in firsts if first.running for host in first.hosts}
-    kinds: dict[object, list[HostKind]] = defaultdict(list)
+    environment, kinds = candidates.environment, defaultdict[object, list[HostKind]](list)
+    asked = [rule.trait for rule in RULES if rule.trait is not None and rule.is_asked(candidates.problem)]
     for host in candidates.hosts:
         places = [(n, first.places.get(host.first)) for n, first in enumerate(firsts)]
         there = tuple((n, place.cost_us, *sorted(place.takes.items())) for n, place in places if place is not None)
         own = host.first if host.first in occupied else None
-        kinds[own, host.rent_us, tuple(host.rooms.items()), there].append(host)
+        traits = tuple(trait(environment, environment.host[host.first or ""]) for trait in asked)
+        kinds[own, host.rent_us, tuple(host.rooms.items()), there, traits].append(host)
     return [replace(hosts[0], names=tuple(host.first for host in hosts)) for hosts in kinds.values()]

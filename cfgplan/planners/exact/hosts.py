@@ -1,17 +1,23 @@
-"""The rules of hosts: capacities and costs, transfers between hosts, and units that exclude or need each other."""
+"""The rules of hosts and links: capacities and costs, and transfers between hosts."""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from itertools import pairwise, product
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import TYPE_CHECKING, Final
 
-from ortools.sat.python.cp_model import IntVar, LinearExpr, LinearExprT
-
-from cfgplan.domain import Link, Objective
+from cfgplan.domain import Link, Objective, Transformation, amount_of
+from cfgplan.figures import links_bear
 from cfgplan.onward import grouped
 from cfgplan.planners.exact.candidates import HostName
-from cfgplan.planners.exact.model import Model
-from cfgplan.planners.exact.units import are_apart
+from cfgplan.planners.exact.rule import CheckedUnits, HostLoads, Rule
+from cfgplan.planning import Feature
+
+if TYPE_CHECKING:
+    from ortools.sat.python.cp_model import LinearExprT
+
+    from cfgplan.planners.exact.model import Model
 
 
 def what_is_made_on_a_host_is_not_carried_there(model: Model) -> None:
@@ -43,7 +49,12 @@ def links_bear_what_is_carried_and_have_their_prices(model: Model) -> None:
             if link is not None and is_limited:
                 loads[link].append(model.placed[stream] * journey)
     for link, load in loads.items():
-        model.cp.add(LinearExpr.sum(load) <= (link.bandwidth or 0))
+        model.cp.add(model.total(load) <= (link.bandwidth or 0))
+
+
+def _overloaded_links(checked: CheckedUnits) -> Iterator[str]:
+    if not links_bear(checked.problem, checked.units):
+        yield "a link has to carry too much"
 
 
 def hosts_bear_their_units(model: Model) -> None:
@@ -55,7 +66,15 @@ def hosts_bear_their_units(model: Model) -> None:
         here = taking.get(kind.first, [])
         for resource in sorted({resource for _, takes in here for resource in takes} & kind.rooms.keys()):
             taken = [takes.get(resource, 0) * there for there, takes in here]
-            model.cp.add(LinearExpr.sum(taken) <= kind.rooms[resource] * model.hosts_in_use(kind.first))
+            model.cp.add(model.total(taken) <= kind.rooms[resource] * model.hosts_in_use(kind.first))
+
+
+def _has_no_room(loads: HostLoads, kind: Transformation, name: HostName) -> Iterator[str]:
+    host = None if name is None else loads.environment.host[name]
+    for resource, amount in loads.takes(kind, name).items():
+        room = None if host is None else host.room(resource, loads.problem.horizon_s)
+        if room is not None and loads.taken[name, resource] + amount > room:
+            yield f"{amount_of(resource, amount)} left"
 
 
 def a_host_is_paid_and_counted_while_something_is_there(model: Model) -> None:
@@ -73,7 +92,7 @@ def a_host_is_paid_and_counted_while_something_is_there(model: Model) -> None:
             else:
                 model.cp.add(has <= used)
         if model.is_grouped:
-            model.cp.add(used <= LinearExpr.sum(here))
+            model.cp.add(used <= model.total(here))
 
 
 def hosts_alike_are_taken_in_order(model: Model) -> None:
@@ -83,38 +102,12 @@ def hosts_alike_are_taken_in_order(model: Model) -> None:
             model.cp.add(model.uses[following.first] <= model.uses[kind.first])
 
 
-def no_host_has_more_units_of_a_transformation_than_it_allows(model: Model) -> None:
-    for t in model.environment.library:
-        if t.per_host is not None:
-            there = grouped(on for i in model.candidates.units_of(t.label) for on in model.there_on(i))
-            for host, units in there.items():
-                model.cp.add(LinearExpr.sum(units) <= t.per_host * model.hosts_in_use(host))
-
-
-def units_that_conflict_are_not_on_one_host(model: Model) -> None:
-    for transformation in model.environment.library:
-        for other in transformation.conflicts_on_host:
-            there = _hosts_with(model, other) if other != transformation.label else {}
-            for host, these in _hosts_with(model, transformation.label).items():
-                if model.candidates.host_kind[host].is_one:
-                    are_apart(model, these, there.get(host, ()))
-                    continue
-                for one, second in product(these, there.get(host, ())):
-                    model.cp.add(one + second <= model.hosts_in_use(host))
-
-
-def beside_a_running_unit_run_those_that_it_runs_with(model: Model) -> None:
-    for i, places in model.has_on.items():
-        for other in model.candidates.all[i].transformation.beside:
-            units = [model.has_on[j] for j in model.candidates.units_of(other)]
-            for host, has in places.items():
-                company = [there[host] for there in units if host in there]
-                if model.candidates.host_kind[host].is_one:
-                    model.needs_any(has, company)
-                else:
-                    model.cp.add(has <= LinearExpr.sum(company))
-
-
-def _hosts_with(model: Model, label: str) -> dict[HostName, list[IntVar]]:
-    """On how many hosts of each kind some units of a transformation run or wait; of one host, booleans."""
-    return grouped(has for i in model.candidates.units_of(label) for has in model.hosts_with(i))
+CARRYING: Final = (
+    Rule(what_is_made_on_a_host_is_not_carried_there),
+    Rule(links_bear_what_is_carried_and_have_their_prices, Feature.HOSTS, _overloaded_links),
+)
+ROOM: Final = (
+    Rule(a_host_is_paid_and_counted_while_something_is_there, is_placed=True),
+    Rule(hosts_bear_their_units, Feature.HOSTS, lacks=_has_no_room, is_placed=True),
+)
+SYMMETRY: Final = Rule(hosts_alike_are_taken_in_order, is_placed=True)

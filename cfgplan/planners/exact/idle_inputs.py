@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Collection, Iterator
+from typing import TYPE_CHECKING, Final
 
-from ortools.sat.python.cp_model import IntVar, LinearExpr
-
-from cfgplan.domain import ALL, InputPort, Stream
+from cfgplan.domain import ALL, ComputationUnit, InputPort, Stream
 from cfgplan.onward import reached
-from cfgplan.planners.exact.model import Model
+from cfgplan.planners.exact.rule import CheckedUnits, Rule
 from cfgplan.planners.exact.targets import who_is_needed
+from cfgplan.planning import Feature
+
+if TYPE_CHECKING:
+    from ortools.sat.python.cp_model import IntVar
+
+    from cfgplan.planners.exact.model import Model
 
 
 def a_stream_serves_no_more_than_it_may(model: Model) -> None:
@@ -17,7 +23,7 @@ def a_stream_serves_no_more_than_it_may(model: Model) -> None:
         taking = _taking(model, stream)
         if len(taking) > most or model.is_grouped:
             streams = model.number[model.unit_of(stream)] if model.is_grouped else 1
-            model.cp.add(LinearExpr.sum(taking) <= most * streams)
+            model.cp.add(model.total(taking) <= most * streams)
 
 
 def _taking(model: Model, stream: Stream) -> list[IntVar]:
@@ -57,12 +63,12 @@ def an_input_that_starts_nothing_is_fed_where_it_can_be(model: Model) -> None:
             barred += [c for s, c in _of_group(model, unit, port) if model.candidates.label_of(s) == label]
             if stream in model.serves:
                 barred.append(full := model.boolean())
-                model.cp.add(LinearExpr.sum(_taking(model, stream)) >= model.serves[stream]).only_enforce_if(full)
+                model.cp.add(model.total(_taking(model, stream)) >= model.serves[stream]).only_enforce_if(full)
             is_free = free[key] if key in free else model.boolean()
             free[key] = is_free
             model.cp.add_bool_or([is_free, model.runs[unit].negated(), model.runs[feeder].negated(), *barred])
         unfed = [fed.negated(), model.runs[unit]]
-        model.cp.add(LinearExpr.sum(list(free.values())) < port.count).only_enforce_if(unfed)
+        model.cp.add(model.total(list(free.values())) < port.count).only_enforce_if(unfed)
 
 
 def _of_group(model: Model, unit: int, port: InputPort) -> list[tuple[Stream, IntVar]]:
@@ -92,3 +98,52 @@ def _below(model: Model, unit: int, port: InputPort) -> dict[int, IntVar]:
                 choices.append(model.only_if(connected, found[feeder]))
         model.needs_any(depends, choices)
     return found
+
+
+def _overtaken(checked: CheckedUnits) -> Iterator[str]:
+    if any(number < 0 for number in checked.left_to_serve.values()):
+        yield "too many take a stream"
+
+
+def _incomplete(checked: CheckedUnits) -> Iterator[str]:
+    """Yield inputs that do not take all that they must."""
+    for unit, port in _of_running(checked):
+        if port.count == ALL:
+            there = {stream for stream in checked.offers(port.tag) if stream.unit != unit.id}
+            if not there.issubset(unit.feeds.get(port.name, ())):
+                yield f"input {port.name} of unit {unit.id} takes not all that there is"
+
+
+def _unfed(checked: CheckedUnits) -> Iterator[str]:
+    """Yield inputs that start nothing, and are not fed although enough streams are free."""
+    for unit, port in _of_running(checked):
+        is_unfed = port.starts_nothing and port.count != ALL and port.name not in unit.feeds
+        if is_unfed and len(_free(checked, unit, port)) >= port.count:
+            yield f"input {port.name} of unit {unit.id} is not fed, but could be"
+
+
+def _of_running(checked: CheckedUnits) -> Iterator[tuple[ComputationUnit, InputPort]]:
+    for unit in checked.hot.values():
+        for port in checked.kind(unit).inputs:
+            yield unit, port
+
+
+def _free(checked: CheckedUnits, unit: ComputationUnit, port: InputPort) -> Collection[str]:
+    """Return the units with a stream that may feed an input; for a distinct input, the transformations."""
+    barred = set() if port.feedback else {*reached([unit.id], lambda here: checked.readers.get(here, ()))}
+    group = [p.name for p in checked.kind(unit).inputs if p.distinct is not None and p.distinct == port.distinct]
+    taken = {checked.hot[s.unit].transformation for name in group for s in unit.feeds.get(name, ())}
+    found = set()
+    for stream in checked.offers(port.tag):
+        label = checked.hot[stream.unit].transformation
+        if stream.unit not in barred and checked.left_to_serve.get(stream, 1) > 0 and label not in taken:
+            found.add(stream.unit if port.distinct is None else label)
+    return found
+
+
+IDLE: Final = (
+    Rule(a_stream_serves_no_more_than_it_may, Feature.LIMITS, _overtaken),
+    Rule(None, Feature.COUNTS, _incomplete),
+    Rule(an_input_that_starts_nothing_is_fed_by_what_is_needed_anyway, Feature.OPTIONAL),
+    Rule(an_input_that_starts_nothing_is_fed_where_it_can_be, Feature.OPTIONAL, _unfed),
+)

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from ortools.sat.python.cp_model import IntVar, LinearExpr
+from collections import Counter
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Final
 
 from cfgplan.domain import ALL, InputPort, Stream
 from cfgplan.onward import grouped
 from cfgplan.planners.exact.candidates import HostName
-from cfgplan.planners.exact.model import Model
-from cfgplan.planning import Feature
+from cfgplan.planners.exact.rule import CheckedUnits, Rule
+from cfgplan.planners.networks.keys import is_well_wired
+
+if TYPE_CHECKING:
+    from ortools.sat.python.cp_model import IntVar
+
+    from cfgplan.planners.exact.model import Model
 
 
 def a_staying_unit_keeps_its_feeders(model: Model) -> None:
@@ -91,7 +98,7 @@ def a_counted_input_has_its_number(model: Model, unit: int, port: InputPort) -> 
     """
     streams, size = model.choices(port.tag), model.candidates.all[unit].size
     of_feeders = grouped((model.unit_of(stream), stream) for stream in streams)
-    enough = LinearExpr.sum([model.number[feeder] for feeder in of_feeders]) >= port.count
+    enough = model.total([model.number[feeder] for feeder in of_feeders]) >= port.count
     model.cp.add(enough).only_enforce_if(model.runs[unit])
     if model.serves.keys().isdisjoint(streams):
         return
@@ -100,14 +107,14 @@ def a_counted_input_has_its_number(model: Model, unit: int, port: InputPort) -> 
         units = model.candidates.all[feeder].size
         most = size * min(port.count, units)
         takes |= {stream: model.cp.new_int_var(0, most, "") for stream in outputs}
-        taken = LinearExpr.sum([takes[stream] for stream in outputs])
+        taken = model.total([takes[stream] for stream in outputs])
         if port.count == 1 or size == 1:
             model.cp.add(taken <= size * model.number[feeder])
             continue
         pairs = model.cp.new_int_var(0, size * units, "")
         model.cp.add_multiplication_equality(pairs, [model.number[feeder], model.number[unit]])
         model.cp.add(taken <= pairs)
-    model.cp.add(LinearExpr.sum([*takes.values()]) == port.count * model.number[unit])
+    model.cp.add(model.total([*takes.values()]) == port.count * model.number[unit])
     running = model.candidates.all[unit].running
     for stream in running.feeds.get(port.name, ()) if unit in model.stays and running is not None else ():
         model.cp.add(model.stays[unit] <= takes[stream])
@@ -129,7 +136,7 @@ def an_input_takes_its_number_of_streams_or_none(model: Model, unit: int, port: 
                 model.cp.add_implication(connected, model.runs[feeder])
                 model.cp.add_bool_or([connected, runs.negated(), model.runs[feeder].negated()])
         return
-    model.cp.add(port.count * fed == LinearExpr.sum(list(connects.values())))
+    model.cp.add(port.count * fed == model.total(list(connects.values())))
     for literals in of_units.values() if port.count > 1 else ():
         model.cp.add_at_most_one(literals)
 
@@ -161,7 +168,7 @@ def units_that_feed_each_other_come_one_after_the_other(model: Model) -> None:
 
     In small problems there are as many where streams are counted, limited or compared.
     """
-    if Feature.OPTIONAL not in model.problem.features and not model.is_small:
+    if not model.orders_rings:
         return
     from networkx import DiGraph, strongly_connected_components
 
@@ -232,3 +239,40 @@ def one_stream_meets_a_demand(model: Model, key: tuple[int, HostName], first: di
         model.rests_on_any(taken, first[stream])
     model.cp.add_exactly_one(*meets.values(), model.hubs[key].negated())
     model.support.rests_on_any(model.hubs[key].index, [taken.index for taken in meets.values()])
+
+
+def _badly_wired(checked: CheckedUnits) -> Iterator[str]:
+    def label_of(unit_id: str) -> str | None:
+        unit = checked.hot.get(unit_id)
+        return None if unit is None else unit.transformation
+
+    for unit in checked.hot.values():
+        if not is_well_wired(checked.problem, label_of, unit):
+            yield f"unit {unit.id} is not wired as its transformation asks"
+
+
+def _cycles(checked: CheckedUnits) -> Iterator[str]:
+    """Units that do not all come after those that feed their ordinary inputs."""
+    waits_for = {
+        unit.id: {s.stream.unit for s in unit.subscriptions if not checked.kind(unit).input[s.port].feedback}
+        for unit in checked.hot.values()
+    }
+    readers = grouped((feeder, unit_id) for unit_id, feeders in waits_for.items() for feeder in feeders)
+    fed = Counter({unit_id: len(feeders) for unit_id, feeders in waits_for.items()})
+    ahead = [unit_id for unit_id, number in fed.items() if not number]
+    for unit_id in ahead:
+        for reader in readers.get(unit_id, ()):
+            fed[reader] -= 1
+            if not fed[reader]:
+                ahead.append(reader)
+    if len(ahead) < len(checked.hot):
+        yield "units feed each other in a cycle"
+
+
+FEEDING: Final = (
+    Rule(a_staying_unit_keeps_its_feeders),
+    Rule(a_wired_unit_is_fed, flaws=_badly_wired),
+    Rule(inputs_of_a_group_are_fed_by_different_transformations),
+    Rule(units_that_feed_each_other_come_one_after_the_other),
+    Rule(a_demand_is_met_first_by_a_unit_that_does_not_need_it, flaws=_cycles),
+)

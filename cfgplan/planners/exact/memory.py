@@ -15,8 +15,8 @@ from cfgplan.domain import Environment, Similarity, Transformation
 from cfgplan.planners.bounding.bounds import Bound, tightened
 from cfgplan.planners.bounding.landmarks import Landmark
 from cfgplan.planners.exact.candidates import Candidates
-from cfgplan.planners.exact.rest import Rest
-from cfgplan.planners.exact.standing import Standing
+from cfgplan.planners.exact.solve_state import SolveState
+from cfgplan.planners.exact.warm_start import WarmStart
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.network import Network, costs
 from cfgplan.planners.reducing.closure import Closure
@@ -70,7 +70,7 @@ class Structure:
         return any(t.required for t in self.network.transformations)
 
     @cached_property
-    def hopeless_required(self) -> int:
+    def unusable_required(self) -> int:
         """How many required transformations can never be used, whatever is planned."""
         return len(self.environment.required) - sum(t.required for t in self.network.transformations)
 
@@ -93,7 +93,7 @@ class Memory:
         Where pairs are open, problems come by turns: as if none, and as if all of them matched.
         """
         self.structure, self.last, self._aside = structure, last, aside
-        self.rest: Rest | None = None
+        self.warm_start: WarmStart | None = None
         self._landmarks: list[Landmark] = []
         self._weights: list[int] = []
         self._found: tuple[Callable[[], Bound], int] | None = None
@@ -112,10 +112,10 @@ class Memory:
             return known
         return cls(Structure.of(problem, None if known is None else known.structure, clock), last, aside)
 
-    def keep_plan(self, standing: Standing) -> None:
+    def keep_plan(self, state: SolveState) -> None:
         """Keep the transformations of the best plan so far."""
-        if standing.best is not None:
-            self.last = frozenset(unit.transformation for unit in standing.best.units if not unit.standby)
+        if state.best is not None:
+            self.last = frozenset(unit.transformation for unit in state.best.units if not unit.standby)
 
     def keep_landmarks(self, bound: Callable[[], Bound], scale: int) -> None:
         """Keep the charged landmarks of a bound, which is computed once they are needed.
@@ -147,21 +147,25 @@ class Memory:
         return bound
 
     def settle(self, problem: Problem, clock: Clock) -> None:
-        """After a proven plan that changes nothing, prepare for the next one: keep its `Rest`."""
+        """After a proven plan that changes nothing, prepare for the next one: keep its `WarmStart`."""
         network = self.structure.network
         _, cost = costs(problem, network)
         plan = np.array(sorted({network.number[label] for label in self.last} | set(network.pinned)), np.int64)
-        if self.rest is not None and np.array_equal(self.rest.cost, cost) and np.array_equal(self.rest.plan, plan):
+        if (
+            self.warm_start is not None
+            and np.array_equal(self.warm_start.cost, cost)
+            and np.array_equal(self.warm_start.plan, plan)
+        ):
             return
         library = problem.environment.transformation
         dearest = max((library[network.labels[i]].labor_us for i in plan.tolist()), default=0)
         value = int(cost[plan].sum())
         limit = value + dearest
-        self.rest = self.rest and self.rest.moved(plan, cost, limit, clock)
-        if self.rest is None:
+        self.warm_start = self.warm_start and self.warm_start.moved(plan, cost, limit, clock)
+        if self.warm_start is None:
             close = tightened(self.bound(cost), value, value, clock)
             self.keep_landmarks(lambda: close, 1)
-            self.rest = Rest.of(plan, cost, int(clock.tuning.rest.room * limit), self.bound(cost), clock)
+            self.warm_start = WarmStart.of(plan, cost, int(clock.tuning.rest.room * limit), self.bound(cost), clock)
 
 
 def _network(

@@ -37,11 +37,20 @@ class Model:
     these are the booleans that it runs. The model relaxes kinds of several hosts: it bounds their load in all.
     """
 
-    def __init__(self, candidates: Candidates, rules: Iterable[ModelRule], *, is_apart: bool = False) -> None:
+    def __init__(
+        self,
+        candidates: Candidates,
+        rules: Iterable[ModelRule],
+        *,
+        is_apart: bool = False,
+        orders_rings: bool = False,
+    ) -> None:
+        """With `orders_rings`, the model has no solution that is not grounded, as far as inputs are explicit."""
         self.candidates = candidates
         self.problem = candidates.problem
         self.environment = candidates.environment
         self.is_small = len(candidates.all) <= candidates.clock.tuning.fleet.few
+        self.orders_rings = orders_rings or self.is_small or Feature.OPTIONAL in self.problem.features
         self.asks_for_quality = Feature.QUALITY in self.problem.features
         by_stream = {Feature.LATENCY, *ONLY_IN_THE_MODEL} if self.asks_for_quality else {Feature.LATENCY}
         self.is_apart = is_apart or not by_stream.isdisjoint(self.problem.features)
@@ -117,6 +126,11 @@ class Model:
         """For the demands whose stream counts for the quality of a target: whether their inputs are told apart."""
         for rule in rules:
             rule(self)
+
+    @staticmethod
+    def total(terms: Sequence[LinearExprT]) -> LinearExpr:
+        """The sum of some terms."""
+        return LinearExpr.sum(terms)
 
     def boolean(self) -> IntVar:
         literal = self.cp.new_bool_var("")

@@ -2,66 +2,14 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable
 from functools import partial
 
-from cfgplan.costs import taken
-from cfgplan.domain import ComputationUnit, Publication, Stream, Subscription, Transformation, amount_of
+from cfgplan.domain import ComputationUnit, Publication, Stream, Subscription
 from cfgplan.onward import grouped
 from cfgplan.planners.exact.candidates import Candidates, HostName
 from cfgplan.planners.exact.grounded import Grounded
-from cfgplan.planning import Problem
-
-
-class Rooms:
-    """The units that are placed on each host. Without hosts, one host has room for everything."""
-
-    def __init__(self, problem: Problem) -> None:
-        self._problem, self._environment = problem, problem.environment
-        self._taken: Counter[tuple[HostName, str]] = Counter()
-        self._there: dict[HostName, Counter[str]] = defaultdict(Counter)
-        self._rivals: dict[HostName, dict[str, set[str]]] = defaultdict(lambda: defaultdict(set))
-        """On each host, for each transformation those there that conflict with it."""
-
-    def put(self, kind: Transformation, name: HostName) -> bool:
-        """Put a unit on a host; False if the host lacks something for it."""
-        if any(self.lacks(kind, name)):
-            return False
-        self._there[name][kind.label] += 1
-        for other in kind.conflicts_on_host:
-            self._rivals[name][other].add(kind.label)
-        for resource, amount in self._takes(kind, name).items():
-            self._taken[name, resource] += amount
-        return True
-
-    def lacks(self, kind: Transformation, name: HostName) -> Iterator[str]:
-        """The resources that a host lacks for one more unit, as text; empty if it lacks none."""
-        host = None if name is None else self._environment.host[name]
-        for resource, amount in self._takes(kind, name).items():
-            room = None if host is None else host.room(resource, self._problem.horizon_s)
-            if room is not None and self._taken[name, resource] + amount > room:
-                yield f"{amount_of(resource, amount)} left"
-        if kind.per_host is not None and self._there[name][kind.label] >= kind.per_host:
-            yield f"fewer than {kind.per_host} of them"
-        rivals = self._rivals[name][kind.label] | {
-            other for other in kind.conflicts_on_host if other in self._there[name]
-        }
-        for other in sorted(rivals - {kind.label}):
-            yield f"no unit of {other}"
-
-    def strangers(self, kind: Transformation, name: HostName) -> int:
-        """How many transformations that a unit runs with are not on a host; less than 0 where it is waited for."""
-        there, library = self._there[name], self._environment.transformation
-        is_awaited = not there[kind.label] and any(kind.label in library[label].beside for label in there)
-        return sum(not there[other] for other in kind.beside) - is_awaited
-
-    def rent_us(self, name: HostName) -> int:
-        """The rent of an empty host in microseconds per second; 0 for a host with units."""
-        return 0 if name is None or self._there[name].total() else self._environment.host[name].rent_us
-
-    def _takes(self, kind: Transformation, name: HostName) -> Mapping[str, int]:
-        return {} if name is None else taken(kind, self._environment.host[name])
+from cfgplan.planners.exact.rules import host_loads
 
 
 class Places:
@@ -72,7 +20,7 @@ class Places:
         self.host_of: dict[int, HostName] = {}
         self.feeds: dict[tuple[int, str], Stream] = {}
         self.published: dict[str, Stream] = {}
-        self._rooms = Rooms(candidates.problem)
+        self._loads = host_loads(candidates.problem)
 
     def put_all(self, grounded: Grounded, but_on: HostName = None) -> bool:
         """Place all running units that have no host yet, except on `but_on`, and feed them. False if they do
@@ -92,20 +40,20 @@ class Places:
         """Place a unit on the first of some hosts that has room for it; False if none has."""
         candidate = self.candidates.all[unit]
         for host in hosts:
-            if self._rooms.put(candidate.transformation, host):
+            if self._loads.put(candidate.transformation, host):
                 self.host_of[unit] = host
                 return True
         return False
 
     def _by_price(self, grounded: Grounded, unit: int, hosts: Iterable[HostName]) -> list[HostName]:
         """The hosts for a unit: by missing company, then by the cost of running it and of carrying its inputs there."""
-        candidate, strangers = self.candidates.all[unit], self._rooms.strangers
+        candidate, missing = self.candidates.all[unit], self._loads.missing_companions
         horizon_s = self.candidates.problem.horizon_s
 
         def price(host: HostName) -> tuple[int, int, str]:
             carry_us = self._carry_us(grounded, unit, host)
-            cost_us = candidate.places[host].cost_us + carry_us + self._rooms.rent_us(host) * horizon_s
-            return strangers(candidate.transformation, host), cost_us, host or ""
+            cost_us = candidate.places[host].cost_us + carry_us + self._loads.rent_us(host) * horizon_s
+            return missing(candidate.transformation, host), cost_us, host or ""
 
         return sorted(hosts, key=price)
 
@@ -142,7 +90,7 @@ class Places:
         was = {each.topic: Stream(unit.id, each.port) for unit in running for each in unit.publications}
         for target in environment.stream_targets:
             if choices := grounded.published(target.tag):
-                in_order = sorted(choices, key=partial(self._reluctance, was.get(target.topic)))
+                in_order = sorted(choices, key=partial(self._publish_preference, was.get(target.topic)))
                 self.published[target.topic] = taken(in_order, target.host, ())
         for i in grounded.order:
             kept = all_of[i].running
@@ -150,7 +98,7 @@ class Places:
                 now = () if kept is None else kept.feeds.get(port.name, ())
                 self.feeds[i, port.name] = taken(grounded.choices(i, port), self.host_of[i], now)
 
-    def _reluctance(self, old: Stream | None, stream: Stream) -> tuple[bool, bool, bool]:
+    def _publish_preference(self, old: Stream | None, stream: Stream) -> tuple[bool, bool, bool]:
         """The less of it, the sooner a stream is published where the `old` one is now."""
         publishes = old is not None and stream.unit == old.unit
         may_stay = self.candidates.may_stay(self.candidates.index_of[stream.unit])

@@ -10,7 +10,8 @@ from itertools import repeat
 
 from cfgplan.domain import ALL, ComputationUnit, Environment
 from cfgplan.onward import grouped, reached
-from cfgplan.planners.exact.candidates import Candidates, HostName
+from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.company import Running, have_company, running_on
 from cfgplan.planners.exact.survivors import bears_all_failures, can_do_without
 from cfgplan.planners.networks.keys import needed_feeders
 from cfgplan.planning import Problem
@@ -40,7 +41,7 @@ class _Pruning:
     def __init__(self, candidates: Candidates, units: Collection[ComputationUnit]) -> None:
         self._candidates, self._environment = candidates, candidates.environment
         self._units = {unit.id: unit for unit in units}
-        self._running = _running_on(units) if self._environment.companions else {}
+        self._running = running_on(units) if self._environment.companions else {}
         self._number = Counter(unit.transformation for unit in units if not unit.standby)
         self._users: dict[str, set[str]] = defaultdict(set)
         """By unit: those that take its streams and are a reason for it to run."""
@@ -195,34 +196,13 @@ def needed_units(
 ) -> set[str]:
     """The ids of the roots and of all units that they need, directly or through others."""
     by_id = {unit.id: unit for unit in units}
-    running = _running_on(by_id.values()) if environment.companions else {}
+    running = running_on(by_id.values()) if environment.companions else {}
 
     def needs(unit_id: str) -> set[str]:
         unit = by_id[unit_id]
         return needed_feeders(environment, unit) | _lone_company(environment, running, unit)
 
     return set(reached([root.id for root in roots], needs))
-
-
-def have_company(environment: Environment, units: Collection[ComputationUnit]) -> bool:
-    """Whether on the host of each running unit there runs one of each transformation that it runs with."""
-    if not environment.companions:
-        return True
-    running = _running_on(units)
-    return all(
-        running.get((unit.host, label))
-        for unit in units
-        if not unit.standby
-        for label in environment.transformation[unit.transformation].beside
-    )
-
-
-Running = dict[tuple[HostName, str], list[str]]
-"""The ids of the running units of each transformation on each host."""
-
-
-def _running_on(units: Iterable[ComputationUnit]) -> Running:
-    return grouped(((unit.host, unit.transformation), unit.id) for unit in units if not unit.standby)
 
 
 def _lone_company(environment: Environment, running: Running, unit: ComputationUnit) -> set[str]:

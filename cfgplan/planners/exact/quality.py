@@ -10,19 +10,24 @@ from collections.abc import Collection, Hashable, Iterable, Iterator, Mapping, S
 from functools import partial
 from itertools import pairwise
 from math import gcd
-
-from ortools.sat.python.cp_model import IntVar, LinearExpr, LinearExprT, LiteralT
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from cfgplan.domain import InputPort, Stream
-from cfgplan.planners.exact.best_case import Making, least_badness, most_badness
+from cfgplan.figures import qualities_of_targets
+from cfgplan.planners.exact.best_case import OutputRule, least_badness, most_badness
 from cfgplan.planners.exact.candidates import HostName
-from cfgplan.planners.exact.model import Model
 from cfgplan.planners.exact.quality_chains import ChainCut
 from cfgplan.planners.exact.quality_numbers import most_together, numbers_of
+from cfgplan.planners.exact.rule import CheckedUnits, Rule
 from cfgplan.planning import Feature
-from cfgplan.qualities import MICRO, Over, QualityAttribute, Wish
+from cfgplan.qualities import MICRO, Over, QualityAttribute, Wish, is_met
 
-Counted = tuple[IntVar, list[LiteralT]]
+if TYPE_CHECKING:
+    from ortools.sat.python.cp_model import IntVar, LinearExprT, LiteralT
+
+    from cfgplan.planners.exact.model import Model
+
+Counted: TypeAlias = "tuple[IntVar, list[LiteralT]]"
 """How bad what comes at an input is, and, if it may take none or several streams, that this one is taken."""
 
 
@@ -44,6 +49,15 @@ def targets_get_the_quality_they_ask_for(model: Model) -> None:
             badness.follow_rules()
 
 
+def _too_bad(checked: CheckedUnits) -> Iterator[str]:
+    environment = checked.environment
+    reached_at = qualities_of_targets(environment, checked.units)
+    for target in environment.targets:
+        for wish in target.quality if target.label in reached_at else ():
+            if not is_met(environment.quality[wish.attribute], wish, reached_at[target.label][wish.attribute]):
+                yield f"target {target.label} gets too bad a stream"
+
+
 def chains_are_as_bad_as_who_runs_lets_them(model: Model, cuts: Iterable[ChainCut]) -> None:
     """Add the cuts on chains: implied, but the linear relaxation needs them."""
     index_of = model.candidates.index_of
@@ -51,7 +65,7 @@ def chains_are_as_bad_as_who_runs_lets_them(model: Model, cuts: Iterable[ChainCu
         missed_by, step = model.missed_by[cut.target, cut.attribute]
         ahead = {index_of[unit]: by for unit, by in cut.ahead.items() if unit in index_of}
         terms = [-(-by // step) * model.runs[i] for i, by in ahead.items() if i in model.runs]
-        model.cp.add(LinearExpr.sum([missed_by, *terms]) >= -(-cut.least // step))
+        model.cp.add(model.total([missed_by, *terms]) >= -(-cut.least // step))
 
 
 class _Badness:
@@ -108,7 +122,7 @@ class _Badness:
     def steps(self, number: IntVar) -> LinearExprT:
         """The badness of a number, in steps."""
         offsets = [self.numbers.offset(span) for span in range(len(self.numbers.spans))]
-        return LinearExpr.sum([number, self._by_span(number, offsets)])
+        return self.model.total([number, self._by_span(number, offsets)])
 
     def _by_span(self, number: IntVar, values: Sequence[int]) -> LinearExprT:
         """The value, out of one for each span, of the span that a number is in."""
@@ -116,7 +130,7 @@ class _Badness:
         for span, (before, value) in enumerate(pairwise(values), 1):
             if (is_beyond := self._beyond(number, span)) is not False:
                 terms.append(value - before if is_beyond is True else (value - before) * is_beyond)
-        return LinearExpr.sum(terms)
+        return self.model.total(terms)
 
     def _beyond(self, number: IntVar, span: int) -> IntVar | bool:
         """The boolean that a number is in a span or in a worse one, if it may be there and elsewhere."""
@@ -168,7 +182,7 @@ class _Badness:
             sent = badness if delay is None else badness - delay
             for by, made, so in self._made(stream):
                 cp.add(by * sent >= made).only_enforce_if([taken, *held, *so])
-        cp.add(badness >= LinearExpr.sum(terms))  # implied, but what the linear relaxation needs
+        cp.add(badness >= self.model.total(terms))  # implied, but what the linear relaxation needs
 
     def _delay(self, where: Hashable, stream: Stream) -> IntVar | None:
         """Return the badness that links add on the way to a target or an explicit input; None if they add none."""
@@ -193,7 +207,7 @@ class _Badness:
         """The lower bound of a stream's number times another one, under some literals."""
         model, numbers, unit = self.model, self.numbers, self.model.unit_of(stream)
         transformation = model.candidates.all[unit].transformation
-        making = Making.of(self.attribute, transformation, transformation.output[stream.port])
+        making = OutputRule.of(self.attribute, transformation, transformation.output[stream.port])
         yield 1, numbers.at_least(making.least), []
         found = [one for port in making.inputs for one in self._counted(unit, port)]
         if making.inputs and all(so for _, so in found):
@@ -276,15 +290,15 @@ class _Badness:
         first, low = numbers.first[span], numbers.spans[span][0]
         above = [self._or_else(number, so, first, 0) for number, so in inputs]
         literals = [counts for _, so in inputs for counts in so]
-        number = LinearExpr.sum(literals) + len(inputs) - len(literals)
+        number = self.model.total(literals) + len(inputs) - len(literals)
         if over is Over.SUM:
             best = self.attribute.sign * self.attribute.best // numbers.step
-            return LinearExpr.sum(above) + (low + best) * number - best
+            return self.model.total(above) + (low + best) * number - best
         together = cp.new_int_var(-first, numbers.top - first, "")
         for n in range(max(1, len(inputs) - len(literals)), len(inputs) + 1):
             are_more = cp.new_bool_var("")
             cp.add(number != n).only_enforce_if(are_more)
-            cp.add(n * together >= LinearExpr.sum(above)).only_enforce_if(~are_more)
+            cp.add(n * together >= self.model.total(above)).only_enforce_if(~are_more)
         return together + low
 
     def _or_else(self, number: IntVar, so: list[LiteralT], less: int, otherwise: int) -> LinearExprT:
@@ -296,3 +310,6 @@ class _Badness:
         self.model.cp.add(found == number - less).only_enforce_if(so)
         self.model.cp.add(found == otherwise).only_enforce_if([~counts for counts in so])
         return found
+
+
+ASKED: Final = Rule(targets_get_the_quality_they_ask_for, Feature.QUALITY, _too_bad)

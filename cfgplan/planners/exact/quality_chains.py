@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cfgplan.domain import Stream, Transformation
-from cfgplan.planners.exact.best_case import Making, demands_of_quality, least_badness, most_badness
+from cfgplan.planners.exact.best_case import OutputRule, demands_of_quality, least_badness, most_badness
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.networks.core import Flags, Ints
 from cfgplan.planning import Feature
@@ -78,7 +78,7 @@ class Chains:
     def _know_rules(self, makers: list[Transformation], streams: list[Stream]) -> None:
         """Store each stream's quality rule as arrays: its inputs, their combination, gain and shift."""
         each = self.clock.each(zip(makers, streams, strict=True))
-        making = [Making.of(self.attribute, maker, maker.output[stream.port]) for maker, stream in each]
+        making = [OutputRule.of(self.attribute, maker, maker.output[stream.port]) for maker, stream in each]
         inputs = [[self.demand.get(port.tag, len(self.demand)) for port in one.inputs] for one in making]
         width = max((len(row) for row in inputs), default=0) or 1
         self.inputs = np.array([row + [-1] * (width - len(row)) for row in inputs], np.int64).reshape(-1, width)

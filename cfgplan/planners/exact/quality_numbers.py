@@ -16,7 +16,7 @@ from math import ceil, floor, gcd
 from typing import Final
 
 from cfgplan.domain import ALL, InputPort
-from cfgplan.planners.exact.best_case import Making
+from cfgplan.planners.exact.best_case import OutputRule
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.qualities import MICRO, Over, QualityAttribute, QualityRule
 
@@ -78,7 +78,7 @@ class Numbers:
         return found
 
 
-def most_together(candidates: Candidates, making: Making) -> int:
+def most_together(candidates: Candidates, making: OutputRule) -> int:
     """How many streams may count together for an output."""
     return sum(len(candidates.streams(p.tag)) if p.count == ALL else p.count for p in making.inputs)
 
@@ -152,7 +152,7 @@ class _Values:
 
     def _maker(self, label: str, port: str) -> _Maker:
         transformation, best = self.candidates.kinds[label], self.low
-        making = Making.of(self.attribute, transformation, transformation.output[port])
+        making = OutputRule.of(self.attribute, transformation, transformation.output[port])
         add = (making.shift + best * (MICRO - making.gain)) // MICRO
         most = most_together(self.candidates, making) if making.over in (Over.MEAN, Over.SUM) else 1
         times = most if making.over is Over.SUM else 1

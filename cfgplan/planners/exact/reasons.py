@@ -9,7 +9,7 @@ from cfgplan.costs import taken
 from cfgplan.domain import POWER, Environment, Host, Target, Transformation, amount_of
 from cfgplan.planners.exact.best_case import least_badness
 from cfgplan.planners.exact.candidates import Candidates
-from cfgplan.planners.exact.places import Rooms
+from cfgplan.planners.exact.rules import host_loads
 from cfgplan.planning import Failures, Feature, Problem
 from cfgplan.qualities import is_met, units
 from cfgplan.reasons import Givers, startable
@@ -161,10 +161,10 @@ def _placed(problem: Problem, t: Transformation, wanted: int) -> tuple[int, str]
     `3 finds no host with 512 MB of memory left`; empty if all find one.
     """
     most = wanted if t.max_instances is None else min(wanted, t.max_instances)
-    rooms, hosts = Rooms(problem), problem.environment.hosts_for(t)
+    loads, hosts = host_loads(problem), problem.environment.hosts_for(t)
     for number in range(most):
-        if not any(rooms.put(t, host) for host in hosts):
-            lacks = sorted({lack for host in hosts for lack in rooms.lacks(t, host)})
+        if not any(loads.put(t, host) for host in hosts):
+            lacks = sorted({lack for host in hosts for lack in loads.lacks(t, host)})
             return number, f"{number + 1} finds no host" + (f" with {' and '.join(lacks)}" if lacks else "")
     return most, ""
 
@@ -179,7 +179,7 @@ def _lack(problem: Problem, t: Transformation) -> str | None:
         if other is None:
             return f"{t.label} runs with {label}, and there is no such transformation"
         both = [h.name for h in hosts if h.name in environment.hosts_for(other)]
-        if not any((room := Rooms(problem)).put(t, h) and room.put(other, h) for h in both):
+        if not any((room := host_loads(problem)).put(t, h) and room.put(other, h) for h in both):
             return f"no host bears {t.label} together with {label}"
     for resource in sorted(t.takes):
         lacks = [

@@ -11,19 +11,19 @@ import heapq
 import numpy as np
 
 from cfgplan.planners.bounding.bounds import Bound, tightened
-from cfgplan.planners.exact.rest import Remainder
-from cfgplan.planners.exact.standing import Incumbent, Standing
-from cfgplan.planners.exact.work import Left, Work
+from cfgplan.planners.exact.remaining import Remaining
+from cfgplan.planners.exact.solve_run import SolveRun
+from cfgplan.planners.exact.solve_state import Incumbent, SolveState
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.greedy import first_plan, support_of
-from cfgplan.planners.networks.network import Network, Weighing, costs
+from cfgplan.planners.networks.network import LexicographicWeights, Network, costs
 
 
-def left_with_all(work: Work) -> Left:
-    """Return the labels that a plan with all required transformations can contain; offer such a plan if one
-    is found.
+def take_with_all(work: SolveRun) -> None:
+    """Go on with the labels that a plan with all required transformations can contain; offer such a plan if one is
+    found.
     """
-    clock, structure, standing = work.clock, work.structure, work.standing
+    clock, structure, state = work.clock, work.structure, work.state
     required = frozenset(t.label for t in structure.network.transformations if t.required)
     network = structure.network_with(work.problem, required, clock)
     fixed_us, cost = costs(work.problem, network)
@@ -32,19 +32,20 @@ def left_with_all(work: Work) -> Left:
         few = _few(work, required, shunned)
         found = None if few is None else _among(work, few)
         if few is not None and found is not None:
-            standing.offer(work.structure.candidates(work.problem, few), found.units)
+            state.offer(work.structure.candidates(work.problem, few), found.units)
         if few is None or found is not None or clock.is_over():
             break
-    best = standing.best
-    is_with_all = best is not None and best.key.unused == structure.hopeless_required
+    best = state.best
+    is_with_all = best is not None and best.key.unused == structure.unusable_required
     limit = best.key.cost_us - fixed_us if best is not None and is_with_all else int(cost.sum())
-    part = Remainder.by(tightened(Bound(network.core, cost), limit, limit, clock), limit)
+    part = Remaining.by(tightened(Bound(network.core, cost), limit, limit, clock), limit)
     labels = np.union1d(part.labels, np.array(network.pinned, np.int64))
-    weighing = Weighing(cost, 1, 1, fixed_us)
-    return Left(network, weighing, labels, part.value, bound=part.bound, holds_for=structure.hopeless_required)
+    weighing = LexicographicWeights(cost, 1, 1, fixed_us)
+    left = Remaining(labels, part.value, part.bound, holds_for=structure.unusable_required)
+    work.take(left, network, weighing)
 
 
-def _few(work: Work, required: frozenset[str], shunned: set[int]) -> list[str] | None:
+def _few(work: SolveRun, required: frozenset[str], shunned: set[int]) -> list[str] | None:
     """The labels of a greedy plan that has all required ones and, for each, a cheap way on to a target.
 
     None if no such plan is found. Ways avoid the `shunned` labels, and their own labels are added to these.
@@ -88,11 +89,11 @@ def _way_to_a_target(network: Network, cost: Ints, label: int, shunned: set[int]
     return []
 
 
-def _among(work: Work, few: list[str]) -> Incumbent | None:
+def _among(work: SolveRun, few: list[str]) -> Incumbent | None:
     """The best plan among a few labels that uses all required ones; None if none is found."""
     from cfgplan.planners.exact.search import Search
 
-    standing = Standing(work.problem, work.clock, None)
-    Search(work.structure.candidates(work.problem, few), standing).run_with_all_required()
-    best = standing.best
-    return best if best is not None and best.key.unused == work.structure.hopeless_required else None
+    state = SolveState(work.problem, work.clock, None)
+    Search(work.structure.candidates(work.problem, few), state).run_with_all_required()
+    best = state.best
+    return best if best is not None and best.key.unused == work.structure.unusable_required else None

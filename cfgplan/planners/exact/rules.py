@@ -1,54 +1,79 @@
-"""The rules of an update in the constraint model, each a function named by its content.
+"""The rules of an update, each a function named by its content in the file of its subject, and what breaks them.
 
-A rule that a problem does not use adds nothing.
+Adding a rule is a row in one of these files. A rule that a problem does not ask for adds nothing. Each configuration is
+checked before it becomes the incumbent, because an invalid incumbent makes proofs false. The judge checks the answer
+again, and shares no code with this room.
 """
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterator
 from typing import Final
 
-from cfgplan.planners.exact import hosts, idle_inputs, inputs, quality, targets, units
-from cfgplan.planners.exact.model import ModelRule
+from cfgplan.domain import ComputationUnit
+from cfgplan.planners.exact import company, hosts, idle_inputs, inputs, quality, survivors, targets, units
+from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.pruning import needed_in_all
+from cfgplan.planners.exact.rule import CheckedUnits, HostLoads, Rule
+from cfgplan.planners.exact.survivors import can_do_without
+from cfgplan.planning import Problem
 
-RULES: Final[tuple[ModelRule, ...]] = (
-    units.a_unit_runs_or_waits_in_one_place,
-    units.a_group_runs_if_some_of_its_units_do,
-    units.a_kept_unit_stays_or_is_wired_anew,
-    inputs.a_staying_unit_keeps_its_feeders,
-    inputs.a_wired_unit_is_fed,
-    inputs.inputs_of_a_group_are_fed_by_different_transformations,
-    inputs.units_that_feed_each_other_come_one_after_the_other,
-    inputs.a_demand_is_met_first_by_a_unit_that_does_not_need_it,
-    targets.a_target_is_published_by_one_unit,
-    targets.a_unit_runs_that_a_target_wants,
-    hosts.what_is_made_on_a_host_is_not_carried_there,
-    hosts.links_bear_what_is_carried_and_have_their_prices,
-    units.pinned_units_run,
-    targets.required_transformations_serve_a_target,
-    idle_inputs.a_stream_serves_no_more_than_it_may,
-    idle_inputs.an_input_that_starts_nothing_is_fed_by_what_is_needed_anyway,
-    idle_inputs.an_input_that_starts_nothing_is_fed_where_it_can_be,
-    targets.units_that_could_keep_each_other_are_needed,
-    hosts.a_host_is_paid_and_counted_while_something_is_there,
-    hosts.hosts_bear_their_units,
-    units.units_that_conflict_are_not_there_together,
-    units.there_are_as_many_units_as_asked_for_and_allowed,
-    hosts.no_host_has_more_units_of_a_transformation_than_it_allows,
-    hosts.units_that_conflict_are_not_on_one_host,
-    hosts.beside_a_running_unit_run_those_that_it_runs_with,
-    hosts.hosts_alike_are_taken_in_order,
-    units.new_units_come_in_order,
-    units.one_of_new_units_alike_is_enough,
-    quality.targets_get_the_quality_they_ask_for,
+RULES: Final[tuple[Rule, ...]] = (
+    *units.STATES,
+    *inputs.FEEDING,
+    *targets.MET,
+    *hosts.CARRYING,
+    units.PINNED,
+    targets.REQUIRED,
+    *idle_inputs.IDLE,
+    targets.NEEDED,
+    *hosts.ROOM,
+    *company.COMPANY,
+    hosts.SYMMETRY,
+    *units.ORDER,
+    quality.ASKED,
+    survivors.SURVIVED,
 )
 """What a configuration must be, in the order in which the booleans are made."""
-PLACED: Final[tuple[ModelRule, ...]] = (
-    units.a_unit_runs_or_waits_in_one_place,
-    hosts.a_host_is_paid_and_counted_while_something_is_there,
-    hosts.hosts_bear_their_units,
-    hosts.no_host_has_more_units_of_a_transformation_than_it_allows,
-    hosts.units_that_conflict_are_not_on_one_host,
-    hosts.beside_a_running_unit_run_those_that_it_runs_with,
-    hosts.hosts_alike_are_taken_in_order,
-)
+PLACED: Final = tuple(rule for rule in RULES if rule.is_placed)
 """The rules of units on hosts, which hold whatever the wiring."""
+MAY_RUN_FOR_NOBODY: Final = frozenset(rule.feature for rule in RULES if rule.keeps_units)
+"""With these features, units may be needed that feed nobody and meet no target."""
+
+
+def host_loads(problem: Problem) -> HostLoads:
+    """Return empty hosts, on which units can be put as the rules that a problem asks for let them."""
+    return HostLoads(problem, [rule.lacks for rule in RULES if rule.lacks is not None and rule.is_asked(problem)])
+
+
+def flaws(candidates: Candidates, units: Collection[ComputationUnit]) -> Iterator[str]:
+    """Yield each flaw of a configuration as text; a valid one yields none.
+
+    The candidates may be a part of all: the rules about units that must run are checked against the problem.
+    """
+    problem, checked = candidates.problem, CheckedUnits(candidates, units)
+    for rule in RULES:
+        if rule.flaws is not None and rule.is_asked(problem):
+            yield from rule.flaws(checked)
+    if problem.features:
+        yield from _overloads(checked)
+    if _has_needless_units(candidates, units):
+        yield "nothing needs some unit"
+
+
+def _overloads(checked: CheckedUnits) -> Iterator[str]:
+    """Yield units for which their hosts lack something, beside the units before them."""
+    loads = host_loads(checked.problem)
+    for unit in checked.units:
+        if not loads.put(checked.kind(unit), unit.host):
+            yield f"the host of unit {unit.id} has no room for it"
+
+
+def _has_needless_units(candidates: Candidates, units: Collection[ComputationUnit]) -> bool:
+    """Whether some unit is needless: no target, pin, number, company or failure needs it."""
+    needed = needed_in_all(candidates.problem, units, ())
+    if len(needed) < len(units) and candidates.problem.survive is not None:
+        left = [unit for unit in units if unit.id not in needed]
+        spares = {unit.id for unit in left if not can_do_without(candidates, units, unit)}
+        needed = needed_in_all(candidates.problem, units, spares)
+    return len(needed) < len(units)

@@ -4,22 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Sequence
 from functools import partial
-from math import ceil, inf
+from math import inf
 
-from ortools.sat.python.cp_model import (
-    FEASIBLE,
-    INFEASIBLE,
-    MODEL_INVALID,
-    OPTIMAL,
-    CpSolver,
-    CpSolverSolutionCallback,
-    IntVar,
-    LinearExpr,
-    LinearExprT,
-)
+from ortools.sat.python.cp_model import CpSolver, CpSolverSolutionCallback, IntVar, LinearExpr, LinearExprT
 
 from cfgplan.domain import Objective
-from cfgplan.errors import InputError
 from cfgplan.planners.exact.candidates import ONLY_IN_THE_MODEL, Candidates
 from cfgplan.planners.exact.decode import decode, named
 from cfgplan.planners.exact.first_plans import FirstPlans
@@ -27,12 +16,13 @@ from cfgplan.planners.exact.model import Model, ModelRule
 from cfgplan.planners.exact.pruning import lean
 from cfgplan.planners.exact.quality import chains_are_as_bad_as_who_runs_lets_them
 from cfgplan.planners.exact.quality_chains import ChainCut
+from cfgplan.planners.exact.rounds import InfeasibleError, minimised
 from cfgplan.planners.exact.rules import RULES
-from cfgplan.planners.exact.standing import Standing
+from cfgplan.planners.exact.solve_state import SolveState
 from cfgplan.planners.exact.survival import Survival
 from cfgplan.planners.networks.keys import Key
 from cfgplan.planners.solving.clock import Clock, ContradictionError
-from cfgplan.planners.solving.engine import LARGEST_PRODUCT, repeatable_solver, solve
+from cfgplan.planners.solving.engine import LARGEST_PRODUCT, repeatable_solver
 from cfgplan.planning import Feature
 
 EXACT = 2**50
@@ -45,17 +35,13 @@ LandmarkFinder = Callable[[Collection[str], Clock], Landmarks]
 """Finds landmarks that the transformations of a solution do not hit."""
 
 
-class InfeasibleError(Exception):
-    """No plan meets all that was added to the model."""
-
-
 class Search:
-    """Rounds of solving and cutting: each gives the standing a better plan, a bound, or the model a cut."""
+    """Rounds of solving and cutting: each gives the state a better plan, a bound, or the model a cut."""
 
     def __init__(
         self,
         candidates: Candidates,
-        standing: Standing,
+        state: SolveState,
         *,
         is_all: bool = True,
         is_apart: bool = False,
@@ -69,7 +55,7 @@ class Search:
         `is_apart` is the model's. `landmarks` hold of every plan that may be optimal; `missed` finds more of them.
         """
         self.problem = candidates.problem
-        self.standing = standing
+        self.state = state
         self.is_all = is_all
         self._missed = missed
         self._left_s = inf
@@ -79,16 +65,16 @@ class Search:
         if self.problem.survive is not None:
             self._survival = Survival(candidates)
             if not ONLY_IN_THE_MODEL & self.problem.features:
-                self._first = FirstPlans(candidates, standing)
+                self._first = FirstPlans(candidates, state)
         self.model = Model(candidates, rules, is_apart=is_apart)
         self.model.enough_of_each_run(landmarks)
         chains_are_as_bad_as_who_runs_lets_them(self.model, cuts)
         self._cost = self.model.cost()
-        if (largest_us := standing.largest_us) is not None:
+        if (largest_us := state.largest_us) is not None:
             self.model.cp.add(self._cost <= largest_us)
         for name in ("rounds", "cuts", "conflicts"):
-            standing.counts.setdefault(name, 0)
-        standing.counts["booleans"] = len(self.model.literals)
+            state.counts.setdefault(name, 0)
+        state.counts["booleans"] = len(self.model.literals)
 
     def run(self, slice_s: float = inf) -> None:
         """Minimise unused required transformations, cost and changes, until the clock or `slice_s` ends it.
@@ -101,11 +87,11 @@ class Search:
                 self._minimise_cost_then_changes()
         except InfeasibleError:
             if self.is_all:
-                self.standing.prove_infeasible()
+                self.state.prove_infeasible()
         except ContradictionError as error:
             if self.is_all:
                 raise
-            self.standing.note_failure(str(error))
+            self.state.note_failure(str(error))
 
     def run_with_all_required(self) -> bool:
         """Minimise cost, then changes, of plans that use all required transformations; False if there are none.
@@ -122,15 +108,15 @@ class Search:
 
     def _use_required(self) -> bool:
         """Use as many required transformations as possible; False if the time is over before that is proven."""
-        model, standing, required = self.model, self.standing, len(self.problem.environment.required)
+        model, state, required = self.model, self.state, len(self.problem.environment.required)
         if model.uses_required:
             used = LinearExpr.sum([*model.uses_required.values()])
             if not self.minimise(-used, lambda key: key.unused - required):
                 return False
-            assert standing.best is not None
+            assert state.best is not None
             if self.is_all:
-                standing.fewest_unused = standing.best.key.unused
-            model.cp.add(used >= required - standing.best.key.unused)
+                state.min_unused = state.best.key.unused
+            model.cp.add(used >= required - state.best.key.unused)
         return True
 
     def _minimise_in_order(self) -> bool:
@@ -138,29 +124,29 @@ class Search:
 
         False if the time is over before all are proven, or if each plan is proven to cost more than is allowed.
         """
-        standing, largest_us = self.standing, self.problem.max_cost_us
+        state, largest_us = self.state, self.problem.max_cost_us
         named = self.problem.environment.minimise if Feature.ORDER in self.problem.features else ()
         if named and largest_us is not None:
             is_too_dear = self.model.boolean()
             self.model.cp.add(self._cost <= largest_us).only_enforce_if(is_too_dear.negated())
             if not self._minimise_one(is_too_dear, 0, None):
                 return False
-            if standing.best is not None and standing.best.key.first[0]:
-                standing.raise_bound(largest_us + 1)
+            if state.best is not None and state.best.key.first[0]:
+                state.raise_bound(largest_us + 1)
                 return False
         for place, each in enumerate(named[:-1] if named[-1:] == (Objective.COST,) else named, 1):
-            if not self._minimise_one(self.model.objective(each), place, partial(standing.raise_bound_of, each)):
+            if not self._minimise_one(self.model.objective(each), place, partial(state.raise_bound_of, each)):
                 return False
             if each is Objective.COST:
-                standing.prove_cost()
+                state.prove_cost()
         return True
 
     def _minimise_one(self, objective: LinearExprT, place: int, learn: Callable[[int], None] | None) -> bool:
         """Minimise an objective of `Key.first`, and fix it at its minimum. False if the time is over."""
         if not self.minimise(objective, lambda key: key.first[place], learn) or not self.is_all:
             return False
-        assert self.standing.best is not None
-        least = self.standing.best.key.first[place]
+        assert self.state.best is not None
+        least = self.state.best.key.first[place]
         if learn is not None:
             learn(least)
         self.model.cp.add(objective <= least)
@@ -168,24 +154,24 @@ class Search:
 
     def _minimise_cost_then_changes(self) -> None:
         """Minimise both in one sum where that is exact, else one after the other."""
-        model, standing, scale = self.model, self.standing, self._scale()
-        is_proven = standing.is_cost_proven
+        model, state, scale = self.model, self.state, self._scale()
+        is_proven = state.is_cost_proven
         if not is_proven and scale:
             both = LinearExpr.weighted_sum([self._cost, model.changes()], [scale, 1])
 
             def level_of(key: Key) -> int:
                 return scale * key.cost_us + self._changes(key)
 
-            if self.minimise(both, level_of, lambda bound: standing.raise_bound(bound // scale)) and self.is_all:
-                standing.prove_all()
+            if self.minimise(both, level_of, lambda bound: state.raise_bound(bound // scale)) and self.is_all:
+                state.prove_all()
             return
         if not is_proven:
-            if not self.minimise(self._cost, lambda key: key.cost_us, standing.raise_bound) or not self.is_all:
+            if not self.minimise(self._cost, lambda key: key.cost_us, state.raise_bound) or not self.is_all:
                 return
-            standing.prove_cost()
-            assert standing.best is not None
-            model.cp.add(self._cost <= standing.best.key.cost_us)
-        standing.are_ties_proven = self.minimise(model.changes(), self._changes)
+            state.prove_cost()
+            assert state.best is not None
+            model.cp.add(self._cost <= state.best.key.cost_us)
+        state.are_ties_proven = self.minimise(model.changes(), self._changes)
 
     def _changes(self, key: Key) -> int:
         """A plan's rewired and started units, as the model adds them up."""
@@ -193,7 +179,7 @@ class Search:
 
     def _scale(self) -> int:
         """The weight of a microsecond in a sum of cost and changes; 0 if the sum would not be exact."""
-        candidates, best = self.model.candidates, self.standing.best
+        candidates, best = self.model.candidates, self.state.best
         started = self.model.most_started()
         scale = (started + 1) * (len(candidates.all) - started + 1)
         largest_us = self.problem.largest_cost_us(self.problem.horizon_s)
@@ -210,41 +196,41 @@ class Search:
         `level_of` gives the objective of a plan. `learn` is called with bounds on it. Raises InfeasibleError if no plan
         exists. The rounds end: each forbids a solution.
         """
-        self.model.cp.minimize(objective)
-        standing = self.standing
+        state = self.state
 
-        def learn_bound(bound: float) -> None:
+        def learn_bound(bound: int) -> None:
             if learn is not None and self.is_all:
-                learn(ceil(bound - 0.5))
+                learn(bound)
 
-        while self._left_s > 0 and not standing.clock.is_over():
-            standing.counts["rounds"] += 1
-            solver = self.solver()
-            self._hint()
-            status = solve(solver, self.model.cp, standing.clock, self._look_at, learn_bound)
-            standing.counts["conflicts"] += solver.num_conflicts
+        def taken(solver: CpSolver, is_best: bool) -> bool | None:
             self._left_s -= solver.response_proto.deterministic_time
-            if status == INFEASIBLE:
-                raise InfeasibleError
-            if status == MODEL_INVALID:
-                self._refuse()
-            if status not in (OPTIMAL, FEASIBLE):
-                return False
             true = self.true_of(solver.boolean_value)
             key = self.consider(true)
-            if key is not None:
-                if level_of(key) > round(solver.objective_value):
-                    raise ContradictionError("a plan costs or changes more than the model says")
-                return status == OPTIMAL
-            self.forbid(true)
-        return False
+            if key is None:
+                self.forbid(true)
+                return None
+            if level_of(key) > round(solver.objective_value):
+                raise ContradictionError("a plan costs or changes more than the model says")
+            return is_best
 
-    def _refuse(self) -> None:
-        """Raise the error that says why the engine refuses the model."""
-        if self.problem.is_plain:
-            raise ContradictionError("the engine refuses the model")
-        mend = "give the quality attributes a `worst` and a `best` that are closer, or fewer decimals"
-        raise InputError.of("the numbers are too large to be computed exactly", mend=mend)
+        return bool(
+            minimised(
+                self.model,
+                objective,
+                state,
+                solver=self._next_solver,
+                look_at=self._look_at,
+                learn=learn_bound,
+                taken=taken,
+            )
+        )
+
+    def _next_solver(self) -> CpSolver | None:
+        """A solver for one round, with the incumbent as a hint; None if the time is over."""
+        if self._left_s <= 0 or self.state.clock.is_over():
+            return None
+        self._hint()
+        return self.solver()
 
     def true_of(self, holds: Callable[[IntVar], bool]) -> set[int]:
         return {literal.index for literal in self.model.literals if holds(literal)}
@@ -257,7 +243,7 @@ class Search:
         if survival is not None and (survival.missed(units) or survival.needless_spares(self.model, true, units)):
             return None
         candidates = self.model.candidates
-        return self.standing.offer(candidates, named(candidates, lean(candidates, units)))
+        return self.state.offer(candidates, named(candidates, lean(candidates, units)))
 
     def _look_at(self, solution: CpSolverSolutionCallback) -> bool:
         """Check a solution that the solver found on its way. Returns True, to continue, if it is a plan.
@@ -294,16 +280,16 @@ class Search:
         ways = [cp.get_bool_var_from_proto_index(way) for way in ways_in]
         for proposition in unfounded:
             model.needs_any(cp.get_bool_var_from_proto_index(proposition), ways)
-        self.standing.counts["cuts"] += len(unfounded)
+        self.state.counts["cuts"] += len(unfounded)
         used = {candidates.all[i].transformation.label for i in running}
-        model.enough_of_each_run(self._missed(used, self.standing.clock))
+        model.enough_of_each_run(self._missed(used, self.state.clock))
 
     def _forbid_alone(self, true: set[int]) -> None:
         """Forbid the placement, waiting, staying and wiring of a solution."""
         model = self.model
         self._unexplained += 1
         if (
-            self._unexplained > self.standing.clock.tuning.solve.unexplained
+            self._unexplained > self.state.clock.tuning.solve.unexplained
             or not model.is_apart
             or decode(model, true) is None
         ):
@@ -320,10 +306,10 @@ class Search:
 
     def solver(self) -> CpSolver:
         """A solver for one round, with the time that is left."""
-        size, tuning = len(self.model.literals), self.standing.clock.tuning
+        size, tuning = len(self.model.literals), self.state.clock.tuning
         is_large = self._has_hosts or self.model.asks_for_quality
         small = size < (tuning.fleet.small if is_large else tuning.solve.small)
-        solver = repeatable_solver(small=small, time_limit_s=self.standing.clock.left_s())
+        solver = repeatable_solver(small=small, time_limit_s=self.state.clock.left_s())
         if ONLY_IN_THE_MODEL & self.problem.features and size < tuning.fleet.wired and not self.model.is_small:
             solver.parameters.linearization_level = 1
         if size < tuning.solve.tiny:
@@ -334,7 +320,7 @@ class Search:
 
     def _hint(self) -> None:
         """Hint the incumbent's units and hosts."""
-        model, best = self.model, self.standing.best
+        model, best = self.model, self.state.best
         model.cp.clear_hints()  # type: ignore[no-untyped-call]
         there = {(unit.id, unit.host, unit.standby) for unit in (() if best is None else best.units)}
         for places, is_standby in ((model.runs_on, False), (model.waits_on, True)):

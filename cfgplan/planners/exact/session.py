@@ -17,9 +17,9 @@ from cfgplan.planners.exact.candidates import ONLY_IN_THE_MODEL, Candidates
 from cfgplan.planners.exact.configuration import wire
 from cfgplan.planners.exact.memory import Memory
 from cfgplan.planners.exact.pruning import lean
+from cfgplan.planners.exact.solve_run import SolveRun
+from cfgplan.planners.exact.solve_state import SolveState
 from cfgplan.planners.exact.stages import STAGES
-from cfgplan.planners.exact.standing import Standing
-from cfgplan.planners.exact.work import Work
 from cfgplan.planners.reducing.closure import Closure, asked_for
 from cfgplan.planners.reducing.reduce import Reduced, reduce
 from cfgplan.planners.solving.clock import Clock, ContradictionError, OutOfTimeError
@@ -63,55 +63,55 @@ class PlannerSession:
         part = _reduced(problem, clock)
         if not part.is_roomy and time_limit_s is not None:
             clock = clock.with_limit(time_limit_s * ROOM_SHARE, self._tuning)
-        standing = Standing(part.problem, clock, part.reporting(report), problem)
-        answer = self._planned(part, standing)
-        if answer is None or (standing.are_ties_proven and not answer.ties_proven):
-            answer = self._planned_again(part, standing, answer, time_limit_s, report)
+        state = SolveState(part.problem, clock, part.reporting(report), problem)
+        answer = self._planned(part, state)
+        if answer is None or (state.are_ties_proven and not answer.ties_proven):
+            answer = self._planned_again(part, state, answer, time_limit_s, report)
         if answer.status is Status.UNKNOWN and time_limit_s is not None and not clock.stop.is_set():
             return self._planned_first(problem, clock.for_a_first_plan(problem), report) or answer
         return answer
 
-    def _planned(self, part: Reduced, standing: Standing) -> Plan | None:
+    def _planned(self, part: Reduced, state: SolveState) -> Plan | None:
         """The answer to the whole problem by a plan of the part; None if it gives none."""
-        clock, problem = standing.clock, part.problem
-        _choose_stages(standing)
-        clock.run(lambda: self._plan(standing), lambda: _so_far(part, standing))
+        clock, problem = state.clock, part.problem
+        _choose_stages(state)
+        clock.run(lambda: self._plan(state), lambda: _so_far(part, state))
         clock.end("search")
-        found, memory = standing.plan(), self._memory
+        found, memory = state.plan(), self._memory
         answer = part.answer(found)
         if memory is not None:
-            memory.keep_plan(standing)
-            is_at_rest = (
+            memory.keep_plan(state)
+            is_unchanged = (
                 not self._is_asked_once and problem.is_plain and found.status is Status.OPTIMAL and not found.change_set
             )
-            if is_at_rest and not memory.structure.has_required and not clock.is_over():
-                clock.run(lambda: memory.settle(problem, clock), lambda: _so_far(part, standing))
+            if is_unchanged and not memory.structure.has_required and not clock.is_over():
+                clock.run(lambda: memory.settle(problem, clock), lambda: _so_far(part, state))
         return answer
 
-    def _plan(self, standing: Standing) -> None:
+    def _plan(self, state: SolveState) -> None:
         """Go through the stages; if one fails, leave the whole library to the solver, with a boolean for each wire."""
         try:
-            self._go_through_stages(standing)
+            self._go_through_stages(state)
         except ContradictionError as error:
-            standing.begin_again(str(error))
+            state.begin_again(str(error))
             from cfgplan.planners.exact.fleet import solve_apart
 
-            solve_apart(Candidates(standing.problem, clock=standing.clock), standing)
+            solve_apart(Candidates(state.problem, clock=state.clock), state)
 
-    def _go_through_stages(self, standing: Standing) -> None:
+    def _go_through_stages(self, state: SolveState) -> None:
         if not self._tuning.is_solver_only:
-            offer_what_runs(standing)
-        self._memory = Memory.of(standing.problem, self._memory, standing.clock)
-        standing.clock.end("closure")
-        work = Work(standing, self._memory)
-        for stage in standing.clock.each(STAGES, 1):
+            offer_what_runs(state)
+        self._memory = Memory.of(state.problem, self._memory, state.clock)
+        state.clock.end("closure")
+        work = SolveRun(state, self._memory)
+        for stage in state.clock.each(STAGES, 1):
             if stage(work):
                 break
 
     def _planned_again(
         self,
         before: Reduced,
-        known: Standing,
+        known: SolveState,
         answer: Plan | None,
         time_limit_s: float | None,
         report: OnProgress | None,
@@ -120,16 +120,16 @@ class PlannerSession:
         problem = before.whole
         clock = known.clock.with_limit(time_limit_s, self._tuning)
         part = _reduced(problem, clock, is_certain=True)
-        standing = Standing(part.problem, clock, part.reporting(report), problem)
+        state = SolveState(part.problem, clock, part.reporting(report), problem)
         is_about_cost = not problem.environment.required and Feature.ORDER not in problem.features
         if is_about_cost:
-            standing.bound_us = known.bound_us + before.rent_us - part.rent_us
+            state.bound_us = known.bound_us + before.rent_us - part.rent_us
         if answer is not None and answer.change_set is not None:
             units = part.part_of(problem.after(answer).units)
-            standing.offer(Candidates(part.problem, among={unit.transformation for unit in units}), units)
-        if is_about_cost and standing.is_at_bound:
-            standing.prove_cost()
-        found = PlannerSession(self._tuning, is_asked_once=True)._planned(part, standing)
+            state.offer(Candidates(part.problem, among={unit.transformation for unit in units}), units)
+        if is_about_cost and state.is_at_bound:
+            state.prove_cost()
+        found = PlannerSession(self._tuning, is_asked_once=True)._planned(part, state)
         assert found is not None
         return found
 
@@ -139,7 +139,7 @@ class PlannerSession:
         Required transformations come before the largest cost: None if a plan within it leaves some unused.
         """
         part = _reduced(problem, clock, is_certain=True)
-        found = self._planned(part, Standing(part.problem, clock, part.reporting(report), problem))
+        found = self._planned(part, SolveState(part.problem, clock, part.reporting(report), problem))
         assert found is not None
         is_too_cheap = found.unused_required and not found.required_proven and problem.max_cost_us is not None
         return None if is_too_cheap else found
@@ -158,14 +158,14 @@ def _reduced(problem: Problem, clock: Clock, *, is_certain: bool = False) -> Red
     return Reduced(problem, problem)
 
 
-def _choose_stages(standing: Standing) -> None:
-    clock = standing.clock
-    is_solver_only = clock.tuning.is_solver_only or bool(SOLVED_AT_ONCE & standing.problem.features)
+def _choose_stages(state: SolveState) -> None:
+    clock = state.clock
+    is_solver_only = clock.tuning.is_solver_only or bool(SOLVED_AT_ONCE & state.problem.features)
     clock.tuning = replace(clock.tuning, is_solver_only=is_solver_only)
 
 
-def _so_far(part: Reduced, standing: Standing) -> Plan:
-    found = standing.plan()
+def _so_far(part: Reduced, state: SolveState) -> Plan:
+    found = state.plan()
     return part.answer(found) or Plan(found.planner, Status.UNKNOWN)
 
 
@@ -180,13 +180,13 @@ def plan(
     return PlannerSession(is_asked_once=True).plan(problem, time_limit_s=time_limit_s, report=report, stop=stop)
 
 
-def offer_what_runs(standing: Standing) -> None:
+def offer_what_runs(state: SolveState) -> None:
     """Offer the running units without needless ones, first wired as they are, then rewired where they must be.
 
     It ignores the clock, so that any time limit gives a plan. With features that first plans don't know, nothing is
     rewired.
     """
-    problem, environment = standing.problem, standing.problem.environment
+    problem, environment = state.problem, state.problem.environment
     labels = {unit.transformation for unit in environment.units}
     library = tuple(t for t in environment.library if t.label in labels)
     givers = Givers(library, problem.similarity)
@@ -197,7 +197,7 @@ def offer_what_runs(standing: Standing) -> None:
         return
     candidates = Candidates(problem, Closure(givers, possible, possible, asked_for(environment) & possible))
     units = [c.running for c in candidates.all if c.running is not None]
-    standing.offer(candidates, units if problem.is_plain else lean(candidates, units))
+    state.offer(candidates, units if problem.is_plain else lean(candidates, units))
     if ONLY_IN_THE_MODEL & problem.features:
         return
     rewired = wire(candidates, [i for i, c in enumerate(candidates.all) if c.running is not None and c.may_run])
@@ -205,4 +205,4 @@ def offer_what_runs(standing: Standing) -> None:
         cold = [unit for unit in units if unit.standby]
         rewired = lean(candidates, [*rewired, *cold])
     if rewired is not None:
-        standing.offer(candidates, rewired)
+        state.offer(candidates, rewired)

@@ -11,33 +11,33 @@ import numpy as np
 
 from cfgplan.planners.bounding.bounds import Bound, chained_bound, tightened
 from cfgplan.planners.bounding.branching import Branching
-from cfgplan.planners.closing.gap import Closing
+from cfgplan.planners.closing.gap import GapClosing
 from cfgplan.planners.exact.answer_sets import prove_by_answer_sets
 from cfgplan.planners.exact.candidates import Candidates
-from cfgplan.planners.exact.required import left_with_all
-from cfgplan.planners.exact.rest import Remainder
-from cfgplan.planners.exact.work import Left, Work, numbers
+from cfgplan.planners.exact.remaining import Remaining
+from cfgplan.planners.exact.required import take_with_all
+from cfgplan.planners.exact.solve_run import SolveRun, numbers
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.greedy import FREE, cost_of, first_plan, is_plan, plan_at, with_less
-from cfgplan.planners.networks.network import Network, Weighing, costs
+from cfgplan.planners.networks.network import LexicographicWeights, Network, costs
 from cfgplan.reasons import unmet_reasons
 
-Stage = Callable[[Work], bool]
+Stage = Callable[[SolveRun], bool]
 
 
-def see_what_can_be_met(work: Work) -> bool:
+def see_what_can_be_met(work: SolveRun) -> bool:
     """Finish with reasons if some target can't be met, whatever runs."""
-    standing, structure = work.standing, work.structure
+    state, structure = work.state, work.structure
     if len(structure.network.targets) == len(structure.environment.targets):
-        standing.counts = structure.counts()
-        standing.fewest_unused = structure.hopeless_required
+        state.counts = structure.counts()
+        state.min_unused = structure.unusable_required
         return False
-    standing.is_infeasible = True
-    standing.reasons = unmet_reasons(work.problem, possible=structure.closure.possible)
+    state.is_infeasible = True
+    state.reasons = unmet_reasons(work.problem, possible=structure.closure.possible)
     return True
 
 
-def plan_fleet(work: Work) -> bool:
+def plan_fleet(work: SolveRun) -> bool:
     """Plan what asks for more than the paper in stages of its own."""
     if work.problem.is_plain and not work.clock.tuning.is_solver_only:
         return False
@@ -45,13 +45,13 @@ def plan_fleet(work: Work) -> bool:
 
     candidates = Candidates(work.problem, work.structure.closure, clock=work.clock)
     if work.clock.tuning.counts and groups.is_countable(candidates):
-        deployment.plan_by_counting(candidates, work.standing)
+        deployment.plan_by_counting(candidates, work.state)
         return True
-    fleet.plan_fleet(candidates, work.standing, work.memory.last)
+    fleet.plan_fleet(candidates, work.state, work.memory.last)
     return True
 
 
-def use_all_required(work: Work) -> bool:
+def use_all_required(work: SolveRun) -> bool:
     """Look for the best plan that uses all required transformations; if there is none, for one that uses the most."""
     structure, network = work.structure, work.structure.network
     if not structure.has_required:
@@ -60,62 +60,62 @@ def use_all_required(work: Work) -> bool:
     plan = first_plan(network, cost, 0, work.clock)
     if plan is not None:
         work.offer(plan)
-    work.take(left_with_all(work))
+    take_with_all(work)
     work.clock.end("bounds")
-    if not work.search(work.left.landmarks()).run_with_all_required():
-        work.take(Left(network, Weighing(cost, 1, 1, fixed_us), np.arange(len(network.labels)), 0))
+    if not work.search(work.landmarks()).run_with_all_required():
+        work.take(Remaining(np.arange(len(network.labels)), 0), network, LexicographicWeights(cost, 1, 1, fixed_us))
         work.clock.end("bounds")
         work.search().run()
     return True
 
 
-def decide_all(work: Work) -> bool:
+def decide_all(work: SolveRun) -> bool:
     """Search without the solver where no landmarks are known yet."""
     is_new = not work.memory.has_landmarks
-    return is_new and (decide(work) or (work.clock.is_over() and work.standing.best is not None))
+    return is_new and (decide(work) or (work.clock.is_over() and work.state.best is not None))
 
 
-def raise_bound(work: Work) -> bool:
+def raise_bound(work: SolveRun) -> bool:
     """Find a plan and a bound, and leave out labels by reduced costs.
 
     The plan is the proven running one, or the last one. If that is no longer valid, or in a session's first call, where
     the last plan is the running configuration, a new one is made too, and the cheaper of both is tried without its most
     expensive members.
     """
-    standing, memory, clock, network = work.standing, work.memory, work.clock, work.structure.network
+    state, memory, clock, network = work.state, work.memory, work.clock, work.structure.network
     is_first = not memory.last
-    memory.keep_plan(standing)
-    weighing = Weighing.of(work.problem, network)
+    memory.keep_plan(state)
+    weighing = LexicographicWeights.of(work.problem, network)
     plan = _known_plan(work, network)
     is_new = plan is None or is_first
     if is_new:
         found = (plan, first_plan(network, weighing.weight, 0, clock))
         plan = min((one for one in found if one is not None), key=partial(cost_of, weighing.weight), default=None)
-    if plan is not None and standing.best is None:
+    if plan is not None and state.best is None:
         work.offer(plan)
     if is_new and plan is not None:
         plan = with_less(network, weighing.weight, plan, clock.tuning.begin.attempts, clock)
     labels, part = None if plan is None else numbers(plan), None
-    if labels is not None and memory.rest is not None and not weighing.counts_starts:
-        part = memory.rest.left(weighing.weight, weighing.step, labels, clock)
+    if labels is not None and memory.warm_start is not None and not weighing.counts_starts:
+        part = memory.warm_start.remaining(weighing.weight, weighing.step, labels, clock)
     if part is None:
         labels, part = _bounded(work, weighing, labels)
-    work.take(Left.by(part, network, weighing, labels, is_over=clock.is_over()))
+    work.take_bounded(part, network, weighing, labels)
     work.clock.end("bounds")
     return False
 
 
-def _known_plan(work: Work, network: Network) -> set[int] | None:
+def _known_plan(work: SolveRun, network: Network) -> set[int] | None:
     """Return the proven running plan or the last plan; None if it is not valid any more."""
     known, memory = set(network.pinned), work.memory
-    if memory.rest is not None:
-        known |= set(memory.rest.plan.tolist())
+    if memory.warm_start is not None:
+        known |= set(memory.warm_start.plan.tolist())
     else:
         known |= {network.number[label] for label in memory.last if label in network.number}
     return known if is_plan(network, known) else None
 
 
-def _bounded(work: Work, weighing: Weighing, plan: Ints | None) -> tuple[Ints | None, Remainder]:
+def _bounded(work: SolveRun, weighing: LexicographicWeights, plan: Ints | None) -> tuple[Ints | None, Remaining]:
     """Raise the bound by landmarks. Returns the plan, or a cheaper one, and the labels that the bound leaves.
 
     If closing may follow and no label has distinct inputs, less work is spent. With distinct inputs the labels that a
@@ -131,11 +131,11 @@ def _bounded(work: Work, weighing: Weighing, plan: Ints | None) -> tuple[Ints | 
         limit = weighing.of_plan(plan)
     work.memory.keep_landmarks(lambda: bound, weighing.scale)
     if plan is not None and weighing.least(bound.value) < limit and not clock.is_over():
-        work.closing = Closing(network, bound, weighing.weight, plan, weighing.step, clock.tuning)
-    return plan, Remainder.by(bound, limit)
+        work.closing = GapClosing(network, bound, weighing.weight, plan, weighing.step, clock.tuning)
+    return plan, Remaining.by(bound, limit)
 
 
-def _at_what_is_left(network: Network, weighing: Weighing, bound: Bound, plan: Ints) -> Ints:
+def _at_what_is_left(network: Network, weighing: LexicographicWeights, bound: Bound, plan: Ints) -> Ints:
     """The plan, or a cheaper one that is made at residual costs."""
     price = np.full(len(weighing.weight), np.inf)
     price[bound.core.labels] = bound.residual + FREE
@@ -143,22 +143,22 @@ def _at_what_is_left(network: Network, weighing: Weighing, bound: Bound, plan: I
     return plan if found is None else min(plan, numbers(found), key=weighing.of_plan)
 
 
-def close_gap(work: Work) -> bool:
+def close_gap(work: SolveRun) -> bool:
     """Bring bound and plan closer."""
-    closing, left, clock = work.closing, work.left, work.clock
-    if closing is not None and not closing.is_closed and not work.standing.is_over:
+    closing, clock = work.closing, work.clock
+    if closing is not None and not closing.is_closed and not work.state.is_over:
         closing.go_on(clock)
         closing.look_near(clock)
-        part = Remainder.by(closing.bound.restricted(closing.bound.may_be_used(closing.limit)), closing.limit)
-        work.take(Left.by(part, left.network, left.weighing, closing.plan, is_over=clock.is_over()))
+        part = Remaining.by(closing.bound.restricted(closing.bound.may_be_used(closing.limit)), closing.limit)
+        work.take_bounded(part, work.network, work.weighing, closing.plan)
         clock.end("bounds")
     return False
 
 
-def solve(work: Work) -> bool:
+def solve(work: SolveRun) -> bool:
     """Search the remaining labels by the solver."""
-    if not work.standing.is_over:
-        work.search(work.left.landmarks(), work.missed).run()
+    if not work.state.is_over:
+        work.search(work.landmarks(), work.missed).run()
     return True
 
 
@@ -175,35 +175,35 @@ STAGES: Final[tuple[Stage, ...]] = (
 """The stages that follow once what runs is offered and the closure of the library is known."""
 
 
-def decide(work: Work) -> bool:
+def decide(work: SolveRun) -> bool:
     """Have the planner's own search look for the best plan for some steps.
 
     For a small problem, to build a model and call the solver takes longer than to search. True if that proves the
     cost; the solver has then broken ties if it had to. Nothing is done if the network is large, or if distinct or
     feedback inputs make a plan more than its labels.
     """
-    standing, network, tuning = work.standing, work.structure.network, work.clock.tuning.decide
+    state, network, tuning = work.state, work.structure.network, work.clock.tuning.decide
     if not tuning.steps or len(network.labels) > tuning.labels or network.special:
         return False
-    weighing = Weighing.with_changes(work.problem, network)
+    weighing = LexicographicWeights.with_changes(work.problem, network)
     if weighing is None:
         return False
     plans: list[set[int]] = []
-    if standing.best is not None:
-        plans.append({network.number[unit.transformation] for unit in standing.best.units}.union(network.pinned))
+    if state.best is not None:
+        plans.append({network.number[unit.transformation] for unit in state.best.units}.union(network.pinned))
     first = first_plan(network, weighing.weight, 0, work.clock)
     plans += [] if first is None else [first]
     if not plans:
         return False
     is_proven = _proves(work, weighing, min(plans, key=lambda one: weighing.of_plan(numbers(one))))
     work.clock.end("bounds")
-    if is_proven and not standing.is_over:
+    if is_proven and not state.is_over:
         work.search().run()
         work.clock.end("search")
     return is_proven
 
 
-def _proves(work: Work, weighing: Weighing, plan: set[int]) -> bool:
+def _proves(work: SolveRun, weighing: LexicographicWeights, plan: set[int]) -> bool:
     """Search for cheaper plans. True if the cost is proven; other plans can then differ only in their changes."""
     network, tuning = work.structure.network, work.clock.tuning.decide
     limit = least = weighing.of_plan(numbers(plan))
@@ -211,33 +211,33 @@ def _proves(work: Work, weighing: Weighing, plan: set[int]) -> bool:
     if network.core.goal > tuning.chained:
         chained = chained_bound(network.core, weighing.weight, network.pinned, work.clock.is_over)
         is_proven = weighing.least(chained) >= limit
-    work.standing.counts["nodes"] = 0
+    work.state.counts["nodes"] = 0
     if not is_proven:
         search = Branching(network.core, weighing.weight, limit, weighing.step, work.clock.is_over)
         first, more = min(tuning.steps, tuning.first), max(0, tuning.steps - tuning.first)
         is_proven = search.run(first) or (search.done >= tuning.soon and search.run(more))
-        work.standing.counts["nodes"], least = search.nodes, search.least
+        work.state.counts["nodes"], least = search.nodes, search.least
         work.memory.keep_landmarks(search.bound, weighing.scale)
         if search.best is not None:
             plan = search.best.union(network.pinned)
     labels = numbers(plan)
     value = weighing.of_plan(labels) if is_proven else weighing.least(least)
-    left = Left(network, weighing, labels, value, labels, is_complete=False)
-    work.take(left)
-    return is_proven and (work.standing.is_over or _takes_others(work, left, plan))
+    work.take(Remaining(labels, value, is_complete=False), network, weighing, labels)
+    return is_proven and (work.state.is_over or _takes_others(work, plan))
 
 
-def _takes_others(work: Work, left: Left, plan: set[int]) -> bool:
+def _takes_others(work: SolveRun, plan: set[int]) -> bool:
     """Go on with the labels of all plans that cost as little as the incumbent, the least, and may change less.
 
     False if the search for them takes too many steps.
     """
-    best, clock, weighing = work.standing.best, work.clock, left.weighing
+    best, clock, weighing = work.state.best, work.clock, work.weighing
     if best is None:
         return False
     limit = weighing.of_key(best.key)
-    search = Branching(left.network.core, weighing.weight, limit, weighing.step, clock.is_over)
+    search = Branching(work.network.core, weighing.weight, limit, weighing.step, clock.is_over)
     others = search.others(plan, clock.tuning.decide.steps)
     if others is not None:
-        work.take(replace(left, labels=numbers(plan | others), is_complete=True))
+        left = replace(work.remaining, labels=numbers(plan | others), is_complete=True)
+        work.take(left, work.network, weighing, numbers(plan))
     return others is not None

@@ -19,12 +19,11 @@ from dataclasses import dataclass
 from ortools.sat.python.cp_model import IntVar, LinearExpr
 
 from cfgplan.domain import ComputationUnit, Target
-from cfgplan.planners.exact.candidates import Candidates, HostName
+from cfgplan.planners.exact.candidates import Candidates, HostName, Site
 from cfgplan.planners.exact.model import Model
 from cfgplan.planners.exact.pruning import needed_in_all
 from cfgplan.planners.exact.reach import Reach
 from cfgplan.planners.exact.survivors import (
-    Site,
     UnitsBySite,
     are_counted,
     are_met,

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Final
 
 from cfgplan.domain import ALL, ComputationUnit, Environment, Target
-from cfgplan.planners.exact.candidates import Candidates, HostName
+from cfgplan.planners.exact.candidates import Candidates, HostName, Site
 from cfgplan.planners.exact.reach import Reach
+from cfgplan.planners.exact.rule import CheckedUnits, Rule
 from cfgplan.planning import Failures, Feature
 from cfgplan.reasons import startable
 
-Site = tuple[str, HostName]
-"""A transformation and, where some run with others on their host, a host: units of one site may do the same."""
 UnitsBySite = Mapping[Site, int]
 """How many units of each site there are; 1 for any number where that does not matter, see `are_counted`."""
 
@@ -122,11 +122,11 @@ def _can_share(candidates: Candidates, units: UnitsBySite, targets: tuple[Target
     is_limited = any(port.serves is not None for kind in kinds for port in kind.outputs)
     if not is_limited and not any(port.count == ALL for kind in kinds for port in kind.inputs):
         return True
-    from cfgplan.planners.exact.sharing import Sharing  # the solver takes long to import
+    from cfgplan.planners.exact.sharing import can_share  # the solver takes long to import
 
     case = frozenset(units.items()), targets
     if case not in candidates.can_share:
-        candidates.can_share[case] = Sharing(candidates, units.items(), targets).exists()
+        candidates.can_share[case] = can_share(candidates.of_sites(units, targets))
     return candidates.can_share[case]
 
 
@@ -144,3 +144,12 @@ def can_do_without(candidates: Candidates, units: Collection[ComputationUnit], o
     site = site_of(candidates.environment, one.transformation, one.host)
     matter = (f for f in failures(candidates, others) if are_counted(candidates) or site not in f.left)
     return not any(unmet(candidates, failure) for failure in matter)
+
+
+def _fatal_failures(checked: CheckedUnits) -> Iterator[str]:
+    if not bears_all_failures(checked.candidates, checked.units):
+        yield "a failure is not survived"
+
+
+SURVIVED: Final = Rule(None, Feature.SURVIVAL, _fatal_failures, keeps_units=True)
+"""The search demands what it takes, round by round: see `survival`."""

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-
-from ortools.sat.python.cp_model import IntVar, LinearExpr, LiteralT
+from typing import TYPE_CHECKING, Final
 
 from cfgplan.domain import Stream
 from cfgplan.onward import grouped
-from cfgplan.planners.exact.model import Model
+from cfgplan.planners.exact.rule import CheckedUnits, Rule
+from cfgplan.planning import Feature
+
+if TYPE_CHECKING:
+    from ortools.sat.python.cp_model import IntVar, LiteralT
+
+    from cfgplan.planners.exact.model import Model
 
 
 def a_target_is_published_by_one_unit(model: Model) -> None:
@@ -42,6 +47,12 @@ def a_target_is_published_by_one_unit(model: Model) -> None:
         model.cp.add(met == 1)
 
 
+def _unmet_targets(checked: CheckedUnits) -> Iterator[str]:
+    published = Counter(p.topic for unit in checked.units for p in unit.publications)
+    if published != Counter(target.topic for target in checked.environment.stream_targets):
+        yield "not every target has one stream"
+
+
 def a_unit_runs_that_a_target_wants(model: Model) -> None:
     """The first running unit has a boolean where feeders matter, as a unit that publishes has."""
     for target, label in model.environment.wanted_to_run.items():
@@ -55,6 +66,11 @@ def a_unit_runs_that_a_target_wants(model: Model) -> None:
                 continue
             earlier = [before.negated() for _, before in running[:number]]
             choices[Stream(model.candidates.all[i].id, "")] = model.only_if(runs, *earlier)
+
+
+def _missing_wanted(checked: CheckedUnits) -> Iterator[str]:
+    if not checked.running.keys() >= {*checked.environment.wanted_to_run.values()}:
+        yield "a target wants a unit that does not run"
 
 
 def required_transformations_serve_a_target(model: Model) -> None:
@@ -77,14 +93,15 @@ def who_is_needed(model: Model) -> Mapping[int, IntVar]:
     """The boolean of each tracked unit that it is needed: by a target, a pin, a number, a failure, or a needed unit."""
     if model.needed:
         return model.needed
-    candidates, roots = model.candidates, defaultdict[int, list[IntVar]](list)
+    candidates = model.candidates
+    roots: dict[int, list[IntVar]] = defaultdict(list)
     for i in sorted(model.tracked):
         if candidates.is_pinned(i):
             roots[i].append(model.runs[i])
     for t in model.environment.library:
         running = {i: model.runs[i] for i in model.running(t.label)} if t.min_instances else {}
         for i, asked in [(i, model.only_if(runs)) for i, runs in running.items()]:
-            model.cp.add(LinearExpr.sum([*running.values()]) <= t.min_instances).only_enforce_if(asked)
+            model.cp.add(model.total([*running.values()]) <= t.min_instances).only_enforce_if(asked)
             roots[i].append(asked)
     for i in sorted(model.tracked & model.runs.keys()) if model.problem.survive is not None else ():
         model.spares[i] = model.only_if(model.runs[i])
@@ -136,3 +153,11 @@ def _company(model: Model) -> Iterator[tuple[int, int, list[LiteralT]]]:
                 for alone in sorted(there.keys() - {user}):
                     others = (other.negated() for i, other in there.items() if i != alone)
                     yield user, alone, [runs, there[alone], *others]
+
+
+MET: Final = (
+    Rule(a_target_is_published_by_one_unit, flaws=_unmet_targets),
+    Rule(a_unit_runs_that_a_target_wants, Feature.RUNS, _missing_wanted),
+)
+REQUIRED: Final = Rule(required_transformations_serve_a_target)
+NEEDED: Final = Rule(units_that_could_keep_each_other_are_needed)

@@ -1,15 +1,18 @@
-"""The rules of units: the states of each, and their numbers."""
+"""The rules of single units: the state of each, and the order of those that are interchangeable."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from itertools import product
-
-from ortools.sat.python.cp_model import IntVar, LinearExpr
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Final
 
 from cfgplan.onward import grouped
 from cfgplan.planners.exact.candidates import Candidate, HostKind
-from cfgplan.planners.exact.model import Model
+from cfgplan.planners.exact.rule import CheckedUnits, Rule
+
+if TYPE_CHECKING:
+    from ortools.sat.python.cp_model import IntVar
+
+    from cfgplan.planners.exact.model import Model
 
 
 def a_unit_runs_or_waits_in_one_place(model: Model) -> None:
@@ -44,7 +47,15 @@ def _several_run_in_places(model: Model, unit: int) -> None:
             model.cp.add(numbers[host] <= most * has[host])
             model.cp.add(has[host] <= numbers[host])
     model.number[unit] = model.cp.new_int_var(0, candidate.size, "")
-    model.cp.add(model.number[unit] == LinearExpr.sum([*numbers.values()]))
+    model.cp.add(model.number[unit] == model.total([*numbers.values()]))
+
+
+def _misplaced(checked: CheckedUnits) -> Iterator[str]:
+    environment = checked.environment
+    allowed = {label: frozenset(environment.hosts_for(environment.transformation[label])) for label in checked.there}
+    for unit in checked.units:
+        if unit.host not in allowed[unit.transformation]:
+            yield f"unit {unit.id} is on a host where it may not be"
 
 
 def a_group_runs_if_some_of_its_units_do(model: Model) -> None:
@@ -87,30 +98,15 @@ def pinned_units_run(model: Model) -> None:
             model.cp.add_bool_or([runs])
 
 
-def units_that_conflict_are_not_there_together(model: Model) -> None:
-    for transformation in model.environment.library:
-        for other in transformation.conflicts:
-            if other != transformation.label:
-                are_apart(model, _there(model, transformation.label), _there(model, other))
-
-
-def are_apart(model: Model, some: Iterable[IntVar], others: Iterable[IntVar]) -> None:
-    for one, second in product(some, others):
-        model.cp.add_at_most_one(one, second)
-
-
-def there_are_as_many_units_as_asked_for_and_allowed(model: Model) -> None:
-    for t in model.environment.library:
-        if t.min_instances:
-            model.cp.add(LinearExpr.sum([model.number[i] for i in model.running(t.label)]) >= t.min_instances)
-        units = model.candidates.units_of(t.label)
-        if t.max_instances is not None and sum(model.candidates.all[i].size for i in units) > t.max_instances:
-            model.cp.add(LinearExpr.sum([model.number_there(i) for i in units]) <= t.max_instances)
-
-
-def _there(model: Model, label: str) -> list[IntVar]:
-    """Return the `is_there` booleans of a transformation's units, running or as cold spares."""
-    return [model.is_there[i] for i in model.candidates.units_of(label)]
+def _missing_pinned(checked: CheckedUnits) -> Iterator[str]:
+    ids, environment = {unit.id for unit in checked.units}, checked.environment
+    for unit in environment.units:
+        kind = environment.transformation.get(unit.transformation)
+        if kind is None or not kind.pinned or unit.standby or unit.id in ids:
+            continue
+        may_stay = not environment.hosts or unit.host in environment.hosts_for(kind)
+        if may_stay and kind.label in checked.candidates.closure.possible:
+            yield f"the pinned unit {unit.id} is missing"
 
 
 def new_units_come_in_order(model: Model) -> None:
@@ -156,3 +152,12 @@ def _needs_are_shared(model: Model, units: list[int]) -> None:
         if len(sharing) > 1:
             met = model.cp.get_bool_var_from_proto_index(hub)
             model.cp.add_at_most_one([met.negated(), *(model.runs[unit] for unit in sharing)])
+
+
+STATES: Final = (
+    Rule(a_unit_runs_or_waits_in_one_place, flaws=_misplaced, is_placed=True),
+    Rule(a_group_runs_if_some_of_its_units_do),
+    Rule(a_kept_unit_stays_or_is_wired_anew),
+)
+PINNED: Final = Rule(pinned_units_run, flaws=_missing_pinned)
+ORDER: Final = (Rule(new_units_come_in_order), Rule(one_of_new_units_alike_is_enough))

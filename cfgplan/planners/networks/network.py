@@ -100,7 +100,7 @@ def costs(problem: Problem, network: Network) -> tuple[int, Ints]:
 
 
 @dataclass(frozen=True)
-class Weighing:
+class LexicographicWeights:
     """The `weight` of each label of a network where plans are compared: `scale` for a microsecond of cost.
 
     Plans of equal cost compare by rewired units, then by started units; fewer are better. Cost
@@ -116,7 +116,7 @@ class Weighing:
     fixed_us: int
 
     @classmethod
-    def of(cls, problem: Problem, network: Network) -> Weighing:
+    def of(cls, problem: Problem, network: Network) -> LexicographicWeights:
         """Weigh cost and, where nothing runs, starts."""
         fixed_us, cost = costs(problem, network)
         scale = len(cost) + 1
@@ -126,7 +126,7 @@ class Weighing:
         return cls(cost * scale + 1, scale, scale, fixed_us)
 
     @classmethod
-    def with_changes(cls, problem: Problem, network: Network) -> Weighing | None:
+    def with_changes(cls, problem: Problem, network: Network) -> LexicographicWeights | None:
         """Weigh cost, rewirings and starts; None if the sum would be too large.
 
         No change of a pinned transformation with running units counts.

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any, Final
 
 from cfgplan.canonical import with_fields
 from cfgplan.costs import labor_us, start_cost_us, taken, transfer_cost_us, upkeep_us
@@ -30,9 +31,15 @@ from cfgplan.planners.reducing.closure import relevant
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Feature, Measured, OnProgress, Plan, Problem, Progress, Status
 from cfgplan.reasons import Each, Givers, startable
+from cfgplan.rows import attributes, least_limit
 
 GONE = "\0"
 """The transformation of a unit that no plan can keep: none is called so."""
+_FIELDS: Final = attributes(Transformation)
+_LIMITS_OF_UNITS: Final = {each.name: each.default for each in _FIELDS if each.row.limits_units}
+_BY_HOST: Final = {each.name: each.default for each in _FIELDS if each.row.is_by_host}
+_ONLY_WITH_HOSTS: Final = {each.name: each.default for each in _FIELDS if each.row.is_of_hosts}
+"""The attributes of transformations that state rules of these kinds, and their defaults."""
 OF_HOSTS = (Objective.HOSTS, Objective.RENT)
 """The objectives that are the same for all plans where no hosts are left."""
 
@@ -223,6 +230,8 @@ def _with_what_is_used(problem: Problem, use: _Use) -> Problem:
     """Leave out transformations, conflicts with them, and what units say that no plan keeps."""
     environment = problem.environment
     library = tuple(_without_conflicts_but(use, t) for t in environment.library if t.label in use.labels)
+    if not environment.hosts:
+        library = tuple(map(_without_what_is_of_hosts, library))
     units = tuple(
         unit
         if unit.transformation in use.labels and may_go_on(problem, unit)
@@ -241,6 +250,12 @@ def _without_conflicts_but(use: _Use, t: Transformation) -> Transformation:
     others = use.labels - {t.label}
     left, on_host = (tuple(label for label in these if label in others) for these in (t.conflicts, t.conflicts_on_host))
     return replace(t, conflicts=left, conflicts_on_host=on_host)
+
+
+def _without_what_is_of_hosts(t: Transformation) -> Transformation:
+    """The transformation less the limits that say nothing where no hosts are declared."""
+    said = {name: usual for name, usual in _limits_of_units(t) if name in _ONLY_WITH_HOSTS}
+    return with_fields(t, **said) if said else t
 
 
 def _without_easy_wishes(problem: Problem) -> Problem:
@@ -263,16 +278,12 @@ def _without_wide_limits(problem: Problem, use: _Use) -> Problem:
     takers = _takers(problem, use)
 
     def freed(t: Transformation) -> Transformation:
-        most, here = (t.max_instances, t.per_host)
         outputs = tuple(
             port if port.serves is None or takers[port.tag] > port.serves else with_fields(port, serves=None)
             for port in t.outputs
         )
-        most = None if most is not None and use.units[t.label] <= most else most
-        here = None if here is not None and use.units[t.label] <= here else here
-        if (most, here, outputs) == (t.max_instances, t.per_host, t.outputs):
-            return t
-        return with_fields(t, outputs=outputs, max_instances=most, per_host=here)
+        wide = {name: usual for name, usual in _limits_of_units(t) if use.units[t.label] <= _least(t, name)}
+        return t if not wide and outputs == t.outputs else with_fields(t, outputs=outputs, **wide)
 
     return problem.with_parts(library=tuple(map(freed, problem.environment.library)))
 
@@ -334,7 +345,7 @@ def _home(problem: Problem) -> Host | None:
     environment = problem.environment
     if not environment.hosts or problem.survive is not None or Feature.LATENCY in problem.features:
         return None
-    if len(environment.hosts) > 1 and any(t.per_host is not None or t.conflicts_on_host for t in environment.library):
+    if any(_may_need_several(environment, t) for t in environment.library):
         return None
     at = {unit.host for unit in environment.units if unit.transformation != GONE}
     at.update(target.host for target in environment.targets if target.host is not None)
@@ -355,6 +366,28 @@ def _home(problem: Problem) -> Host | None:
     return next(iter(left.values()), None)
 
 
+def _may_need_several(environment: Environment, t: Transformation) -> bool:
+    """Whether a transformation states a rule that several hosts can keep where one can't, or not in the same way."""
+    is_several = len(environment.hosts) > 1
+    return any(
+        getattr(t, name) != usual and (is_several or name in _ONLY_WITH_HOSTS) for name, usual in _BY_HOST.items()
+    )
+
+
+def _limits_of_units(t: Transformation) -> Iterator[tuple[str, Any]]:
+    """Yield each attribute by which a transformation limits the number of its units, and its default."""
+    for name, usual in _LIMITS_OF_UNITS.items():
+        if getattr(t, name) != usual:
+            yield name, usual
+
+
+def _least(t: Transformation, name: str) -> int:
+    """The least number of units that an attribute allows."""
+    least = least_limit(getattr(t, name))
+    assert least is not None
+    return least
+
+
 def _bears(problem: Problem, host: Host, units: Mapping[str, int]) -> bool:
     """Whether a host has room for so many units of each transformation."""
     library, loads = problem.environment.transformation, Counter[str]()
@@ -368,7 +401,7 @@ def _bears(problem: Problem, host: Host, units: Mapping[str, int]) -> bool:
 def _at_home(problem: Problem, home: Host) -> Problem:
     """The problem without hosts, with what units cost at home."""
     library = tuple(
-        replace(t, labor_us=labor_us(t, home), upkeep_us=upkeep_us(t, home), seen_us={}, host=None, hosts=(), on=None)
+        replace(t, labor_us=labor_us(t, home), upkeep_us=upkeep_us(t, home), **_ONLY_WITH_HOSTS)
         for t in problem.environment.library
     )
     units = tuple(replace(unit, host=None) for unit in problem.environment.units)
@@ -468,11 +501,10 @@ def _without_numbers(problem: Problem, use: _Use) -> Problem:
     for t in environment.library:
         running = use.running.get(t.label, 0)
         most = running + (not running or not t.labor_us)
-        if any(limit is not None and limit < most for limit in (t.max_instances, t.per_host)):
+        limits = dict(_limits_of_units(t))
+        if any(_least(t, name) < most for name in limits):
             return problem
-        library.append(
-            replace(t, max_instances=None, per_host=None) if (t.max_instances, t.per_host) != (None, None) else t
-        )
+        library.append(replace(t, **limits) if limits else t)
     plain = replace(environment, library=tuple(library))
     return Problem(plain, problem.similarity, problem.horizon_s, problem.max_cost_us)
 

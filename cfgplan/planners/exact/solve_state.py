@@ -1,4 +1,4 @@
-"""The standing of the planner: the incumbent, the proven bound, and other proofs.
+"""The state of the planner: the incumbent, the proven bound, and other proofs.
 
 Nothing here needs the constraint solver: where the first plan meets the bound it is never imported.
 """
@@ -13,7 +13,7 @@ from cfgplan.domain import ComputationUnit, Objective
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.decode import in_order
 from cfgplan.planners.exact.reasons import joint_reasons
-from cfgplan.planners.exact.soundness import flaws
+from cfgplan.planners.exact.rules import flaws
 from cfgplan.planners.networks.keys import Key, key_of, unused_required
 from cfgplan.planners.solving.clock import Clock, ContradictionError
 from cfgplan.planning import Feature, Measured, OnProgress, Plan, Problem, Progress, Status
@@ -29,7 +29,7 @@ class Incumbent(NamedTuple):
     units: list[ComputationUnit]
 
 
-class Standing:
+class SolveState:
     """The incumbent, and the proofs about the optimum."""
 
     def __init__(self, problem: Problem, clock: Clock, report: OnProgress | None, whole: Problem | None = None) -> None:
@@ -47,7 +47,7 @@ class Standing:
         self.is_infeasible = False
         self.reasons: dict[str, str] = {}
         """Why targets can't be met, whatever runs."""
-        self.fewest_unused = 0
+        self.min_unused = 0
         """No valid configuration leaves fewer required transformations unused."""
         self.is_cost_proven = False
         self.are_ties_proven = False
@@ -71,7 +71,7 @@ class Standing:
         """
         if Feature.ORDER in self.problem.features:
             return None
-        is_as_useful = self.best is not None and self.best.key.unused <= self.fewest_unused
+        is_as_useful = self.best is not None and self.best.key.unused <= self.min_unused
         return self.best.key.cost_us if self.best is not None and is_as_useful else None
 
     @property
@@ -118,7 +118,7 @@ class Standing:
     def begin_again(self, why: str) -> None:
         """Note that a search failed, and drop all proofs; the incumbent stays, since it is valid."""
         self.note_failure(why)
-        self.bound_us, self.bounds, self.holds_for, self.fewest_unused = 0, {}, None, 0
+        self.bound_us, self.bounds, self.holds_for, self.min_unused = 0, {}, None, 0
         self.is_infeasible = self.is_cost_proven = self.are_ties_proven = False
 
     def note_failure(self, why: str) -> None:
@@ -130,6 +130,10 @@ class Standing:
         if bound_us > self.bound_us:
             self.bound_us = bound_us
             self.tell()
+
+    def raise_least_unused(self, number: int) -> None:
+        """Note that each plan leaves at least so many required transformations unused."""
+        self.min_unused = max(self.min_unused, number)
 
     def raise_bound_of(self, objective: Objective, bound: int) -> None:
         """Note a lower bound of an objective for plans that are as good in the objectives before it."""
@@ -163,7 +167,7 @@ class Standing:
         if self.best is None or (largest is not None and self.best.key.cost_us > largest):
             return plan(Status.UNKNOWN, bound_us=bound_us)
         key, units = self.best
-        objectives, is_required_proven = self.measured(), key.unused <= self.fewest_unused
+        objectives, is_required_proven = self.measured(), key.unused <= self.min_unused
         return plan(
             Status.of_plan(key.cost_us, bound_us, objectives, is_required_proven=is_required_proven),
             problem.environment.change_to([in_order(problem.environment, unit) for unit in units]),

@@ -9,59 +9,46 @@ costs more.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from cfgplan.planners.bounding.bounds import Bound, tightened
 from cfgplan.planners.closing.program import charged
+from cfgplan.planners.exact.remaining import Remaining
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.solving.clock import Clock
 
 
-class Remainder(NamedTuple):
-    """The labels that bounds leave of a network, and the cost that no plan goes below; `bound` has its landmarks."""
-
-    labels: Ints
-    value: int
-    bound: Bound | None = None
-
-    @classmethod
-    def by(cls, bound: Bound, limit: int) -> Remainder:
-        """The labels that a plan of cost `limit` or less can contain."""
-        return cls(bound.core.labels[bound.may_be_used(limit)], bound.value, bound)
-
-
 @dataclass(frozen=True)
-class Rest:
+class WarmStart:
     """A plan proven cheapest at some costs, and a bound there for all plans that cost at most `limit`.
 
-    The plan's labels are numbers in the network, in order. Any other plan as cheap has one of the labels `rivals`.
+    The plan's labels are numbers in the network, in order. Any other plan as cheap has one of the labels `ties`.
     """
 
     plan: Ints
     cost: Ints
     limit: int
     bound: Bound
-    rivals: Ints
+    ties: Ints
 
     @classmethod
-    def of(cls, plan: Ints, cost: Ints, limit: int, bound: Bound, clock: Clock) -> Rest:
-        """Return the rest for a proven plan: tighten its bound for plans within `limit`, and search for its rivals."""
+    def of(cls, plan: Ints, cost: Ints, limit: int, bound: Bound, clock: Clock) -> WarmStart:
+        """Return the warm start for a proven plan: tighten its bound for plans within `limit`, and look for ties."""
         value = int(cost[plan].sum())
         bound = _charged(bound.restricted(bound.may_be_used(limit)), value, limit, clock)
         bound = bound.restricted(bound.may_be_used(limit))
         close = _charged(bound.restricted(bound.may_be_used(value)), value, value, clock)
         close = close.restricted(close.may_be_used(value))
-        rivals = np.setdiff1d(close.core.labels, plan)
-        if len(rivals) and _is_without_rival(close, plan, value, clock):
-            rivals = rivals[:0]
-        return cls(plan, cost, limit, bound, rivals)
+        ties = np.setdiff1d(close.core.labels, plan)
+        if len(ties) and _is_without_tie(close, plan, value, clock):
+            ties = ties[:0]
+        return cls(plan, cost, limit, bound, ties)
 
-    def moved(self, plan: Ints, cost: Ints, limit: int, clock: Clock) -> Rest | None:
-        """The rest at other costs, for plans within `limit` or more; None if the bound does not reach as far."""
+    def moved(self, plan: Ints, cost: Ints, limit: int, clock: Clock) -> WarmStart | None:
+        """The warm start at other costs, for plans within `limit` or more; None if the bound does not reach as far."""
         known = self.limit_at(cost)
-        return Rest.of(plan, cost, known, self._bound_at(cost), clock) if limit <= known else None
+        return WarmStart.of(plan, cost, known, self._bound_at(cost), clock) if limit <= known else None
 
     def limit_at(self, cost: Ints) -> int:
         """Return the limit of the bound at other costs that admits each plan that cost `limit` or less when proven."""
@@ -70,7 +57,7 @@ class Rest:
         share = float((cost[fallen] / self.cost[fallen]).min(initial=1.0))
         return max(self.limit - less, int(self.limit * share * (1 - 1e-9)) if share else -1)
 
-    def left(self, cost: Ints, step: int, plan: Ints, clock: Clock) -> Remainder | None:
+    def remaining(self, cost: Ints, step: int, plan: Ints, clock: Clock) -> Remaining | None:
         """The labels that a plan as good as this one can contain at these costs; None if the costs differ too much.
 
         The costs of all plans are multiples of `step`.
@@ -83,13 +70,13 @@ class Rest:
         others = np.setdiff1d(bound.core.labels, self.plan)
         cheaper = others[cost[others] < self.cost[others]]
         if len(dearer) + len(cheaper) > clock.tuning.rest.cases:
-            return Remainder.by(tightened(bound, limit - step + 1, limit, clock), limit)
+            return Remaining.by(tightened(bound, limit - step + 1, limit, clock), limit)
         lefts = [_without(label, bound, limit, clock) for label in dearer.tolist()]
         lefts += [_with(label, bound, limit, clock) for label in cheaper.tolist()]
         value = int(cost[self.plan].sum())
         if value <= limit:
-            lefts.append(Remainder(np.union1d(self.plan, self.rivals), value))
-        return Remainder(
+            lefts.append(Remaining(np.union1d(self.plan, self.ties), value))
+        return Remaining(
             np.unique(np.concatenate([one.labels for one in lefts])),
             min(one.value for one in lefts),
             lefts[0].bound if len(lefts) == 1 else bound,
@@ -105,25 +92,25 @@ def _charged(bound: Bound, enough: int, limit: int, clock: Clock) -> Bound:
     return bound if bound.value >= enough else tightened(charged(bound, clock), enough, limit, clock)
 
 
-def _without(label: int, bound: Bound, limit: int, clock: Clock) -> Remainder:
+def _without(label: int, bound: Bound, limit: int, clock: Clock) -> Remaining:
     """The labels that a plan of cost `limit` or less without one label can contain."""
     cost = np.where(bound.core.labels == label, np.maximum(limit + 1, bound.cost), bound.cost)
-    return Remainder.by(tightened(bound.at(cost), limit + 1, limit, clock), limit)
+    return Remaining.by(tightened(bound.at(cost), limit + 1, limit, clock), limit)
 
 
-def _with(label: int, bound: Bound, limit: int, clock: Clock) -> Remainder:
+def _with(label: int, bound: Bound, limit: int, clock: Clock) -> Remaining:
     """The labels that a plan of cost `limit` or less with one label can contain: this label is paid once, then free."""
     is_it = bound.core.labels == label
     own = int(bound.cost[is_it][0])
     if not bound.may_be_used(limit)[is_it][0]:
-        return Remainder(bound.core.labels[:0], limit + 1)
+        return Remaining(bound.core.labels[:0], limit + 1)
     for_others = limit - own
     free = bound.at(np.where(is_it, 0, bound.cost))
-    left = Remainder.by(tightened(free, for_others + 1, for_others, clock), for_others)
-    return Remainder(np.union1d(left.labels, [label]), left.value + own, left.bound)
+    left = Remaining.by(tightened(free, for_others + 1, for_others, clock), for_others)
+    return Remaining(np.union1d(left.labels, [label]), left.value + own, left.bound)
 
 
-def _is_without_rival(bound: Bound, plan: Ints, limit: int, clock: Clock) -> bool:
+def _is_without_tie(bound: Bound, plan: Ints, limit: int, clock: Clock) -> bool:
     """True if it is proven that all plans of the bound's core within `limit` use labels of `plan` only.
 
     Only landmarks stand for groundedness, so False may be wrong.

@@ -1,0 +1,52 @@
+"""The labels that bounds leave."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from cfgplan.planners.bounding.bounds import Bound
+from cfgplan.planners.networks.core import Ints
+from cfgplan.planners.networks.network import Network
+
+
+@dataclass(frozen=True)
+class Remaining:
+    """The labels of a network, by their numbers, that bounds leave, and the weight that no plan goes below.
+
+    With `is_complete` no other labels can be in a better plan. With `holds_for` all this holds only for plans that
+    leave no more required transformations unused. `bound` has the landmarks.
+    """
+
+    labels: Ints
+    value: int
+    bound: Bound | None = None
+    is_complete: bool = True
+    holds_for: int | None = None
+
+    @classmethod
+    def by(cls, bound: Bound, limit: int) -> Remaining:
+        """The labels that a plan of weight `limit` or less can contain."""
+        return cls(bound.core.labels[bound.may_be_used(limit)], bound.value, bound)
+
+    def names(self, network: Network) -> list[str]:
+        """The labels of the transformations that are left."""
+        return [network.labels[i] for i in self.labels.tolist()]
+
+    def landmarks(self, network: Network) -> list[tuple[list[str], int]]:
+        """Short landmarks for plans that have no other labels, as (labels, number).
+
+        A plan has so many of the labels or more, a label counts as often as it is named.
+        """
+        if self.bound is None:
+            return []
+        part = self.bound.restricted(np.isin(self.bound.core.labels, self.labels))
+        return [*named_landmarks(part, network, is_short=True)]
+
+
+def named_landmarks(bound: Bound, network: Network, *, is_short: bool) -> Iterator[tuple[list[str], int]]:
+    """Yield the landmarks of a bound, or only short ones, as (labels, number)."""
+    for one in bound.short() if is_short else bound.landmarks:
+        yield [network.labels[i] for i in bound.core.labels[one.counted].tolist()], one.least
