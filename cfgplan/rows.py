@@ -157,7 +157,7 @@ def features(kind: type[Any], values: Iterable[object]) -> set[Feature]:
     return {
         each.row.feature
         for each in attributes(kind)
-        if each.row.feature is not None and not {*map(attrgetter(each.name), parts)} <= {each.default}
+        if each.row.feature is not None and any(value != each.default for value in map(attrgetter(each.name), parts))
     }
 
 
