@@ -178,7 +178,7 @@ class Contribution:
     rule: QualityRule
     value: int
     over: Over = Over.WORST
-    by: Curve | None = None
+    by: Annotated[Curve | None, FOUND] = None
     observe: Annotated[
         str | None,
         Row(

@@ -429,8 +429,9 @@ class FactPart(Part):
     """A fact of the world that transformations may require."""
 
     model_config = _either(
-        {"by": _IS_SAID, "topic": _IS_UNSAID},
-        {"topic": _IS_SAID, "by": _IS_UNSAID},
+        {"by": _IS_SAID, "topic": _IS_UNSAID, "type": _IS_UNSAID, "qos": _IS_UNSAID},
+        {"topic": _IS_SAID, "by": _IS_UNSAID, "qos": _IS_UNSAID},
+        {"topic": _IS_SAID, "by": _IS_UNSAID, "type": _IS_SAID},
         dict.fromkeys(("by", "topic", "field", "type", "qos", "noise", "silent"), _IS_UNSAID),
     )
     take_rows(FactOfTheWorld, locals())

@@ -488,8 +488,8 @@ CLOSING = _room(
     (
         "the best plan is the last",
         "closing/gap.py",
-        "if self._plan is not None and self._cost_of(self._plan) < self._cost_of(self.best):",
-        "if self._plan is not None:",
+        "if self._cost_of(plan) < self._cost_of(self.best):",
+        "if plan:",
     ),
     (
         "a loop holds itself up",

@@ -20,7 +20,7 @@ from cfgplan_runtime.ros2.message_form import MessageForm
 from cfgplan_runtime.ros2.topics import RosTopics, check_installed
 from cfgplan_runtime.streams.closable import Closable
 
-_DEPTH = 10
+_FACT_DEPTH = 10
 
 
 class RosFacts(Closable):
@@ -57,7 +57,7 @@ class RosFacts(Closable):
                 continue
             quality = ServiceQuality.read(fact.qos or "")
             take = partial(self._take, fact, form)
-            self._read[fact] = self._node.read(fact.observed_on or "", form, quality, _DEPTH, take)
+            self._read[fact] = self._node.read(fact.observed_on or "", form, quality, _FACT_DEPTH, take)
 
     def _take(self, fact: Fact, form: MessageForm, data: bytes, _: int) -> None:
         try:

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 MEASURED: Final = "measured."
 """`observe` names a measured quality by this and its name."""
-_LEAST_S: Final = 0.5
+_LEAST_MEASURED_S: Final = 0.5
 """Rates are measured over this time at least."""
 
 
@@ -73,7 +73,7 @@ class MeasuredStream:
         """Return the sums since the last call, by attribute."""
         found = {"age": self._ages, "jitter": self._jitters}
         self._ages = self._jitters = NONE_SAID
-        if self._since_s is not None and now_s - self._since_s >= _LEAST_S:
+        if self._since_s is not None and now_s - self._since_s >= _LEAST_MEASURED_S:
             found["rate"] = Quality(1, self._elements / (now_s - self._since_s), 0.0)
             self._since_s, self._elements = now_s, 0
         return {name: sums for name, kind in self._kinds.items() if (sums := found.get(kind, NONE_SAID)).elements}
