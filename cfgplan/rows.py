@@ -10,7 +10,7 @@ from dataclasses import MISSING, dataclass, fields, is_dataclass
 from enum import Flag, StrEnum
 from functools import cache
 from operator import attrgetter
-from typing import Any, get_args
+from typing import Any, Final, get_args
 
 from cfgplan.arguments import noted
 
@@ -130,14 +130,24 @@ def _attributes(kind: Any) -> tuple[Attribute, ...]:
 
 def planned(value: Any) -> Any:
     """Return all that planning uses of a domain's value, without defaults, as plain data by the domain's names."""
+    if isinstance(value, _PLAIN):
+        return value
     if isinstance(value, tuple):
         return [planned(each) for each in value]
-    if is_dataclass(value):
-        kind: Any = type(value)
-        said = ((name, getattr(value, name), usual) for name, usual in _planned(kind))
-        found = ((name, planned(part)) for name, part, usual in said if part != usual)
-        return {name: part for name, part in found if part != {}}
-    return {key: planned(each) for key, each in value.items()} if isinstance(value, Mapping) else value
+    if isinstance(value, Mapping):
+        return {key: planned(each) for key, each in value.items()}
+    if not is_dataclass(value):
+        return value
+    kind: Any = type(value)
+    found = {}
+    for name, usual in _planned(kind):
+        part = getattr(value, name)
+        if part is not usual and part != usual and (plain := planned(part)) != {}:
+            found[name] = plain
+    return found
+
+
+_PLAIN: Final = (str, int, float, type(None))
 
 
 @cache

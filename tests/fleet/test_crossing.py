@@ -325,4 +325,4 @@ def test_a_missing_frame_is_not_sent_again_at_every_request_but_ever_more_rarely
         now_s = 1.1 + 0.1 * tick
         sending.hear(Credit(1, FRAMES_UNDER_WAY, (1,)), now_s)
         sent += [frame.number for frame in sending.due(now_s)]
-    assert 5 <= sent.count(1) <= 30, "five after ever longer waits, the others since no answer comes"
+    assert 5 <= sent.count(1) <= 60, "some after ever longer waits, the others since no answer comes"

@@ -214,7 +214,8 @@ def test_nothing_is_lost_while_a_subscribers_process_is_replaced(broker: Broker,
         eventually(lambda: send(0) or not heard.empty())
         while await_message(heard, "out") != "0":
             pass
-        (reader,) = (one for one in psutil.process_iter() if one.cmdline()[:1] == [f"cfgplan {run} reader.1"])
+        name = f"cfgplan {run} reader.1"
+        (reader,) = (one for one in psutil.process_iter(["cmdline"]) if (one.info["cmdline"] or [""])[0] == name)
         reader.suspend()  # it dies with what comes from now on, which it never takes
         for number in (1, 2, 3):
             send(number)

@@ -65,7 +65,9 @@ some of the usual delays.
 _FIRST_ASK_S = 0.01
 """Seconds until a sender asks for its first credit, doubled each time: credits sent before it started are lost."""
 _ASK_AGAIN_S = 0.1
-_USUAL_SHARE, _USUAL_DELAYS, _MOST_DOUBLED = 0.125, 2, 3
+_MOST_USUAL_S = 0.5
+"""Longer delays count as this one: an acknowledgement also waits for earlier frames that were lost."""
+_USUAL_SHARE, _USUAL_DELAYS, _MOST_DOUBLED = 0.125, 2, 2
 """The share of a new delay in the usual one; the usual delays after which a frame may be sent once more, and how often
 this time doubles. On a slow link a receiver asks for a missing frame several times before it can come.
 """
@@ -243,7 +245,8 @@ class Pace:
         if now_s <= sent_s:
             return
         delay_s, is_probe = now_s - sent_s, self._probes_from is not None and number >= self._probes_from
-        self.usual_s += (_USUAL_SHARE if self.usual_s else 1) * (delay_s - self.usual_s)
+        usual_s = min(delay_s, _MOST_USUAL_S)
+        self.usual_s += (_USUAL_SHARE if self.usual_s else 1) * (usual_s - self.usual_s)
         if delay_s <= self._delay[0] or is_probe:
             self._delay, self._probes_from = (delay_s, now_s), None if is_probe else self._probes_from
         is_full = is_full or delay_s > self.delay_s + 2 * _AHEAD_S  # it has waited in the link
