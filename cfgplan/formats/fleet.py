@@ -126,12 +126,12 @@ class FleetReader:
         elif self.hosts or is_choice:
             entry.note(f"there is no host `{name}`", did_you_mean(name, self.hosts, "declare it under `hosts:`"))
 
-    def is_selector(self, entry: Passage, text: str) -> bool:
-        """Whether an expression over labels can be read."""
+    def is_selector(self, entry: Passage, text: str, *, at_key: bool = False) -> bool:
+        """Whether an expression over labels can be read; it stands at a value, or at its key."""
         try:
             selector(text)
         except TagError as error:
-            entry.note(error.message, error.mend, text_column=error.column)
+            entry.note(error.message, error.mend, at_key=at_key, text_column=error.column)
             return False
         return True
 
@@ -139,12 +139,12 @@ class FleetReader:
         """Whether each expression over labels that a part says can be read."""
         said = ((key, getattr(part, key)) for key, row in part.rows().items() if row.selects)
         places = [
-            (entry.at(key, text) if isinstance(value, dict) else entry.at(key), text)
+            (entry.at(key, text) if isinstance(value, dict) else entry.at(key), text, isinstance(value, dict))
             for key, value in said
             if value is not None
             for text in (value if isinstance(value, dict) else [value])
         ]
-        return sum(self.is_selector(at, text) for at, text in places) == len(places)
+        return sum(self.is_selector(at, text, at_key=at_key) for at, text, at_key in places) == len(places)
 
     def is_requirement(self, entry: Passage, text: str | None) -> bool:
         """Whether an expression over facts can be read and asks about declared facts; None does."""

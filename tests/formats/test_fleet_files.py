@@ -8,7 +8,7 @@ import pytest
 from loading import load, load_text, only_fault, place_of
 
 from cfgplan.domain import Host
-from cfgplan.errors import InvalidValueError
+from cfgplan.errors import InputError, InvalidValueError
 from cfgplan.formats.dump import dump_yaml, plain_environment
 from cfgplan.formats.xml_dump import dump_xml
 from cfgplan.planning import Failures
@@ -251,3 +251,17 @@ def test_no_host_has_the_name_of_who_gives_orders_to_hosts(tmp_path: Path) -> No
     fault = only_fault(tmp_path, "format: cfgplan/1\nhosts: [{name: base}, {name: manager}]\n")
     assert (fault.line, fault.mend) == (2, "name it otherwise")
     assert fault.message == "no host can be called 'manager': the manager has this name"
+
+
+def test_a_selector_that_is_a_key_is_pointed_at_where_it_ends(tmp_path: Path) -> None:
+    path = tmp_path / "env.yaml"
+    line = '  - {label: a, outputs: {o: X}, at_most: {"spot and": 1}}'
+    head, rest = (
+        "format: cfgplan/1\nhosts: [{name: h}]\ntransformations:\n",
+        "targets:\n  - {label: t, topic: /t, tag: X}\n",
+    )
+    path.write_text(f"{head}{line}\n{rest}", encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        load(path)
+    (fault,) = caught.value.faults
+    assert (fault.line, fault.column) == (4, line.index('": 1') + 1)
