@@ -10,11 +10,13 @@ from __future__ import annotations
 
 import re
 import shlex
+import sys
 from dataclasses import dataclass
 from doctest import ELLIPSIS, NORMALIZE_WHITESPACE, OutputChecker
 from itertools import takewhile
 from pathlib import Path
 from textwrap import dedent
+from types import ModuleType
 
 import pytest
 import yaml
@@ -58,6 +60,12 @@ def check_text(shown: str, said: str) -> None:
     assert OutputChecker().check_output(f"...{shown.strip()}...", said, ELLIPSIS | NORMALIZE_WHITESPACE), said
 
 
+def forget_module(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the next import read the page's file, whichever module had its name; afterwards that module is back."""
+    monkeypatch.setitem(sys.modules, name, ModuleType(name))
+    del sys.modules[name]
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_code_blocks_run(
     page: Path,
@@ -99,6 +107,8 @@ def test_code_blocks_run(
                     file.write(block.text)
             case "file", _:
                 (tmp_path / block.said).write_text(block.text)
+                if block.said.endswith(".py"):
+                    forget_module(Path(block.said).stem, monkeypatch)
                 if block.language == "yaml" and "format" in yaml.safe_load(block.text):
                     cfgplan.load(block.said)
             case _, "yaml" if "format" in yaml.safe_load(block.text):

@@ -1,14 +1,16 @@
-"""No two classes, types or constants of one room have the same name."""
+"""No two classes, types or constants of one room have the same name, and no two modules of tests."""
 
 from __future__ import annotations
 
 import ast
-from collections import defaultdict
+from collections import Counter, defaultdict
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 ALLOWED = {"__all__", "__getattr__", "__dir__"}
 """What Python asks each package for."""
+STARTED = {"talking.py"}
+"""Units that tests start as processes: no test imports them."""
 
 
 def test_no_two_classes_types_or_constants_of_a_room_have_one_name() -> None:
@@ -20,6 +22,13 @@ def test_no_two_classes_types_or_constants_of_a_room_have_one_name() -> None:
                 homes[top, room, name].append(path.relative_to(ROOT).as_posix())
     double = {key: files for key, files in homes.items() if len(files) > 1}
     assert {name: files for (_, _, name), files in double.items() if name not in ALLOWED} == {}
+
+
+def test_no_two_modules_of_tests_have_one_name() -> None:
+    """pytest imports them without their folder: of two that have one name, the second one can't be collected."""
+    files = [path for path in (ROOT / "tests").rglob("*.py") if path.name != "conftest.py"]
+    names = Counter(path.stem for path in files if path.name not in STARTED)
+    assert [name for name, number in names.items() if number > 1] == []
 
 
 def _names(module: ast.Module) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from types import SimpleNamespace
 
 import pytest
 from cfgplan_runtime.lifecycle.reports import UnitEvent
@@ -123,7 +124,7 @@ def test_following_ends_with_the_run(
     server = ControlServer(run_folder.path, Methods(manager, printed=printed).by_name(), "/robots/env.yaml")
     say(printed, "camera.1", "one")
     steps = iter([lambda: say(printed, "camera.1", "two", "three"), lambda: None, server.close])
-    monkeypatch.setattr("cfgplan.cli.ctl_views.time.sleep", lambda _: next(steps)())
+    monkeypatch.setattr("cfgplan.cli.ctl_views.time", SimpleNamespace(sleep=lambda _: next(steps)()))
     assert main(["ctl", "logs", "camera.1", "--follow"]) == 0
     told = capsys.readouterr()
     assert [line[10:] for line in told.out.splitlines()] == ["one", "two", "three"]
