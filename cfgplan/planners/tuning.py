@@ -127,6 +127,7 @@ class Close:
     need_noise: float = said(1.0, "labels", "The noise on support where needs are chosen again.", LIBRARIES)
     goals: int = said(8, "facts", "Each choice of needs gives cuts for this many wanted facts.", LIBRARIES)
     nested: int = said(6, "cuts", "Each wanted fact gives at most this many, one behind the other.", LIBRARIES)
+    cut: float = said(0.14, "steps/arc", "The work for a cut: for each arc of its graph.", TIMED)
     followed: int = said(60, "rounds", "The support of facts is followed this far.", LIBRARIES)
 
 
@@ -136,6 +137,8 @@ class Near:
 
     targets: int = said(8, "facts", "From so many wanted facts on, neighbourhoods are searched.", LIBRARIES)
     gap: float = said(0.05, "share of the cost", "They are searched if the gap is at least this.", LIBRARIES)
+    promising: float = said(0.03, "share of the gap", "Labels in plans so far above the bound are used.", LIBRARIES)
+    wider: float = said(3.0, "times", "This share grows so much whenever they end.", LIBRARIES)
     fewest: int = said(4, "facts", "At least this many wanted facts are planned anew together.", LIBRARIES)
     most: int = said(24, "facts", "At most this many are.", LIBRARIES)
     growth: float = said(0.5, "facts", "So many more, or fewer, are, as the solver takes less or more.", LIBRARIES)
@@ -149,7 +152,10 @@ class Near:
     )
     small: int = said(1000, "labels", "Below it, probing takes longer than it saves.", LIBRARIES)
     in_vain: float = said(30.0, "the engine's us/label^1.5", "They end so long after the last cheaper plan.", LIBRARIES)
+    times: int = said(8, "times", "Needs are chosen so often where one choice gives no missed landmark.", LIBRARIES)
     share: float = said(0.5, "share", "They take at most this part of the time that is left.", LIBRARIES)
+    hopeless: float = said(0.08, "share of the cost", "With a larger gap the solver has little hope.", LIBRARIES)
+    hopeless_share: float = said(0.9, "share", "They then take this part of the time.", LIBRARIES)
 
 
 @dataclass(frozen=True)

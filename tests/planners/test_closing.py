@@ -164,7 +164,7 @@ def test_related_targets_planned_anew_make_a_plan_no_dearer_and_leave_it_a_plan(
     bound, before = Bound(stage.network.core, stage.cost), np.array(sorted(plan), np.int64)
     both = GapClosing(stage.network, bound, stage.cost, before, 1, Tuning(near=EVERYWHERE))
     both.look_near(Clock())
-    assert (stage.plan.cost_us or 0) <= both.limit <= int(stage.cost[before].sum())
+    assert both.bound.value <= (stage.plan.cost_us or 0) <= both.limit <= int(stage.cost[before].sum())
     assert is_plan(stage.network, set(both.plan.tolist()))
 
 
@@ -192,6 +192,22 @@ def test_all_targets_planned_anew_together_reach_the_optimum_and_some_come_near_
 def test_no_target_is_planned_anew_where_a_plan_is_more_than_its_labels() -> None:
     both = first_closing(random_library(3, transformations=60, targets=10, distinct=0.5))
     before = both.plan.tolist()
-    with mock.patch.object(Neighbourhoods, "improve", side_effect=AssertionError):
+    with mock.patch.object(Neighbourhoods, "go_on", side_effect=AssertionError):
         both.look_near(Clock())
     assert both.plan.tolist() == before
+
+
+def test_landmarks_are_looked_for_until_none_is_missed_and_raise_the_bound() -> None:
+    problem = random_library(5, transformations=300, targets=12)
+    best = PlannerSession().plan(problem)
+    assert best.status is Status.OPTIMAL and best.cost_us is not None
+    both = first_closing(problem)
+    both.go_on(Clock())
+    before = both.bound.value
+    with mock.patch.object(Neighbourhoods, "is_exhausted", property(lambda _: True)):
+        both.look_near(Clock())
+    assert before < both.bound.value <= best.cost_us
+    program, _, separator = both._restricted()
+    fractions = program.solve(None)
+    assert fractions is not None
+    assert both.is_closed or not separator.missed(fractions, np.random.default_rng(1), everywhere=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-import numpy as np
 from ortools.sat.python.cp_model import LinearExpr
 
 from cfgplan.planners.bounding.landmarks import Landmark
@@ -23,12 +22,13 @@ class FedModel(ExactModel):
         self.uses = [self.new_bool_var("") for _ in range(core.goal)]
         offered = [self.new_bool_var("") for _ in range(len(core.givers))]
         for fact in range(len(core.givers)):
-            first = np.setdiff1d(core.givers[fact], core.needed_by[fact]).tolist()
+            late = core.needed_by.lists[fact]
+            first = [label for label in core.givers.lists[fact] if label not in late]
             self.add_bool_or([offered[fact].negated(), *(self.uses[label] for label in first)])
-        for label in range(core.goal):
-            for fact in core.needs[label].tolist():
-                self.add_implication(self.uses[label], offered[fact])
-        for fact in core.needs[core.goal].tolist():
+        for label, uses in enumerate(self.uses):
+            for fact in core.needs.lists[label]:
+                self.add_implication(uses, offered[fact])
+        for fact in core.needs.lists[core.goal]:
             self.add_bool_or([offered[fact]])
         for landmark in landmarks:
             at_least(self, landmark.least, [self.uses[label] for label in landmark.counted.tolist()])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -75,20 +75,78 @@ class GapClosing:
             took += (1 + own.repairs) * these
 
     def look_near(self, clock: Clock) -> None:
-        """Look for a cheaper plan by planning related targets anew, if these are many and the gap is far from closed.
+        """Plan related targets anew and look for missed landmarks in turns, if targets are many and the gap is far from
+        closed.
 
+        Both get the same work. If the solver has little hope of closing the gap, they take most of its time too.
         Nothing is done where a plan is more than its labels.
         """
-        network, near = self._network, self._near
-        is_plain = network.core.crowds is None and not network.special
-        is_far = self.bound.value < (1 - near.gap) * self.limit
-        if not is_plain or not is_far or len(network.core.needs[network.core.goal]) < near.targets or clock.is_over():
+        near = self._near
+        if not self._has_many_targets or self._gap < near.gap or not self._can_be_built(clock):
             return
-        core = self.bound.core
-        plan = np.flatnonzero(np.isin(core.labels, self.plan)).tolist()
-        search = Neighbourhoods(core, self._cost[core.labels], plan, self._fractions[core.labels], self._step, near)
-        search.improve(self.bound.value, clock)
-        self._repairs.take(set(core.labels[[*search.best]].tolist()).union(network.pinned))
+        share, search = near.promising, self._neighbourhoods(near.promising)
+        raised_s: float | None = 0.0
+        near_s = 0.0
+        usual, most = _part(clock, near.share), _part(clock, near.hopeless_share)
+        while not self.is_closed and not (usual if self._gap < near.hopeless else most).is_over():
+            if raised_s is not None and raised_s < near_s:
+                took = self._search_landmarks(most)
+                raised_s = None if took is None else raised_s + took * clock.tuning.seconds_per_step
+            elif not search.is_exhausted:
+                before_s = search.took_s
+                search.go_on(most)
+                near_s += search.took_s - before_s
+                self._repairs.take(set(search.labels.tolist()).union(self._network.pinned))
+            elif share < 1:
+                share *= near.wider
+                search = self._neighbourhoods(share)
+            elif raised_s is not None:
+                near_s = np.inf  # landmarks only
+            else:
+                break
+
+    def _neighbourhoods(self, share: float) -> Neighbourhoods:
+        """Neighbourhoods of the plan among its labels and those of plans in the lower part of the gap."""
+        labels = self.bound.core.labels
+        within = self.bound.value + int(min(share, 1.0) * (self.limit - self.bound.value))
+        bound = self.bound.restricted(self.bound.may_be_used(within) | np.isin(labels, self.plan))
+        labels = bound.core.labels
+        plan = np.flatnonzero(np.isin(labels, self.plan)).tolist()
+        return Neighbourhoods(bound, plan, self._fractions[labels], self._step, self._near)
+
+    @property
+    def _has_many_targets(self) -> bool:
+        """Whether many targets are wanted, and a plan is no more than its labels."""
+        core = self._network.core
+        is_plain = core.crowds is None and not self._network.special
+        return is_plain and len(core.needs[core.goal]) >= self._near.targets
+
+    @property
+    def _gap(self) -> float:
+        """The gap between bound and plan, as a share of the plan's cost."""
+        return 1 - self.bound.value / max(1, self.limit)
+
+    def _search_landmarks(self, clock: Clock) -> float | None:
+        """Solve a linear program and look everywhere for landmarks that it misses.
+
+        Returns about how many steps this took, None if none was found or the time was over.
+        """
+        program, landmarks, separator = self._restricted()
+        fractions = program.solve(clock.left_s())
+        if fractions is None or clock.is_over():
+            return None
+        self._use(fractions)
+        took, missed = self._steps_of(program, landmarks), list[Landmark]()
+        if program.value <= self.limit - self._step:
+            for times in (1, self._near.times):
+                took += times * separator.steps
+                found = separator.missed(fractions, self._draw, times, clock.is_over, everywhere=True)
+                missed = [one for one in found if program.add(one)]
+                if missed:
+                    break
+        self._charge(program, landmarks)
+        landmarks += missed
+        return took if missed else None
 
     @property
     def _left(self) -> int:
@@ -115,20 +173,33 @@ class GapClosing:
             fractions = program.solve(clock.left_s())
             if fractions is None or clock.is_over():
                 break
-            self._fractions[:] = 0.0
-            self._fractions[self.bound.core.labels] = fractions
-            took += own.need * len(self.bound.core.needs.items)
-            took += own.member * program.members * len(landmarks) + own.label * self.bound.core.goal**2
+            self._use(fractions)
+            took += self._steps_of(program, landmarks)
             if program.value > self.limit - self._step or took >= steps:
                 break
             missed = [one for one in separator.missed(fractions, self._draw, times, clock.is_over) if program.add(one)]
             landmarks += missed
             if not missed:
                 break
-        bound = program.bound(landmarks[:])
+        self._charge(program, landmarks)
+        return took
+
+    def _use(self, fractions: Floats) -> None:
+        """Remember how much of each label the linear program uses."""
+        self._fractions[:] = 0.0
+        self._fractions[self.bound.core.labels] = fractions
+
+    def _steps_of(self, program: LandmarkProgram, landmarks: Sequence[Landmark]) -> float:
+        """About how many steps a solution of the linear program takes."""
+        own, core = self._tuning, self.bound.core
+        steps = own.need * len(core.needs.items) + own.label * core.goal**2
+        return steps + own.member * program.members * len(landmarks)
+
+    def _charge(self, program: LandmarkProgram, landmarks: Sequence[Landmark]) -> None:
+        """Take the bound of the program's last solution, unless it is lower."""
+        bound = program.bound([*landmarks])
         if bound.value >= self.bound.value:
             self.bound = bound
-        return took
 
     def _restricted(self) -> tuple[LandmarkProgram, list[Landmark], Separator]:
         """The linear program over the labels left, the landmarks in it, and what finds more.
@@ -216,3 +287,9 @@ class Repairs:
 
     def _cost_of(self, plan: set[int]) -> int:
         return cost_of(self._cost, plan)
+
+
+def _part(clock: Clock, share: float) -> Clock:
+    """A clock for this share of the time that is left."""
+    left_s = clock.left_s()
+    return clock if left_s is None else clock.with_limit(clock.elapsed_s() + share * left_s, clock.tuning)

@@ -12,7 +12,7 @@ from collections.abc import Container, Iterable, Iterator, Mapping
 import numpy as np
 
 from cfgplan.planners.bounding.bounds import Bound, tightened
-from cfgplan.planners.networks.core import Core, Floats, Ints, Rows
+from cfgplan.planners.networks.core import Core, Flags, Floats, Ints, Rows
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import Near
 
@@ -22,19 +22,23 @@ Labels = frozenset[int]
 class Neighbourhoods:
     """Improves a plan: a set of labels of a core that meets its goal. `best` is the best one so far.
 
-    `cost` is of the core's labels, a multiple of `step`; `fractions` say how much of each the linear program uses. The
-    random numbers are seeded, and the solver's work is limited by its own measure, so that a search can be repeated.
+    `bound` is one for all plans of the core. The costs of its labels are multiples of `step`; `fractions` say how much
+    of each the linear program uses. The random numbers are seeded, and the solver's work is limited by its own measure,
+    so that a search can be repeated.
     """
 
-    def __init__(self, core: Core, cost: Ints, plan: Iterable[int], fractions: Floats, step: int, tuning: Near) -> None:
-        self._core, self._cost, self._step, self._tuning = core, cost, step, tuning
+    def __init__(self, bound: Bound, plan: Iterable[int], fractions: Floats, step: int, tuning: Near) -> None:
+        self._bound, self._step, self._tuning = bound, step, tuning
+        self._core, self._cost = core, cost = bound.core, bound.cost
         self._wanted = core.needs.lists[core.goal]
         self._draw = np.random.default_rng(core.goal)
         self._size: float = tuning.fewest
-        self._took, self._look = 0.0, tuning.look + tuning.link * core.links  # of the engine's seconds
+        self._took: float = 0.0  # of the engine's seconds
+        self._in_vain: float = 0.0
+        self._look = tuning.look + tuning.link * core.links
         self._scale = core.goal**1.5 / 1e6
-        self._likely = {fact: self._reached(fact, fractions) for fact in self._wanted}
         self._use = cost * np.minimum(1.0, fractions)
+        self._used = self._flags(self._reached(fact, fractions) for fact in self._wanted) * self._use
         self.best = self._lean(frozenset(plan))
 
     @property
@@ -42,35 +46,51 @@ class Neighbourhoods:
         """The cost of the best plan."""
         return self._cost_of(self.best)
 
-    def improve(self, enough: int, clock: Clock) -> None:
-        """Look for cheaper plans until one costs at most `enough`, too much work is in vain, or the time is over."""
-        if (left_s := clock.left_s()) is not None:
-            clock = clock.with_limit(clock.elapsed_s() + self._tuning.share * left_s, clock.tuning)
-        self._from_likely_labels(clock)
-        in_vain = 0.0
-        while in_vain < self._tuning.in_vain * self._scale and self.limit > enough and not clock.is_over():
-            before, limit = self._took, self.limit
+    @property
+    def labels(self) -> Ints:
+        """The labels of the best plan, as the network numbers them."""
+        return self._core.labels[[*self.best]]
+
+    @property
+    def took_s(self) -> float:
+        """The work so far, in the engine's seconds."""
+        return self._took
+
+    @property
+    def is_exhausted(self) -> bool:
+        """Whether too much work was in vain since the last cheaper plan."""
+        return bool(self._in_vain >= self._tuning.in_vain * self._scale)
+
+    def go_on(self, clock: Clock) -> None:
+        """Look for a cheaper plan: first among the labels in use, then each time near other targets."""
+        before, limit = self._took, self.limit
+        if before:
             self._near(self._related(), clock)
-            in_vain = 0.0 if self.limit < limit else in_vain + self._took - before
+        else:
+            self._from_likely_labels(clock)
+        if self.limit < limit:
+            self._in_vain = 0.0
+        elif before:
+            self._in_vain += self._took - before
 
     def _related(self) -> set[int]:
         """Draw some targets that share cost."""
         most = min(round(self._size), len(self._wanted))
         number = int(self._draw.integers(min(self._tuning.fewest, most), most + 1))
         is_of_plan = self._draw.random() < self._tuning.planned
-        labels, price = (self._supports(), self._cost) if is_of_plan else (self._likely, self._use)
-        first = self._wanted[int(self._draw.integers(len(self._wanted)))]
-        free, pool = {first}, set(labels[first])
+        price = self._flags(self._supports()) * self._cost if is_of_plan else self._used
+        first = int(self._draw.integers(len(self._wanted)))
+        free, pool = [first], price[first] > 0
         while len(free) < number:
-            others = [fact for fact in self._wanted if fact not in free]
-            shared = np.array([price[list(pool & labels[fact])].sum() for fact in others], np.float64)
+            shared = price @ pool
             if not is_of_plan:
-                shared /= 1 + np.array([price[list(labels[fact])].sum() for fact in others], np.float64)
+                shared /= 1 + price.sum(axis=1)
+            shared[free] = 0.0
             weight = (shared / max(shared.max(), 1e-9) + 1e-3) ** 2
-            drawn = others[int(self._draw.choice(len(others), p=weight / weight.sum()))]
-            free.add(drawn)
-            pool |= labels[drawn]
-        return free
+            weight[free] = 0.0
+            free.append(int(self._draw.choice(len(weight), p=weight / weight.sum())))
+            pool |= price[free[-1]] > 0
+        return {self._wanted[i] for i in free}
 
     def _near(self, free: set[int], clock: Clock) -> None:
         """Plan these targets anew.
@@ -82,7 +102,7 @@ class Neighbourhoods:
         limit = self.limit - self._cost_of(kept) - self._step
         cost = self._cost.copy()
         cost[list(kept)] = 0
-        bound = tightened(Bound(self._for(free), cost), limit + 1, limit, clock, greedily=True)
+        bound = tightened(self._bound_for(free, cost), limit + 1, limit, clock, greedily=True)
         before, self._took = self._took, self._took + self._look
         if bound.value <= limit and not clock.is_over():
             found = self._cheapest(bound.restricted(bound.may_be_used(limit)), limit, clock, self._tuning.work)
@@ -96,12 +116,12 @@ class Neighbourhoods:
         and Speranza 2010).
         """
         limit = self.limit - self._step
+        self._took += self._look
         likely = {int(label) for label in np.flatnonzero(self._use)} | self.best
         first = _first_givers(self._core, likely)
         fed = [label for label in likely if first.keys() >= set(self._core.needs.lists[label])]
         keep = np.isin(np.arange(self._core.goal), fed)
-        part = Bound(self._core, self._cost).restricted(keep)
-        bound = tightened(part, limit + 1, limit, clock, greedily=True)
+        bound = tightened(Bound(self._core, self._cost).restricted(keep), limit + 1, limit, clock, greedily=True)
         self._take(
             self._cheapest(bound.restricted(bound.may_be_used(limit)), limit, clock, self._tuning.kernel * self._scale)
         )
@@ -111,14 +131,17 @@ class Neighbourhoods:
         if _first_givers(self._core, labels).keys() >= set(self._wanted):
             self.best = min(self.best, self._lean(labels), key=self._cost_of)
 
-    def _for(self, free: set[int]) -> Core:
-        """The core with these targets only."""
-        core = self._core
+    def _bound_for(self, free: set[int], cost: Ints) -> Bound:
+        """A bound for these targets only, at these costs, from the landmarks that they need."""
+        core, known = self._core, self._bound
         needs = core.needs.starts[core.goal]
         starts = np.append(core.needs.starts[:-1], needs + len(free))
-        return Core(
-            Rows(starts, np.append(core.needs.items[:needs], sorted(free))), core.givers, core.labels, core.facts
-        )
+        rows = Rows(starts, np.append(core.needs.items[:needs], sorted(free)))
+        needed = [i for i, one in enumerate(known.landmarks) if not free.isdisjoint(one.zone.tolist())]
+        part = Core(rows, core.givers, core.labels, core.facts)
+        bound = Bound(part, cost, [known.landmarks[i] for i in needed])
+        bound.recharge([known.weights[i] for i in needed])
+        return bound
 
     def _cheapest(self, bound: Bound, limit: int, clock: Clock, work: float) -> Labels:
         """Return labels that meet a bound's goal at a cost within `limit`, by the solver; none if it finds none."""
@@ -149,10 +172,17 @@ class Neighbourhoods:
             model.add_bool_or([model.uses[label] for label in _ways_on(core, first)])
         return frozenset()
 
-    def _supports(self) -> dict[int, Labels]:
+    def _supports(self) -> Iterator[Labels]:
         """For each target, the labels of the best plan that it rests on."""
         first = _first_givers(self._core, self.best)
-        return {fact: _support(self._core, first, [fact]) for fact in self._wanted}
+        return (_support(self._core, first, [fact]) for fact in self._wanted)
+
+    def _flags(self, labels: Iterable[Labels]) -> Flags:
+        """Flags of the labels in each row; shape (targets, labels)."""
+        flags = np.zeros((len(self._wanted), self._core.goal), np.bool_)
+        for row, these in zip(flags, labels, strict=True):
+            row[list(these)] = True
+        return flags
 
     def _reached(self, target: int, fractions: Floats) -> Labels:
         """The labels that the linear program uses, as far as they may feed a target."""

@@ -39,22 +39,31 @@ class Separator:
         draw: np.random.Generator,
         times: int = 1,
         is_over: Callable[[], bool] = lambda: False,
+        *,
+        everywhere: bool = False,
     ) -> list[Landmark]:
         """Landmarks that the fractions miss, as many as there is time for.
 
-        Needs are chosen `times` times: by their support, then with noise on it.
+        Needs are chosen `times` times: by their support, then with noise on it. Each choice gives landmarks for some
+        wanted facts. With `everywhere` it gives them for all, and each choice is one with noise.
         """
         support = self._support(fractions)
         wanted = self._core.needs[self._core.goal]
+        goals = len(wanted) if everywhere else self._tuning.goals
         found: dict[bytes, Landmark] = {}
         for time in range(times):
-            noise = draw.random(len(support)) * self._tuning.need_noise if time else 0.0
+            noise = draw.random(len(support)) * self._tuning.need_noise if time or everywhere else 0.0
             feeding = self._least_of_needs(support + noise)
-            for goal in draw.permutation(wanted)[: self._tuning.goals].tolist():
+            for goal in draw.permutation(wanted)[:goals].tolist():
                 if is_over():
                     return list(found.values())
                 found |= {one.members.tobytes(): one for one in self._nested(fractions, feeding, goal)}
         return list(found.values())
+
+    @property
+    def steps(self) -> float:
+        """About how many steps a look for landmarks everywhere takes, with one choice of needs."""
+        return self._tuning.cut * (len(self._tails) + self._core.goal) * len(self._core.needs[self._core.goal])
 
     def _nested(self, fractions: Floats, feeding: Ints, goal: int) -> Iterable[Landmark]:
         """Missed landmarks one behind the other: the members of one count as used for the next."""
