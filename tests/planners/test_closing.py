@@ -152,7 +152,7 @@ def test_a_plan_that_needs_the_solver_is_the_same_every_time() -> None:
     assert plans[0].counts["rounds"] > 0
 
 
-EVERYWHERE = Near(targets=1, gap=0.0, fewest=1, in_vain=200.0)
+EVERYWHERE = Near(targets=1, gap=0.0, hopeless=0.0, fewest=1, in_vain=200.0)
 
 
 @fewer

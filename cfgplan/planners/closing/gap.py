@@ -78,32 +78,36 @@ class GapClosing:
         """Plan related targets anew and look for missed landmarks in turns, if targets are many and the gap is far from
         closed.
 
-        Both get the same work. If the solver has little hope of closing the gap, they take most of its time too.
-        Nothing is done where a plan is more than its labels.
+        Both get the same work, and most of the time, while the gap is so large that the solver has little hope. Below
+        that, no more landmarks are looked for. Nothing is done where a plan is more than its labels.
         """
         near = self._near
         if not self._has_many_targets or self._gap < near.gap or not self._can_be_built(clock):
             return
-        share, search = near.promising, self._neighbourhoods(near.promising)
-        raised_s: float | None = 0.0
-        near_s = 0.0
         usual, most = _part(clock, near.share), _part(clock, near.hopeless_share)
-        while not self.is_closed and not (usual if self._gap < near.hopeless else most).is_over():
-            if raised_s is not None and raised_s < near_s:
+        share, search = near.promising, self._neighbourhoods(near.promising)
+        near_s, raised_s = 0.0, 0.0
+        while not self.is_closed and not (most if self._is_hopeless else usual).is_over():
+            if self._is_hopeless and raised_s < near_s:
                 took = self._search_landmarks(most)
-                raised_s = None if took is None else raised_s + took * clock.tuning.seconds_per_step
+                raised_s += np.inf if took is None else took * clock.tuning.seconds_per_step
             elif not search.is_exhausted:
                 before_s = search.took_s
                 search.go_on(most)
                 near_s += search.took_s - before_s
                 self._repairs.take(set(search.labels.tolist()).union(self._network.pinned))
-            elif share < 1:
+            elif self._is_hopeless and share < 1:
                 share *= near.wider
                 search = self._neighbourhoods(share)
-            elif raised_s is not None:
+            elif self._is_hopeless and raised_s < np.inf:
                 near_s = np.inf  # landmarks only
             else:
                 break
+
+    @property
+    def _is_hopeless(self) -> bool:
+        """Whether the gap is so large that the solver has little hope of closing it."""
+        return self._gap >= self._near.hopeless
 
     def _neighbourhoods(self, share: float) -> Neighbourhoods:
         """Neighbourhoods of the plan among its labels and those of plans in the lower part of the gap."""
