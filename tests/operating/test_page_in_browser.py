@@ -19,7 +19,7 @@ from cfgplan_runtime.operating.control_server import ControlServer
 from cfgplan_runtime.operating.operation import Operation, Settings
 from cfgplan_runtime.page.server import PageServer
 from cfgplan_runtime.streams.run_folder import base_folder, topics_of
-from cfgplan_runtime.supervision.taps import TAPS
+from cfgplan_runtime.supervision.backend import TAPS
 from fake_manager import DETECTOR, FORESEEN_IN, SNAPSHOT, FakeManager, observation
 from operated_world import PATIENCE_S, eventually, write_world
 from page_world import building, with_a_kill

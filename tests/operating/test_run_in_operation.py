@@ -292,6 +292,9 @@ def test_the_rate_of_a_topic_and_of_a_unit_is_measured(capsys: pytest.CaptureFix
     eventually(lambda: any("steps" in unit for unit in state_now(capsys)["units"]))
     assert main(["ctl", "hz", "camera(piff).1", "--for", "2500ms"]) == 0
     assert re.search(r"Hz: \d+ steps in ", capsys.readouterr().out)
+    assert main(["ctl", "hz", "camera(piff).1/image", "--for", "2500ms", "--json"]) == 0
+    counted = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert counted["rate_hz"] == pytest.approx(counted["elements"] / counted["seconds"], rel=0.01)
     assert main(["ctl", "hz", "/resul"]) == 30
     assert "did you mean `/result`" in capsys.readouterr().err
 

@@ -221,6 +221,14 @@ class Methods:
     def _tap(self, params: Mapping[str, Any]) -> Record:
         _only(params, "stream")
         text, snapshot = _text(params, "stream"), self._manager.snapshot()
+        by_topic = {target.topic: target for target in snapshot.targets if target.topic}
+        if text in by_topic:
+            if self._taps is None or self._taps.is_shown(text):
+                return {"topic": text}
+            stream = by_topic[text].stream
+            if stream is None:
+                raise RefusedError("refused", f"nothing feeds {text}", by_topic[text].reason or None)
+            text = str(stream)
         running = [view.unit for view in snapshot.units if not view.unit.standby]
         library = snapshot.environment.transformation
         given = {
@@ -230,13 +238,14 @@ class Methods:
             for port in library[unit.transformation].outputs
         }
         topics = {str(Stream(unit.id, one.port)): one.topic for unit in running for one in unit.publications}
-        if text in topics:
+        if text in topics and (self._taps is None or self._taps.is_shown(topics[text])):
             return {"topic": topics[text]}
         if text not in given:
-            raise RefusedError("refused", f"no unit that runs gives {text!r}", did_you_mean(text, given))
+            mend = did_you_mean(text, given | by_topic.keys())
+            raise RefusedError("refused", f"no unit that runs gives {text!r}", mend)
         if self._taps is None:
             mend = "give it a target, whose topic can be looked at"
-            raise RefusedError("refused", f"{text} is on no topic, and this run is on hosts or of ROS nodes", mend)
+            raise RefusedError("refused", f"{text} is on no topic, and this run has no taps", mend)
         return {"topic": self._taps.renew(Stream.parse(text))}
 
     def _what_if(self, params: Mapping[str, Any]) -> Record:

@@ -231,9 +231,8 @@ class Operation(Closable):
         printed, self.rates, self._past = Printed(), StreamRates(), Past()
         self.manager.listen(printed.hear)
         self.manager.listen(self.rates.hear)
-        taps = LeasedTaps(self.runtime) if settings.runtime is None else None
-        if taps is not None:
-            self.manager.listen(taps.hear)
+        taps = LeasedTaps(self.runtime, base_folder() / self.id)
+        self.manager.listen(taps.hear)
         methods = Methods(self.manager, self.flows, printed, self._past, self.rates, taps).by_name()
         self._observed = ObservedFacts(self.id, self.manager, self.show)
         stack.callback(self._observed.close)

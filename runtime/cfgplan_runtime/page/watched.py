@@ -141,9 +141,7 @@ class Watched:
             return control.call(method, timeout_s=_REVIEWED_S, **params)
 
     def _topic_of(self, stream: str) -> str:
-        """The topic that has a stream, which may itself be written as a topic. Raises RefusedError and ControlError."""
-        if stream.startswith("/"):
-            return stream
+        """Return a topic that shows a stream, or a target's topic, to observers. Raises RefusedError, ControlError."""
         with self._reach() as control:
             topic: str = control.call("tap", timeout_s=_RUN_S, stream=stream)["topic"]
         return topic

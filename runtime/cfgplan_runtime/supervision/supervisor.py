@@ -46,7 +46,7 @@ class Supervisor:
         self.environment = environment
         self.wiring = Wiring(backend)
         self.spares = Spares(backend)
-        self.taps = Taps(backend, self.wiring.fresh_id)
+        self.taps = Taps(backend, self.wiring.fresh_id, self._host_of)
         self.alive: set[str] = set()
         self.ready: set[str] = set()
         self.topics: dict[str, str | None] = {}
@@ -395,8 +395,13 @@ class Supervisor:
         self.ready.discard(unit)
         self._stopping.pop(unit, None)
         self.wiring.forget_unit(unit)
+        self.taps.lose_unit(unit)
         self._records.pop(unit, None)
         self._library.pop(unit, None)
+
+    def _host_of(self, unit: str) -> str | None:
+        """Return the host of a running unit; None if it has none, or does not run."""
+        return self._records[unit].host if unit in self._records else None
 
     def _lose(self, host: str, cause: str) -> None:
         """Forget the units and cold spares on a lost host, and close the wires to its topics."""
@@ -406,6 +411,7 @@ class Supervisor:
         for unit in [unit for unit, (at, _) in self._stopping.items() if at == host]:
             self._bury(unit)
         self.spares.lose_host(host)
+        self.taps.lose_host(host)
         for unit_there in [unit for unit in self.environment.units if unit.host == host]:
             self.environment = self.environment.without_unit(unit_there.id)
         for topic in [topic for topic, at in self.topics.items() if at == host]:
