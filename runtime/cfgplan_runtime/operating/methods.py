@@ -27,6 +27,7 @@ from cfgplan_runtime.lifecycle.review_sentences import preview_sentence, suppose
 from cfgplan_runtime.operating.control_server import Method
 from cfgplan_runtime.operating.declaration import Declared, declaration
 from cfgplan_runtime.operating.flows import Flows
+from cfgplan_runtime.operating.moments import MOMENTS_KEPT, Moments
 from cfgplan_runtime.operating.past import Past
 from cfgplan_runtime.operating.printed import Printed
 from cfgplan_runtime.operating.protocol import Record, RefusedError
@@ -75,7 +76,8 @@ class Methods:
     """The methods of a manager by name.
 
     `flows` gives rate and latency by topic, `rates` the rate of each output of a unit, `printed` what units have
-    printed, and `past` the last events. Without `taps`, only streams that are on topics can be looked at.
+    printed, `past` the last events, and `moments` the states after reviews. Without `taps`, only streams that are on
+    topics can be looked at.
     """
 
     def __init__(
@@ -86,6 +88,7 @@ class Methods:
         past: Past | None = None,
         rates: StreamRates | None = None,
         taps: LeasedTaps | None = None,
+        moments: Moments | None = None,
     ) -> None:
         self._manager = manager
         self._flows = flows or Flows()
@@ -93,6 +96,7 @@ class Methods:
         self._past = past or Past()
         self._rates = rates or StreamRates()
         self._taps = taps
+        self._moments = moments
 
     def by_name(self) -> dict[str, Method]:
         """The methods for the control server; `cfgplan/manual/control.md` has their params and results."""
@@ -114,11 +118,22 @@ class Methods:
         }
 
     def _state(self, params: Mapping[str, Any]) -> Record:
-        _only(params)
+        _only(params, "review")
+        if "review" in params:
+            return self._state_after(params["review"])
         crossings = self._flows.crossing_records()
         snapshot = self._manager.snapshot()
         flows = self._rates.of_topics(self._flows, snapshot.targets)
         return {**snapshot_record(snapshot, flows), "crossings": crossings}
+
+    def _state_after(self, review: object) -> Record:
+        if isinstance(review, bool) or not isinstance(review, int):
+            raise RefusedError("bad_params", "`review` is no number of a review", "give the `number` of one")
+        moment = None if self._moments is None else self._moments.after(review)
+        if moment is None:
+            mend = f"the last {MOMENTS_KEPT} reviews can be seen again"
+            raise RefusedError("refused", f"the state after review {review} is not kept", mend)
+        return {**snapshot_record(*moment), "crossings": []}
 
     def _add(self, params: Mapping[str, Any]) -> Record:
         _only(params, "name", "text", "wait_s", "while_connected")
