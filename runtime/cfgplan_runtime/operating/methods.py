@@ -244,6 +244,8 @@ class Methods:
             if stream is None:
                 raise RefusedError("refused", f"nothing feeds {text}", by_topic[text].reason or None)
             text = str(stream)
+        elif text.startswith("/"):
+            raise RefusedError("refused", f"nothing publishes topic {text!r}", did_you_mean(text, by_topic))
         running = [view.unit for view in snapshot.units if not view.unit.standby]
         library = snapshot.environment.transformation
         given = {
@@ -256,7 +258,7 @@ class Methods:
         if text in topics and (self._taps is None or self._taps.is_shown(topics[text])):
             return {"topic": topics[text]}
         if text not in given:
-            mend = did_you_mean(text, given | by_topic.keys())
+            mend = did_you_mean(text, given)
             raise RefusedError("refused", f"no unit that runs gives {text!r}", mend)
         if self._taps is None:
             mend = "give it a target, whose topic can be looked at"

@@ -36,7 +36,7 @@ _MOST_REMEMBERED = 1000
 
 
 class Supervisor:
-    """Holds the running configuration in `environment`; `report` gets every event, in order.
+    """Holds the running configuration in `environment`, which `backend` runs; `report` gets every event, in order.
 
     The update under way reads it as `updates.Actual`; only the supervisor changes it.
     """
@@ -89,7 +89,8 @@ class Supervisor:
         keeps_new: bool = False,
         is_abandoned: Callable[[], bool] = lambda: False,
     ) -> events.Applied:
-        """Carry out a change set as a whole or not at all; the same `id` is carried out once.
+        """Carry out `change_set` as a whole or not at all; the same `id` is carried out once. `patience` limits its
+        steps.
 
         `basis` is the environment that it was planned for. Raises StaleChangeSetError if it differs from the running
         configuration, or the change set names units that do not run; ApplyError if a step failed, or the update
@@ -162,7 +163,10 @@ class Supervisor:
         self.backend.wake()
 
     def cut(self, unit: str | None, port: str) -> None:
-        """Disconnect an inlet, or a topic (`unit` is None), as if it had lost its source. Raises KeyError."""
+        """Disconnect the inlet `port` of a unit, or the topic `port` (`unit` is None), as if it had lost its source.
+
+        Raises KeyError if nothing feeds it.
+        """
         inlet = Inlet(unit or "", port)
         wire = self.wiring.feeds[inlet]
         self.wiring.disconnect(inlet)
