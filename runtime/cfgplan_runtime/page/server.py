@@ -101,7 +101,9 @@ class PageServer:
             self._socket.listen()  # at once: two may be bound to an address while neither listens
         except (OSError, OverflowError) as error:
             self._socket.close()
-            raise InputError.of(f"{address}:{port} can't be served: {error}", mend="name another port") from None
+            why = getattr(error, "strerror", None) or error
+            mend = "name another port by --port"
+            raise InputError.of(f"{address}:{port} can't be served: {why}", mend=mend) from None
         self.watched = Watched(reach, subscribe)
         try:
             self.watched.start()
