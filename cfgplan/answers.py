@@ -113,9 +113,9 @@ def why(
     time_limit_s: Seconds | None = None,
     decider: Decider | None = None,
 ) -> Why:
-    """Return why a plan with a change set uses, or does not use, a unit, transformation or output
-    (transformation/port).
+    """Return why a plan with a change set uses, or does not use, the part of this `name`.
 
+    Its `kind` is `unit` (the name is an id), `transformation` (a label) or `stream` (an output, transformation/port).
     Raises InputError if the plan has no change set, or nothing has that name.
     """
     from cfgplan import explaining
@@ -149,7 +149,11 @@ def front(
     time_limit_s: Seconds | None = None,
     decider: Decider | None = None,
 ) -> Front:
-    """Return the price of better quality of a target's stream; see `cfgplan.explaining`."""
+    """Return the price of better quality of the stream of `target`, a label: the cheapest plan for each value of the
+    quality `attribute` that some plan reaches; see `cfgplan.explaining`.
+
+    The time limit is for all plans together. Raises InputError for an unknown target or attribute.
+    """
     from cfgplan import explaining
 
     known(target, problem.environment.target, "target")
@@ -188,7 +192,8 @@ def sensitivity(
 ) -> Sensitivity:
     """Return the optimal plan of each span of horizons, or of a transformation's upkeep; see `cfgplan.explaining`.
 
-    The time limit is for each call of the planner.
+    `upkeep_of` is the label of a transformation; None: horizons. The time limit is for each call of the planner. Raises
+    InputError for an unknown transformation.
     """
     from cfgplan import explaining
 

@@ -57,7 +57,7 @@ MEMBERSHIP_LIMIT_S = 60.0
 
 
 class UntruthfulPlanError(PlannerFaultError):
-    """A planner's answer that the judge does not accept."""
+    """A planner's answer, a `plan`, that the judge does not accept: it `found` these violations."""
 
     def __init__(self, plan: Plan, found: list[Violation]) -> None:
         self.violations = tuple(found)
@@ -74,7 +74,7 @@ def _world_summary(world: World) -> Summary:
 @dataclass(frozen=True)
 @checked
 class World:
-    """An environment with the ontology that defines its tags, and the other inputs of planning.
+    """An `environment` with the `ontology` that defines its tags, and the other inputs of planning.
 
     `horizon_s` is in seconds, `max_cost_us` in microseconds of CPU time. `file` is the file that it was read from, if
     any. `survive` says which single failures a plan has to survive.
@@ -102,7 +102,7 @@ class World:
 
 @checked
 def load(path: str | os.PathLike[str], *, also: Sequence[str | os.PathLike[str]] = ()) -> World:
-    """Read an environment file (YAML, JSON, or the paper's XML) and the ontologies it names.
+    """Read the environment file at `path` (YAML, JSON, or the paper's XML) and the ontologies it names.
 
     Files named `also` count as included. Raises InputError with every fault that was found.
     """
@@ -153,7 +153,8 @@ def what_if(
     settings: Mapping[str, str] | None = None,
     observed: str | os.PathLike[str] | None = None,
 ) -> World:
-    """The world without some transformations, units or targets, and with other values of `settings`.
+    """Return the world without some transformations, units or targets (`without` has their names), and with other
+    values of `settings`.
 
     Settings are `horizon`, `max_cost`, `facts.NAME`, `T.labor`, `T.upkeep`, `T.pinned`, `T.required` and `T.priority`,
     with values as they are written in files. `observed` is a file with the facts and qualities that a run has observed
@@ -180,7 +181,7 @@ def what_if(
 def world(
     environment: Environment, *, horizon_s: Natural, max_cost_us: Natural | None = None, ontology: object = None
 ) -> World:
-    """A world built in code; `ontology` is an `owlready2` ontology, a file's path or a list of paths.
+    """Return a world built in code; `ontology` is an `owlready2` ontology, a file's path or a list of paths.
 
     Without an ontology every name in a tag is free. Tags are read by `match`, which raises InputError for what does
     not parse.
@@ -337,7 +338,9 @@ def match(
     max_cost_us: Natural | None = None,
     survive: Failures | Literal[0] | None = None,
 ) -> Problem:
-    """Match a world's tags and state its planning problem."""
+    """Match a world's tags and state its planning problem. Raises InputError for tags that do not parse, and what
+    `problem` does.
+    """
     similarity = match_ports(world).similarity
     return problem(world, similarity, horizon_s=horizon_s, max_cost_us=max_cost_us, survive=survive)
 
@@ -350,7 +353,7 @@ def plan(
     time_limit_s: Seconds | None = None,
     report: Callable[[Progress], None] | None = None,
 ) -> Plan:
-    """The optimal update, by one of `PLANNER_NAMES` or a planner of your own, accepted by the judge.
+    """Return the optimal update, accepted by the judge. `report` is called with the planner's progress.
 
     Raises InputError for an unknown planner, OwnPlannerError for one of your own that fails, and what `accepted` does.
     """
@@ -442,7 +445,8 @@ def plan_text(world: World, problem: Problem, plan: Plan) -> str:
 
 @checked
 def load_plan(world: World, problem: Problem, path: str | os.PathLike[str]) -> Plan:
-    """Return the plan in a plan file, if it was made for this world and the judge accepts it: it may be carried out.
+    """Return the plan in the plan file at `path`, if it was made for this world and the judge accepts it: it may be
+    carried out.
 
     Change set, cost, status and bound are checked against `problem`; the proof that no plan is cheaper is not repeated.
     If an ontology changes that neither `ontology:` nor `imports:` names, but an import led to, the plan does not become

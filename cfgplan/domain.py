@@ -55,7 +55,7 @@ T = TypeVar("T")
 @dataclass(frozen=True, slots=True, order=True)
 @checked
 class Stream:
-    """One output port of one computation unit (Definition 1); written `unit/port`."""
+    """One output `port` of one computation `unit` (Definition 1); written `unit/port`."""
 
     unit: str
     port: str
@@ -75,7 +75,7 @@ class Stream:
 @dataclass(frozen=True, slots=True, order=True)
 @checked
 class Subscription:
-    """An input port of a unit and a stream that feeds it."""
+    """An input `port` of a unit and a `stream` that feeds it."""
 
     port: str
     stream: Stream
@@ -84,7 +84,7 @@ class Subscription:
 @dataclass(frozen=True, slots=True, order=True)
 @checked
 class Publication:
-    """An output port of a unit and a topic that its stream is published on."""
+    """An output `port` of a unit and a `topic` that its stream is published on."""
 
     port: str
     topic: str
@@ -102,10 +102,11 @@ def _unit_summary(unit: ComputationUnit) -> Summary:
 @dataclass(frozen=True)
 @checked
 class ComputationUnit:
-    """A running instance of a transformation (Definition 3).
+    """A running instance of a `transformation` (a label; Definition 3), under the name `id`.
 
-    An input port without a subscription is the paper's `none`: a gap. `host` is where it runs, if the
-    environment has hosts. A unit in `standby` is a cold spare: it is neither wired nor running, only ready.
+    `subscriptions` feed its inputs, `publications` put its outputs on topics. An input port without a subscription is
+    the paper's `none`: a gap. `host` is where it runs, if the environment has hosts. A unit in `standby` is a cold
+    spare: it is neither wired nor running, only ready.
     """
 
     id: Annotated[str, Row("unique")]
@@ -198,8 +199,10 @@ def changes_in_words(changes: ChangeSet) -> str:
 class ChangeSet:
     """Additions and removals (Definition 6).
 
-    Units have three disjoint parts: `started` and `rewired` hold units as they are afterwards, `stopped` holds ids. An
-    added item replaces an existing one of the same name.
+    Units have three disjoint parts: `started` and `rewired` hold units as they are afterwards, `stopped` holds ids.
+    `added_transformations`, `added_targets`, `added_hosts` and `added_qualities` hold items, each of which replaces an
+    existing one of the same name; `removed_transformations`, `removed_targets` (labels), `removed_hosts` and
+    `removed_qualities` hold names.
     """
 
     started: tuple[ComputationUnit, ...] = ()
@@ -280,13 +283,14 @@ _NAMED = (
 @dataclass(frozen=True)
 @checked
 class Environment:
-    """Computation units, library and targets (Definition 5); ~ is a `Similarity` beside it.
+    """Computation `units`, `library` and `targets` (Definition 5); ~ is a `Similarity` beside it.
 
-    Without `hosts` nothing is placed; with them every unit has one. `transfer_us` is the price of carrying a megabyte
-    (10**6 bytes) from host to host, in microseconds of CPU time, unless the first of the `links` that joins the two
-    hosts has a price of its own. `minimise` lists the objectives of an update, the most important first; the cost comes
-    last unless it is listed, and ties are broken by fewer rewired, then fewer started units. Planners get `possible`:
-    the environment whose library omits transformations that require other `facts`.
+    `qualities` are the attributes that streams and targets may speak of. Without `hosts` nothing is placed; with them
+    every unit has one. `transfer_us` is the price of carrying a megabyte (10**6 bytes) from host to host, in
+    microseconds of CPU time, unless the first of the `links` that joins the two hosts has a price of its own.
+    `minimise` lists the objectives of an update, the most important first; the cost comes last unless it is listed, and
+    ties are broken by fewer rewired, then fewer started units. Planners get `possible`: the environment whose library
+    omits transformations that require other `facts`.
     """
 
     units: tuple[ComputationUnit, ...] = ()
@@ -529,7 +533,9 @@ class Environment:
         )
 
     def shown(self, contribution: Contribution, value: int) -> str:
-        """A value of what an output states, for people: `0.3 m`, or a factor."""
+        """Return a `value` (micro-units) of what an output states, its `contribution`, for people: `0.3 m`, or a
+        factor.
+        """
         attribute = self.quality.get(contribution.attribute)
         is_number = attribute is None or contribution.rule is QualityRule.SCALE
         return f"{units(value):f}" if is_number or attribute is None else attribute.shown(value)
@@ -609,12 +615,14 @@ class Environment:
         return tuple(sorted({self.transfer_us, *(link.price_us for link in self.links if link.price_us is not None)}))
 
     def price_us(self, one: str | None, other: str | None) -> int:
-        """Return the price of carrying a megabyte between two hosts."""
+        """Return the price of carrying a megabyte between the hosts `one` and `other`, in microseconds of CPU time."""
         link = self.link.get((one or "", other or ""))
         return self.transfer_us if link is None or link.price_us is None else link.price_us
 
     def latency(self, attribute: str, one: str | None, other: str | None) -> int:
-        """Return the amount that a transfer between two hosts adds to a stream's value of an attribute."""
+        """Return the amount (micro-units) that a transfer between the hosts `one` and `other` adds to a stream's value
+        of `attribute`.
+        """
         link = self.link.get((one or "", other or ""))
         return 0 if link is None or link.adds != attribute else link.latency
 

@@ -53,8 +53,8 @@ class UnknownNameError(MatchingError):
 class Fault:
     """One mistake in the user's input.
 
-    `line` and `column` count from 1; `key` is the path of keys inside the document, such as
-    `transformations[3].inputs.image.tag`; `mend` says what to do about it.
+    `message` says what is wrong, in the `file` of this name. `line` and `column` count from 1; `key` is the path of
+    keys inside the document, such as `transformations[3].inputs.image.tag`; `mend` says what to do about it.
     """
 
     message: str
@@ -75,7 +75,7 @@ class Fault:
 
 
 class InputError(CfgplanError):
-    """Input that can't be used, with all the faults that were found in it."""
+    """Input that can't be used, with all the `faults` that were found in it."""
 
     def __init__(self, faults: Iterable[Fault]) -> None:
         self.faults = tuple(faults)
@@ -83,7 +83,7 @@ class InputError(CfgplanError):
 
     @classmethod
     def of(cls, message: str, *, file: str | None = None, mend: str | None = None) -> InputError:
-        """An error with a single fault that concerns a whole file."""
+        """Return an error with a single fault: a `message`, the `file` that it concerns as a whole, and a `mend`."""
         return cls([Fault(message, file=file, mend=mend)])
 
 

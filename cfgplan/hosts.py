@@ -21,7 +21,8 @@ MANAGER = "manager"
 @dataclass(frozen=True)
 @checked
 class Host:
-    """A computer: the CPU time (microseconds each second) and megabytes that units may take; None: no limit.
+    """A computer, by `name`: units may take `cpu_us` microseconds of CPU time each second and `memory_mb` megabytes;
+    None: no limit.
 
     `offers` gives the amounts of other resources as integers; a resource that is not listed has amount 0. A unit takes
     the CPU time of its transformation divided by `speed`, which is in millionths. Selectors choose a host by its name
@@ -66,7 +67,11 @@ class Host:
         return selector(text)((self.name, *self.labels))
 
     def room(self, resource: str, horizon_s: int = 0) -> int | None:
-        """How much units may take there in all of what `Transformation.takes` names, over a horizon; None: no limit."""
+        """Return how much of `resource`, a key of `Transformation.takes`, units may take there together; None: no
+        limit.
+
+        Energy is that for a horizon of `horizon_s` seconds.
+        """
         if resource in (CPU, MEMORY):
             return self.cpu_us if resource == CPU else self.memory_mb
         if resource != POWER:

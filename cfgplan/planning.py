@@ -53,7 +53,8 @@ def _problem_summary(problem: Problem) -> Summary:
 @dataclass(frozen=True)
 @checked
 class Problem:
-    """Find the optimal update of `environment` over `horizon_s` seconds that costs at most `max_cost_us`.
+    """Find the optimal update of `environment`, in which tags match by `similarity`, over `horizon_s` seconds that
+    costs at most `max_cost_us`.
 
     If the environment minimises something before the cost, `max_cost_us` still limits the cost: the answer is the best
     of the updates within that limit.
@@ -240,7 +241,7 @@ def _plan_summary(plan: Plan) -> Summary:
 @dataclass(frozen=True)
 @checked
 class Plan:
-    """A planner's answer.
+    """A planner's answer; `status` says how far it got.
 
     `change_set` is set exactly if the status is optimal or feasible. `cost_us` is the cost of the update (Definition
     8); if every update is too expensive, that of the cheapest one if known. `bound_us` is proven: no update is cheaper.
@@ -319,7 +320,9 @@ class OwnPlannerError(CfgplanError):
 @dataclass(frozen=True, slots=True)
 @checked
 class Progress:
-    """A planner's state while it works: the best cost so far, if any, and the proven bound."""
+    """A planner's state while it works: after `elapsed_s` seconds the best plan costs `cost_us` (None: there is none
+    yet), and it is proven that none costs less than `bound_us`.
+    """
 
     elapsed_s: float
     cost_us: int | None

@@ -79,7 +79,8 @@ class QualityAttribute:
     """A measure of streams: rate, latency, accuracy or the user's own.
 
     Values are clamped to the range from `worst` to `best` (micro-units). `worst` is also the value of a source's stream
-    that states none. `rule` applies to outputs that state only a value.
+    that states none. `name` identifies the measure, `better` says which direction is better, and `unit` is printed
+    behind values. `rule` applies to outputs that state only a value.
     """
 
     name: Annotated[str, Row("unique")]
@@ -108,7 +109,7 @@ class QualityAttribute:
         return f"{units(value):f}{' ' + self.unit if self.unit else ''}"
 
     def is_better(self, one: int, other: int) -> bool:
-        """Whether a value is better than another."""
+        """Whether the value `one` is better than `other`."""
         return one < other if self.better is Better.LOWER else one > other
 
     @property
@@ -165,13 +166,13 @@ class Curve:
 @dataclass(frozen=True, slots=True, order=True)
 @checked
 class Contribution:
-    """An output's statement about one attribute: a rule, its own value (micro-units) and how inputs are combined.
+    """An output's statement about one `attribute`: a `rule`, its own `value` (micro-units) and how inputs are combined.
 
-    An output without inputs that count (all but feedback) has its own value, whatever the rule. If the value follows a
-    fact, it is the value for the fact's present state, and `by` is the curve. `observe` names the field of an element
-    that gives the element's own quality, in units of the attribute, or what a run measures: `measured.` and one of
-    MEASURES. `seen` is the part of `value` that was learned from
-    observed streams; the rest is `stated`.
+    `over` says how the values of several inputs become one. An output without inputs that count (all but feedback) has
+    its own value, whatever the rule. If the value follows a fact, it is the value for the fact's present state, and
+    `by` is the curve. `observe` names the field of an element that gives the element's own quality, in units of the
+    attribute, or what a run measures: `measured.` and one of MEASURES. `seen` is the part of `value` that was learned
+    from observed streams; the rest is `stated`.
     """
 
     attribute: str
@@ -230,7 +231,7 @@ class Contribution:
 @dataclass(frozen=True, slots=True, order=True)
 @checked
 class Wish:
-    """A target's demand on one attribute: a `bound` (micro-units) that its stream must not be worse than, or a price.
+    """A target's demand on one `attribute`: a `bound` (micro-units) that its stream must not be worse than, or a price.
 
     The bound may lie outside the attribute's scale: a bound at or below `worst` is always met, one beyond `best` never.
 

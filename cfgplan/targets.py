@@ -20,7 +20,8 @@ A_UNIT_OF = "a unit of "
 @dataclass(frozen=True, slots=True)
 @checked
 class Target:
-    """A semantic subscription from outside (Definition 4); a larger `priority` matters more.
+    """A semantic subscription from outside (Definition 4), identified by its `label`: a stream of this `tag` comes
+    on its `topic`. A larger `priority` matters more.
 
     `quality` are its demands on the stream. With a `host`, the stream has to be carried there. In a run it counts as
     unmet if no element has come for `silent_us`; planning ignores that. `type` is the message type of its topic in ROS.

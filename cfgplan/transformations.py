@@ -39,7 +39,7 @@ DEFAULT_LABOR_US = 1_000_000
 @dataclass(frozen=True, slots=True, order=True)
 @checked
 class InputPort:
-    """A named input of a transformation and the tag that it demands.
+    """An input of a transformation, by `name`, and the `tag` that it demands.
 
     Ports of one transformation in the same `distinct` group must be fed by different transformations. A `feedback` port
     may close a cycle of the wiring. A `service` input asks for replies: it may close a cycle too, and its elements
@@ -113,7 +113,7 @@ class InputPort:
 @dataclass(frozen=True, slots=True, order=True)
 @checked
 class OutputPort:
-    """A named output of a transformation and the tag that it offers.
+    """An output of a transformation, by `name`, and the `tag` that it offers.
 
     `quality` says how it contributes to each quality attribute. The stream has `rate_uhz` elements in a million
     seconds, of `size_bytes` each; their product determines the cost of carrying it between hosts. At most `serves`
@@ -285,16 +285,18 @@ class RunOptions:
 @dataclass(frozen=True)
 @checked
 class Transformation:
-    """A streaming function that can be instantiated (Definition 2, section IV-A).
+    """A streaming function that can be instantiated (Definition 2, section IV-A), identified by its `label`.
 
+    `inputs` and `outputs` are its ports. `source` names its code (such as `units.py:Camera`), whose constructor gets
+    `params`; `run` says how its units run, and `kind` is the label of the template that it was made from.
     `labor_us` is the CPU time of one start in microseconds (default: one second), `upkeep_us` the CPU time in
     microseconds that a running unit takes each second. Running units of a `pinned` transformation are kept even if no
     target needs them; a `required` one serves some target whenever that is possible (section V-C).
 
     If the environment has hosts, units run on `host`; if that is None, on one of `hosts`, or anywhere if that is empty.
     The host's labels and name must fit the selector `on` (such as `robot and not spot`). A unit takes the resources of
-    `takes`: CPU time, memory and `needs`, integer amounts of other resources. On a host in `seen_us` a unit costs the
-    labor and upkeep given there, instead of `labor_us` and `upkeep_us` adjusted by the host's speed.
+    `takes`: CPU time, `memory_mb` megabytes, and `needs`, integer amounts of other resources. On a host in `seen_us` a
+    unit costs the labor and upkeep given there, instead of `labor_us` and `upkeep_us` adjusted by the host's speed.
 
     No unit, running or cold spare, may exist beside one of a transformation in `conflicts`, or on one host with one of
     a transformation in `conflicts_on_host`. On its host there runs a unit of each in `beside`. At least `min_instances`

@@ -91,7 +91,7 @@ def test_the_reference_has_every_public_name_and_its_docstring() -> None:
     assert sorted(names(TEXT["reference"])) == sorted(public)
     text = with_docstrings(TEXT["reference"])
     assert "cfgplan.load(" in text
-    assert "Read an environment file" in text
+    assert "Read the environment file" in text
     assert "* `OPTIMAL`: `optimal`" in text
     entries = re.split(r"(?m)^### |^\*\*Example", text)
     undocumented = [entry for entry in entries if re.fullmatch(r"\w+\s+```python[^`]*```\s+", entry)]

@@ -91,7 +91,12 @@ _COMMANDS = (
     ),
     _Command("events", "print events as they happen, or past ones"),
     _Command("topics", "list the topics of targets and the streams of units, with publisher, rate and age"),
-    _Command("hz", "measure the rate and jitter of a topic, or the rate of a unit", "NAME", "a topic, or a unit's id"),
+    _Command(
+        "hz",
+        "measure the rate and jitter of a topic, the rate of a unit or stream",
+        "NAME",
+        "as `topics` lists them",
+    ),
     _Command("socket", "print the path of the run's control socket, for other programs"),
     _Command("stop", "stop the run, letting units finish"),
 )

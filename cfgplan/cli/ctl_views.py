@@ -147,24 +147,35 @@ def _pace(one: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def _hz(control: Control, screen: Screen, options: argparse.Namespace) -> Exit:
-    """Print the rate and the jitter of a topic, or the rate of a unit's steps, once a second."""
-    state = control.call("state", timeout_s=60)
-    topics = [target["topic"] for target in state["targets"] if target["topic"]]
+    """Print, once a second, the rate and the jitter of a topic, or the rate of a stream or of a unit's steps."""
+    told, state = control.call("topics", timeout_s=60), control.call("state", timeout_s=60)
+    topics = [one["topic"] for one in told["topics"]]
+    streams = [one["stream"] for one in told["streams"]]
     units = [unit["id"] for unit in state["units"] if "steps" in unit]
     end_s = None if options.span is None else time.monotonic() + options.span
     name = options.operand
-    if name not in topics and name not in units:
-        known = [*topics, *units]
+    if name not in {*topics, *streams, *units}:
+        known = [*topics, *units, *streams]
         mend = did_you_mean(name, known, f"there is {', '.join(known)}" if known else "nothing runs yet")
-        raise InputError.of(f"{name!r} is neither a topic nor a unit that runs", mend=mend)
+        raise InputError.of(f"{name!r} is neither a topic nor a unit that runs, nor a stream of one", mend=mend)
     try:
-        if name in topics:
+        if name in topics and _is_shown(control, name):
             _measure_topic(control, screen, options, end_s)
         else:
-            _measure_unit(control, screen, name, end_s)
+            _measure_counts(control, screen, name, end_s, "step" if name in units else "element")
     except KeyboardInterrupt:
         screen.note("stopped")
     return Exit.OK
+
+
+def _is_shown(control: Control, topic: str) -> bool:
+    """Whether the elements of a target's topic can be subscribed to; topics of ROS nodes are in ROS alone."""
+    from cfgplan_runtime.operating.protocol import RefusedError
+
+    try:
+        return bool(control.call("tap", timeout_s=60, stream=topic)["topic"] == topic)
+    except RefusedError:
+        return False
 
 
 def _measure_topic(control: Control, screen: Screen, options: argparse.Namespace, end_s: float | None) -> None:
@@ -198,34 +209,45 @@ def _measure_topic(control: Control, screen: Screen, options: argparse.Namespace
         screen.note(f"{topic} has ended")
 
 
-def _measure_unit(control: Control, screen: Screen, unit: str, end_s: float | None) -> None:
-    """Tell of the mean rate of a unit's steps since the measurement began, as the unit counts them each second."""
+def _measure_counts(control: Control, screen: Screen, name: str, end_s: float | None, noun: str) -> None:
+    """Tell of the mean rate of a unit's steps, or of a stream's elements, since the measurement began, as the run
+    counts them each second.
+    """
     from cfgplan_runtime.errors import ControlError
 
     first: tuple[int, float] | None = None
     try:
         while end_s is None or time.monotonic() < end_s:
-            units = control.call("state", timeout_s=60)["units"]
-            known = next((one for one in units if one["id"] == unit and "steps" in one), None)
-            if known is None:
-                screen.note(f"{unit} has ended")
+            count, now_s = _count(control, name, noun), time.monotonic()
+            if count is None:
+                screen.note(f"{name} has ended")
                 return
-            steps, now_s = known["steps"], time.monotonic()
-            if first is None:
-                first = steps, now_s
+            if first is None or count < first[0]:  # another unit of the name counts from 0
+                first = count, now_s
             else:
-                _tell_steps(screen, unit, steps - first[0], now_s - first[1])
+                _tell_count(screen, name, noun, count - first[0], now_s - first[1])
             time.sleep(_TELLS_S if end_s is None else max(0.0, min(_TELLS_S, end_s - now_s)))
     except ControlError:
         screen.note(f"run {control.system.run} has ended")
 
 
-def _tell_steps(screen: Screen, unit: str, steps: int, seconds: float) -> None:
+def _count(control: Control, name: str, noun: str) -> int | None:
+    """Return the number of a unit's steps, or of a stream's or topic's elements; None if it has ended."""
+    if noun == "step":
+        units = control.call("state", timeout_s=60)["units"]
+        return next((one["steps"] for one in units if one["id"] == name and "steps" in one), None)
+    told = control.call("topics", timeout_s=60)
+    elements = {one["stream"]: one["elements"] for one in told["streams"]}
+    elements |= {one["topic"]: one["elements"] for one in told["topics"]}
+    return elements.get(name)
+
+
+def _tell_count(screen: Screen, name: str, noun: str, count: int, seconds: float) -> None:
     if screen.json:
-        line = {"name": unit, "rate_hz": round(steps / seconds, 6), "steps": steps, "seconds": round(seconds, 3)}
-        screen.tell(json.dumps({"format_version": OUTPUT_VERSION, **line}))
+        figures = {"rate_hz": round(count / seconds, 6), f"{noun}s": count, "seconds": round(seconds, 3)}
+        screen.tell(json.dumps({"format_version": OUTPUT_VERSION, "name": name, **figures}))
     else:
-        often = f"{rate(steps / seconds)}: {counted(steps, 'step')}" if steps else "no step"
+        often = f"{rate(count / seconds)}: {counted(count, noun)}" if count else f"no {noun}"
         screen.tell(f"{often} in {span(seconds)}")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import socket
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -123,6 +124,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     if options.page is not None:
         shared.needed_for_pages()
     run_targets.check_options(options)
+    if not options.dry_run:
+        _check_places(options)
     for name in options.preload:
         top = name.partition(".")[0]
         if top not in sys.builtin_module_names and PathFinder.find_spec(top, ["", *sys.path]) is None:
@@ -208,6 +211,29 @@ def _first_plan(options: argparse.Namespace, world: World, settings: Settings, s
 def _differing(said: Environment | None) -> Callable[[Environment], str] | None:
     """How units that run differ from those that a file says; None if it is not asked."""
     return None if said is None else partial(difference_text, said)
+
+
+def _check_places(options: argparse.Namespace) -> None:
+    """Raise InputError if the options name a place or a name that the run can't have, before anything is planned."""
+    from cfgplan_runtime.streams.run_folder import base_folder, is_called, live_runs
+
+    if options.record is not None and not Path(options.record).absolute().parent.is_dir():
+        mend = "make the folder, or name a file in another one"
+        raise InputError.of("it can't be recorded to: there is no such folder", file=options.record, mend=mend)
+    if options.metrics_port:
+        with socket.socket() as tried:
+            tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                tried.bind(("127.0.0.1", options.metrics_port))
+            except OSError as error:
+                mend = "name another port; 0 takes any that is free"
+                told = f"--metrics-port {options.metrics_port}: metrics can't be served there: {error.strerror}"
+                raise InputError.of(told, mend=mend) from None
+    if options.name is not None:
+        for other in live_runs(base_folder()):
+            if is_called(other, options.name):
+                mend = "choose another name, or stop that run with `cfgplan ctl --name NAME stop`"
+                raise InputError.of(f"--name: a live run is called {options.name!r} already ({other.name})", mend=mend)
 
 
 def _check_can_start(options: argparse.Namespace, world: World) -> None:

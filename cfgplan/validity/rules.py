@@ -46,7 +46,7 @@ def _violation_summary(violation: Violation) -> Summary:
 @dataclass(frozen=True, slots=True)
 @checked
 class Violation:
-    """One broken rule, with the unit or target (and port) where it is broken.
+    """One broken `rule`, with the `unit` or `target` (and `port`) where it is broken, and a `text` for people.
 
     It `is_open` if a pair of tags has to be decided to know whether it is broken.
     """

@@ -34,7 +34,7 @@ class NoSourceError(RuntimeFaultError):
 class ApplyError(RuntimeFaultError):
     """A change set that failed half way; every step of it was undone, and the old configuration keeps running.
 
-    `units` are the new units that did not start.
+    `message` says why; `units` are the new units that did not start.
     """
 
     def __init__(self, message: str, units: Iterable[str] = ()) -> None:

@@ -126,12 +126,13 @@ class Inline:
 
 
 class Runtime(Closable):
-    """Runs units of a library and changes them by change sets; a context manager that leaves nothing behind.
+    """Runs units of a `library` for `targets`, and changes them by change sets; a context manager that leaves nothing
+    behind.
 
     `backend` makes the backend that runs the units, and `executor` gives the thread in which it works: by default
     processes of this computer and a thread of its own. For processes, sources such as `units.py:Class` are relative to
     `folder`, and `preload` names modules that units import, so that they start faster. Every event except signs of life
-    goes to the log, if any, and to `events`, a bounded queue from which the oldest are dropped.
+    goes to the file `log`, if any, and to `events`, a bounded queue from which the oldest are dropped.
     """
 
     def __init__(
@@ -174,7 +175,12 @@ class Runtime(Closable):
         patience: Patience | None = None,
         keeps_new: bool = False,
     ) -> Applied:
-        """Carry out a change set as a whole or not at all; see `Supervisor.apply`."""
+        """Carry out `change_set` as a whole or not at all; the same `id` is carried out once.
+
+        `basis` is the environment that it was planned for; `patience` limits the steps. Raises StaleChangeSetError if
+        the basis differs from the running configuration, or the change set names units that do not run; ApplyError if a
+        step failed and all was undone. With `keeps_new`, new units that have not failed then stay, unconnected.
+        """
         is_abandoned = threading.Event()
         self._abandons.append(is_abandoned)
         more = {"basis": basis, "patience": patience, "keeps_new": keeps_new, "is_abandoned": is_abandoned.is_set}
@@ -212,7 +218,10 @@ class Runtime(Closable):
         self._executor.call(lambda: self.supervisor.backend.kill(unit))
 
     def cut(self, unit: str | None, port: str) -> None:
-        """Remove the stream of an input, or of a topic (`unit` is None), as if it had been lost. Raises KeyError."""
+        """Remove the stream of the input `port`, or of the topic `port` (`unit` is None), as if it had been lost.
+
+        Raises KeyError if it has none.
+        """
         self._executor.call(lambda: self.supervisor.cut(unit, port))
 
     def tap(self, stream: Stream) -> str:
@@ -256,7 +265,7 @@ class Runtime(Closable):
 
 
 class SimulatedRuntime(Runtime):
-    """A runtime with simulated units. Give its `clock` to the manager, without a thread.
+    """A runtime of a `library` and `targets` with simulated units. Give its `clock` to the manager, without a thread.
 
     `behaviours` are by transformation, or by `TRANSFORMATION on HOST` for one host.
     """

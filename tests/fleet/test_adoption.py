@@ -17,7 +17,7 @@ from cfgplan_runtime.fleet.orders import (
     KillOrder,
 )
 from cfgplan_runtime.processes.process_backend import RELAY
-from cfgplan_runtime.supervision.backend import FoundWire, Inlet
+from cfgplan_runtime.supervision.backend import TAPS, FoundWire, Inlet
 from small_fleet import cold, source, unit, worker
 
 from cfgplan.domain import ComputationUnit, Publication, Stream
@@ -73,6 +73,15 @@ def test_of_two_units_of_one_id_that_of_the_latest_manager_is_kept_with_its_wire
         ],
         key=str,
     )
+
+
+def test_taps_of_an_earlier_manager_are_closed() -> None:
+    tap = Inlet("", f"{TAPS}{COUNTED}")
+    held = Held(units=started("count.1"), wires=[HeldWire(1, COUNTED, tap)], topics={tap.port: "r1"})
+    adoption = adopt("new", {"r1": held}, LIBRARY)
+    assert found_units(adoption) == {unit("count.1", "r1")}
+    assert adoption.topics == {}
+    assert adoption.orders == [("r1", CutOrder(1, tap)), ("r1", CloseTopicOrder(tap.port))]
 
 
 def test_a_stream_from_the_other_one_of_two_units_of_one_id_is_cut() -> None:

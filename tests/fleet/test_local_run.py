@@ -9,17 +9,19 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
 from cfgplan_runtime import subscribe
-from cfgplan_runtime.errors import RuntimeFaultError
+from cfgplan_runtime.errors import NoSuchTopicError, RuntimeFaultError
 from cfgplan_runtime.fleet.fleet_runtime import Fleet, fleet_runtime
 from cfgplan_runtime.fleet.reached import ReachedFleet
-from cfgplan_runtime.operating.control_client import connect
+from cfgplan_runtime.operating.control_client import Control, connect
+from cfgplan_runtime.operating.protocol import RefusedError
 from cfgplan_runtime.processes.cpu_group import CpuGroup
 from small_fleet import FOLDER, PATIENCE_S, eventually, small_fleet, source, unit
 
@@ -63,6 +65,32 @@ def test_the_map_goes_on_when_a_host_is_given_up_and_when_an_agent_is_killed() -
             eventually(lambda: {unit["host"] for unit in control.call("state")["units"]} == {"base", "r2"})
             eventually(lambda: next(received).time_ns > time.time_ns() - 500_000_000)
             assert next(received).time_ns > last
+
+
+def test_streams_on_hosts_are_shown_and_again_when_their_host_is_back() -> None:
+    def shown(topic: str) -> Any:
+        with suppress(NoSuchTopicError, TimeoutError), subscribe(topic, wait_s=1.0, timeout_s=2.0) as values:
+            return next(iter(values)).value
+        return None
+
+    def cameras(control: Control) -> set[str]:
+        """The hosts whose cameras run."""
+        units = control.call("state")["units"]
+        return {unit["host"] for unit in units if unit["id"].startswith("camera") and unit.get("steps")}
+
+    with local_run(START), subscribe("/obstacles", wait_s=PATIENCE_S, timeout_s=PATIENCE_S), connect() as control:
+        assert control.call("tap", stream="/obstacles") == {"topic": "/obstacles"}
+        eventually(lambda: bool(cameras(control)))
+        seeing = cameras(control).pop()
+        other, image = {"r1": "r2", "r2": "r1"}[seeing], f"camera({seeing}).1/image"
+        assert shown(control.call("tap", stream=image)["topic"]).nbytes == 230_400
+        control.call("lose_host", host=seeing)
+        with pytest.raises(RefusedError, match="no unit that runs gives 'camera"):
+            control.call("tap", stream=image)
+        control.call("regain_host", host=seeing)
+        control.call("lose_host", host=other)
+        eventually(lambda: cameras(control) == {seeing})
+        eventually(lambda: shown(control.call("tap", stream=image)["topic"]) is not None)
 
 
 def test_people_are_found_at_their_time_of_day_with_and_without_the_gpu() -> None:

@@ -240,6 +240,8 @@ def test_a_reply_does_not_wait_for_ever_for_the_review(control: Control, manager
         ('{"method": 7}', "bad_request"),
         ('{"id": 7, "method": "dance"}', "unknown_method"),
         ('{"id": 7, "method": "state", "params": {"unit": "x"}}', "bad_params"),
+        ('{"id": 7, "method": "state", "params": {"review": true}}', "bad_params"),
+        ('{"id": 7, "method": "state", "params": {"review": 5}}', "refused"),
         ('{"id": 7, "method": "kill"}', "bad_params"),
         ('{"id": 7, "method": "kill", "params": {"unit": 7}}', "bad_params"),
         ('{"id": 7, "method": "review", "params": {"wait_s": "long"}}', "bad_params"),

@@ -13,13 +13,15 @@ import pytest
 from browsed import assert_legible, await_frames, await_so, browser
 from cfgplan_runtime.lifecycle.changes import Declare, KillUnit, LoseHost, Withdraw
 from cfgplan_runtime.lifecycle.deliberation import Thought
-from cfgplan_runtime.lifecycle.reports import Decision, UnitView
+from cfgplan_runtime.lifecycle.reports import Decision, Reviewed, UnitView
 from cfgplan_runtime.operating.control_client import connect
 from cfgplan_runtime.operating.control_server import ControlServer
+from cfgplan_runtime.operating.methods import Methods
+from cfgplan_runtime.operating.moments import Moments
 from cfgplan_runtime.operating.operation import Operation, Settings
 from cfgplan_runtime.page.server import PageServer
-from cfgplan_runtime.streams.run_folder import base_folder, topics_of
-from cfgplan_runtime.supervision.taps import TAPS
+from cfgplan_runtime.streams.run_folder import RunFolder, base_folder, topics_of
+from cfgplan_runtime.supervision.backend import TAPS
 from fake_manager import DETECTOR, FORESEEN_IN, SNAPSHOT, FakeManager, observation
 from operated_world import PATIENCE_S, eventually, write_world
 from page_world import building, with_a_kill
@@ -93,6 +95,67 @@ def test_equal_units_are_one_node_that_unfolds_and_folds_again(
         tab.select_option("#fold-by", "none")
         await_so(tab, "document.querySelectorAll('g.node').length === 227")
         assert_legible(tab)
+        assert wrong == []
+
+
+@pytest.mark.parametrize("window", WINDOWS, ids=["wide", "narrow"])
+@pytest.mark.parametrize("units", [3, 31, 151])
+def test_the_time_line_shows_the_picture_and_the_health_of_each_review(
+    run_folder: RunFolder, manager: FakeManager, units: int, window: dict[str, int]
+) -> None:
+    moments = Moments(lambda: (manager.snapshot(), {}))
+    manager.shows(building(units))
+    well = manager.snapshot()
+    moments.hear(Reviewed(well.reviews[-1]))
+    killed = with_a_kill(well)
+    manager.shows(killed)
+    moments.hear(Reviewed(killed.reviews[-1]))
+    healed = replace(well, reviews=(*killed.reviews, replace(well.reviews[0], number=3, time_s=1_700_000_070.5)))
+    manager.shows(healed)
+    moments.hear(Reviewed(healed.reviews[-1]))
+    methods = Methods(manager, moments=moments).by_name()
+    with (
+        ControlServer(run_folder.path, methods, "/robots/env.yaml"),
+        PageServer(connect) as page,
+        browser(page, viewport=window, color_scheme="dark") as (tab, wrong),
+    ):
+        await_frames(tab)
+        assert (tab.get_attribute("#health", "data-level"), tab.inner_text("#scrubbed")) == ("well", "now")
+        tab.evaluate("shifts.length = 0")
+        tab.click("#earlier")
+        tab.click("#earlier")
+        tab.wait_for_selector("#health[data-level=bad]")
+        assert not [one for one in tab.evaluate("shifts") if "scrub" in one or "earlier" in one]
+        assert "Review 2: nothing to change" in tab.inner_text("#moment-says")
+        assert tab.inner_text("#tile-units") == str(units - 1)
+        tab.wait_for_selector("g.node.unmet:has-text('not met'), g.node.unmet:has-text('comfort of room0')")
+        tab.click("#units .name")
+        assert not any(tab.is_visible(part) for part in ("#chosen-acts", "#acts", "#adding"))
+        assert_legible(tab)
+        await_frames(tab)  # what comes from the run meanwhile changes nothing
+        assert tab.get_attribute("#health", "data-level") == "bad"
+        assert tab.get_attribute("#to-now", "data-level") == "well"
+        tab.emulate_media(color_scheme="light")
+        tab.click("#earlier")
+        tab.wait_for_selector("g.node.started")
+        assert tab.get_attribute("#health", "data-level") == "well"
+        assert tab.is_disabled("#earlier")
+        assert_legible(tab)
+        tab.click("#to-now")
+        tab.wait_for_selector("#moment", state="hidden")
+        assert (tab.inner_text("#tile-units"), tab.is_disabled("#later")) == (str(units), True)
+        tab.click("#timeline li.kept summary")
+        tab.click("#timeline li.kept .look")
+        tab.wait_for_selector("#health[data-level=bad]")
+        tab.keyboard.press("Escape")
+        tab.wait_for_selector("#health[data-level=well]")
+        assert wrong == []
+
+
+def test_a_moment_that_the_run_does_not_keep_is_told(page: PageServer) -> None:
+    with browser(page) as (tab, wrong):
+        tab.click("#earlier")
+        tab.wait_for_selector("#moment-says:has-text('the state after review 1 is not kept')")
         assert wrong == []
 
 
@@ -231,6 +294,13 @@ def test_a_kill_in_a_real_run_is_shown(tmp_path: Path) -> None:
         os.kill(pid, signal.SIGKILL)
         tab.wait_for_selector("#timeline li.bad:has-text('camera(piff).1')")
         tab.wait_for_selector("#health[data-level=well]")
+        tab.click("#earlier")  # a real run keeps what was so after each review
+        tab.wait_for_selector("#moment-says:has-text('Review')")
+        while tab.is_enabled("#earlier"):
+            tab.click("#earlier")
+        tab.wait_for_selector("#moment-says:has-text('Review 1:')")
+        assert tab.text_content("g.node.started text").startswith("+ ")
+        tab.click("#to-now")
         assert wrong == []
 
 

@@ -99,6 +99,24 @@ def test_images_are_bounded_in_size_and_other_numbers_are_scaled() -> None:
     assert shown(depth)["images"]
 
 
+@pytest.mark.parametrize(
+    ("encoding", "shape", "order"),
+    [("rgb8", (20, 30, 3), [0, 1, 2]), ("bgr8", (20, 30, 3), [2, 1, 0]), ("mono8", (20, 30), None)],
+)
+def test_image_messages_of_ros_are_images(encoding: str, shape: tuple[int, ...], order: list[int] | None) -> None:
+    image = numpy.random.default_rng(1).integers(0, 255, shape, numpy.uint8)
+    padded = numpy.pad(image.reshape(20, -1), ((0, 0), (0, 7)))
+    told = {"height": 20, "width": 30, "encoding": encoding, "is_bigendian": 0, "step": padded.shape[1]}
+    shown_as = pixels(shown({"header": {}, **told, "data": padded.reshape(-1)})["images"][""])
+    assert numpy.array_equal(shown_as if order is None else shown_as[..., order], image)
+    assert shown({**told, "data": padded.reshape(-1)[:-8]})["images"] == {}
+    deep = numpy.linspace(0, 60_000, 600).astype(">u2").tobytes()
+    depth = {**told, "encoding": "16UC1", "is_bigendian": 1, "step": 60, "data": numpy.frombuffer(deep, numpy.uint8)}
+    assert (pixels(shown(depth)["images"][""])[0, 0], pixels(shown(depth)["images"][""])[-1, -1]) == (0, 255)
+    jpeg = numpy.frombuffer(b"\xff\xd8\xff" + bytes(100), numpy.uint8)
+    assert shown({"format": "jpeg", "data": jpeg})["images"][""].startswith("data:image/jpeg")
+
+
 def test_compressed_images_are_passed_on_unless_they_are_too_large() -> None:
     jpeg = b"\xff\xd8\xff" + bytes(100)
     url = shown(jpeg)["images"][""]

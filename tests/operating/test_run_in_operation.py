@@ -9,6 +9,7 @@ import resource
 import select
 import shutil
 import signal
+import socket
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -292,6 +293,9 @@ def test_the_rate_of_a_topic_and_of_a_unit_is_measured(capsys: pytest.CaptureFix
     eventually(lambda: any("steps" in unit for unit in state_now(capsys)["units"]))
     assert main(["ctl", "hz", "camera(piff).1", "--for", "2500ms"]) == 0
     assert re.search(r"Hz: \d+ steps in ", capsys.readouterr().out)
+    assert main(["ctl", "hz", "camera(piff).1/image", "--for", "2500ms", "--json"]) == 0
+    counted = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert counted["rate_hz"] == pytest.approx(counted["elements"] / counted["seconds"], rel=0.01)
     assert main(["ctl", "hz", "/resul"]) == 30
     assert "did you mean `/result`" in capsys.readouterr().err
 
@@ -544,6 +548,19 @@ def test_metrics_are_served_while_it_runs(env: Path) -> None:
         port = await_event(process, "Running")["metrics_port"]
         page = urlopen(f"http://127.0.0.1:{port}/metrics").read()
     assert b'cfgplan_reviews_total{decision="applied"} 1.0' in page
+
+
+def test_places_that_a_run_can_not_have_are_told_before_it_plans(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        assert main(["run", str(env), "--metrics-port", str(port)]) == 30
+    told = capsys.readouterr()
+    assert f"--metrics-port {port}: metrics can't be served there" in told.err
+    assert "name another port" in told.err
+    assert main(["run", str(env), "--record", str(env.parent / "none" / "x.mcap")]) == 30
+    told_too = capsys.readouterr()
+    assert "there is no such folder" in told_too.err
+    assert told.out == told_too.out == ""
 
 
 def test_what_fails_at_each_step_says_where_only_once(env: Path) -> None:

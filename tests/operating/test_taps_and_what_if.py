@@ -84,9 +84,9 @@ class FakeTaps:
         self.open.remove(stream)
 
 
-def test_a_tap_that_nobody_renews_is_closed() -> None:
+def test_a_tap_that_nobody_renews_is_closed(tmp_path: Path) -> None:
     runtime, now_s = FakeTaps(), [0.0]
-    leased = LeasedTaps(runtime, lambda: now_s[0])
+    leased = LeasedTaps(runtime, tmp_path, lambda: now_s[0])
     renewed, left = Stream("a", "x"), Stream("b", "x")
     leased.renew(renewed), leased.renew(left)
     now_s[0] = TAP_S / 2

@@ -95,7 +95,8 @@ def play(story: Sequence[Step], step_s: float, audience: Audience, port: int | N
 @contextmanager
 def _served(manager: Manager, runtime: Runtime, port: int | None, audience: Audience) -> Iterator[None]:
     """The manager at work; `cfgplan ctl` reaches it, and a page shows it where a port is named."""
-    flows, rates, taps, world = Flows(), StreamRates(), LeasedTaps(runtime), str(WORLD / "0-target-only.yaml")
+    flows, rates, world = Flows(), StreamRates(), str(WORLD / "0-target-only.yaml")
+    taps = LeasedTaps(runtime, base_folder() / runtime.id)
     runtime.listen(flows.hear)
     manager.listen(rates.hear)
     manager.listen(taps.hear)

@@ -28,7 +28,7 @@ UNIT_VARIABLE = "CFGPLAN_UNIT"
 
 @dataclass(frozen=True, slots=True)
 class At:
-    """A value with its time, for sources that know it better than the clock.
+    """A `value` with its time, for sources that know it better than the clock.
 
     `time_ns` is in nanoseconds since the epoch and must rise along a stream, also across restarts.
     """
@@ -39,7 +39,7 @@ class At:
 
 @dataclass(frozen=True, slots=True)
 class WithQuality:
-    """A value that says how good it is: by quality attribute a number in the attribute's unit.
+    """A `value` that says how good it is: `quality` has by attribute a number in the attribute's unit.
 
     It may be the value of an `At`. Only what the output states in the environment is taken in.
     """

@@ -11,7 +11,7 @@ from cfgplan_runtime.children.unit_order import unit_order
 from cfgplan_runtime.fleet.orders import CloseTopicOrder, CutOrder, DiscardOrder, Held, HeldUnit, KillOrder
 from cfgplan_runtime.fleet.routes import Crossing, OrderTo, Route, Routes
 from cfgplan_runtime.processes.process_backend import RELAY
-from cfgplan_runtime.supervision.backend import Found, FoundWire
+from cfgplan_runtime.supervision.backend import Found, FoundWire, is_tap
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,12 +100,12 @@ def _kept(
 
 def _topics(held: Mapping[str, Held]) -> tuple[dict[str, tuple[str | None, str]], list[OrderTo]]:
     """For each topic the host that was asked for and the first host that has it; and orders that close it on other
-    hosts.
+    hosts, and taps on all.
     """
     topics, orders = dict[str, tuple[str | None, str]](), list[OrderTo]()
     for host, one in held.items():
         for topic, asked in one.topics.items():
-            if topic in topics:
+            if topic in topics or is_tap(topic):
                 orders.append((host, CloseTopicOrder(topic)))
             else:
                 topics[topic] = asked, host

@@ -135,7 +135,7 @@ def _stamp(path: Path) -> tuple[int, int, int] | None:
 
 @contextmanager
 def watch_file(path: str | Path, manager: Manager) -> Iterator[None]:
-    """Watch an environment file, its includes and its ontologies, and give the manager each new world.
+    """Watch the environment file at `path`, its includes and its ontologies, and give `manager` each new world.
 
     If they have an error, the faults are reported and the last valid world holds.
     """

@@ -56,12 +56,13 @@ _UNDONE = (ApplyError, NoSourceError, StaleChangeSetError)
 
 
 class Manager:
-    """Reviews the configuration of a middleware whenever it is perturbed; every part can be replaced.
+    """Reviews the configuration of a `middleware` whenever it is perturbed; every part can be replaced.
 
-    By default `planner` reuses proofs of earlier plans, `estimator` uses declared costs, and `clock` is the computer's.
-    `report` is the first listener, see `listen`. The first review carries out the plan of `first`, unless it is stale
-    by then. Raises InputError for a world whose tags can't be matched. As a context manager it works in a thread of its
-    own, and stops all units at the end; or call `step` or `run`.
+    `world` is what is wanted at first, and `policy` how reviews are made. By default `planner` reuses proofs of earlier
+    plans, `estimator` uses declared costs, and `clock` is the computer's. `report` is the first listener, see `listen`.
+    The first review carries out the plan of `first`, unless it is stale by then. Raises InputError for a world whose
+    tags can't be matched. As a context manager it works in a thread of its own, and stops all units at the end; or call
+    `step` or `run`.
     """
 
     def __init__(
@@ -139,11 +140,11 @@ class Manager:
         return self._supposing.think(self._state, change)
 
     def observe_fact(self, name: str, value: FactValue) -> None:
-        """Pass on a stream's value of a fact of the world. Thread-safe."""
+        """Pass on a stream's `value` of the fact `name`. Thread-safe."""
         self._put(FactSeen(name, value))
 
     def refuse(self, by: str, faults: tuple[Fault, ...]) -> None:
-        """Report that the world's file has errors; without faults, that it is valid again."""
+        """Report that the world's file, called `by`, has these `faults`; without any, that it is valid again."""
         self._put(Unusable(by, faults))
 
     def listen(self, listener: Callable[[Report], None]) -> None:

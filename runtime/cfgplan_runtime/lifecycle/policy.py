@@ -9,7 +9,7 @@ from cfgplan_runtime.lifecycle.back_off import BackOffRules
 
 @dataclass(frozen=True, slots=True)
 class Policy:
-    """Times in seconds.
+    """How a manager reviews. Times are in seconds.
 
     Planning may take `time_limit_s`. Matching a world may take `match_limit_s`, and so may all questions of its reviews
     to the reasoner that leave a pair open. Units are observed every `observe_every_s`. Perturbations within `gather_s`
@@ -22,7 +22,8 @@ class Policy:
     has joined; None: they are used until they are lost. With `refuses_hosts`, a world with hosts is refused, because
     the middleware can't place units. A way that streams
     have said to be too bad is looked at again after `look_every_s`, and later each time that it teaches nothing; None:
-    never.
+    never. A manager remembers its last `reviews_kept` reviews. `reasoner` is a name in `cfgplan.matching.REASONERS`, or
+    `auto`. `back_off` says how long a transformation waits after failures.
     """
 
     time_limit_s: float | None = 10.0

@@ -39,6 +39,24 @@ class Observe(msgspec.Struct, tag=True):
     publisher: str | None = None
 
 
+class Tap(msgspec.Struct, tag=True):
+    """Pass on messages of the topic `source` to the run, for a tap on `topic`, until Untap.
+
+    `publisher` and `message` are as in Lead.
+    """
+
+    topic: str
+    source: str
+    publisher: str | None = None
+    message: str | None = None
+
+
+class Untap(msgspec.Struct, tag=True):
+    """Pass on messages for a tap no more."""
+
+    topic: str
+
+
 class CloseInlets(msgspec.Struct, tag=True):
     """A unit has ended: close all inlets that fed it, and observe its outputs no more."""
 

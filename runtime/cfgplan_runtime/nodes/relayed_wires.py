@@ -13,10 +13,12 @@ import msgspec
 from cfgplan.transformations import Transformation
 from cfgplan_runtime.children import messages
 from cfgplan_runtime.children.exit_status import clause_of, end_of_process
-from cfgplan_runtime.nodes.relay_messages import CloseInlets, Lead, Observe, Passed, Refused, Unsaid
+from cfgplan_runtime.nodes.relay_messages import CloseInlets, Lead, Observe, Passed, Refused, Unsaid, Untap
+from cfgplan_runtime.nodes.shown_taps import ShownTaps
 from cfgplan_runtime.streams.ends import Ends
+from cfgplan_runtime.streams.run_folder import RunFolder
 from cfgplan_runtime.supervision import events
-from cfgplan_runtime.supervision.backend import Inlet
+from cfgplan_runtime.supervision.backend import Inlet, is_tap
 from cfgplan_runtime.supervision.delays import doubling_s
 
 ENVIRONMENT_FILE = "the environment file"
@@ -65,8 +67,8 @@ class RelayedWires:
     """Connects wires through a relay, and appends events about them to `happened`.
 
     `start` makes a relay; it raises OSError if it can't. `begin` is called with each new relay before the wires are
-    sent to it, and `hear` with each message that only this kind of relay sends. `file` is the environment file, as
-    messages name it.
+    sent to it, and `hear` with each message that only this kind of relay sends. Taps are topics in `run_folder`. `file`
+    is the environment file, as messages name it.
     """
 
     def __init__(
@@ -76,10 +78,12 @@ class RelayedWires:
         start: Callable[[], Relay],
         begin: Callable[[], None],
         hear: Callable[[object], None],
+        run_folder: RunFolder,
         file: str,
     ) -> None:
         self._ends, self._happened, self._start_process, self._begin = ends, happened, start, begin
         self._hear_other, self._file = hear, file
+        self.taps = ShownTaps(ends, run_folder)
         self._observed: dict[str, list[Observe]] = {}
         """The observed outputs by unit."""
         self._said: dict[str, messages.Qualities] = {}
@@ -142,6 +146,9 @@ class RelayedWires:
         self.tell(messages.Cut(str(inlet), wire))
 
     def end_wire(self, wire: int, inlet: Inlet) -> None:
+        if inlet.is_tap:
+            self.tell(Untap(inlet.port))
+            return
         self._leads.pop(wire, None)
         self.tell(messages.End(str(inlet), wire))
 
@@ -165,10 +172,19 @@ class RelayedWires:
         self.tell(CloseInlets(unit))
 
     def open_outlet(self, topic: str) -> None:
+        if is_tap(topic):
+            try:
+                self.taps.open(topic)
+            except OSError as error:
+                self._happened.append(events.OutOfDescriptors(f"{topic} can't be opened: {error.strerror}"))
+            return
         self._topics.append(topic)
         self.tell(messages.OpenOutlet(topic))
 
     def close_outlet(self, topic: str) -> None:
+        if is_tap(topic):
+            self.taps.close(topic)
+            return
         self._topics.remove(topic)
         self.tell(messages.CloseOutlet(topic))
 
@@ -208,6 +224,7 @@ class RelayedWires:
 
     def close(self) -> None:
         """End the relay for good."""
+        self.taps.close_all()
         if self._relay is not None:
             self._ends.unwatch(self._relay.socket)
             self._relay.close()

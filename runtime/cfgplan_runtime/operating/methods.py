@@ -27,6 +27,7 @@ from cfgplan_runtime.lifecycle.review_sentences import preview_sentence, suppose
 from cfgplan_runtime.operating.control_server import Method
 from cfgplan_runtime.operating.declaration import Declared, declaration
 from cfgplan_runtime.operating.flows import Flows
+from cfgplan_runtime.operating.moments import MOMENTS_KEPT, Moments
 from cfgplan_runtime.operating.past import Past
 from cfgplan_runtime.operating.printed import Printed
 from cfgplan_runtime.operating.protocol import Record, RefusedError
@@ -75,7 +76,8 @@ class Methods:
     """The methods of a manager by name.
 
     `flows` gives rate and latency by topic, `rates` the rate of each output of a unit, `printed` what units have
-    printed, and `past` the last events. Without `taps`, only streams that are on topics can be looked at.
+    printed, `past` the last events, and `moments` the states after reviews. Without `taps`, only streams that are on
+    topics can be looked at.
     """
 
     def __init__(
@@ -86,6 +88,7 @@ class Methods:
         past: Past | None = None,
         rates: StreamRates | None = None,
         taps: LeasedTaps | None = None,
+        moments: Moments | None = None,
     ) -> None:
         self._manager = manager
         self._flows = flows or Flows()
@@ -93,6 +96,7 @@ class Methods:
         self._past = past or Past()
         self._rates = rates or StreamRates()
         self._taps = taps
+        self._moments = moments
 
     def by_name(self) -> dict[str, Method]:
         """The methods for the control server; `cfgplan/manual/control.md` has their params and results."""
@@ -114,11 +118,22 @@ class Methods:
         }
 
     def _state(self, params: Mapping[str, Any]) -> Record:
-        _only(params)
+        _only(params, "review")
+        if "review" in params:
+            return self._state_after(params["review"])
         crossings = self._flows.crossing_records()
         snapshot = self._manager.snapshot()
         flows = self._rates.of_topics(self._flows, snapshot.targets)
         return {**snapshot_record(snapshot, flows), "crossings": crossings}
+
+    def _state_after(self, review: object) -> Record:
+        if isinstance(review, bool) or not isinstance(review, int):
+            raise RefusedError("bad_params", "`review` is no number of a review", "give the `number` of one")
+        moment = None if self._moments is None else self._moments.after(review)
+        if moment is None:
+            mend = f"the last {MOMENTS_KEPT} reviews can be seen again"
+            raise RefusedError("refused", f"the state after review {review} is not kept", mend)
+        return {**snapshot_record(*moment), "crossings": []}
 
     def _add(self, params: Mapping[str, Any]) -> Record:
         _only(params, "name", "text", "wait_s", "while_connected")
@@ -221,6 +236,16 @@ class Methods:
     def _tap(self, params: Mapping[str, Any]) -> Record:
         _only(params, "stream")
         text, snapshot = _text(params, "stream"), self._manager.snapshot()
+        by_topic = {target.topic: target for target in snapshot.targets if target.topic}
+        if text in by_topic:
+            if self._taps is None or self._taps.is_shown(text):
+                return {"topic": text}
+            stream = by_topic[text].stream
+            if stream is None:
+                raise RefusedError("refused", f"nothing feeds {text}", by_topic[text].reason or None)
+            text = str(stream)
+        elif text.startswith("/"):
+            raise RefusedError("refused", f"nothing publishes topic {text!r}", did_you_mean(text, by_topic))
         running = [view.unit for view in snapshot.units if not view.unit.standby]
         library = snapshot.environment.transformation
         given = {
@@ -230,13 +255,14 @@ class Methods:
             for port in library[unit.transformation].outputs
         }
         topics = {str(Stream(unit.id, one.port)): one.topic for unit in running for one in unit.publications}
-        if text in topics:
+        if text in topics and (self._taps is None or self._taps.is_shown(topics[text])):
             return {"topic": topics[text]}
         if text not in given:
-            raise RefusedError("refused", f"no unit that runs gives {text!r}", did_you_mean(text, given))
+            mend = did_you_mean(text, given)
+            raise RefusedError("refused", f"no unit that runs gives {text!r}", mend)
         if self._taps is None:
             mend = "give it a target, whose topic can be looked at"
-            raise RefusedError("refused", f"{text} is on no topic, and this run is on hosts or of ROS nodes", mend)
+            raise RefusedError("refused", f"{text} is on no topic, and this run has no taps", mend)
         return {"topic": self._taps.renew(Stream.parse(text))}
 
     def _what_if(self, params: Mapping[str, Any]) -> Record:

@@ -34,6 +34,7 @@ from cfgplan_runtime.operating.control_server import ControlServer
 from cfgplan_runtime.operating.crowded_links import CrowdedLinks
 from cfgplan_runtime.operating.flows import Flows, Following
 from cfgplan_runtime.operating.methods import Methods
+from cfgplan_runtime.operating.moments import Moment, Moments
 from cfgplan_runtime.operating.observed_facts import ObservedFacts
 from cfgplan_runtime.operating.past import Past
 from cfgplan_runtime.operating.printed import Printed
@@ -231,10 +232,11 @@ class Operation(Closable):
         printed, self.rates, self._past = Printed(), StreamRates(), Past()
         self.manager.listen(printed.hear)
         self.manager.listen(self.rates.hear)
-        taps = LeasedTaps(self.runtime) if settings.runtime is None else None
-        if taps is not None:
-            self.manager.listen(taps.hear)
-        methods = Methods(self.manager, self.flows, printed, self._past, self.rates, taps).by_name()
+        taps = LeasedTaps(self.runtime, base_folder() / self.id)
+        self.manager.listen(taps.hear)
+        moments = Moments(self._moment)
+        self.manager.listen(moments.hear)
+        methods = Methods(self.manager, self.flows, printed, self._past, self.rates, taps, moments).by_name()
         self._observed = ObservedFacts(self.id, self.manager, self.show)
         stack.callback(self._observed.close)
         self._server = ControlServer(base_folder() / self.id, methods, str(self._path.resolve()))
@@ -257,6 +259,10 @@ class Operation(Closable):
         for watch in (self._sources, WorldWatch(self._path, self._take_world, self.manager.refuse)):
             watch.start()
             stack.callback(watch.close)
+
+    def _moment(self) -> Moment:
+        snapshot = self.manager.snapshot()
+        return snapshot, self.rates.of_topics(self.flows, snapshot.targets)
 
     def _take_world(self, world: World, by: str) -> None:
         adjusted = self._settings.adjust(world)

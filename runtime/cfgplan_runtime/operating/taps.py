@@ -1,14 +1,16 @@
-"""Taps of streams that are on no topic. Each ends by itself soon after its last renewal, however its viewer ended."""
+"""Taps of streams that no topic shows to observers. Each ends by itself, soon after its last renewal."""
 
 from __future__ import annotations
 
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Protocol
 
 from cfgplan.domain import Stream
 from cfgplan_runtime.lifecycle.reports import Observed, Report
+from cfgplan_runtime.streams.run_folder import address
 
 TAP_S = 6.0
 """Seconds for which a tap stays open after it was asked for."""
@@ -23,13 +25,18 @@ class Tapped(Protocol):
 
 
 class LeasedTaps:
-    """Opens taps and closes those that nobody has renewed. Thread-safe."""
+    """Opens taps and closes those that nobody has renewed. `run` is the folder of the run. Thread-safe."""
 
-    def __init__(self, runtime: Tapped, now_s: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, runtime: Tapped, run: Path, now_s: Callable[[], float] = time.monotonic) -> None:
+        self._run = run
         self._runtime = runtime
         self._now_s = now_s
         self._lock = threading.Lock()
         self._until_s: dict[Stream, float] = {}
+
+    def is_shown(self, topic: str) -> bool:
+        """Whether observers can subscribe to a topic; one of ROS nodes is in ROS alone."""
+        return address(self._run, topic).exists()
 
     def renew(self, stream: Stream) -> str:
         """Show a stream on a topic for TAP_S seconds from now, and return the topic."""

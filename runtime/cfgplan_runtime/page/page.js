@@ -4,12 +4,14 @@ import { choose, detail, isNow, peek, peekedAt, source } from "./detail.js";
 import { bytes, coreShare, cost, span } from "./figures.js";
 import { sample } from "./history.js";
 import { hosts, targets, units } from "./lists.js";
+import { isPast, known, nowIs, starts, toNow } from "./moment.js";
 import { picture, redraw } from "./picture.js";
-import { event, only, reviews } from "./timeline.js";
+import { event, only, reviews, shown } from "./timeline.js";
 import { suppose } from "./what_if.js";
 const MARKED_MS = 5000;
 const SIGNS = { well: "✓", warning: "!", bad: "✗", waiting: "…" };
-let state = null, frames = 0, lastReview = null;
+let state = null, present = null, frames = 0, lastReview = null;
+let changes = new Map();  // the marks of the review that is looked back to
 const marks = new Map(), ghosts = new Map();
 
 function refresh() {
@@ -17,13 +19,14 @@ function refresh() {
   for (const marked of [marks, ghosts]) for (const [id, one] of marked) if (now > one.until) marked.delete(id);
   health();
   tiles();
-  sample(state);
+  sample(present);
   targets(state, choose);
   units(state, choose);
   hosts(state, token);
   declared();
   const there = new Set(state.units.map((unit) => unit.id));
-  picture(state, [...ghosts.values()].filter((one) => !there.has(one.unit.id)).map((one) => one.unit),
+  if (isPast()) picture(state, [], changes, choose);
+  else picture(state, [...ghosts.values()].filter((one) => !there.has(one.unit.id)).map((one) => one.unit),
     new Map([...marks].map(([id, one]) => [id, one.kind])), choose);
   detail(state);
   document.body.dataset.frames = ++frames;
@@ -67,16 +70,26 @@ function changed(all) {
     }
   }
   lastReview = last ? last.number : 0;
+  known(all);
   reviews(all);
 }
 function taken(told) {
-  if (state) {
+  if (present) {
     const there = new Set(told.units.map((unit) => unit.id));
-    for (const unit of state.units) if (!there.has(unit.id)) ghosts.set(unit.id, { unit, until: performance.now() + MARKED_MS });
+    for (const unit of present.units) if (!there.has(unit.id)) ghosts.set(unit.id, { unit, until: performance.now() + MARKED_MS });
   }
-  state = told;
+  present = told;
+  nowIs(present.health);
+  if (!isPast()) state = present;
   refresh();
 }
+starts((past, review) => {
+  if (!present) return;
+  changes = new Map(["started", "rewired"].flatMap((kind) => (review?.change_set?.[kind] || []).map((unit) => [unit.id, kind])));
+  state = past || present;
+  shown(review);
+  refresh();
+});
 function declared() {
   const list = byId("declared"), key = JSON.stringify([state.declared, state.removed]);
   if (list.dataset.key === key) return;
@@ -126,5 +139,5 @@ byId("stop").addEventListener("click", () => confirm("Stop the run?") && ask("st
 byId("only-reviews").addEventListener("change", (change) => only(change.target.checked));
 for (const id of ["find", "only-unmet"]) byId(id).addEventListener("input", () => state && refresh());
 byId("fold-by").addEventListener("change", redraw);
-document.addEventListener("keydown", (key) => key.key === "Escape" && choose(null));
+document.addEventListener("keydown", (key) => { if (key.key === "Escape") { if (isPast()) toNow(); else choose(null); } });
 new ResizeObserver(redraw).observe(byId("picture"));

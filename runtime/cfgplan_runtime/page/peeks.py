@@ -41,8 +41,10 @@ class Peek:
         self._subscribe = subscribe
         self._give = give
         self._is_closed = threading.Event()
-        self._arrived_s: deque[float] = deque(maxlen=1000)
+        self._arrived: deque[tuple[float, int]] = deque(maxlen=1000)
+        """When elements came, and how many the stream had given by then."""
         self._elements = 0
+        """How many elements the stream has given since the peek began, also those that did not come here."""
         self._thread = threading.Thread(target=self._work, name=f"cfgplan-peek {stream}", daemon=True)
         self._thread.start()
 
@@ -68,13 +70,15 @@ class Peek:
     def _look(self, topic: str) -> None:
         """Show elements for a while: until it is time to ask for the topic again."""
         until_s = time.monotonic() + _RENEW_S
-        given_s, last = 0.0, None
+        given_s, last, dropped = 0.0, None, 0
         with self._subscribe(topic, timeout_s=PERIOD_S) as subscription:
             while not self._is_closed.is_set() and subscription.is_connected:
                 with suppress(TimeoutError):
                     for element in subscription.elements():
                         last = element
-                        self._note()
+                        self._elements += 1 + subscription.dropped - dropped
+                        dropped = subscription.dropped
+                        self._arrived.append((time.monotonic(), self._elements))
                         if time.monotonic() - given_s >= PERIOD_S or self._is_closed.is_set():
                             break
                 now_s = time.monotonic()
@@ -86,13 +90,9 @@ class Peek:
                     if self._topic_of(self._stream) != topic:
                         return
 
-    def _note(self) -> None:
-        self._elements += 1
-        self._arrived_s.append(time.monotonic())
-
     def _show(self, element: Element, now_ns: int) -> None:
-        recent = [at_s for at_s in self._arrived_s if at_s > time.monotonic() - _RATE_OVER_S]
-        over_s = recent[-1] - recent[0] if len(recent) > 1 else 0.0
+        recent = [one for one in self._arrived if one[0] > time.monotonic() - _RATE_OVER_S]
+        over_s, more = (recent[-1][at] - recent[0][at] if len(recent) > 1 else 0 for at in (0, 1))
         try:
             value = shown(decode(element.payload))
         except EncodingError as error:
@@ -101,7 +101,7 @@ class Peek:
             {
                 "stream": self._stream,
                 "elements": self._elements,
-                "rate_hz": round((len(recent) - 1) / over_s, 2) if over_s else None,
+                "rate_hz": round(more / over_s, 2) if over_s else None,
                 "age_s": round((now_ns - element.time_ns) / 1e9, 3),
                 **value,
             }

@@ -48,6 +48,7 @@ METHODS = (
     "withdraw",
 )
 """The methods of the control socket that the page may call."""
+_NEEDS_TOKEN = "looking needs the token of the page's address"
 _ALIVE_S = 5.0
 _LARGEST_REQUEST = 1_000_000
 _FILES = Path(__file__).parent
@@ -100,7 +101,9 @@ class PageServer:
             self._socket.listen()  # at once: two may be bound to an address while neither listens
         except (OSError, OverflowError) as error:
             self._socket.close()
-            raise InputError.of(f"{address}:{port} can't be served: {error}", mend="name another port") from None
+            why = getattr(error, "strerror", None) or error
+            mend = "name another port by --port"
+            raise InputError.of(f"{address}:{port} can't be served: {why}", mend=mend) from None
         self.watched = Watched(reach, subscribe)
         try:
             self.watched.start()
@@ -115,6 +118,7 @@ class PageServer:
                 Route("/", _file(_FILES / "page.html")),
                 *(Route(f"/{path.name}", _file(path)) for path in sorted(_FILES.iterdir()) if path.suffix in _KINDS),
                 Route("/messages", self._messages),
+                Route("/moment", self._moment),
                 Route("/peek", self._peek, methods=["POST"]),
                 Route("/do", self._do, methods=["POST"]),
             ],
@@ -150,9 +154,24 @@ class PageServer:
     def _may(self, token: str | None) -> bool:
         return token is not None and hmac.compare_digest(token.encode(), self._token.encode())
 
+    def _may_look(self, request: Request) -> bool:
+        return self._is_open or self._may(request.query_params.get("token"))
+
+    async def _moment(self, request: Request) -> Response:
+        """The state right after a review: `?review=NUMBER`."""
+        if not self._may_look(request):
+            return JSONResponse({"message": _NEEDS_TOKEN}, 403, headers=_HEADERS)
+        asked = request.query_params.get("review", "")
+        if not asked.isdecimal():
+            return JSONResponse({"message": "this is no request"}, 400, headers=_HEADERS)
+        try:
+            return JSONResponse(await asyncio.to_thread(self.watched.moment, int(asked)), headers=_HEADERS)
+        except (RefusedError, ControlError) as error:
+            return JSONResponse({"refused": str(error)}, headers=_HEADERS)
+
     async def _messages(self, request: Request) -> Response:
-        if not (self._is_open or self._may(request.query_params.get("token"))):
-            return JSONResponse({"message": "looking needs the token of the page's address"}, 403, headers=_HEADERS)
+        if not self._may_look(request):
+            return JSONResponse({"message": _NEEDS_TOKEN}, 403, headers=_HEADERS)
         return StreamingResponse(self._told(), media_type="text/event-stream", headers=_HEADERS)
 
     async def _told(self) -> AsyncIterator[str]:

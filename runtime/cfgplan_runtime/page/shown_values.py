@@ -25,7 +25,8 @@ _MOST_NUMBERS, _MOST_IMAGES, _MOST_ITEMS = 8, 2, 64
 
 def shown(value: Any) -> Record:
     """Return `numbers` (by name; "" for the value itself), `text`, and `images` (data URLs by name) of a value."""
-    parts = value if isinstance(value, Mapping) else {"": value}
+    pixels = _pixels(value) if isinstance(value, Mapping) else None
+    parts = value if isinstance(value, Mapping) and pixels is None else {"": value if pixels is None else pixels}
     images: dict[str, str] = {}
     numbers: dict[str, float] = {}
     for name, part in parts.items():
@@ -39,6 +40,46 @@ def shown(value: Any) -> Record:
     if len(text) > MOST_CHARACTERS:
         text = f"{text[:MOST_CHARACTERS]}\n... {len(text) - MOST_CHARACTERS} more characters"
     return {"numbers": numbers, "text": text, "images": images}
+
+
+_ENCODINGS = {
+    "mono8": ("u1", 1),
+    "rgb8": ("u1", 3),
+    "bgr8": ("u1", 3),
+    "rgba8": ("u1", 4),
+    "bgra8": ("u1", 4),
+    "8UC1": ("u1", 1),
+    "8UC3": ("u1", 3),
+    "mono16": ("u2", 1),
+    "16UC1": ("u2", 1),
+    "32FC1": ("f4", 1),
+}
+"""The pixels of ROS images by their encoding: numpy's type, and the number of channels."""
+
+
+def _pixels(message: Mapping[Any, Any]) -> NDArray[Any] | bytes | None:
+    """Return the pixels of a message such as sensor_msgs/Image (height x width, or height x width x channels), or the
+    bytes of a compressed one. None for anything else.
+    """
+    import numpy
+
+    data: Any = message.get("data")
+    if not _is_array(data) or data.dtype != numpy.uint8:
+        return None
+    if isinstance(message.get("format"), str):
+        return bytes(data)
+    kind, channels = _ENCODINGS.get(str(message.get("encoding")), ("", 0))
+    height, width, step = (message.get(name) for name in ("height", "width", "step"))
+    if not (kind and isinstance(height, int) and isinstance(width, int) and isinstance(step, int)):
+        return None
+    pixel = numpy.dtype(kind).newbyteorder(">" if message.get("is_bigendian") else "<")
+    used = width * channels * pixel.itemsize
+    if not 0 < used <= step or data.size < height * step or height < 1:
+        return None
+    rows = numpy.ascontiguousarray(data[: height * step].reshape(height, step)[:, :used]).view(pixel)
+    image = rows.astype(pixel.newbyteorder("=")).reshape((height, width, channels)[: 2 if channels == 1 else 3])
+    order = [2, 1, 0, 3][:channels] if str(message["encoding"]).startswith("bgr") else None
+    return image if order is None else numpy.ascontiguousarray(image[..., order])
 
 
 def _number(value: Any) -> float | None:

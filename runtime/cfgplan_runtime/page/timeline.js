@@ -1,9 +1,11 @@
 // Reviews and events, the latest first, with what was planned, why, what changed, when, and how long it took.
-import { attribute, byId, made, put } from "./dom.js";
+import { attribute, button, byId, made } from "./dom.js";
 import { clock, cost, span } from "./figures.js";
+import { look } from "./moment.js";
 const MOST = 300;
 const list = byId("timeline");
 const reviewRows = new Map(), eventRows = new Map();
+let shownNumber = null;
 
 export function reviews(all) {
   for (const review of all) {
@@ -11,13 +13,22 @@ export function reviews(all) {
     if (known?.key === key) continue;
     const row = rowOf(review.time_s, `review ${review.decision}`, review.says, total(review));
     row.key = key;
-    row.querySelector("details").append(more(review));
+    row.querySelector("details").append(button("Show this moment", () => look(review), "look"), more(review));
+    row.classList.toggle("shown", review.number === shownNumber);
     if (known) {
       row.querySelector("details").open = known.querySelector("details").open;
       known.replaceWith(row);
     } else insert(row);
     reviewRows.set(review.number, row);
   }
+}
+export function shown(review) {  // marks the review that is looked back to; null: none
+  reviewRows.get(shownNumber)?.classList.remove("shown");
+  shownNumber = review?.number ?? null;
+  const row = reviewRows.get(shownNumber);
+  if (!row) return;
+  row.classList.add("shown");
+  row.parentElement.scrollTop = row.offsetTop - row.parentElement.offsetTop - 40;
 }
 export function event(one) {
   const key = one.number ?? `${one.time_s} ${one.says}`;

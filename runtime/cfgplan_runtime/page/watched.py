@@ -140,10 +140,13 @@ class Watched:
         with self._reach() as control:
             return control.call(method, timeout_s=_REVIEWED_S, **params)
 
+    def moment(self, review: int) -> Record:
+        """Return the state right after a review, as viewers get it. Raises RefusedError and ControlError."""
+        with self._reach() as control:
+            return _seen(control.call("state", timeout_s=_RUN_S, review=review))
+
     def _topic_of(self, stream: str) -> str:
-        """The topic that has a stream, which may itself be written as a topic. Raises RefusedError and ControlError."""
-        if stream.startswith("/"):
-            return stream
+        """Return a topic that shows a stream, or a target's topic, to observers. Raises RefusedError, ControlError."""
         with self._reach() as control:
             topic: str = control.call("tap", timeout_s=_RUN_S, stream=stream)["topic"]
         return topic
@@ -181,7 +184,7 @@ class Watched:
                 self._somebody_looks.wait()
                 self._is_due.clear()
                 state = control.call("state", timeout_s=_RUN_S)
-                reviews = ("reviews", json.dumps(state.pop("reviews")))
+                reviews = ("reviews", json.dumps(state["reviews"]))
                 if reviews != self._reviews:
                     self._tell(reviews)
                 self._tell(("state", json.dumps(_seen(state))))
@@ -214,7 +217,7 @@ def _time(event: Record) -> Record:
 
 def _seen(state: Record) -> Record:
     """A state as viewers get it: with its health, and with the source lines of faults."""
-    del state["transformations"]
+    del state["transformations"], state["reviews"]
     units = [
         {**unit, "last_error": error_record(unit["last_error"])} if unit.get("last_error") else unit
         for unit in state["units"]

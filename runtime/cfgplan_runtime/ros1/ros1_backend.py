@@ -19,16 +19,17 @@ from cfgplan_runtime.children import messages
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.exit_status import clause_of
 from cfgplan_runtime.nodes.node_process import NodeProcess
-from cfgplan_runtime.nodes.relay_messages import Lead
+from cfgplan_runtime.nodes.relay_messages import Lead, Tap
 from cfgplan_runtime.nodes.relayed_wires import ENVIRONMENT_FILE, RelayedWires
 from cfgplan_runtime.nodes.watched_processes import WatchedProcesses
 from cfgplan_runtime.processes.child_process import cpu_us, memory_bytes
 from cfgplan_runtime.processes.nursery_link import start_helper
 from cfgplan_runtime.ros1.node_watch import NodeWatch
 from cfgplan_runtime.ros1.nodelet_group import NodeletGroup
-from cfgplan_runtime.ros1.relay_messages import FromTopicRelay, Listening, RelayOrder
+from cfgplan_runtime.ros1.relay_messages import FromTopicRelay, Listening, RelayOrder, TappedMessage
 from cfgplan_runtime.ros1.ros_master import RosMaster, forget_node
 from cfgplan_runtime.ros1.ros_unit import RosUnit, executable, node_source
+from cfgplan_runtime.ros1.tapped_values import TappedValues
 from cfgplan_runtime.streams.ends import Ends, Posted
 from cfgplan_runtime.streams.run_folder import RunFolder
 from cfgplan_runtime.supervision import events
@@ -109,8 +110,9 @@ class Ros1Backend:
         self._relay_address = ""
         order = RelayOrder(self._relay_node, self.master.address, self.master.host)
         self._wires = RelayedWires(
-            self._ends, self._events, lambda: _Relay(order), lambda: None, self._note_relay_address, file
+            self._ends, self._events, lambda: _Relay(order), lambda: None, self._hear_relay, self.run_folder, file
         )
+        self._values = TappedValues()
         self._to_master = ThreadPoolExecutor(1, "to-master")
         self._watch_master()
         self._wires.start()
@@ -188,6 +190,9 @@ class Ros1Backend:
         target = inlet.port if consumer is None else consumer.ros.listens_at(inlet.input)
         publisher = producer.ros.name if producer.ros.is_foreign else None
         source = producer.ros.publishes_at(stream.port)
+        if inlet.is_tap:
+            self._wires.tell(Tap(inlet.port, source, publisher))
+            return
         is_service = consumer is not None and consumer.ros.transformation.input[inlet.input].service
         lead = Lead(wire, inlet.unit, str(inlet), source, target, queue, publisher, is_service)
         self._wires.lead(inlet, lead)
@@ -458,6 +463,9 @@ class Ros1Backend:
         self.master.restart()
         self._watch_master()
 
-    def _note_relay_address(self, message: object) -> None:
-        if isinstance(message, Listening):
-            self._relay_address = message.address
+    def _hear_relay(self, message: object) -> None:
+        match message:
+            case Listening(address):
+                self._relay_address = address
+            case TappedMessage(topic, kind, definition, time_ns, skipped, data):
+                self._wires.taps.show(topic, time_ns, self._values.of(kind, definition, data), skipped)

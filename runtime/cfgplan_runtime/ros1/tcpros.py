@@ -22,6 +22,8 @@ _SERVICE_CALLER = "/cfgplan"
 Header: TypeAlias = Mapping[str, str]
 Framed: TypeAlias = bytes | bytearray
 """A message's length, then the message."""
+LENGTH_BYTES = _LENGTH.size
+"""Bytes of a framed message before the message itself."""
 
 
 def subscribed(address: str, caller: str, topic: str) -> tuple[socket.socket, Header]:

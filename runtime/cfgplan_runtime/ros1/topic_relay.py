@@ -34,13 +34,22 @@ from cfgplan_runtime.children.messages import (
 )
 from cfgplan_runtime.nodes.message_layout import UnreadableError, ros1_layout
 from cfgplan_runtime.nodes.observed_outputs import ObservedOutputs
-from cfgplan_runtime.nodes.relay_messages import CloseInlets, Lead, Observe, Passed, Refused, Unsaid
+from cfgplan_runtime.nodes.passed_taps import PassedTaps
+from cfgplan_runtime.nodes.relay_messages import CloseInlets, Lead, Observe, Passed, Refused, Tap, Unsaid, Untap
 from cfgplan_runtime.processes.nursery import die_with_parent
 from cfgplan_runtime.ros1.master_calls import MasterCalls
 from cfgplan_runtime.ros1.relay_api import RelayApi
-from cfgplan_runtime.ros1.relay_messages import FromTopicRelay, Listening, RelayOrder, ToTopicRelay
+from cfgplan_runtime.ros1.relay_messages import FromTopicRelay, Listening, RelayOrder, TappedMessage, ToTopicRelay
 from cfgplan_runtime.ros1.service_relay import ServiceRelay
-from cfgplan_runtime.ros1.tcpros import Framed, Header, MessageReader, MessageWriter, read_header, subscribed
+from cfgplan_runtime.ros1.tcpros import (
+    LENGTH_BYTES,
+    Framed,
+    Header,
+    MessageReader,
+    MessageWriter,
+    read_header,
+    subscribed,
+)
 from cfgplan_runtime.ros1.topic_ends import RelayedInlet, RelayedPublication, SourceTopic, begins_with_header
 from cfgplan_runtime.streams.element import Element
 from cfgplan_runtime.streams.ends import Ends, Posted
@@ -64,6 +73,7 @@ class TopicRelay:
         self._publications: dict[str, RelayedPublication] = {}
         self._meters: dict[str, Meter] = {}
         self._observed = ObservedOutputs(lambda unit, text: self._say(Unsaid(unit, text)), is_aligned=False)
+        self._taps = PassedTaps()
         self._is_finishing = False
         self._ends = Ends()
         self._posted = Posted(self._ends)
@@ -138,6 +148,15 @@ class TopicRelay:
                 case Observe(unit, port, topic, fields, publisher):
                     self._observed.observe(unit, port, topic, fields)
                     self._source(topic, publisher)
+                case Tap(topic, tapped, publisher):
+                    self._taps.open(topic, tapped)
+                    source = self._source(tapped, publisher)
+                    if source.latched is not None:
+                        self._pass_on(source, source.latched, time.time_ns())
+                case Untap(topic):
+                    tapped_topic = self._taps.close(topic)
+                    for source in [source for source in self._sources.values() if source.topic == tapped_topic]:
+                        self._drop_unused(source)
                 case CloseInlets(unit):
                     gone = self._observed.forget(unit)
                     for source in [source for source in self._sources.values() if source.topic in gone]:
@@ -207,7 +226,7 @@ class TopicRelay:
         self._drop_unused(found)
 
     def _drop_unused(self, source: SourceTopic) -> None:
-        if source.wires or source.topic in self._observed:
+        if source.wires or source.topic in self._observed or source.topic in self._taps:
             return
         del self._sources[source.topic, source.publisher]
         for address, reader in list(source.readers.items()):
@@ -289,6 +308,8 @@ class TopicRelay:
                 self._observed.note(source.topic, (now_ns - time_ns) / 1e9)
                 if source.layout is not None:
                     self._observed.take(source.topic, message, source.layout)
+            if source.topic in self._taps:
+                self._pass_on(source, message, time_ns)
             for wire, inlet in list(source.wires.items()):
                 number = source.offered[wire]
                 source.offered[wire] += 1
@@ -297,6 +318,14 @@ class TopicRelay:
             self._forget_reader(source, address, reader)
             if address in source.wanted:
                 self._begin_connecting(source, address)
+
+    def _pass_on(self, source: SourceTopic, message: Framed, time_ns: int) -> None:
+        """Show a message to those who look."""
+        if source.header is None:
+            return
+        kind, definition = source.header["type"], source.header.get("message_definition", "")
+        for topic, skipped in self._taps.due(source.topic, time.monotonic()):
+            self._say(TappedMessage(topic, kind, definition, time_ns, skipped, bytes(message[LENGTH_BYTES:])))
 
     def _forget_reader(self, source: SourceTopic, address: str, reader: MessageReader) -> None:
         del source.readers[address]

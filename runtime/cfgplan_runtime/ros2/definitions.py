@@ -14,7 +14,8 @@ from cfgplan.extras import needed
 from cfgplan.onward import reached
 from cfgplan.ros import MessageType
 from cfgplan_runtime.nodes.message_layout import Kind, Layout, Several, kind_of
-from cfgplan_runtime.ros2.message_form import FILLER, MessageForm
+from cfgplan_runtime.nodes.message_values import FILLER
+from cfgplan_runtime.ros2.message_form import MessageForm
 
 if TYPE_CHECKING:
     from rosbags.interfaces.typing import Typesdict

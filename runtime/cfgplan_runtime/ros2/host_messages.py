@@ -8,6 +8,7 @@ import msgspec
 
 from cfgplan_runtime.children.messages import Lost, Switched
 from cfgplan_runtime.nodes.relay_messages import Passed, Refused, Unsaid
+from cfgplan_runtime.ros2.host_link import WithData
 
 
 class PortTopic(msgspec.Struct, frozen=True):
@@ -147,6 +148,18 @@ class Told(msgspec.Struct, tag=True):
     text: str
 
 
+class Tapped(WithData, tag=True, kw_only=True):
+    """A message in CDR for the tap on `topic`, of the type `message`; `skipped` before it were not passed on.
+
+    `time_ns` is its time in nanoseconds since 1970.
+    """
+
+    topic: str
+    message: str
+    time_ns: int
+    skipped: int
+
+
 FromHost: TypeAlias = (
     Listening
     | Attended
@@ -162,5 +175,6 @@ FromHost: TypeAlias = (
     | Lost
     | Passed
     | Refused
+    | Tapped
     | Unsaid
 )

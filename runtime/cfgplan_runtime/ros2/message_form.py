@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from operator import attrgetter, index
+from operator import index
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy
@@ -13,6 +13,7 @@ import numpy
 from cfgplan.errors import did_you_mean
 from cfgplan.ros import MessageType
 from cfgplan_runtime.errors import EncodingError
+from cfgplan_runtime.nodes.message_values import FILLER, MessageValues
 
 if TYPE_CHECKING:
     from rosbags.interfaces.typing import FieldDesc
@@ -21,8 +22,6 @@ if TYPE_CHECKING:
 _Change: TypeAlias = Callable[[Any], Any]
 _Empty: TypeAlias = Callable[[], Any]
 _HEADER, _TIME = "std_msgs/msg/Header", "builtin_interfaces/msg/Time"
-FILLER = "structure_needs_at_least_one_member"
-"""The field that a message without fields has on the wire."""
 _MOST_SHOWN = 40
 
 
@@ -54,7 +53,7 @@ class MessageForm:
         self._name = type.ros2
         store.get_msgdef(self._name)
         self._message = _Messages(store).change(self._name)
-        self._value = _Values(store).change(self._name)
+        self._value = MessageValues(store).change(self._name)
         fields = dict(store.fielddefs[self._name][1])
         self._only = next(iter(fields)) if len(fields) == 1 else None
         self._has_header = "header" in fields and fields["header"][1] == _HEADER
@@ -138,44 +137,6 @@ class _Messages:
             return numbers, lambda: numbers(numpy.zeros(length, numbers.kind))
         change, empty = self._field(inner)
         return partial(_several, change=change, size=size, is_fixed=is_fixed), lambda: [empty() for _ in range(length)]
-
-
-class _Values:
-    """Makes values of messages, by type."""
-
-    def __init__(self, store: Typestore) -> None:
-        self._store = store
-        self._made: dict[str, _Change] = {}
-
-    def change(self, name: str) -> _Change:
-        """How a message of a type becomes a value."""
-        if name not in self._made:
-            fields = self._store.fielddefs[name][1]
-            attributes = [key for key, _ in self._store.get_msgdef(name).fields]
-            rows = [
-                (field, attrgetter(attribute), self._field(what))
-                for (field, what), attribute in zip(fields, attributes, strict=True)
-                if field != FILLER
-            ]
-            self._made[name] = lambda message: {field: change(get(message)) for field, get, change in rows}
-        return self._made[name]
-
-    def _field(self, what: FieldDesc) -> _Change:
-        from rosbags.interfaces import Nodetype
-
-        if what[0] == Nodetype.NAME:
-            return self.change(what[1])
-        if what[0] == Nodetype.BASE:
-            return (lambda value: value & 0xFF) if what[1][0] == "byte" else _as_it_is
-        inner = what[1][0]
-        if inner[0] == Nodetype.BASE:
-            return (lambda array: array.view(numpy.uint8)) if inner[1][0] == "byte" else _as_it_is
-        change = self._field(inner)
-        return lambda messages: [change(message) for message in messages]
-
-
-def _as_it_is(value: Any) -> Any:
-    return value
 
 
 class _Numbers:

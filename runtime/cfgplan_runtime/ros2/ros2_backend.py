@@ -12,7 +12,7 @@ from cfgplan.errors import InputError
 from cfgplan.ros.topic_names import word
 from cfgplan_runtime.children import messages
 from cfgplan_runtime.nodes.node_process import NodeProcess
-from cfgplan_runtime.nodes.relay_messages import Lead
+from cfgplan_runtime.nodes.relay_messages import Lead, Tap
 from cfgplan_runtime.nodes.relayed_wires import ENVIRONMENT_FILE, RelayedWires
 from cfgplan_runtime.nodes.watched_processes import WatchedProcesses
 from cfgplan_runtime.processes.child_process import cpu_us, memory_bytes
@@ -30,12 +30,14 @@ from cfgplan_runtime.ros2.host_messages import (
     FromHost,
     Gone,
     Loaded,
+    Tapped,
     Told,
     Unloaded,
 )
 from cfgplan_runtime.ros2.quality_warnings import QualityWarnings
 from cfgplan_runtime.ros2.ros2_unit import SIM_TIME, Ros2Unit, message_of, node_source
 from cfgplan_runtime.ros2.ros_python import RosPython, ros_python
+from cfgplan_runtime.ros2.tapped_values import TappedValues
 from cfgplan_runtime.ros2.warm_nodes import WarmNode, WarmNodes
 from cfgplan_runtime.streams.ends import Bell, Ends
 from cfgplan_runtime.streams.run_folder import RunFolder
@@ -95,7 +97,10 @@ class Ros2Backend:
         self._processes = WatchedProcesses(self._ends, self._events, self._shown)
         self._unnumbered: set[str] = set()
         """Transformations whose nodes fail to start with a participant number of their own."""
-        self._wires = RelayedWires(self._ends, self._events, self._start_host, self._attend_all, self._hear, file)
+        self._wires = RelayedWires(
+            self._ends, self._events, self._start_host, self._attend_all, self._hear, self.run_folder, file
+        )
+        self._values = TappedValues(self._folder)
         self._containers = Containers(self._wires.tell, self._start_container, self._processes, self._lose)
         self._sign_due_s = self.now()
         self._wires.start()
@@ -221,6 +226,9 @@ class Ros2Backend:
         is_service = consumer is not None and consumer.ros.transformation.input[inlet.input].service
         message = message_of(producer.ros.transformation.output[stream.port])
         publisher = producer.ros.name if producer.ros.is_foreign else None
+        if inlet.is_tap:
+            self._wires.tell(Tap(inlet.port, source, publisher, message))
+            return
         lead = Lead(wire, inlet.unit, str(inlet), source, target, queue, publisher, is_service, message)
         self._wires.lead(inlet, lead)
 
@@ -329,6 +337,8 @@ class Ros2Backend:
                 node = self._nodes[unit]
                 gone = "is not there any more" if node.is_ready else "can't be started: no such node is there"
                 self._bury(node, f"{node.ros.name} {gone}")
+            case Tapped(data=data, topic=topic, message=kind, time_ns=time_ns, skipped=skipped):
+                self._wires.taps.show(topic, time_ns, self._values.of(kind, data), skipped)
             case Told(unit, text) if unit in self._nodes:
                 self._events.append(events.UnitPrinted(unit, f"cfgplan: {text}"))
 

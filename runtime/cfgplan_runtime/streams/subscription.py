@@ -31,7 +31,7 @@ _RETRY_S = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """A value of a topic. `time_ns` is the time when it was made, in nanoseconds since 1970, on the run's clock."""
+    """A `value` of a `topic`. `time_ns` is the time when it was made, in nanoseconds since 1970, on the run's clock."""
 
     value: Any
     time_ns: int
@@ -162,7 +162,7 @@ class SubscriptionToTopic(Closable):
 def subscribe(
     topic: str, *, run: str | None = None, timeout_s: float | None = None, wait_s: float = 0.0
 ) -> SubscriptionToTopic:
-    """Subscribe to a topic of a run of this user on this computer.
+    """Subscribe to `topic` of a run of this user on this computer.
 
     `run` is the run's id or name, needed only if several runs have the topic. Waits up to `wait_s` seconds for the
     topic, and up to `timeout_s` seconds for each value. Raises NoSuchTopicError.

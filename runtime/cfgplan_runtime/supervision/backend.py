@@ -10,6 +10,9 @@ from cfgplan.domain import ComputationUnit, Host, Stream, Transformation
 from cfgplan_runtime.streams.inlet import port_of
 from cfgplan_runtime.supervision.events import Event
 
+TAPS = "/cfgplan/taps/"
+"""The beginning of the topic of each tap, which shows a stream to observers; the stream follows."""
+
 
 @dataclass(frozen=True, slots=True, order=True)
 class Inlet:
@@ -26,12 +29,22 @@ class Inlet:
         return not self.unit
 
     @property
+    def is_tap(self) -> bool:
+        """Whether it is the outlet of a tap."""
+        return self.is_outlet and is_tap(self.port)
+
+    @property
     def input(self) -> str:
         """The input port of the unit."""
         return port_of(self.port)
 
     def __str__(self) -> str:
         return self.port if self.is_outlet else f"{self.unit}/{self.port}"
+
+
+def is_tap(topic: str) -> bool:
+    """Whether a topic is that of a tap."""
+    return topic.startswith(TAPS)
 
 
 @dataclass(frozen=True, slots=True)

@@ -107,7 +107,9 @@ class SourceExhausted(Event, frozen=True):
 
 
 class InputLost(Event, frozen=True):
-    """An input of a living unit, or a topic (`unit` is null), has lost its source."""
+    """The input `port` of a living unit, or that topic (`unit` is null), has lost its source: the wire of the number
+    `wire`.
+    """
 
     unit: str | None
     port: str
@@ -226,7 +228,7 @@ class ElementsLost(Event, frozen=True):
 
 
 class Applied(Event, frozen=True):
-    """A change set was carried out.
+    """The change set `id` was carried out.
 
     `seconds` is the time of each phase; `unswitched` counts inputs whose new source had given nothing yet when the old
     one was taken away.

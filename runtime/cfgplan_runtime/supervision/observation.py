@@ -16,10 +16,12 @@ _SHORTEST_INTERVAL_S = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """One unit as observed.
+    """One unit as observed, with the label of its `transformation` and its `host`, if it has one.
 
-    `labor_us` is the CPU time of its start; `upkeep_us` the CPU time per second since the last observation,
-    None at the first; both in microseconds. `steps_per_s` is over the time between two signs of life.
+    `labor_us` is the CPU time of its start, `cpu_us` that of its whole life, and `upkeep_us` the CPU time per second
+    since the last observation, None at the first; all in microseconds. It takes `memory_bytes` now. `steps` and
+    `errors` (failed steps) count from its start, and `last_error` is the text of the last one. `steps_per_s` is over
+    the time between two signs of life. `inputs` and `outputs` have the counts of each port.
     """
 
     unit: str

@@ -99,7 +99,9 @@ class SimulatedBackend:
     """A backend whose clock moves only in `wait` (straight to the next event) and `stall`.
 
     `behaviours` are by transformation, or by `TRANSFORMATION on HOST` for those on one host. `calls` lists the calls of
-    its methods, in order. All hosts are there until `lose_host`.
+    its methods, in order. All hosts are there until `lose_host`; `lost_hosts` has those that are gone. An input
+    switches `switch_s` seconds after its new source gives elements, and units give signs of life every `sign_period_s`
+    seconds. `units`, `spares` (by id), `wires` (by number) and `topics` are those that exist now.
     """
 
     behaviours: dict[str, Behaviour] = field(default_factory=dict)
@@ -144,11 +146,11 @@ class SimulatedBackend:
         """Do nothing: no other thread waits."""
 
     def stall(self, seconds: float) -> None:
-        """Let time pass without a wait. Its events come from the next `wait`."""
+        """Let `seconds` pass without a wait. Its events come from the next `wait`."""
         self._now += seconds
 
     def fail(self, unit: str, cause: str = "killed by SIGKILL") -> None:
-        """Let a unit die now."""
+        """Let `unit` die now, of this `cause`."""
         self._later(0.0, UnitDied(unit, cause))
 
     def tell(self, event: Event) -> None:
@@ -156,7 +158,7 @@ class SimulatedBackend:
         self._later(0.0, event)
 
     def lose_host(self, host: str, cause: str = "its link is cut") -> None:
-        """Lose a host with all its units; only HostLost tells of it."""
+        """Lose `host` with all its units, for this `cause`; only HostLost tells of it."""
         self.lost_hosts.add(host)
         for unit in [unit for unit, at in self.units.items() if at.host == host]:
             del self.units[unit]

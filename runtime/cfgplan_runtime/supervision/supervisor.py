@@ -36,7 +36,7 @@ _MOST_REMEMBERED = 1000
 
 
 class Supervisor:
-    """Holds the running configuration in `environment`; `report` gets every event, in order.
+    """Holds the running configuration in `environment`, which `backend` runs; `report` gets every event, in order.
 
     The update under way reads it as `updates.Actual`; only the supervisor changes it.
     """
@@ -46,7 +46,7 @@ class Supervisor:
         self.environment = environment
         self.wiring = Wiring(backend)
         self.spares = Spares(backend)
-        self.taps = Taps(backend, self.wiring.fresh_id)
+        self.taps = Taps(backend, self.wiring.fresh_id, self._host_of)
         self.alive: set[str] = set()
         self.ready: set[str] = set()
         self.topics: dict[str, str | None] = {}
@@ -89,7 +89,8 @@ class Supervisor:
         keeps_new: bool = False,
         is_abandoned: Callable[[], bool] = lambda: False,
     ) -> events.Applied:
-        """Carry out a change set as a whole or not at all; the same `id` is carried out once.
+        """Carry out `change_set` as a whole or not at all; the same `id` is carried out once. `patience` limits its
+        steps.
 
         `basis` is the environment that it was planned for. Raises StaleChangeSetError if it differs from the running
         configuration, or the change set names units that do not run; ApplyError if a step failed, or the update
@@ -162,7 +163,10 @@ class Supervisor:
         self.backend.wake()
 
     def cut(self, unit: str | None, port: str) -> None:
-        """Disconnect an inlet, or a topic (`unit` is None), as if it had lost its source. Raises KeyError."""
+        """Disconnect the inlet `port` of a unit, or the topic `port` (`unit` is None), as if it had lost its source.
+
+        Raises KeyError if nothing feeds it.
+        """
         inlet = Inlet(unit or "", port)
         wire = self.wiring.feeds[inlet]
         self.wiring.disconnect(inlet)
@@ -395,8 +399,13 @@ class Supervisor:
         self.ready.discard(unit)
         self._stopping.pop(unit, None)
         self.wiring.forget_unit(unit)
+        self.taps.lose_unit(unit)
         self._records.pop(unit, None)
         self._library.pop(unit, None)
+
+    def _host_of(self, unit: str) -> str | None:
+        """Return the host of a running unit; None if it has none, or does not run."""
+        return self._records[unit].host if unit in self._records else None
 
     def _lose(self, host: str, cause: str) -> None:
         """Forget the units and cold spares on a lost host, and close the wires to its topics."""
@@ -406,6 +415,7 @@ class Supervisor:
         for unit in [unit for unit, (at, _) in self._stopping.items() if at == host]:
             self._bury(unit)
         self.spares.lose_host(host)
+        self.taps.lose_host(host)
         for unit_there in [unit for unit in self.environment.units if unit.host == host]:
             self.environment = self.environment.without_unit(unit_there.id)
         for topic in [topic for topic, at in self.topics.items() if at == host]:

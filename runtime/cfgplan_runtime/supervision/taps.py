@@ -3,59 +3,79 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from cfgplan.domain import Stream
-from cfgplan_runtime.supervision.backend import Backend, Inlet
+from cfgplan_runtime.supervision.backend import TAPS, Backend, Inlet
 from cfgplan_runtime.supervision.wiring import OUTLET_QUEUE
 
-TAPS = "/cfgplan/taps/"
-"""The beginning of the topic of each tap; the stream follows."""
+
+@dataclass
+class _Tap:
+    """An open tap: its stream, the host of its topic, and its present wire."""
+
+    stream: Stream
+    host: str | None
+    wire: int = 0
+    is_lost: bool = True
+    """Whether the unit or outlet of its wire is gone."""
 
 
 class Taps:
-    """The taps of a run. `fresh_id` gives an id that no wire has."""
+    """The taps of a run. `fresh_id` gives an id that no wire has, and `host_of` the host of a running unit."""
 
-    def __init__(self, backend: Backend, fresh_id: Callable[[], int]) -> None:
+    def __init__(self, backend: Backend, fresh_id: Callable[[], int], host_of: Callable[[str], str | None]) -> None:
         self._backend = backend
         self._fresh_id = fresh_id
-        self._wires: dict[str, tuple[int, Stream]] = {}
-        """The wire of each open tap, by topic."""
-        self._lost: set[int] = set()
-        """The wires whose unit or outlet is gone."""
+        self._host_of = host_of
+        self._open: dict[str, _Tap] = {}
+        """The open taps, by topic."""
 
     def open(self, stream: Stream) -> str:
-        """Show a stream on a topic, and return the topic. A tap that lost its unit is connected to the next one."""
-        topic = f"{TAPS}{stream}"
-        if topic not in self._wires:
-            self._backend.open_outlet(topic, None)
-        elif self._wires[topic][0] not in self._lost:
-            return topic
+        """Show a stream on a topic of its unit's host, and return the topic.
+
+        A tap that lost its unit is connected to the next one.
+        """
+        topic, host = f"{TAPS}{stream}", self._host_of(stream.unit)
+        if topic in self._open and host not in (None, self._open[topic].host):
+            self.close(stream)
+        tap = self._open.get(topic)
+        if tap is None:
+            tap = self._open[topic] = _Tap(stream, host)
+            self._backend.open_outlet(topic, host)
+        elif tap.is_lost:
+            self._backend.end_wire(tap.wire, stream, Inlet("", topic))
         else:
-            self._end(topic)
-        self._wires[topic] = wire, _ = self._fresh_id(), stream
-        self._backend.connect(wire, stream, Inlet("", topic), queue=OUTLET_QUEUE, blocks=False)
+            return topic
+        tap.wire, tap.is_lost = self._fresh_id(), False
+        self._backend.connect(tap.wire, stream, Inlet("", topic), queue=OUTLET_QUEUE, blocks=False)
         return topic
 
     def close(self, stream: Stream) -> None:
         """Remove the topic of a stream's tap, if there is one."""
         topic = f"{TAPS}{stream}"
-        if topic in self._wires:
-            self._end(topic)
-            del self._wires[topic]
+        tap = self._open.pop(topic, None)
+        if tap is not None:
+            self._backend.end_wire(tap.wire, stream, Inlet("", topic))
             self._backend.close_outlet(topic)
 
     def note_loss(self, wire: int) -> None:
         """Note that a wire has lost its unit, if it is that of a tap."""
-        if any(wire == known for known, _ in self._wires.values()):
-            self._lost.add(wire)
+        for tap in self._open.values():
+            tap.is_lost = tap.is_lost or tap.wire == wire
+
+    def lose_unit(self, unit: str) -> None:
+        """Note that a unit has ended."""
+        for tap in self._open.values():
+            tap.is_lost = tap.is_lost or tap.stream.unit == unit
+
+    def lose_host(self, host: str) -> None:
+        """Close the taps on a host that is gone, with its topics."""
+        for tap in [tap for tap in self._open.values() if tap.host == host]:
+            self.close(tap.stream)
 
     def note_new_outlets(self) -> None:
         """Connect all taps again, after the backend has replaced the addresses of the topics."""
-        for wire, stream in list(self._wires.values()):
-            self._lost.add(wire)
-            self.open(stream)
-
-    def _end(self, topic: str) -> None:
-        wire, stream = self._wires[topic]
-        self._lost.discard(wire)
-        self._backend.end_wire(wire, stream, Inlet("", topic))
+        for tap in list(self._open.values()):
+            tap.is_lost = True
+            self.open(tap.stream)

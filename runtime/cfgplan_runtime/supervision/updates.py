@@ -26,7 +26,8 @@ TIME_TO_DUMP_S = 0.2
 
 @dataclass(frozen=True, slots=True)
 class Patience:
-    """The times that the steps of an update may take, in seconds.
+    """The times that the steps of an update may take, in seconds: a start `start_s`, a stop `stop_s`, then the end of a
+    process `kill_s`.
 
     If the new source of an input sends nothing for `switch_s`, the input switches to it when the old source is stopped.
     """

@@ -75,10 +75,10 @@ class Host:
         )
 
     def say(self, kind: str, data: bytes = b"", **fields: Any) -> None:
-        """Send a message. Never waits. One with `data` is of a topic by `number`, which is told by the order `Sent`."""
+        """Send a message. Never waits. Once `data` of a topic by `number` has left, the order `Sent` tells of it."""
         size = {"size": len(data)} if data else {}
         line = json.dumps({"type": kind, **size, **fields}).encode() + b"\n"
-        self._words.put((line + data, fields["number"] if data else None))
+        self._words.put((line + data, fields.get("number") if data else None))
 
     def is_own(self, endpoint: Any) -> bool:
         """Whether an end of a topic, as rclpy tells of it, is the helper's."""

@@ -9,6 +9,7 @@ import time
 from typing import Any
 
 from cfgplan_runtime.nodes.observed_outputs import ObservedOutputs
+from cfgplan_runtime.nodes.passed_taps import PassedTaps
 from cfgplan_runtime.ros2.host.actions import GOAL_TYPE, SEND_GOAL, LedAction
 from cfgplan_runtime.ros2.host.endpoints import Publication, Sample, Source, UnknownTypeError, message_class
 from cfgplan_runtime.ros2.host.host import NAMELESS, Host
@@ -100,6 +101,7 @@ class Relays:
         """Orders to lead services that nobody offers yet, by wire."""
         self.outside = OutsideTopics(host, self)
         self._observed = ObservedOutputs(lambda unit, text: host.say("Unsaid", unit=unit, text=text), is_aligned=True)
+        self._taps = PassedTaps()
         self._remembered: dict[str, Quality] = {}
         self._refused: set[tuple[str, str]] = set()
         host.handlers.update(
@@ -111,6 +113,8 @@ class Relays:
             CloseOutlet=self._close_outlet,
             CloseInlets=self._close_inlets,
             Observe=self._observe,
+            Tap=self._tap,
+            Untap=self._untap,
         )
         host.waiting.later(SIGN_S, self._sign)
 
@@ -243,6 +247,26 @@ class Relays:
         self._observed.observe(order["unit"], order["port"], order["topic"], order["fields"])
         self._look_at(self._source(order["topic"], order["topic"], None))
 
+    def _tap(self, order: dict[str, Any]) -> None:
+        """Pass on messages of a source to the run, the last one of a latched topic at once."""
+        source = self._source(order["source"], order["source"], order["message"])
+        self._taps.open(order["topic"], order["source"])
+        self._look_at(source)
+        if source.latched is not None:
+            self._pass_on(source.latched)
+
+    def _untap(self, order: dict[str, Any]) -> None:
+        source = self._taps.close(order["topic"])
+        if source in self._sources:
+            self._drop_unused(self._sources[source])
+
+    def _pass_on(self, sample: Sample) -> None:
+        """Show a message to those who look."""
+        time_ns = time.time_ns() - round(_age_s(sample) * 1e9)
+        source = sample.source
+        for topic, skipped in self._taps.due(source.topic, time.monotonic()):
+            self._host.say("Tapped", sample.raw, topic=topic, message=source.kind, time_ns=time_ns, skipped=skipped)
+
     def _switch_now(self, order: dict[str, Any]) -> None:
         inlet = self._inlets.get(order["port"])
         if inlet is not None:
@@ -302,7 +326,7 @@ class Relays:
             publication.close()
 
     def _drop_unused(self, source: Source) -> None:
-        is_used = source.offered or source.holders or source.topic in self._observed
+        is_used = source.offered or source.holders or source.topic in self._observed or source.topic in self._taps
         if not is_used and self._sources.pop(source.topic, None) is source:
             source.close()
 
@@ -316,6 +340,8 @@ class Relays:
                 self._observed.take(sample.source.topic, sample.raw, sample.source.layout)
             except UnknownTypeError as error:
                 self._refuse(sample.source.topic, str(error))
+        if sample.source.topic in self._taps:
+            self._pass_on(sample)
         for wire in list(sample.source.offered):
             self._offer(wire, sample)
 
