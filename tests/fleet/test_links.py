@@ -9,15 +9,18 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.fleet.links import LEASE_S, STALLED_S, Lives, Pulse, config, sign_period_s
 from cfgplan_runtime.fleet.ways import ReachedAt, reach
-from cfgplan_runtime.streams.zenoh_link import Losses, Taken, ZenohLink, taken
-from small_fleet import PATIENCE_S, eventually, free_port
+from cfgplan_runtime.streams.zenoh_link import Losses, Taken, ZenohLink, limit_unsent, taken
+from cfgplan_runtime.supervision.events import HostLost
+from small_fleet import FOLDER, PATIENCE_S, Listener, eventually, free_port, seen, small_fleet, source, unit
 from test_local_run import CFGPLAN
 
 from cfgplan.cli import main
+from cfgplan.domain import ChangeSet
 from cfgplan.errors import InputError
 
 
@@ -132,6 +135,31 @@ def test_of_two_agents_of_one_name_that_meet_late_the_second_ends(tmp_path: Path
             one.terminate()
 
 
+def test_orders_for_one_of_two_agents_of_one_name_are_not_obeyed_by_the_other() -> None:
+    """Two that have not met each other yet: both would start the unit, and both would answer the manager."""
+    blind = "from cfgplan_runtime.fleet import agent, twins; agent.Agent._refuse_twin = lambda *_: None; "
+    blind += f"twins.Twins.hear = lambda *_: None; {CFGPLAN[2]}"
+    with small_fleet("r1") as fleet:
+        with fleet.runtime():  # it began earlier
+            pass
+        connect = [f"--connect={endpoint}" for endpoint in fleet.endpoints]
+        listen = f"tcp/127.0.0.1:{free_port()}"
+        command = [*CFGPLAN[:2], blind, "agent", "--name=r1", f"--folder={FOLDER}", *connect, f"--listen={listen}"]
+        with subprocess.Popen(command, stderr=subprocess.PIPE) as twin:
+            try:
+                assert twin.stderr is not None and twin.stderr.readline()
+                fleet.endpoints = (*fleet.endpoints, listen)
+                with fleet.runtime(source()) as runtime:
+                    runtime.apply(ChangeSet(started=(unit("count.1", "r1", topic="/result"),)))
+                    Listener(runtime).await_more(300)
+                    titles = [" ".join(one.cmdline()) for one in psutil.Process(twin.pid).children(recursive=True)]
+                    assert twin.poll() is None
+                    assert fleet.units().count("count.1") + sum(title.endswith(" count.1") for title in titles) == 1
+                    assert seen(runtime, HostLost) == []
+            finally:
+                twin.terminate()
+
+
 def test_an_agent_listens_at_all_addresses_of_its_computer_if_none_is_named() -> None:
     one = reach(["tls/0.0.0.0:7447"], ["tls/10.0.0.2:7447"])
     assert all(place.endswith(" 7447") and not place.startswith("127.") for place in one.listens)
@@ -229,3 +257,18 @@ def test_a_connection_that_works_loses_nothing_and_its_round_trip_is_known() -> 
         stack.enter_context(server.accept()[0])
         is_lossy, round_trip_ms = Losses().look(one, 0.0)
         assert not is_lossy and 0 <= round_trip_ms < 1000
+
+
+def test_a_full_connection_takes_less_data_once_its_unsent_bytes_are_limited() -> None:
+    def filled(*, is_limited: bool) -> int:
+        with socket.create_server(("127.0.0.1", 0)) as server, socket.create_connection(server.getsockname()) as one:
+            if is_limited:
+                limit_unsent(one)
+            one.setblocking(False)
+            taken_bytes = 0
+            with suppress(BlockingIOError):
+                while True:
+                    taken_bytes += one.send(bytes(4096))
+            return taken_bytes
+
+    assert filled(is_limited=True) < filled(is_limited=False)

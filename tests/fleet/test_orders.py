@@ -21,7 +21,7 @@ from cfgplan_runtime.fleet.orders import (
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 from cfgplan_runtime.supervision.events import UnitDied
 
-SESSION = Session(1, "abcd", 1)
+SESSION = Session(1, "abcd", 1, "beef")
 
 
 class Wire:
