@@ -9,18 +9,15 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
-import psutil
 import pytest
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.fleet.links import LEASE_S, STALLED_S, Lives, Pulse, config, sign_period_s
 from cfgplan_runtime.fleet.ways import ReachedAt, reach
 from cfgplan_runtime.streams.zenoh_link import Losses, Taken, ZenohLink, limit_unsent, taken
-from cfgplan_runtime.supervision.events import HostLost
-from small_fleet import FOLDER, PATIENCE_S, Listener, eventually, free_port, seen, small_fleet, source, unit
+from small_fleet import PATIENCE_S, eventually, free_port
 from test_local_run import CFGPLAN
 
 from cfgplan.cli import main
-from cfgplan.domain import ChangeSet
 from cfgplan.errors import InputError
 
 
@@ -133,32 +130,6 @@ def test_of_two_agents_of_one_name_that_meet_late_the_second_ends(tmp_path: Path
             assert one.poll() is None
         finally:
             one.terminate()
-
-
-def test_orders_for_one_of_two_agents_of_one_name_are_not_obeyed_by_the_other() -> None:
-    """Two that have not met each other yet: both would start the unit, and both would answer the manager."""
-    blind = "from cfgplan_runtime.fleet import agent, twins; agent.Agent._refuse_twin = lambda *_: None; "
-    blind += f"twins.Twins.hear = lambda *_: None; {CFGPLAN[2]}"
-    with small_fleet("r1") as fleet:
-        with fleet.runtime():  # it began earlier
-            pass
-        connect = [f"--connect={endpoint}" for endpoint in fleet.endpoints]
-        listen = f"tcp/127.0.0.1:{free_port()}"
-        command = [*CFGPLAN[:2], blind, "agent", "--name=r1", f"--folder={FOLDER}", *connect, f"--listen={listen}"]
-        with subprocess.Popen(command, stderr=subprocess.PIPE) as twin:
-            try:
-                assert twin.stderr is not None and twin.stderr.readline()
-                fleet.endpoints = (*fleet.endpoints, listen)
-                with fleet.runtime(source()) as runtime:
-                    runtime.apply(ChangeSet(started=(unit("count.1", "r1", topic="/result"),)))
-                    Listener(runtime).await_more(300)
-                    children = psutil.Process(twin.pid).children(recursive=True)
-                    titles = [" ".join(child.cmdline()).split() for child in children]
-                    assert twin.poll() is None
-                    assert [*fleet.units(), *(title[-1] for title in titles)].count("count.1") == 1
-                    assert seen(runtime, HostLost) == []
-            finally:
-                twin.terminate()
 
 
 def test_an_agent_listens_at_all_addresses_of_its_computer_if_none_is_named() -> None:
