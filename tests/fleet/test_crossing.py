@@ -120,8 +120,8 @@ def test_a_blocking_crossing_drops_nothing_and_is_full_at_its_queue() -> None:
 
 
 def test_no_more_is_under_way_than_the_receiver_has_room_for() -> None:
-    sending, receiving = Sending(blocks=True, most=1000), Receiving()
-    for number in range(1000):
+    sending, receiving = Sending(blocks=True), Receiving()
+    for number in range(3 * FRAMES_UNDER_WAY):
         sending.offer(piece(number))
     first = receiving.credit(0.0)
     assert first is not None
@@ -212,6 +212,34 @@ def test_a_small_rest_of_an_element_lets_no_more_of_the_next_one_into_the_link()
     """A frame has about 50 kB, so that some elements of the second half leave a rest that counts as small."""
     _, _, longest_s = over_a_link(400_000, 0.5, 2_500_000, 0.001, 40.0, growth=1_500)
     assert longest_s <= 0.08
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_link_that_stands_still_for_a_second_at_a_time_carries_small_elements_at_200_hz(seed: int) -> None:
+    """In order, as TCP delivers on a radio that loses packets: 0.1 s each way, and half of the time nothing moves."""
+    randoms, sending, receiving = Random(seed), Sending(granted=FRAMES_UNDER_WAY), Receiving()
+    there: deque[tuple[float, Frame]] = deque()
+    back: deque[tuple[float, Credit]] = deque()
+    there_s = back_s = 0.0
+    came = 0
+    for tick in range(60_000):
+        now_s = tick / 1000
+        there_s, back_s = (
+            max(at_s, now_s) + (randoms.uniform(0.3, 1.2) if randoms.random() < 0.001 else 0.0)
+            for at_s in (there_s, back_s)
+        )
+        if tick % 5 == 0:
+            sending.offer(piece(tick // 5, 8))
+        while back and back[0][0] <= now_s:
+            sending.hear(back.popleft()[1], now_s)
+        there += [(there_s + 0.1, frame) for frame in sending.due(now_s)]
+        while there and there[0][0] <= now_s:
+            came += len(receiving.take(there.popleft()[1], now_s))
+        credit = receiving.credit(now_s)
+        if credit is not None:
+            back.append((back_s + 0.1, credit))
+    assert sending.dropped == 0
+    assert came > 10_500
 
 
 @pytest.mark.parametrize(("size", "every_s", "mbit"), [(2_000_000, 0.5, 50), (500_000, 1.0, 5), (10_000_000, 2.0, 50)])

@@ -23,8 +23,10 @@ from cfgplan_runtime.streams.element import Buffer
 
 KEYS = "cfgplan"
 """The prefix of all keys of a fleet."""
-FRAMES_UNDER_WAY = 256
-"""The most frames in flight."""
+FRAMES_UNDER_WAY = 1024
+"""The most frames in flight: 5 s at 200 Hz. With 256, a link that loses packets and stands still for a second at a time
+carried half as many small elements.
+"""
 BYTES_UNDER_WAY, _FIRST_BYTES_UNDER_WAY = 1 << 20, 1 << 17
 """The most bytes in flight, and the number before a rate is known. Two frames are always allowed, and one while the
 delay of an empty link is measured.
@@ -57,7 +59,7 @@ _WAITING_S, _LEAST_WAITING = 2.0, 1 << 22
 """The seconds (a lease) of a full link's rate that may wait for it, and the least number of bytes."""
 MOST_PIECES = 4096
 """The most pieces that wait to be sent: two seconds (a lease) at 2,000 Hz."""
-_TOLD_EVERY, _TOLD_EVERY_BYTES = FRAMES_UNDER_WAY // 8, BYTES_UNDER_WAY // 8
+_TOLD_EVERY, _TOLD_EVERY_BYTES = FRAMES_UNDER_WAY // 32, BYTES_UNDER_WAY // 8
 _LATEST_CREDIT_S, _SOON_CREDIT_S = 0.05, 0.01
 """The most seconds until a frame is acknowledged, and those for a large frame."""
 _RESEND_S, _MOST_RESEND_S = 0.25, 0.5
@@ -243,9 +245,11 @@ class Pace:
         if is_full and self._probes_from is None and now_s - self._delay[1] > _DELAY_S and self._delay[0] < inf:
             self._probes_from = number + 1
 
-    def forget(self, number: int) -> None:
-        """Record that a frame is sent again: its arrival then measures nothing."""
+    def forget(self, number: int, now_s: float) -> None:
+        """Record that a frame is sent again: its arrival then measures nothing, and the known delay counts on."""
         self._sent.pop(number, None)
+        if self._probes_from is not None and number >= self._probes_from:
+            self._delay, self._probes_from = (self._delay[0], now_s), None
 
     def note_arrived(self, number: int, size: int, now_s: float) -> None:
         """Record the acknowledgement of a frame."""
@@ -388,7 +392,7 @@ class Sending:
             most_s = max(_MOST_RESEND_S, _USUAL_DELAYS * self._pace.usual_s)
             self._patience_s, self._again_s = min(2 * self._patience_s, most_s), None
         for frame in frames:
-            self._pace.forget(frame.number)
+            self._pace.forget(frame.number, now_s)
         if not is_open:
             self._again_s = None
         elif self._again_s is None:
