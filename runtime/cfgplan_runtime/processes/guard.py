@@ -1,9 +1,8 @@
-"""The guard of a nursery: a process that ends what is left when the nursery and its supervisor are killed together.
+"""The guard of a nursery: if the nursery and its supervisor are killed together, it kills the processes of units.
 
-It is no descendant of either, and in a session of its own, so that who kills a tree or a group of processes does not
-kill it too. It knows the processes that units have started by their mark. Where the system lets it make control groups
-(cgroup v2, also beside v1 as on hybrid systems), it kills the nursery's group as a whole, which also ends code that
-forks faster than processes are killed one by one.
+The guard descends from neither and has its own session. A kill of their process tree or group spares it. It knows the
+processes by their mark. If the system allows control groups (cgroup v2, also beside v1 on hybrid systems), it kills the
+nursery's whole group, including code that forks faster than single kills.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ class NurseryGroup:
             raise FileNotFoundError(f"{self.path} can't be killed as a whole")
 
     def enter(self) -> None:
-        """Move this process into the group: what it starts from now on begins there. Raises OSError."""
+        """Move this process into the group. Its later children begin there. Raises OSError."""
         (self.path / "cgroup.procs").write_text("0")
 
     def end(self) -> None:
@@ -57,8 +56,8 @@ class NurseryGroup:
 def post_guard(run: str, mark: str) -> int:
     """Start a guard for this process, and move this process into a control group if that is allowed.
 
-    Returns a descriptor. Once no process has it any more, the guard ends all that has the mark. This process's children
-    have to close it.
+    Returns a descriptor that only this process may hold: its children have to close it. When it is closed, the guard
+    kills the marked processes.
     """
     try:
         group = NurseryGroup(f"cfgplan-{run}-{os.getpid()}")
