@@ -261,8 +261,9 @@ class Soak:
         return lost, repeated
 
     def counted(self) -> int:
-        """The elements that units report as dropped."""
-        return sum(one.dropped for one in self.operation.runtime.observe())
+        """The elements that were reported as dropped: by units, or on the way to other hosts, topics included."""
+        by_units = sum(one.dropped for one in self.operation.runtime.observe())
+        return max(by_units, sum(counts.dropped for counts in self.operation.flows.crossings.values()))
 
     def write(self) -> None:
         """Write the file as an editor does: beside it, then in its place."""

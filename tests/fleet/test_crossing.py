@@ -120,8 +120,8 @@ def test_a_blocking_crossing_drops_nothing_and_is_full_at_its_queue() -> None:
 
 
 def test_no_more_is_under_way_than_the_receiver_has_room_for() -> None:
-    sending, receiving = Sending(blocks=True, most=1000), Receiving()
-    for number in range(1000):
+    sending, receiving = Sending(blocks=True), Receiving()
+    for number in range(3 * FRAMES_UNDER_WAY):
         sending.offer(piece(number))
     first = receiving.credit(0.0)
     assert first is not None
@@ -141,10 +141,18 @@ def test_no_more_is_under_way_than_the_receiver_has_room_for() -> None:
 
 
 def over_a_link(
-    size: int, every_s: float, rate: float, delay_s: float, until_s: float, fast_until_s: float = 0.0
+    size: int,
+    every_s: float,
+    rate: float,
+    delay_s: float,
+    until_s: float,
+    fast_until_s: float = 0.0,
+    burst: int = 0,
+    growth: int = 0,
 ) -> tuple[Sending, int, float]:
     """Elements over a link that carries `rate` bytes per second, at first a thousand times as much.
 
+    After a pause it carries up to `burst` bytes at once. Each element has `growth` bytes more than the one before.
     Returns the sender, how many came, and how long at most a frame waited in the link in the second half of the time.
     """
     sending, receiving = Sending(granted=FRAMES_UNDER_WAY), Receiving()
@@ -154,15 +162,15 @@ def over_a_link(
     for tick in range(round(until_s * 1000)):
         now_s = tick / 1000
         while number * every_s <= now_s:
-            sending.offer(piece(number, size))
+            sending.offer(piece(number, size + number * growth))
             number += 1
         while told and told[0][0] <= now_s:
             sending.hear(told.popleft()[1], now_s)
         for frame in sending.due(now_s):
             payload = b"" if frame.piece is None else frame.piece.payload
-            begin_s = max(now_s, free_s)
+            begin_s = max(now_s - burst / rate, free_s)
             free_s = begin_s + (len(payload) + 100) / (rate if now_s >= fast_until_s else 1000 * rate)
-            in_link.append((free_s + delay_s, frame))
+            in_link.append((max(now_s, free_s) + delay_s, frame))
             if now_s > until_s / 2:
                 longest_s = max(longest_s, free_s - now_s)
         while in_link and in_link[0][0] <= now_s:
@@ -190,6 +198,48 @@ def test_bursts_that_were_under_way_at_once_teach_the_rate_of_a_link_that_has_be
     _, came, longest_s = over_a_link(500_000, 1.7, 5 * 125_000, 0.001, 30.0, fast_until_s=5.0)
     assert came >= 16
     assert longest_s <= 0.2
+
+
+@pytest.mark.parametrize("mbit", [5, 10, 20])
+def test_bytes_that_a_link_passes_at_once_after_a_pause_are_not_taken_for_its_rate(mbit: int) -> None:
+    rate = mbit * 125_000
+    sending, came, longest_s = over_a_link(500_000, 1_000_000 / rate, rate, 0.001, 30.0, burst=32_000)
+    assert (sending.dropped, came) == (0, pytest.approx(30 * rate / 1_000_000, abs=2))
+    assert longest_s <= 0.08
+
+
+def test_a_small_rest_of_an_element_lets_no_more_of_the_next_one_into_the_link() -> None:
+    """A frame has about 50 kB, so that some elements of the second half leave a rest that counts as small."""
+    _, _, longest_s = over_a_link(400_000, 0.5, 2_500_000, 0.001, 40.0, growth=1_500)
+    assert longest_s <= 0.08
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_link_that_stands_still_for_a_second_at_a_time_carries_small_elements_at_200_hz(seed: int) -> None:
+    """In order, as TCP delivers on a radio that loses packets: 0.1 s each way, and half of the time nothing moves."""
+    randoms, sending, receiving = Random(seed), Sending(granted=FRAMES_UNDER_WAY), Receiving()
+    there: deque[tuple[float, Frame]] = deque()
+    back: deque[tuple[float, Credit]] = deque()
+    there_s = back_s = 0.0
+    came = 0
+    for tick in range(60_000):
+        now_s = tick / 1000
+        there_s, back_s = (
+            max(at_s, now_s) + (randoms.uniform(0.3, 1.2) if randoms.random() < 0.001 else 0.0)
+            for at_s in (there_s, back_s)
+        )
+        if tick % 5 == 0:
+            sending.offer(piece(tick // 5, 8))
+        while back and back[0][0] <= now_s:
+            sending.hear(back.popleft()[1], now_s)
+        there += [(there_s + 0.1, frame) for frame in sending.due(now_s)]
+        while there and there[0][0] <= now_s:
+            came += len(receiving.take(there.popleft()[1], now_s))
+        credit = receiving.credit(now_s)
+        if credit is not None:
+            back.append((back_s + 0.1, credit))
+    assert sending.dropped == 0
+    assert came > 10_500
 
 
 @pytest.mark.parametrize(("size", "every_s", "mbit"), [(2_000_000, 0.5, 50), (500_000, 1.0, 5), (10_000_000, 2.0, 50)])

@@ -13,7 +13,7 @@ import pytest
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.fleet.links import LEASE_S, STALLED_S, Lives, Pulse, config, sign_period_s
 from cfgplan_runtime.fleet.ways import ReachedAt, reach
-from cfgplan_runtime.streams.zenoh_link import Losses, Taken, ZenohLink, taken
+from cfgplan_runtime.streams.zenoh_link import Losses, Taken, ZenohLink, limit_unsent, taken
 from small_fleet import PATIENCE_S, eventually, free_port
 from test_local_run import CFGPLAN
 
@@ -229,3 +229,18 @@ def test_a_connection_that_works_loses_nothing_and_its_round_trip_is_known() -> 
         stack.enter_context(server.accept()[0])
         is_lossy, round_trip_ms = Losses().look(one, 0.0)
         assert not is_lossy and 0 <= round_trip_ms < 1000
+
+
+def test_a_full_connection_takes_less_data_once_its_unsent_bytes_are_limited() -> None:
+    def filled(*, is_limited: bool) -> int:
+        with socket.create_server(("127.0.0.1", 0)) as server, socket.create_connection(server.getsockname()) as one:
+            if is_limited:
+                limit_unsent(one)
+            one.setblocking(False)
+            taken_bytes = 0
+            with suppress(BlockingIOError):
+                while True:
+                    taken_bytes += one.send(bytes(4096))
+            return taken_bytes
+
+    assert filled(is_limited=True) < filled(is_limited=False)

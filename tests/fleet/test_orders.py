@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from typing import Any, cast
 
 import msgspec
 import pytest
 from cfgplan_runtime.children.messages import ImportUnused
+from cfgplan_runtime.fleet.agent import Agent
 from cfgplan_runtime.fleet.orders import (
+    SAY,
     EventTold,
     FromAgent,
     Order,
@@ -18,10 +21,11 @@ from cfgplan_runtime.fleet.orders import (
     event_of,
     told,
 )
+from cfgplan_runtime.streams.crossing import crossing_key
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 from cfgplan_runtime.supervision.events import UnitDied
 
-SESSION = Session(1, "abcd", 1)
+SESSION = Session(1, "abcd", 1, "beef")
 
 
 class Wire:
@@ -64,3 +68,19 @@ def test_an_event_is_read_as_it_was_told() -> None:
     died = UnitDied("a.1", "killed by SIGKILL")
     sent = msgspec.msgpack.decode(msgspec.msgpack.encode(told(died)), type=EventTold)
     assert event_of(sent) == died
+
+
+@pytest.mark.parametrize(("life", "is_obeyed"), [(SESSION.life, True), ("cafe", False)])
+def test_of_two_agents_of_one_name_only_the_one_that_was_greeted_obeys(life: str, is_obeyed: bool) -> None:
+    """Both get what the manager says, and could answer in each other's place."""
+    wire = Wire()
+    manager = talk(wire, "manager", "r1", FromAgent)
+    manager.say(StopOrder("a.1"))
+    manager.pump(0.0)
+    (said,) = (put for put in wire.put if put[0] == SAY)
+    agent = Agent.__new__(Agent)
+    agent.name, agent._life, agent._talk, agent._orders = "r1", life, None, deque()
+    agent._link, agent._is_left = cast("ZenohLink", wire), False
+    agent._hear(crossing_key("manager", SAY, "r1", str(SESSION)), *said[1:])
+    assert list(agent._orders) == [StopOrder("a.1")] * is_obeyed
+    assert (agent._talk is not None) == is_obeyed

@@ -12,7 +12,7 @@ from pathlib import Path
 import psutil
 import pytest
 from cfgplan_runtime import Runtime
-from cfgplan_runtime.processes import descendants
+from cfgplan_runtime.processes import descendants, guard
 from cfgplan_runtime.processes.process_backend import OUTLETS
 from cfgplan_runtime.supervision.events import UnitDied
 from unit_signals import signal_unit
@@ -111,13 +111,61 @@ def test_what_units_have_started_ends_with_them(
     eventually(lambda: not alive(noted(tmp_path)))
 
 
-def test_what_units_have_started_ends_with_a_run_that_is_killed(tmp_path: Path) -> None:
+GUARDED = """
+import os, subprocess, sys, time
+from cfgplan_runtime.processes import descendants, guard
+def refuse(name):
+    raise OSError
+if "unmarked" not in sys.argv:
+    guard.NurseryGroup = refuse
+held = guard.post_guard("run a", "mark a")
+if os.fork() == 0:
+    os.close(held)
+    if "unmarked" not in sys.argv:
+        descendants.put_mark("mark a", 1)
+    subprocess.Popen([sys.executable, "-c", "import time; time.sleep(3600)"], start_new_session=True)
+    time.sleep(3600)
+print(flush=True)
+time.sleep(3600)
+"""
+
+
+def tree(pid: int) -> list[psutil.Process]:
+    return psutil.Process(pid).children(recursive=True)
+
+
+@pytest.mark.parametrize("is_marked", [True, False])
+def test_what_a_killed_family_leaves_is_ended_by_its_mark_or_as_a_group(is_marked: bool) -> None:
+    if not is_marked:
+        try:
+            group = guard.NurseryGroup(f"cfgplan-test-{os.getpid()}")
+        except OSError:
+            pytest.skip("no control groups (cgroup v2) can be made here")
+        group.end()
+        assert not group.path.exists()
+    line = [sys.executable, "-c", GUARDED, *([] if is_marked else ["unmarked"])]
+    with subprocess.Popen(line, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        eventually(lambda: len(tree(process.pid)) == 2)
+        child, left = tree(process.pid)
+        for one in (process.pid, child.pid):
+            os.kill(one, signal.SIGKILL)
+    eventually(lambda: not alive({child.pid, left.pid}))
+
+
+@pytest.mark.parametrize("with_nursery", [False, True])
+def test_what_units_have_started_ends_with_a_run_that_is_killed(tmp_path: Path, with_nursery: bool) -> None:
     line = [sys.executable, "-c", KILLED_RUN, str(FOLDER), str(tmp_path)]
     path = os.pathsep.join([str(FOLDER), *sys.path])
     run = subprocess.Popen(line, env={**os.environ, "PYTHONPATH": path})
     with run:
         await_all(tmp_path)
-        run.kill()
+        (of_run,) = [child for child in tree(run.pid) if "nursery" in " ".join(child.cmdline())]
+        killed = [run.pid, of_run.pid] if with_nursery else [run.pid]
+        for number in (signal.SIGSTOP, signal.SIGKILL):  # neither sees the end of the other
+            for pid in killed:
+                os.kill(pid, number)
     eventually(lambda: not alive(noted(tmp_path)))
     for left in Path(os.environ["XDG_RUNTIME_DIR"], "cfgplan").glob("*/*"):
         left.unlink()

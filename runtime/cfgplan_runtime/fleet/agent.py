@@ -79,6 +79,8 @@ class Agent:
         if name == MANAGER:
             raise InputError.of(f"no host can be called {MANAGER!r}: name it otherwise")
         self.name = name
+        self._life = life = secrets.token_hex(4)
+        """The id of this process, by which managers tell it from another agent of its name."""
         self._tell_user = say
         self._arrived: deque[tuple[str, bytes, bytes]] = deque()
         self._talk: orders.Talk[orders.Order] | None = None
@@ -121,7 +123,6 @@ class Agent:
             stack.callback(self._relay.close)
             self._heartbeats = Answering(reach(listen, ()).listens, self._note_question)
             stack.callback(self._heartbeats.close)
-            life = secrets.token_hex(4)
             stack.callback(TunnelServer(self._link, name, life, self._backend.run_folder.path).close)
             key, twins = f"{alive_key(name)}/{life}", Twins(name, life, self._note_failure)
             self._link.live(key)
@@ -152,7 +153,7 @@ class Agent:
 
     def _answer(self) -> None:
         offset_ns = self._backend.clock_offset_ns
-        self._link.answer(clock_key(self.name), HostClock(lambda: time.monotonic_ns() + offset_ns).told)
+        self._link.answer(clock_key(self.name, self._life), HostClock(lambda: time.monotonic_ns() + offset_ns).told)
         self._link.answer(orders.topics_key(self.name), self._topics_told)
         self._link.answer(orders.held_key(self.name), lambda: msgspec.json.encode(self._held))
         self._link.watch(f"{alive_key(MANAGER)}/*", self._note_manager)
@@ -231,7 +232,7 @@ class Agent:
     def _hear(self, key: str, head: bytes, payload: bytes) -> None:
         *_, kind, _, name = key.split("/")
         session = orders.read_session(name)
-        if session is None:
+        if session is None or session.life != self._life:
             return
         talk = self._talk
         if talk is None or session != talk.session:

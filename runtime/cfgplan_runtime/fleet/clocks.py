@@ -23,9 +23,9 @@ SHOWN_NS = 10_000_000
 """The least change of a host's time of day that is reported."""
 
 
-def clock_key(host: str) -> str:
-    """The key at which an agent answers with its clock."""
-    return f"{host_key(host)}/clock"
+def clock_key(host: str, life: str) -> str:
+    """The key at which a host's agent answers with its clock; `life` is the id of its process."""
+    return f"{host_key(host)}/clock/{life}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,9 +52,9 @@ class HostClock:
         """The answer to a question for this clock."""
         return f"{self.now_ns()} {self.day_ns()}".encode()
 
-    def read_host(self, link: ZenohLink, host: str, calls: int) -> Reading | None:
-        """Read a host's clock with `calls` calls. None if no call is answered."""
-        return self.read(lambda: (answer for _, answer in link.ask(clock_key(host), _CALL_S)), calls)
+    def read_host(self, link: ZenohLink, host: str, life: str, calls: int) -> Reading | None:
+        """Read a host's clock from the agent `life` with `calls` calls. None if no call is answered."""
+        return self.read(lambda: (answer for _, answer in link.ask(clock_key(host, life), _CALL_S)), calls)
 
     def read(self, ask: Callable[[], Iterable[bytes]], calls: int) -> Reading | None:
         """Read a clock with `calls` calls of `ask`, which gives answers. None if no call is answered."""

@@ -21,22 +21,26 @@ Spoken = TypeVar("Spoken")
 
 
 class Session(NamedTuple):
-    """A conversation of a manager with an agent. An agent obeys the highest term, and within it the first manager."""
+    """A conversation of a manager with an agent. An agent obeys the highest term, and within it the first manager.
+
+    `life` is the id of the agent's process: another agent of the same name takes no part.
+    """
 
     term: int
     manager: str
     greeting: int
+    life: str
 
     def __str__(self) -> str:
-        return f"{self.term}-{self.manager}-{self.greeting}"
+        return f"{self.term}-{self.manager}-{self.greeting}-{self.life}"
 
 
 def read_session(text: str) -> Session | None:
     """The session of a key's last part; None if it is no session."""
     parts = text.split("-")
-    if len(parts) != 3 or not (parts[0].isdecimal() and parts[2].isdecimal()):
+    if len(parts) != 4 or not (parts[0].isdecimal() and parts[2].isdecimal()):
         return None
-    return Session(int(parts[0]), parts[1], int(parts[2]))
+    return Session(int(parts[0]), parts[1], int(parts[2]), parts[3])
 
 
 # From the manager.

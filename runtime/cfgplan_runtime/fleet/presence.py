@@ -343,7 +343,7 @@ class Presence:
         if name in self._hosts:
             self._lose(self._hosts[name], cause)
         self._serial += 1
-        session = orders.Session(self._term, self._run, self._serial)
+        session = orders.Session(self._term, self._run, self._serial, life)
         talk: orders.Talk[orders.FromAgent] = orders.Talk(self._link, MANAGER, name, session, orders.FromAgent)
         now_s = time.monotonic()
         host = self._hosts[name] = HostState(name, life, talk, Pulse(now_s, now_s), new_secret())
@@ -400,7 +400,7 @@ class Presence:
 
     def _measure(self, host: HostState, calls: int) -> None:
         """Read a host's clock. The first reading has a thread of its own, so that a silent host delays no other."""
-        self._inbox.put(_Measured(host, self._clock.read_host(self._link, host.name, calls)))
+        self._inbox.put(_Measured(host, self._clock.read_host(self._link, host.name, host.life, calls)))
 
     def _measure_again(self) -> None:
         """Read the clocks of all hosts that are there again and again, in a thread of its own."""

@@ -139,8 +139,8 @@ class ReachedFleet(Closable):
         """Record the difference of the clock of a host's run. If the host has never answered, the time of
         day is used.
         """
-        known_ns = self._offsets_ns.get(host)
-        reading = HostClock(time.monotonic_ns).read_host(self._link, host, calls)
+        known_ns, clock = self._offsets_ns.get(host), HostClock(time.monotonic_ns)
+        reading = next((clock.read_host(self._link, host, life, calls) for life in self._lives(host)), None)
         told = self._told(host).get(host)
         if reading is not None and told is not None:
             measured_ns = reading.ahead_ns - told.ahead_ns

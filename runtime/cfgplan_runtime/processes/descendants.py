@@ -18,7 +18,7 @@ from pathlib import Path
 
 _PR_SET_CHILD_SUBREAPER = 36
 _IS_MARKED = 1 << 61
-"""Microseconds: 73,000 years of uninterrupted CPU time. The bits below are the run's (32) and the child's (24)."""
+"""Microseconds: 73,000 years of uninterrupted CPU time. The bits below are the nursery's (32) and the child's (24)."""
 _SERIALS = 1 << 24
 _LIMIT = "Max realtime timeout"
 _ROUNDS, _ROUND_S = 100, 0.01
@@ -31,22 +31,27 @@ def adopt_orphans() -> None:
         ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1)
 
 
-def put_mark(run: str, serial: int) -> None:
-    """Mark this process as a child of a run, and everything that it starts from now on."""
+def mark_of(run: str, nursery: int) -> str:
+    """The mark of the children of a nursery, given by its process id: a run may have one after another."""
+    return f"{run} {nursery}"
+
+
+def put_mark(mark: str, serial: int) -> None:
+    """Mark this process as a child of a nursery, and everything that it starts from now on."""
     if sys.platform == "linux":
         with suppress(OSError, ValueError):  # the system has a lower limit: process groups have to do
             _, most = resource.getrlimit(resource.RLIMIT_RTTIME)
-            resource.setrlimit(resource.RLIMIT_RTTIME, (_first(run) + serial % _SERIALS, most))
+            resource.setrlimit(resource.RLIMIT_RTTIME, (_first(mark) + serial % _SERIALS, most))
 
 
-def serial_of(pid: int, run: str) -> int | None:
-    """The serial number of the child that a process descends from; None if it is of no child of this run."""
+def serial_of(pid: int, mark: str) -> int | None:
+    """The serial number of the child that a process descends from; None if it is of no child with this mark."""
     try:
         limits = Path(f"/proc/{pid}/limits").read_text()
         number = int(next(line for line in limits.splitlines() if line.startswith(_LIMIT)).split()[3])
     except (OSError, StopIteration, ValueError):  # it has ended, or has no limit
         return None
-    serial = number - _first(run)
+    serial = number - _first(mark)
     return serial if 0 <= serial < _SERIALS else None
 
 
@@ -73,11 +78,11 @@ def end_children() -> None:
         time.sleep(_ROUND_S)
 
 
-def end_marked(run: str) -> None:
-    """Kill all descendants of a run's children, also those that another process has adopted."""
+def end_marked(mark: str) -> None:
+    """Kill all processes that have a mark, also those that another process has adopted."""
     killed = set[int]()
     for _ in range(_ROUNDS):  # until none is found that was started before its parent was killed
-        found = {pid for pid in _folders("/proc") if serial_of(pid, run) is not None} - killed
+        found = {pid for pid in _folders("/proc") if serial_of(pid, mark) is not None} - killed
         for pid in found:
             _kill(pid)
         killed |= found
@@ -85,8 +90,8 @@ def end_marked(run: str) -> None:
             return
 
 
-def _first(run: str) -> int:
-    return _IS_MARKED + zlib.crc32(run.encode()) * _SERIALS
+def _first(mark: str) -> int:
+    return _IS_MARKED + zlib.crc32(mark.encode()) * _SERIALS
 
 
 def _folders(place: str) -> list[int]:

@@ -33,7 +33,15 @@ from cfgplan_runtime.children.unit_child import UnitChild
 from cfgplan_runtime.children.unit_code import UNIT_VARIABLE
 from cfgplan_runtime.errors import ProgramEndedError
 from cfgplan_runtime.processes.child_process import kill_group
-from cfgplan_runtime.processes.descendants import adopt_orphans, children, end_children, put_mark, serial_of
+from cfgplan_runtime.processes.descendants import (
+    adopt_orphans,
+    children,
+    end_children,
+    mark_of,
+    put_mark,
+    serial_of,
+)
+from cfgplan_runtime.processes.guard import post_guard
 
 DUMP_SIGNAL = signal.SIGUSR1
 INTERRUPT_SIGNAL = signal.SIGUSR2
@@ -49,7 +57,9 @@ class Nursery:
     """Forks children on request and reports the end of each."""
 
     def __init__(self, end: socket.socket, run: str) -> None:
-        self._run = run
+        self._run, self._mark = run, mark_of(run, os.getpid())
+        self._guard = post_guard(run, self._mark)
+        """The descriptor whose end the guard waits for."""
         self._control: ControlConnection[messages.ToNursery] = ControlConnection(end, messages.ToNursery)
         self._serials: dict[int, int] = {}
         self._selector = selectors.DefaultSelector()
@@ -106,7 +116,7 @@ class Nursery:
             status = FAILED
             try:
                 self._become_child(parent)
-                put_mark(self._run, serial)
+                put_mark(self._mark, serial)
                 status = be_child(order, *sockets, run=self._run)
             finally:
                 os._exit(status)
@@ -129,6 +139,7 @@ class Nursery:
             os.setpgid(0, 0)
         self._selector.close()
         self._control.close()
+        os.close(self._guard)
         for bell in (self._bell, self._bell_rope):
             bell.close()
 
@@ -175,7 +186,7 @@ class Nursery:
         living = set(self._serials.values())
         for pid in children():
             if pid not in self._serials:
-                serial = serial_of(pid, self._run)
+                serial = serial_of(pid, self._mark)
                 if serial is not None and serial not in living:
                     kill_group(pid)
 

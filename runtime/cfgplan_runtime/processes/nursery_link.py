@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.messages import ChildOrder, Fork, FromNursery, Interrupt, Kill
-from cfgplan_runtime.processes.descendants import end_marked
+from cfgplan_runtime.processes.descendants import end_marked, mark_of
 
 _CODE = "import sys; from cfgplan_runtime.processes.nursery import main; main(sys.argv[1:])"
 _PATIENCE_AT_CLOSE_S = 5.0
@@ -104,4 +104,4 @@ class NurseryLink:
             self._process.kill()
             self._process.wait()
         if self._process.returncode:  # it was killed, and has ended nothing
-            end_marked(self._run)
+            end_marked(mark_of(self._run, self._process.pid))

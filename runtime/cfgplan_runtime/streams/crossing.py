@@ -23,10 +23,14 @@ from cfgplan_runtime.streams.element import Buffer
 
 KEYS = "cfgplan"
 """The prefix of all keys of a fleet."""
-FRAMES_UNDER_WAY = 256
-"""The most frames in flight."""
+FRAMES_UNDER_WAY = 1024
+"""The most frames in flight: 5 s at 200 Hz. With 256, a link that loses packets and stands still for a second at a time
+carried half as many small elements.
+"""
 BYTES_UNDER_WAY, _FIRST_BYTES_UNDER_WAY = 1 << 20, 1 << 17
-"""The most bytes in flight, and the number before a rate is known; two frames are always allowed."""
+"""The most bytes in flight, and the number before a rate is known. Two frames are always allowed, and one while the
+delay of an empty link is measured.
+"""
 _AHEAD_S, _AHEAD_SMALL_S = 0.02, 0.08
 """Seconds of the link's rate that may be in flight beyond its delay; more for small frames, which are acknowledged
 later.
@@ -42,9 +46,9 @@ _FRAME_S = 0.02
 sent.
 """
 _LEAST_S = 0.1
-"""The least seconds over which a rate is measured on a link that was not full: some links pass the first bytes after a
-pause at once.
-"""
+"""The least seconds over which a rate is measured on a link that was not full."""
+_BURST_BYTES = 1 << 16
+"""The bytes after a pause that say nothing of a link's rate: shapers and radios pass the first ones at once."""
 _RATE_S, _DELAY_S = 3.0, 10.0
 """The seconds for which a highest rate and a least delay count. Then the delay of an empty link is measured again."""
 _STARTUP_GAIN, _GROWTH, _ROUNDS_ALIKE = 2, 1.25, 3
@@ -55,7 +59,7 @@ _WAITING_S, _LEAST_WAITING = 2.0, 1 << 22
 """The seconds (a lease) of a full link's rate that may wait for it, and the least number of bytes."""
 MOST_PIECES = 4096
 """The most pieces that wait to be sent: two seconds (a lease) at 2,000 Hz."""
-_TOLD_EVERY, _TOLD_EVERY_BYTES = FRAMES_UNDER_WAY // 8, BYTES_UNDER_WAY // 8
+_TOLD_EVERY, _TOLD_EVERY_BYTES = FRAMES_UNDER_WAY // 32, BYTES_UNDER_WAY // 8
 _LATEST_CREDIT_S, _SOON_CREDIT_S = 0.05, 0.01
 """The most seconds until a frame is acknowledged, and those for a large frame."""
 _RESEND_S, _MOST_RESEND_S = 0.25, 0.5
@@ -179,6 +183,8 @@ class Pace:
     def __init__(self) -> None:
         self._sent: dict[int, tuple[float, int, bool]] = {}
         """By frame: the time of its sending, the bytes that had arrived by then, and whether more waited."""
+        self._paused, self._has_more = 0, False
+        """The bytes that had arrived when no frame was in flight or waited last, and whether frames waited then."""
         self._last = self._round_ends = 0
         """The last frame that was sent, and the one whose arrival ends a round."""
         self._arrived = 0
@@ -212,7 +218,7 @@ class Pace:
 
     @property
     def window(self) -> int:
-        """The number of bytes that should be in flight, beside two frames."""
+        """The number of bytes that should be in flight; 0 while the delay of an empty link is measured."""
         if self.rate is None:
             return _FIRST_BYTES_UNDER_WAY
         if self._probes_from is not None:
@@ -227,16 +233,23 @@ class Pace:
             return _FIRST_FRAME
         return max(_LEAST_FRAME, min(LARGEST_FRAME, round(self.rate * _FRAME_S)))
 
-    def note_sent(self, number: int, size: int, now_s: float, *, is_full: bool) -> None:
-        """Record the first sending of a frame. With `is_full`, more frames waited for room in the window."""
-        self._ahead_s = _AHEAD_S if size > SMALL_FRAME else _AHEAD_SMALL_S
+    def note_sent(self, number: int, now_s: float, *, is_small: bool, is_full: bool) -> None:
+        """Record the first sending of a frame. With `is_full`, more frames waited for room in the window. A frame that
+        `is_small` is acknowledged later.
+        """
+        self._ahead_s = _AHEAD_SMALL_S if is_small else _AHEAD_S
+        if not (self._sent or self._has_more):
+            self._paused = self._arrived
+        self._has_more = is_full
         self._sent[number], self._last = (now_s, self._arrived, is_full), number
         if is_full and self._probes_from is None and now_s - self._delay[1] > _DELAY_S and self._delay[0] < inf:
-            self._probes_from = number + 2
+            self._probes_from = number + 1
 
-    def forget(self, number: int) -> None:
-        """Record that a frame is sent again: its arrival then measures nothing."""
+    def forget(self, number: int, now_s: float) -> None:
+        """Record that a frame is sent again: its arrival then measures nothing, and the known delay counts on."""
         self._sent.pop(number, None)
+        if self._probes_from is not None and number >= self._probes_from:
+            self._delay, self._probes_from = (self._delay[0], now_s), None
 
     def note_arrived(self, number: int, size: int, now_s: float) -> None:
         """Record the acknowledgement of a frame."""
@@ -249,8 +262,10 @@ class Pace:
         self.usual_s += (_USUAL_SHARE if self.usual_s else 1) * (usual_s - self.usual_s)
         if delay_s <= self._delay[0] or is_probe:
             self._delay, self._probes_from = (delay_s, now_s), None if is_probe else self._probes_from
-        is_full = is_full or delay_s > self.delay_s + 2 * _AHEAD_S  # it has waited in the link
-        rate = (self._arrived - before) / max(delay_s, _AHEAD_S if is_full else _LEAST_S)
+        beyond = self._arrived - max(before, self._paused + _BURST_BYTES)
+        has_waited = delay_s > self.delay_s + 2 * _AHEAD_S
+        is_full = (is_full or has_waited) and beyond > 0
+        rate = beyond / max(delay_s, _AHEAD_S) if is_full else (self._arrived - before) / max(delay_s, _LEAST_S)
         self._has_been_full = self._has_been_full or is_full
         if (is_full and self._probes_from is None) or self.rate is None or rate > self.rate:
             self._rates.append((now_s, rate))
@@ -287,6 +302,8 @@ class Sending:
         self._waiting_bytes = 0
         self._begun = 0
         """The bytes of the first waiting piece that were sent."""
+        self._is_within = False
+        """Whether the last frame was a part of an element that is not over."""
         self._under_way: dict[int, Frame] = {}
         self._under_way_bytes = 0
         self._pace = Pace()
@@ -364,7 +381,9 @@ class Sending:
             self._next += 1
         new = [self._under_way[number] for number in range(first, self._next)]
         for frame in new:
-            self._pace.note_sent(frame.number, self._size(frame), now_s, is_full=bool(self._waiting))
+            is_small = self._size(frame) <= SMALL_FRAME and not (frame.has_more or self._is_within)
+            self._is_within = frame.has_more
+            self._pace.note_sent(frame.number, now_s, is_small=is_small, is_full=bool(self._waiting))
         is_open = bool(self._waiting or self._under_way)
         if is_open and self._again_s is not None and now_s >= self._again_s:
             # By the last one the receiver sees what else is missing.
@@ -373,7 +392,7 @@ class Sending:
             most_s = max(_MOST_RESEND_S, _USUAL_DELAYS * self._pace.usual_s)
             self._patience_s, self._again_s = min(2 * self._patience_s, most_s), None
         for frame in frames:
-            self._pace.forget(frame.number)
+            self._pace.forget(frame.number, now_s)
         if not is_open:
             self._again_s = None
         elif self._again_s is None:
@@ -408,7 +427,8 @@ class Sending:
 
     @property
     def _has_window(self) -> bool:
-        return self._under_way_bytes < self._pace.window or len(self._under_way) < 2
+        window = self._pace.window
+        return self._under_way_bytes < window or len(self._under_way) < (2 if window else 1)
 
     @property
     def _has_too_many(self) -> bool:
@@ -444,6 +464,7 @@ class Receiving:
         if frame.number >= self._expected + 2 * FRAMES_UNDER_WAY:
             return []
         self._held[frame.number] = frame
+        is_large = len(frame.piece.payload) > SMALL_FRAME or frame.has_more or bool(self._parts)
         pieces, before = [], self._expected
         while (next_one := self._held.pop(self._expected, None)) is not None:
             self._expected += 1
@@ -459,7 +480,6 @@ class Receiving:
             self._parts = []
         self._untold += self._expected - before
         is_much = self._untold >= _TOLD_EVERY or self._untold_bytes >= _TOLD_EVERY_BYTES
-        is_large = len(frame.piece.payload) > SMALL_FRAME
         due_s = now_s if is_much or self._held else now_s + (_SOON_CREDIT_S if is_large else _LATEST_CREDIT_S)
         self._tell_s = due_s if self._tell_s is None else min(self._tell_s, due_s)
         return pieces
