@@ -26,8 +26,7 @@ from ortools.sat.python.cp_model import (
 
 from cfgplan.domain import Objective
 from cfgplan.planners.exact.candidates import Candidates, HostKind, HostName
-from cfgplan.planners.exact.counted_wiring import CountedWiring
-from cfgplan.planners.exact.decode import named
+from cfgplan.planners.exact.decode import decode_numbers
 from cfgplan.planners.exact.groups import groups_of, host_kinds
 from cfgplan.planners.exact.model import Model
 from cfgplan.planners.exact.patterns import Patterns
@@ -35,6 +34,7 @@ from cfgplan.planners.exact.pruning import lean
 from cfgplan.planners.exact.rounds import InfeasibleError, minimised
 from cfgplan.planners.exact.rules import PLACED, RULES
 from cfgplan.planners.exact.solve_state import SolveState
+from cfgplan.planners.exact.wiring import named
 from cfgplan.planners.networks.keys import Key
 from cfgplan.planners.solving.clock import Clock, ContradictionError
 from cfgplan.planners.solving.engine import repeatable_solver, solve
@@ -218,7 +218,7 @@ class _Deployment:
                     return False
             for n, hosts in placed.hosts.items():
                 hosts_of[n] += hosts
-        units = CountedWiring(self.candidates, model, values, hosts_of).units()
+        units = decode_numbers(self.candidates, model, values, hosts_of)
         key = self.state.offer(self.candidates, named(self.candidates, lean(self.candidates, units)))
         return is_fit and key is not None
 

@@ -10,7 +10,7 @@ from ortools.sat.python.cp_model import CpSolver, CpSolverSolutionCallback, IntV
 
 from cfgplan.domain import Objective
 from cfgplan.planners.exact.candidates import ONLY_IN_THE_MODEL, Candidates
-from cfgplan.planners.exact.decode import decode, named
+from cfgplan.planners.exact.decode import decode
 from cfgplan.planners.exact.first_plans import FirstPlans
 from cfgplan.planners.exact.model import Model, ModelRule
 from cfgplan.planners.exact.pruning import lean
@@ -20,6 +20,7 @@ from cfgplan.planners.exact.rounds import InfeasibleError, minimised
 from cfgplan.planners.exact.rules import RULES
 from cfgplan.planners.exact.solve_state import SolveState
 from cfgplan.planners.exact.survival import Survival
+from cfgplan.planners.exact.wiring import named
 from cfgplan.planners.networks.keys import Key
 from cfgplan.planners.solving.clock import Clock, ContradictionError
 from cfgplan.planners.solving.engine import LARGEST_PRODUCT, repeatable_solver
