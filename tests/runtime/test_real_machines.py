@@ -19,7 +19,7 @@ from cfgplan_runtime import ApplyError, Patience, Runtime
 from cfgplan_runtime.processes import process_backend
 from cfgplan_runtime.processes.process_backend import NURSERY_HELPER, OUTLETS, OUTLETS_HELPER, ProcessBackend
 from cfgplan_runtime.supervision.events import HelperHung, OutletsLost, UnitDied, UnitReady
-from unit_signals import signal_unit
+from unit_signals import signal_unit, unit_pid
 from watching import Listener, StartRuntime, seen
 from world import PATIENCE_S, eventually, source, start, unit, worker
 
@@ -43,7 +43,7 @@ def kill(runtime: Runtime, unit_id: str) -> None:
 
 
 def nursery_of(runtime: Runtime) -> psutil.Process:
-    parent = psutil.Process(runtime.pid("count.1") or 0).parent()
+    parent = psutil.Process(unit_pid(runtime, "count.1")).parent()
     assert parent is not None
     return parent
 
