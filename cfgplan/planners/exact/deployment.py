@@ -8,7 +8,7 @@ is modelled separately.
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -120,7 +120,7 @@ class _Deployment:
         model.cp.add(steps[0].what >= self._least)
         if is_placed and state.best is not None:
             model.cp.add(steps[0].what <= steps[0].value(state.best.key))
-            self._hint(model)
+            model.hint(state.best.units)
         values: Sequence[int] = ()
         proven: list[int] = []
         for number, step in enumerate(steps):
@@ -245,17 +245,6 @@ class _Deployment:
             for n, numbers in zip(here, model.numbers_on.values(), strict=True)
         }
         return _Placed(found, is_fit=True)
-
-    def _hint(self, model: Model) -> None:
-        """Hint the incumbent's units and hosts."""
-        assert self.state.best is not None
-        new = {c.transformation.label: n for n, c in enumerate(model.candidates.all) if c.running is None}
-        running = {c.id: n for n, c in enumerate(model.candidates.all) if c.running is not None}
-        units = self.state.best.units
-        number = Counter((running.get(unit.id, new.get(unit.transformation)), unit.host) for unit in units)
-        for n, there in model.numbers_on.items():
-            for host, on in there.items():
-                model.cp.add_hint(on, number[n, host])
 
     def _limited(self, kinds: Sequence[HostKind]) -> Model:
         """The model of kinds of hosts without the numbers of units that are known not to fit."""
