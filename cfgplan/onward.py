@@ -1,9 +1,9 @@
-"""Relations as pairs: reachability and grouping."""
+"""Relations as pairs: reachability, derivation and grouping."""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import TypeVar
 
 Item = TypeVar("Item")
@@ -27,3 +27,18 @@ def reached(starts: Iterable[Item], onward: Callable[[Item], Iterable[Item]]) ->
         found |= new
         ahead += new
     return ahead
+
+
+def derived(missing: dict[Item, int], ahead: list[Item], above: Callable[[Item], Iterable[Item]]) -> Iterator[Item]:
+    """Yield the items `ahead`, then each item that misses no premise any more, in the order of derivation.
+
+    `missing` has the number of premises that each other item still needs; it is counted down, and `ahead` grows.
+    `above` gives the items that have an item as a premise. An item that any one of its premises is enough for misses 1.
+    """
+    for item in ahead:
+        yield item
+        for other in above(item):
+            if other in missing:
+                missing[other] -= 1
+                if not missing[other]:
+                    ahead.append(other)

@@ -14,6 +14,7 @@ ROOT = Path(__file__).parent.parent
 MAP = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
 FILES = {path.relative_to(ROOT).as_posix() for room in ("cfgplan", "runtime", "tests", "experiments", "models")
          for path in (ROOT / room).rglob("*.*")}  # fmt: skip
+FILES_OF_THE_PLANNER = {file.removeprefix("cfgplan/") for file in FILES if file.startswith("cfgplan/planners/")}
 NAMED = sorted(set(re.findall(r"`(?:python )?(?:\.\./)?([\w/]+\.(?:py|yaml|md))`", MAP)))
 ROOMS = sorted({path.parent.name for place in ("cfgplan", "runtime/cfgplan_runtime")
                 for path in (ROOT / place).glob("*/__init__.py")})  # fmt: skip
@@ -59,21 +60,34 @@ def entered(world: str) -> list[str]:
     return out.splitlines()[-1].split()[1:]
 
 
-@pytest.mark.parametrize(
-    ("world", "told"),
-    [
-        ("nao/2-segmenter-lost.yaml", r"enters about (\d+) files"),
-        ("nao/7-robot-may-fail.yaml", r"about (\d+) for a fleet"),
-    ],
-)
-def test_solve_enters_as_many_files_as_the_map_says(world: str, told: str) -> None:
-    files, found = entered(world), re.search(told, WAY)
-    assert found is not None
-    assert abs(len(files) - int(found[1])) <= len(files) // 10, f"the map says {found[0]}, but {len(files)}: {files}"
+PLAIN, FLEET = "nao/2-segmenter-lost.yaml", "nao/7-robot-may-fail.yaml"
+
+
+def test_solve_enters_as_many_files_as_the_map_says() -> None:
+    """For a plain problem and, in brackets, for a fleet: in all, and of each room."""
+    in_all = re.search(r"enters about (\d+) files of the product \((\d+) for a fleet\)", WAY)
+    of_rooms = {name: numbers for *numbers, name in re.findall(r"(\d+) \((\d+)\) of `(\w+)`", WAY)}
+    assert in_all is not None
+    assert len(of_rooms) == 5
+    for place, world in enumerate((PLAIN, FLEET)):
+        for name, told in {"": in_all.groups(), **of_rooms}.items():
+            files = [file for file in entered(world) if file.startswith(f"{name}/" if name else "")]
+            said = f"the map says {told[place]} of {name or 'all'}, but {len(files)}: {files}"
+            assert abs(len(files) - int(told[place])) <= len(files) // 10, said
+
+
+ONLY_FOR = ("deployment", "fleet", "first_plans", "required", "quality", "search", "survival", "model")
+
+
+def test_a_plain_problem_enters_no_file_of_the_planner_that_others_need() -> None:
+    named = {f"planners/exact/{name}.py" for name in ONLY_FOR}
+    assert named <= FILES_OF_THE_PLANNER
+    assert named.isdisjoint(entered(PLAIN))
+    assert not named.isdisjoint(entered(FLEET))
 
 
 def test_solve_enters_each_file_that_the_map_names_as_a_station() -> None:
-    files = entered("nao/2-segmenter-lost.yaml")
+    files = entered(PLAIN)
     stations = [
         name for name in re.findall(r"`([\w/]+\.py)`", WAY) if name.startswith(("cli/", "formats/", "validity/"))
     ]

@@ -13,8 +13,13 @@ class HasPids(Protocol):
     def pid(self, unit: str) -> int | None: ...
 
 
-def signal_unit(runtime: HasPids, unit: str, number: int = signal.SIGKILL) -> None:
-    """Send a signal to the process of a unit, which has to have one."""
+def unit_pid(runtime: HasPids, unit: str) -> int:
+    """Return the process id of a unit, which has to have one."""
     pid = runtime.pid(unit)
     assert pid, f"{unit} has no process"
-    os.kill(pid, number)
+    return pid
+
+
+def signal_unit(runtime: HasPids, unit: str, number: int = signal.SIGKILL) -> None:
+    """Send a signal to the process of a unit, which has to have one."""
+    os.kill(unit_pid(runtime, unit), number)

@@ -66,3 +66,16 @@ def with_one_word(problem: Problem, **said: object) -> Problem:
     more = InputPort("more", "Sc00", **said)  # type: ignore[arg-type]
     library[5] = replace(library[5], inputs=(*library[5].inputs, more))
     return replace(problem, environment=replace(problem.environment, library=tuple(library)))
+
+
+def with_a_ring(problem: Problem) -> Problem:
+    """The deployment with two components that may feed each other, or be fed by an expensive source."""
+    library = list(problem.environment.library)
+    offers = dict(problem.similarity.offers)
+    for reader, giver in ((5, 8), (8, 5)):
+        port = InputPort("ring", f"R{library[reader].label}")
+        offers[port.tag] = frozenset({f"S{library[giver].label}", "Ssource"})
+        library[reader] = replace(library[reader], inputs=(*library[reader].inputs, port))
+    library.append(Transformation("source", outputs=(OutputPort("o", "Ssource"),), upkeep_us=60_000, memory_mb=2_000))
+    environment = replace(problem.environment, library=tuple(library))
+    return replace(problem, environment=environment, similarity=Similarity(offers))

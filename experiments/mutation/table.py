@@ -494,8 +494,8 @@ CLOSING = _room(
     (
         "a loop holds itself up",
         "solving/support.py",
-        "ahead = sorted(p for p, count in missing.items() if count == 0)",
-        "ahead = sorted(missing)",
+        "sources = sorted(p for p, number in missing.items() if not number)",
+        "sources = sorted(missing)",
     ),
     (
         "all ways are ways into a loop",
@@ -830,7 +830,13 @@ COUNTING = _room(
         "                if port.count != 1:\n",
         "                if False:\n",
     ),
-    ("a cycle is counted", "groups.py", "and is_directed_acyclic_graph(_feeds(candidates))", ""),
+    (
+        "units of a ring are counted together",
+        "groups.py",
+        "Tracking.of(candidates).units | rings",
+        "Tracking.of(candidates).units",
+    ),
+    ("a ring beside counted units holds itself up", "model.py", "is_optional or bool(self.in_rings)", "is_optional"),
     (
         "hosts of any room are alike",
         "groups.py",

@@ -26,7 +26,7 @@ from scale_suite import SCALE
 
 from cfgplan.domain import ChangeSet
 from cfgplan.planning import Problem, Status
-from experiments.families.deployments import deployment, with_one_word
+from experiments.families.deployments import deployment, with_a_ring, with_one_word
 from experiments.families.random_library import random_library
 from experiments.families.transport import transport
 from experiments.fleet import instances
@@ -83,6 +83,7 @@ OTHERS: dict[str, Callable[[int], Made]] = {
     "deployment, 20 hosts": lambda seed: [deployment(300 + seed, hosts=20, replicas=6)],
     "deployment, one distinct": lambda seed: [with_one_word(deployment(seed), distinct="d")],
     "deployment, one optional": lambda seed: [with_one_word(deployment(seed), optional=True, worth_us=1_000)],
+    "deployment, 20 hosts and a ring": lambda seed: [with_a_ring(deployment(300 + seed, hosts=20, replicas=6))],
     "one failure, 40": lambda seed: [instances.surviving(seed, 40)],
 }
 FAMILIES = PLAIN | OTHERS

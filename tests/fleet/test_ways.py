@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import time
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack
 
@@ -92,7 +92,14 @@ def test_hosts_that_are_linked_with_all_stay_so(stack: ExitStack, monkeypatch: p
     hosts = Hosts(stack, base="", r1="base", r2="base r1")
     hosts.await_whole()
     monkeypatch.setattr(ways, "LEASE_S", 0.4)
-    time.sleep(1)
+    looks, look = Counter[Way](), Way._look
+
+    def counted_look(way: Way, asked: str, others: set[str]) -> None:
+        look(way, asked, others)
+        looks[way] += 1
+
+    monkeypatch.setattr(Way, "_look", counted_look)
+    eventually(lambda: len(looks) == 3 and min(looks.values()) >= 10)
     assert hosts.said == []
 
 

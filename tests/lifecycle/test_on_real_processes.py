@@ -25,6 +25,7 @@ from cfgplan_runtime.processes import process_backend
 from cfgplan_runtime.processes.process_backend import OUTLETS
 from cfgplan_runtime.supervision.events import OutOfDescriptors, SpareUsed
 from real_run import PROGRAMS, UNITS, RealRun, eventually, source, worker
+from unit_signals import unit_pid
 
 RESULT, SLOW, DYING = {"/result": "Y"}, {"/slow": "S"}, {"/dying": "D"}
 CHAIN = (source(), worker("first", gives="Z"), worker("last", needs="Z"))
@@ -244,7 +245,7 @@ def test_a_stopped_nursery_makes_few_reviews_and_the_stream_goes_on(
     monkeypatch.setattr(process_backend, "HELPER_S", 6.0)
     run_for_real.start(source(), worker())
     run_for_real.await_result("work", more=400)
-    nursery = psutil.Process(run_for_real.runtime.pid("work.1") or 0).parent()
+    nursery = psutil.Process(unit_pid(run_for_real.runtime, "work.1")).parent()
     assert nursery is not None
     run_for_real.kill("count.1")
     nursery.suspend()

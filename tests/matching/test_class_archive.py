@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 import textwrap
+from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
 from cfgplan.matching import Ontology, class_archive, hermit, match
 
+one_archive = pytest.mark.xdist_group("class archive")
 DOCUMENT = "Ontology(<t:o> Declaration(Class(<t:0>)) Declaration(Class(<t:1>)) DisjointClasses(<t:0> <t:1>))"
 
 
@@ -29,16 +33,45 @@ def archives(cache: Path) -> list[Path]:
     return sorted(cache.glob("*/"))
 
 
-def test_the_archive_is_made_once_it_pays_and_then_used(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(class_archive, "PAYS_AFTER", 2)
-    assert ask() == {"t:0": True}
-    assert archives(cache) == []
-    assert ask() == {"t:0": True}
-    (made,) = archives(cache)
+class Made(NamedTuple):
+    """A cache folder with an archive, and how many archives were there after each question until it was made."""
+
+    folder: Path
+    there: tuple[int, ...]
+
+
+@pytest.fixture(scope="module")
+def made_for_all(tmp_path_factory: pytest.TempPathFactory) -> Made:
+    """Making an archive costs some seconds of CPU time, and its second part knows the place of the first."""
+    home, there = tmp_path_factory.mktemp("made"), list[int]()
+    folder = home / "cfgplan" / "hermit"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(home))
+        patch.setattr(class_archive, "PAYS_AFTER", 2)
+        for _ in range(2):
+            assert ask() == {"t:0": True}
+            there.append(len(archives(folder)))
+    return Made(folder, tuple(there))
+
+
+@pytest.fixture
+def made(made_for_all: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The folder of the archive that all these tests use; its files are given back as they were."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(made_for_all.folder.parent.parent))
+    (made,) = archives(made_for_all.folder)
+    kept = shutil.copytree(made, tmp_path / "kept")
+    yield made
+    shutil.rmtree(made)
+    shutil.copytree(kept, made)
+
+
+@one_archive
+def test_the_archive_is_made_once_it_pays_and_then_used(made_for_all: Made, made: Path) -> None:
+    assert made_for_all.there == (0, 1)
     assert {path.name for path in made.iterdir()} >= {"java.jsa", "hermit.jsa"}
-    before = {path: path.stat().st_mtime_ns for path in cache.rglob("*")}
+    before = {path: path.stat().st_mtime_ns for path in made_for_all.folder.rglob("*")}
     assert ask() == {"t:0": True}
-    assert {path: path.stat().st_mtime_ns for path in cache.rglob("*")} == before
+    assert {path: path.stat().st_mtime_ns for path in made_for_all.folder.rglob("*")} == before
     loaded = classes_from_the_archive(made)
     assert any("org.semanticweb.HermiT" in line for line in loaded)
 
@@ -57,11 +90,9 @@ def classes_from_the_archive(made: Path) -> list[str]:
     return [line for line in said.splitlines() if "shared objects file" in line]
 
 
+@one_archive
 @pytest.mark.parametrize("damage", ["cut", "flipped", "emptied"])
-def test_a_damaged_archive_changes_no_answer(damage: str, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(class_archive, "PAYS_AFTER", 1)
-    ask()
-    (made,) = archives(cache)
+def test_a_damaged_archive_changes_no_answer(damage: str, made: Path) -> None:
     for path in made.glob("*.jsa"):
         content = bytearray(path.read_bytes())
         if damage == "flipped":
@@ -75,16 +106,17 @@ def test_an_archive_that_another_process_makes_is_left_alone_until_it_was_given_
     cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(class_archive, "PAYS_AFTER", 1)
+    archive = class_archive.archive_for(hermit._java_command(), hermit._OPTIONS, hermit._jar(), hermit._MAIN)
+    assert archive is not None
+    archive.folder.mkdir(parents=True)
+    (archive.folder / "question.ofn").write_text("")
     ask()
-    (made,) = archives(cache)
-    (made / "hermit.jsa").unlink()
-    (made / "java.jsa").unlink()
+    assert [path.name for path in archive.folder.iterdir()] == ["question.ofn"]
+    assert archives(cache) == [archive.folder]
+    long_ago = archive.folder.stat().st_mtime - 2 * class_archive._ABANDONED_S
+    os.utime(archive.folder, (long_ago, long_ago))
     ask()
-    assert [path.name for path in made.iterdir()] == ["question.ofn"]
-    long_ago = made.stat().st_mtime - 2 * class_archive._ABANDONED_S
-    os.utime(made, (long_ago, long_ago))
-    ask(), ask()
-    assert (made / "hermit.jsa").exists()
+    assert (archive.folder / "hermit.jsa").exists()
 
 
 def test_without_a_folder_to_write_to_questions_are_answered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -129,7 +161,11 @@ def test_only_a_few_archives_are_kept(cache: Path, monkeypatch: pytest.MonkeyPat
     for number in range(5):
         (cache / f"old{number}").mkdir(parents=True)
         os.utime(cache / f"old{number}", (number, number))
-    ask()
+    archive = class_archive.archive_for(sys.executable, (), Path(__file__), "Main")
+    assert archive is not None
+    monkeypatch.setattr(class_archive.ClassArchive, "_run", lambda made, *_: (made.folder / "hermit.jsa.part").touch())
+    archive.count(None)
+    assert archive.flags
     assert len(archives(cache)) == class_archive.MOST_ARCHIVES
     assert not (cache / "old0").exists()
 

@@ -21,10 +21,10 @@ from cfgplan.planners import PLANNERS
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.first_plans import FirstPlans
 from cfgplan.planners.exact.grounded import Grounded
-from cfgplan.planners.exact.reach import Reach
 from cfgplan.planners.exact.session import offer_what_runs
 from cfgplan.planners.exact.solve_state import SolveState
 from cfgplan.planners.exact.survivors import can_do_without
+from cfgplan.planners.networks.reach import Reach
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import USUAL
 from cfgplan.planning import Failures, Feature, Plan, Problem, Status
@@ -117,7 +117,7 @@ def test_what_is_reached_is_the_closure_of_what_was_added_and_not_taken_back(
 ) -> None:
     assume(not unmet_reasons(problem))
     candidates = Candidates(problem)
-    network, reach = candidates.network, Reach(candidates.network)
+    network, reach = candidates.network, Reach(candidates.network.core)
     there: set[str] = set()
     for number in data.draw(st.permutations(range(len(network.labels)))):
         reach.add(number)
@@ -129,7 +129,9 @@ def test_what_is_reached_is_the_closure_of_what_was_added_and_not_taken_back(
         possible = startable(Environment((), library), candidates.givers)
         assert {network.labels[n] for n in range(len(network.labels)) if reach.runs(n)} == possible
         for target in problem.environment.targets:
-            assert reach.meets(target.tag) == (not possible.isdisjoint(candidates.givers.of(target.tag)))
+            assert reach.holds(network.fact_of_tag.get(target.tag)) == (
+                not possible.isdisjoint(candidates.givers.of(target.tag))
+            )
 
 
 def test_spares_are_dropped_one_by_one_with_a_look_at_the_clock_before_each() -> None:

@@ -18,7 +18,7 @@ from cfgplan_runtime.ros1.ros1_backend import Ros1Backend
 from cfgplan_runtime.ros1.tcpros import answered
 from cfgplan_runtime.testing import Bench, check_middleware
 from operated_world import eventually
-from unit_signals import signal_unit
+from unit_signals import signal_unit, unit_pid
 from words import NODES, await_pid, gives, messages, pid_of, published_topics
 
 from cfgplan.domain import (
@@ -119,7 +119,7 @@ def test_a_nodelet_is_loaded_rewired_lost_with_its_manager_loaded_again_and_unlo
     with made() as runtime:
         started = (ComputationUnit("small.1", small.label), halver("small.1"))
         runtime.apply(ChangeSet(started, added_transformations=(small, large, HALVER), added_targets=(target,)))
-        manager = runtime.pid("halver.1") or 0
+        manager = unit_pid(runtime, "halver.1")
         with messages("/half") as pictures:
             assert width_of(next(pictures)) == 50
             another = (ComputationUnit("large.1", large.label),)

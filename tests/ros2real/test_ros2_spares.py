@@ -16,6 +16,7 @@ from cfgplan_runtime.ros2.ros2_backend import Ros2Backend
 from cfgplan_runtime.supervision.events import Event, SpareLost, SparePrepared, SpareUsed, UnitDied, UnitPrinted
 from operated_world import PATIENCE_S, eventually
 from ros2_words import NODES, Observer
+from unit_signals import signal_unit
 
 from cfgplan.domain import (
     ChangeSet,
@@ -127,7 +128,7 @@ def test_a_spare_waits_and_is_the_unit_that_replaces_another(
     assert prepared.unit == f"{label}.2"
     assert prepared.labor_us > 0
     waiting = processes("__node:=worker_2" if transformation is WORKER else "warm.py")
-    os.kill(runtime.pid(f"{label}.1") or 0, signal.SIGKILL)
+    signal_unit(runtime, f"{label}.1")
     told(UnitDied)
     runtime.apply(ChangeSet((worker(f"{label}.3"),)))
     assert told(SpareUsed) == SpareUsed(f"{label}.3", f"{label}.2")
@@ -159,7 +160,7 @@ def test_a_process_waits_for_any_node_and_has_its_parameters_and_names(
     shouts = observer.listen("/shout")
     eventually(lambda: backends[0].has_warm)
     waiting = processes("warm.py")
-    os.kill(runtime.pid("talker.1") or 0, signal.SIGKILL)
+    signal_unit(runtime, "talker.1")
     told(UnitDied)
     runtime.apply(ChangeSet((ComputationUnit("talker.2", "talker"),), rewired=(fed_by("talker.2"),)))
     assert runtime.pid("talker.2") in waiting

@@ -36,7 +36,7 @@ from cfgplan_runtime.supervision.events import (
     UnitTooLarge,
 )
 from cfgplan_runtime.supervision.wiring import starved_units
-from unit_signals import signal_unit
+from unit_signals import signal_unit, unit_pid
 from watching import Listener, StartRuntime, seen
 from world import PATIENCE_S, eventually, source, start, unit, worker
 
@@ -503,7 +503,7 @@ def test_cpu_clocks_agree_with_psutil(run_units: StartRuntime) -> None:
 
     runtime = run_units(source(rate_hz=1000))
     runtime.apply(start(unit("count.1", topic="/result", port="n")))
-    pid = runtime.pid("count.1") or 0
+    pid = unit_pid(runtime, "count.1")
     eventually(lambda: (cpu_us(pid) or 0) > 200_000)
     before, by_psutil, after = cpu_us(pid), cpu_us_by_psutil(pid), cpu_us(pid)
     assert before is not None

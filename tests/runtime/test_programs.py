@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import signal
 from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
@@ -22,6 +20,7 @@ from cfgplan_runtime.supervision.events import (
     UnitPrinted,
 )
 from program_units import giver, program
+from unit_signals import signal_unit
 from watching import Listener, StartRuntime, seen
 from world import eventually, source, start, unit, worker
 
@@ -146,7 +145,7 @@ def test_a_program_dies_with_its_unit(run_units: StartRuntime, form: ProgramForm
     runtime = run_units(program(form))
     runtime.apply(start(unit("work.1")))
     hosted = process_of(runtime.pid("work.1"))
-    os.kill(runtime.pid("work.1") or 0, signal.SIGKILL)
+    signal_unit(runtime, "work.1")
     eventually(lambda: bool(seen(runtime, UnitDied)))
     eventually(lambda: not hosted.is_running() or hosted.status() == psutil.STATUS_ZOMBIE)
 

@@ -10,6 +10,8 @@ import time
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
+from itertools import pairwise
+from math import inf
 from pathlib import Path
 
 import failing_forks
@@ -18,8 +20,9 @@ import pytest
 from cfgplan_runtime import ApplyError, Patience, Runtime
 from cfgplan_runtime.processes import process_backend
 from cfgplan_runtime.processes.process_backend import NURSERY_HELPER, OUTLETS, OUTLETS_HELPER, ProcessBackend
+from cfgplan_runtime.supervision.delays import doubling_s
 from cfgplan_runtime.supervision.events import HelperHung, OutletsLost, UnitDied, UnitReady
-from unit_signals import signal_unit
+from unit_signals import signal_unit, unit_pid
 from watching import Listener, StartRuntime, seen
 from world import PATIENCE_S, eventually, source, start, unit, worker
 
@@ -43,7 +46,7 @@ def kill(runtime: Runtime, unit_id: str) -> None:
 
 
 def nursery_of(runtime: Runtime) -> psutil.Process:
-    parent = psutil.Process(runtime.pid("count.1") or 0).parent()
+    parent = psutil.Process(unit_pid(runtime, "count.1")).parent()
     assert parent is not None
     return parent
 
@@ -103,11 +106,20 @@ def test_outlets_that_can_not_be_made_are_tried_again_ever_more_rarely(
     runtime = run_units(source(), worker(), preload=["failing_forks"])
     runtime.apply(ONE)
     listener = Listener("/result")
+    losses: list[tuple[int, float, float]] = []
+
+    def noted_delay_s(failures: int, first_s: float, most_s: float) -> float:
+        delay_s = doubling_s(failures, first_s, most_s)
+        losses.append((failures, delay_s, time.monotonic()))
+        return delay_s
+
+    monkeypatch.setattr(process_backend, "doubling_s", noted_delay_s)
+    monkeypatch.setattr(process_backend, "_GOOD_LIFE_S", inf)  # a slow computer's losses are in a row, too
     full.touch()
     signal_unit(runtime, OUTLETS)
-    eventually(lambda: len(seen(runtime, OutletsLost)) >= 2)
-    time.sleep(1.0)
-    assert 2 <= len(seen(runtime, OutletsLost)) <= 7
+    eventually(lambda: len(seen(runtime, OutletsLost)) >= 5)
+    assert [failures for failures, *_ in losses[:5]] == [1, 2, 3, 4, 5]
+    assert all(later - at >= delay_s for (_, delay_s, at), (*_, later) in pairwise(losses[:5]))
     full.unlink()
     before = len(listener.received)
     eventually(lambda: len(listener.received) > before + 10)

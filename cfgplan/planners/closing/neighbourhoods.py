@@ -13,6 +13,7 @@ import numpy as np
 
 from cfgplan.planners.bounding.bounds import Bound, tightened
 from cfgplan.planners.networks.core import Core, Flags, Floats, Ints, Rows
+from cfgplan.planners.networks.reach import Reach
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import Near
 
@@ -211,18 +212,10 @@ class Neighbourhoods:
 
 def _first_givers(core: Core, labels: Iterable[int]) -> dict[int, int]:
     """For each fact that these labels give, grounded among themselves, the label that gives it first."""
-    missing = {label: len(core.needs.lists[label]) for label in labels}
-    ahead = [label for label, number in missing.items() if not number]
     first: dict[int, int] = {}
-    for label in ahead:
+    for label in Reach(core, labels).order:
         for fact in core.gives.lists[label]:
-            if fact not in first:
-                first[fact] = label
-                for user in core.needed_by.lists[fact]:
-                    if user in missing:
-                        missing[user] -= 1
-                        if not missing[user]:
-                            ahead.append(user)
+            first.setdefault(fact, label)
     return first
 
 

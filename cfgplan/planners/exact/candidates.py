@@ -153,39 +153,38 @@ class Candidates:
 
         A stream is known by the first unit of its group. Units outside the groups are left out.
         """
-        found = copy.copy(self)
-        for cached in _DERIVED:
-            vars(found).pop(cached, None)
-        found.groups, found.hosts = tuple(groups), tuple(kinds)
-        firsts = [self.all[group[0]] for group in found.groups]
-        found.all = tuple(
-            replace(
-                first,
-                size=len(group),
-                places={kind.first: first.places[kind.first] for kind in kinds if kind.first in first.places},
-            )
-            for group, first in zip(found.groups, firsts, strict=True)
-        )
-        found.index_of = {self.all[i].id: number for number, group in enumerate(found.groups) for i in group}
-        found._units = grouped((first.transformation.label, number) for number, first in enumerate(firsts))
-        found._streams, found._feeders, found._may_stay = {}, {}, {}
+        whole = tuple(groups)
+        firsts = [self.all[group[0]] for group in whole]
+        at = [{kind.first: c.places[kind.first] for kind in kinds if kind.first in c.places} for c in firsts]
+        units = [
+            replace(first, size=len(group), places=places)
+            for group, first, places in zip(whole, firsts, at, strict=True)
+        ]
+        found = self._with(units, kinds)
+        found.groups = whole
+        found.index_of = {self.all[i].id: number for number, group in enumerate(whole) for i in group}
         return found
 
     def of_sites(self, units: Mapping[Site, int], targets: Iterable[Target]) -> Candidates:
         """New units, so many of each site, where it is, which have to meet some targets by their wiring alone."""
-        library = tuple(self.environment.transformation[label] for label in sorted({label for label, _ in units}))
+        kinds = self.environment.transformation
+        sites = [site for site, number in sorted(units.items(), key=str) for _ in range(number)]
+        found = self._with(
+            [Candidate(str(i), kinds[label], None, {host: OnHost(0, 0, {})}) for i, (label, host) in enumerate(sites)],
+            [HostKind((host,), {}) for host in dict.fromkeys(host for _, host in units)],
+        )
+        library = tuple(kinds[label] for label in sorted({label for label, _ in units}))
         wanted = tuple(replace(target, host=None, quality=()) for target in targets)
+        found.environment = Environment((), library, wanted)
+        found.problem = Problem(found.environment, self.problem.similarity, 0)
+        return found
+
+    def _with(self, candidates: Iterable[Candidate], hosts: Iterable[HostKind]) -> Candidates:
+        """The same problem with other candidates and hosts. Forgets what was derived from the present ones."""
         found = copy.copy(self)
         for cached in _DERIVED:
             vars(found).pop(cached, None)
-        found.environment = Environment((), library, wanted)
-        found.problem = Problem(found.environment, self.problem.similarity, 0)
-        found.hosts = tuple(HostKind((host,), {}) for host in dict.fromkeys(host for _, host in units))
-        sites = [site for site, number in sorted(units.items(), key=str) for _ in range(number)]
-        found.all = tuple(
-            Candidate(str(i), self.environment.transformation[label], None, {host: OnHost(0, 0, {})})
-            for i, (label, host) in enumerate(sites)
-        )
+        found.all, found.hosts = tuple(candidates), tuple(hosts)
         found.index_of = {candidate.id: i for i, candidate in enumerate(found.all)}
         found._units = grouped((candidate.transformation.label, i) for i, candidate in enumerate(found.all))
         found._streams, found._feeders, found._may_stay = {}, {}, {}

@@ -13,14 +13,14 @@ import numpy as np
 
 from cfgplan.domain import ComputationUnit, Target
 from cfgplan.planners.exact.candidates import Candidate, Candidates, HostName, Site
-from cfgplan.planners.exact.decode import named
 from cfgplan.planners.exact.grounded import Grounded
 from cfgplan.planners.exact.places import Places
 from cfgplan.planners.exact.pruning import lean, needed_units
-from cfgplan.planners.exact.reach import Reach
 from cfgplan.planners.exact.survivors import Failure, site_of, unmet
+from cfgplan.planners.exact.wiring import named
 from cfgplan.planners.networks.core import Floats
 from cfgplan.planners.networks.greedy import FREE, plan_at
+from cfgplan.planners.networks.reach import Reach
 from cfgplan.planning import Failures
 from cfgplan.qualities import QualityAttribute
 
@@ -155,7 +155,7 @@ class Configuration:
         all_of, network = self.candidates.all, self.candidates.network
         hot = {i for i in spares if not all_of[i].may_wait}
         if hot:
-            reach = Reach(network, self.candidates.numbers(self._labels(self.hot | hot)))
+            reach = Reach(network.core, self.candidates.numbers(self._labels(self.hot | hot)))
             if not all(reach.runs(network.number[label]) for label in self._labels(hot)):
                 hot = {i for i in spares if all_of[i].may_run}
         self.hot |= hot

@@ -1,18 +1,20 @@
-"""Decode a solution into units: wired, named, and without units that nothing needs."""
+"""Decode a solution into wired units: one of named units, or one of numbers of units in groups."""
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
-from collections.abc import Collection, Iterable
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
-from cfgplan.domain import ComputationUnit, Environment, InputPort, Publication, Stream, Subscription, Target
-from cfgplan.onward import grouped
+import numpy as np
+
+from cfgplan.domain import ComputationUnit, InputPort, Stream, Target
 from cfgplan.planners.exact.candidates import Candidates, HostName
 from cfgplan.planners.exact.company import have_company
 from cfgplan.planners.exact.rules import MAY_RUN_FOR_NOBODY
-from cfgplan.planning import Feature, fresh_units
+from cfgplan.planners.exact.wiring import wired
+from cfgplan.planners.solving.clock import ContradictionError
+from cfgplan.planning import Feature
 
 if TYPE_CHECKING:
     from cfgplan.planners.exact.model import Model  # the solver takes long to import
@@ -26,7 +28,20 @@ def decode(model: Model, true: Collection[int]) -> list[ComputationUnit] | None:
     return _Decoding(model, true).units()
 
 
+def decode_numbers(
+    candidates: Candidates, model: Model, values: Sequence[int], hosts_of: Mapping[int, Sequence[HostName]]
+) -> list[ComputationUnit]:
+    """The units of a solution of a model of groups, wired; units that stay are unchanged.
+
+    `values` are those of the model's variables, `hosts_of` the hosts of each group's units, and `candidates` the units
+    of all groups. Raises ContradictionError if streams that serve only so many can't be shared out.
+    """
+    return _Numbers(candidates, model, values, hosts_of).units()
+
+
 class _Decoding:
+    """A solution of named units: each is wired as soon as something needs it."""
+
     def __init__(self, model: Model, true: Collection[int]) -> None:
         self.model, self.true = model, true
         self.candidates = model.candidates
@@ -37,34 +52,35 @@ class _Decoding:
 
     def units(self) -> list[ComputationUnit] | None:
         model, all_of = self.model, self.candidates.all
-        topics: dict[int, list[Publication]] = defaultdict(list)
+        published: dict[str, Stream] = {}
         for target in model.environment.stream_targets:
             stream = self._published(target)
             if stream is None:
                 return None
-            topics[model.unit_of(stream)].append(Publication(stream.port, target.topic))
+            published[target.topic] = stream
         wanted = [model.to_run(label) for label in model.environment.wanted_to_run.values()]
         running = [[i for i in units if i in self.host_of] for units in wanted]
         if not all(running):
             return None
-        first = {units[0] for units in running}
-        ahead = sorted(first | {*topics, *filter(self.candidates.is_pinned, model.runs)})
+        first = {*map(model.unit_of, published.values()), *(units[0] for units in running)}
+        ahead = sorted(first.union(filter(self.candidates.is_pinned, model.runs)))
         if MAY_RUN_FOR_NOBODY & model.problem.features:
             ahead += sorted(self.host_of.keys() - set(ahead))
-        found: dict[int, ComputationUnit] = {}
+        found: dict[int, HostName] = {}
+        feeds: dict[tuple[int, str], tuple[Stream, ...]] = {}
         for i in ahead:
             if i in found:
                 continue
-            streams = {port.name: self._fed(i, port) for port in all_of[i].transformation.inputs}
-            if i not in self.host_of or not all(streams[p.name] for p in all_of[i].transformation.needed_inputs):
+            kind = all_of[i].transformation
+            feeds |= {(i, port.name): self._fed(i, port) for port in kind.inputs}
+            if i not in self.host_of or not all(feeds[i, port.name] for port in kind.needed_inputs):
                 return None
-            subscriptions = tuple(Subscription(name, stream) for name, taken in streams.items() for stream in taken)
-            label = all_of[i].transformation.label
-            found[i] = ComputationUnit(all_of[i].id, label, subscriptions, tuple(topics[i]), self.host_of[i])
-            ahead += [model.unit_of(s.stream) for s in subscriptions]
-        if not self._are_enough(found) or not have_company(model.environment, found.values()):
+            found[i] = self.host_of[i]
+            ahead += [model.unit_of(stream) for port in kind.inputs for stream in feeds[i, port.name]]
+        units = wired(self.candidates, found, feeds, published)
+        if not self._are_enough(found) or not have_company(model.environment, units):
             return None
-        return [*found.values(), *self._spares()]
+        return [*units, *self._spares()]
 
     def _spares(self) -> list[ComputationUnit]:
         return [
@@ -134,38 +150,117 @@ class _Decoding:
         return min(ways, default=None)
 
 
-def named(candidates: Candidates, units: list[ComputationUnit]) -> list[ComputationUnit]:
-    """Give new units the first free ids, in canonical order."""
-    numbered = sorted((candidates.index_of[unit.id], unit) for unit in units)
-    new = grouped((unit.transformation, unit) for i, unit in numbered if candidates.all[i].running is None)
-    ids = fresh_units(candidates.environment, {label: len(these) for label, these in sorted(new.items())})
-    name = {u.id: new_id for label, these in new.items() for u, new_id in zip(these, ids[label], strict=True)}
+class _Consumer(NamedTuple):
+    """An input of a unit, or a target, with the streams that it may take and those that it has.
 
-    def renamed(stream: Stream) -> Stream:
-        return Stream(name.get(stream.unit, stream.unit), stream.port)
+    It is known by the unit's index and the input's name, or by None and the target's topic.
+    """
 
-    return [
-        replace(
-            unit,
-            id=name.get(unit.id, unit.id),
-            subscriptions=tuple(Subscription(s.port, renamed(s.stream)) for s in unit.subscriptions),
-        )
-        for unit in units
-    ]
+    who: tuple[int | None, str]
+    number: int
+    streams: Sequence[Stream]
+    old: Sequence[Stream] = ()
 
 
-def in_order(environment: Environment, unit: ComputationUnit) -> ComputationUnit:
-    """The unit with interchangeable inputs in a canonical order: streams that feed it now keep their inputs."""
-    now = environment.unit[unit.id].feeds if unit.id in environment.unit else {}
-    ports = environment.transformation[unit.transformation].inputs
-    distinct = [p for p in ports if p.distinct is not None and p.count == 1 and p.name in unit.feeds]
-    alike = grouped((replace(port, name=""), port.name) for port in distinct)
-    if not alike:
-        return unit
-    feeds = dict(unit.feeds)
-    for names in alike.values():
-        taken = {feeds[name] for name in names}
-        kept = {now[name]: name for name in names if now.get(name) in taken}
-        others = [name for name in names if name not in kept.values()]
-        feeds |= dict(zip([*kept.values(), *others], [*kept, *sorted(taken - kept.keys())], strict=True))
-    return replace(unit, subscriptions=tuple(Subscription(name, s) for name, streams in feeds.items() for s in streams))
+class _Numbers:
+    """A solution of numbers of units: all are wired, so that limited streams can be shared out at once."""
+
+    def __init__(
+        self,
+        candidates: Candidates,
+        model: Model,
+        values: Sequence[int],
+        hosts_of: Mapping[int, Sequence[HostName]],
+    ) -> None:
+        assert model.candidates.groups is not None
+        self._model, self._values, self._candidates = model, values, candidates
+        self._all, groups = candidates.all, model.candidates.groups
+        self._host_of: dict[int, HostName] = {}
+        for n, hosts in hosts_of.items():
+            self._host_of |= dict(zip(groups[n], hosts, strict=False))
+        staying = (groups[n][0] for n, stays in model.stays.items() if values[stays.index])
+        self._stays = {i: unit for i in staying if (unit := self._all[i].running) is not None}
+
+    def units(self) -> list[ComputationUnit]:
+        demands = list(self._demands())
+        limited = [demand for demand in demands if any(map(self._serves, demand.streams))]
+        taken = {demand.who: _first(demand) for demand in demands if demand not in limited}
+        taken |= self._shared_out(limited)
+        topics = [target.topic for target in self._candidates.environment.stream_targets]
+        published = {topic: streams[0] for topic in topics for streams in [taken.get((None, topic), ())] if streams}
+        feeds = {(unit, name): streams for (unit, name), streams in taken.items() if unit is not None}
+        hosts = {i: self._host_of[i] for i in sorted(self._host_of.keys() - self._stays.keys())}
+        new = dict(zip(hosts, wired(self._candidates, hosts, feeds, published), strict=True))
+        return [unit for _, unit in sorted((self._stays | new).items())]
+
+    def _serves(self, stream: Stream) -> int:
+        """Return how many consumers may take a stream; 0: any number."""
+        return self._all[self._candidates.index_of[stream.unit]].transformation.output[stream.port].serves or 0
+
+    def _running(self, tag: str) -> list[Stream]:
+        return [s for s in self._candidates.streams(tag) if self._candidates.index_of[s.unit] in self._host_of]
+
+    def _demands(self) -> Iterator[_Consumer]:
+        """The inputs of units that do not stay as they are, and the targets that such units meet."""
+        index_of, group_of = self._candidates.index_of, self._model.candidates.index_of
+        for i in sorted(self._host_of.keys() - self._stays.keys()):
+            old = {} if (running := self._all[i].running) is None else running.feeds
+            for port in self._all[i].transformation.inputs:
+                streams, number = self._running(port.tag), port.count
+                connects = self._model.connects.get((group_of[self._all[i].id], port.name))
+                if connects is not None:
+                    taken = {(group_of[s.unit], s.port) for s, one in connects.items() if self._values[one.index]}
+                    streams, number = [s for s in streams if (group_of[s.unit], s.port) in taken], len(taken)
+                yield _Consumer((i, port.name), number, streams, old.get(port.name, ()))
+        for target in self._candidates.environment.stream_targets:
+            publishes = self._model.publishes[target.label]
+            sources = {(group_of[s.unit], s.port) for s, taken in publishes.items() if self._values[taken.index]}
+            there = [s for s in self._running(target.tag) if index_of[s.unit] not in self._stays]
+            streams = [stream for stream in there if (group_of[stream.unit], stream.port) in sources]
+            if streams:
+                yield _Consumer((None, target.topic), 1, streams)
+
+    def _shared_out(self, demands: Sequence[_Consumer]) -> dict[tuple[int | None, str], list[Stream]]:
+        """The streams that each demand takes where some serve only so many: a flow from streams to demands."""
+        if not demands:
+            return {}
+        kept = Counter(s.stream for unit in self._stays.values() for s in unit.subscriptions)
+        kept.update(Stream(unit.id, p.port) for unit in self._stays.values() for p in unit.publications)
+        nodes: dict[object, int] = {}
+        arcs: dict[tuple[int, int], int] = {}
+
+        def arc(tail: object, head: object, most: int) -> tuple[int, int]:
+            found = nodes.setdefault(tail, len(nodes)), nodes.setdefault(head, len(nodes))
+            arcs[found] = most
+            return found
+
+        ways: dict[tuple[int, int], tuple[tuple[int | None, str], Stream]] = {}
+        for demand in demands:
+            arc(demand.who, "sink", demand.number)
+            for stream in demand.streams:
+                serves = self._serves(stream)
+                arc("source", stream, serves - kept[stream] if serves else len(demands))
+                arc((demand.who, stream.unit), demand.who, 1)
+                ways[arc(stream, (demand.who, stream.unit), 1)] = demand.who, stream
+        from ortools.graph.python.max_flow import SimpleMaxFlow
+
+        flow = SimpleMaxFlow()
+        tails, heads = zip(*arcs, strict=True)
+        numbers = flow.add_arcs_with_capacity(np.array(tails), np.array(heads), np.array(list(arcs.values())))
+        flow.solve(nodes["source"], nodes["sink"])
+        if flow.optimal_flow() < sum(demand.number for demand in demands):
+            raise ContradictionError("the streams that are counted can't be shared out")
+        taken: dict[tuple[int | None, str], list[Stream]] = {demand.who: [] for demand in demands}
+        for way, used in zip(arcs, flow.flows(numbers).tolist(), strict=True):
+            if used and way in ways:
+                who, stream = ways[way]
+                taken[who].append(stream)
+        return taken
+
+
+def _first(demand: _Consumer) -> list[Stream]:
+    """The streams of as many different units as are demanded, those that it has first."""
+    of_units: dict[str, Stream] = {}
+    for stream in (*(stream for stream in demand.old if stream in demand.streams), *demand.streams):
+        of_units.setdefault(stream.unit, stream)
+    return list(of_units.values())[: demand.number]

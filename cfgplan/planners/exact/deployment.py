@@ -8,7 +8,7 @@ is modelled separately.
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -26,8 +26,7 @@ from ortools.sat.python.cp_model import (
 
 from cfgplan.domain import Objective
 from cfgplan.planners.exact.candidates import Candidates, HostKind, HostName
-from cfgplan.planners.exact.counted_wiring import CountedWiring
-from cfgplan.planners.exact.decode import named
+from cfgplan.planners.exact.decode import decode_numbers
 from cfgplan.planners.exact.groups import groups_of, host_kinds
 from cfgplan.planners.exact.model import Model
 from cfgplan.planners.exact.patterns import Patterns
@@ -35,6 +34,7 @@ from cfgplan.planners.exact.pruning import lean
 from cfgplan.planners.exact.rounds import InfeasibleError, minimised
 from cfgplan.planners.exact.rules import PLACED, RULES
 from cfgplan.planners.exact.solve_state import SolveState
+from cfgplan.planners.exact.wiring import named
 from cfgplan.planners.networks.keys import Key
 from cfgplan.planners.solving.clock import Clock, ContradictionError
 from cfgplan.planners.solving.engine import repeatable_solver, solve
@@ -120,7 +120,7 @@ class _Deployment:
         model.cp.add(steps[0].what >= self._least)
         if is_placed and state.best is not None:
             model.cp.add(steps[0].what <= steps[0].value(state.best.key))
-            self._hint(model)
+            model.hint(state.best.units)
         values: Sequence[int] = ()
         proven: list[int] = []
         for number, step in enumerate(steps):
@@ -218,7 +218,7 @@ class _Deployment:
                     return False
             for n, hosts in placed.hosts.items():
                 hosts_of[n] += hosts
-        units = CountedWiring(self.candidates, model, values, hosts_of).units()
+        units = decode_numbers(self.candidates, model, values, hosts_of)
         key = self.state.offer(self.candidates, named(self.candidates, lean(self.candidates, units)))
         return is_fit and key is not None
 
@@ -245,17 +245,6 @@ class _Deployment:
             for n, numbers in zip(here, model.numbers_on.values(), strict=True)
         }
         return _Placed(found, is_fit=True)
-
-    def _hint(self, model: Model) -> None:
-        """Hint the incumbent's units and hosts."""
-        assert self.state.best is not None
-        new = {c.transformation.label: n for n, c in enumerate(model.candidates.all) if c.running is None}
-        running = {c.id: n for n, c in enumerate(model.candidates.all) if c.running is not None}
-        units = self.state.best.units
-        number = Counter((running.get(unit.id, new.get(unit.transformation)), unit.host) for unit in units)
-        for n, there in model.numbers_on.items():
-            for host, on in there.items():
-                model.cp.add_hint(on, number[n, host])
 
     def _limited(self, kinds: Sequence[HostKind]) -> Model:
         """The model of kinds of hosts without the numbers of units that are known not to fit."""

@@ -6,12 +6,10 @@ from collections import defaultdict
 from dataclasses import replace
 from typing import Final
 
-from networkx import DiGraph, is_directed_acyclic_graph
-
 from cfgplan.onward import grouped
 from cfgplan.planners.exact.candidates import Candidates, HostKind
 from cfgplan.planners.exact.rules import RULES
-from cfgplan.planners.exact.tracking import Tracking
+from cfgplan.planners.exact.tracking import Tracking, in_rings
 from cfgplan.planning import Feature
 
 NAMED: Final = frozenset({Feature.QUALITY, Feature.LATENCY, Feature.SURVIVAL})
@@ -19,10 +17,7 @@ NAMED: Final = frozenset({Feature.QUALITY, Feature.LATENCY, Feature.SURVIVAL})
 
 
 def is_countable(candidates: Candidates) -> bool:
-    """Whether units are counted: many units or hosts may take each other's place, and wirings close no cycles.
-
-    No stream may have a price on its way.
-    """
+    """Whether units are counted: many units or hosts may take each other's place, and no stream has a price."""
     problem, environment = candidates.problem, candidates.environment
     kinds = candidates.kinds
     is_carried = any(port.bytes_per_s for kind in kinds.values() for port in kind.outputs)
@@ -31,7 +26,6 @@ def is_countable(candidates: Candidates) -> bool:
         and not environment.links
         and not (environment.transfer_us and is_carried and environment.hosts)
         and not (Feature.ORDER in problem.features and problem.max_cost_us is not None)
-        and is_directed_acyclic_graph(_feeds(candidates))
         and _is_much_smaller(candidates)
     )
 
@@ -44,14 +38,6 @@ def _is_much_smaller(candidates: Candidates) -> bool:
     if _told_apart(candidates):
         return places >= candidates.clock.tuning.fleet.shared * grouped_places
     return places > grouped_places
-
-
-def _feeds(candidates: Candidates) -> DiGraph[str]:
-    """The graph of transformations that may feed each other, without feedback inputs."""
-    kinds = candidates.kinds.items()
-    inputs = [(label, port.tag) for label, kind in kinds for port in kind.inputs if not port.feedback]
-    givers = {tag: {candidates.all[i].transformation.label for i in candidates.feeders(tag)} for _, tag in inputs}
-    return DiGraph((giver, label) for label, tag in inputs for giver in givers[tag])
 
 
 def groups_of(candidates: Candidates) -> list[tuple[int, ...]]:
@@ -68,14 +54,15 @@ def groups_of(candidates: Candidates) -> list[tuple[int, ...]]:
 
 def _told_apart(candidates: Candidates) -> set[str]:
     """The transformations whose units are no group: the model says for each unit who feeds it, or whom it feeds."""
-    tracked = {candidates.all[i].transformation.label for i in Tracking.of(candidates).units}
-    found = set(tracked)
+    all_of, rings = candidates.all, in_rings(candidates)
+    apart = {all_of[i].transformation.label for i in Tracking.of(candidates).units | rings}
+    found = set(apart)
     for label, kind in candidates.kinds.items():
         for port in kind.inputs:
-            if port.is_told_apart or label in tracked:
+            if port.is_told_apart or label in apart:
                 found.add(label)
                 if port.count != 1:
-                    found.update(candidates.all[i].transformation.label for i in candidates.feeders(port.tag))
+                    found.update(all_of[i].transformation.label for i in candidates.feeders(port.tag))
     return found
 
 

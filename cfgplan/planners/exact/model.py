@@ -7,16 +7,16 @@ input for which the feeder matters is explicit: each stream that may feed it has
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Sequence
 
 from ortools.sat.python.cp_model import IntVar, LinearExpr, LinearExprT, LiteralT
 
 from cfgplan.costs import transfer_cost_us
-from cfgplan.domain import ALL, InputPort, Objective, Stream
+from cfgplan.domain import ALL, ComputationUnit, InputPort, Objective, Stream
 from cfgplan.planners.exact.best_case import demands_of_quality
 from cfgplan.planners.exact.candidates import ONLY_IN_THE_MODEL, Candidates, HostName
-from cfgplan.planners.exact.tracking import Tracking
+from cfgplan.planners.exact.tracking import Tracking, in_rings
 from cfgplan.planners.solving.engine import ExactModel, at_least
 from cfgplan.planners.solving.support import Support
 from cfgplan.planning import Feature
@@ -50,11 +50,14 @@ class Model:
         self.problem = candidates.problem
         self.environment = candidates.environment
         self.is_small = len(candidates.all) <= candidates.clock.tuning.fleet.few
-        self.orders_rings = orders_rings or self.is_small or Feature.OPTIONAL in self.problem.features
         self.asks_for_quality = Feature.QUALITY in self.problem.features
         by_stream = {Feature.LATENCY, *ONLY_IN_THE_MODEL} if self.asks_for_quality else {Feature.LATENCY}
         self.is_apart = is_apart or not by_stream.isdisjoint(self.problem.features)
         self.is_grouped = candidates.groups is not None
+        self.in_rings = in_rings(candidates) if self.is_grouped else frozenset[int]()
+        """The candidates beside counted ones that might feed each other in a ring: who feeds them is told apart."""
+        is_optional = Feature.OPTIONAL in self.problem.features
+        self.orders_rings = orders_rings or self.is_small or is_optional or bool(self.in_rings)
         self.cp = ExactModel()
         self.support = Support()
         self.anywhere = Support()
@@ -159,6 +162,15 @@ class Model:
             self.cp.add_implication(found, literal)
         return found
 
+    def hint(self, units: Iterable[ComputationUnit]) -> None:
+        """Have the solver begin with these units where they are, in place of earlier hints; with none, give no hint."""
+        self.cp.clear_hints()  # type: ignore[no-untyped-call]
+        there = Counter((self.candidates.index_of.get(unit.id), unit.host, unit.standby) for unit in units)
+        for places, is_standby in ((self.numbers_on, False), (self.waits_on, True)) if there else ():
+            for i, on in places.items():
+                for host, number in on.items():
+                    self.cp.add_hint(number, there[i, host, is_standby])
+
     def choices(self, tag: str) -> tuple[Stream, ...]:
         """The streams that match a demanded tag. Where ports don't matter, each unit has one stream, without a port."""
         if self.tells_ports:
@@ -220,6 +232,7 @@ class Model:
             or (not self.is_counted(port) and self._takes_several_or_limited(port))
             or (not port.feedback and self.is_apart_for_quality.get(self.demand(port.tag), False))
             or (unit in self.tracked and not self.tracked.isdisjoint(self.candidates.feeders(port.tag)))
+            or (unit in self.in_rings and not self.in_rings.isdisjoint(self.candidates.feeders(port.tag)))
         )
 
     def is_counted(self, port: InputPort) -> bool:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from functools import partial
 
-from cfgplan.domain import ComputationUnit, Publication, Stream, Subscription
-from cfgplan.onward import grouped
+from cfgplan.domain import ComputationUnit, Stream
 from cfgplan.planners.exact.candidates import Candidates, HostName
 from cfgplan.planners.exact.grounded import Grounded
 from cfgplan.planners.exact.rules import host_loads
+from cfgplan.planners.exact.wiring import wired
 
 
 class Places:
@@ -112,10 +112,6 @@ class Places:
             environment.wanted_to_run.values()
         ):
             return None
-        topics = grouped((s.unit, Publication(s.port, topic)) for topic, s in self.published.items())
-        units = []
-        for i in grounded.order:
-            id_, kind = all_of[i].id, all_of[i].transformation
-            subscriptions = tuple(Subscription(p.name, self.feeds[i, p.name]) for p in kind.inputs)
-            units.append(ComputationUnit(id_, kind.label, subscriptions, tuple(topics[id_]), self.host_of[i]))
-        return units
+        hosts = {i: self.host_of[i] for i in grounded.order}
+        feeds = {fed: (stream,) for fed, stream in self.feeds.items()}
+        return wired(self.candidates, hosts, feeds, self.published)

@@ -10,7 +10,7 @@ from ortools.sat.python.cp_model import CpSolver, CpSolverSolutionCallback, IntV
 
 from cfgplan.domain import Objective
 from cfgplan.planners.exact.candidates import ONLY_IN_THE_MODEL, Candidates
-from cfgplan.planners.exact.decode import decode, named
+from cfgplan.planners.exact.decode import decode
 from cfgplan.planners.exact.first_plans import FirstPlans
 from cfgplan.planners.exact.model import Model, ModelRule
 from cfgplan.planners.exact.pruning import lean
@@ -20,6 +20,7 @@ from cfgplan.planners.exact.rounds import InfeasibleError, minimised
 from cfgplan.planners.exact.rules import RULES
 from cfgplan.planners.exact.solve_state import SolveState
 from cfgplan.planners.exact.survival import Survival
+from cfgplan.planners.exact.wiring import named
 from cfgplan.planners.networks.keys import Key
 from cfgplan.planners.solving.clock import Clock, ContradictionError
 from cfgplan.planners.solving.engine import LARGEST_PRODUCT, repeatable_solver
@@ -229,7 +230,7 @@ class Search:
         """A solver for one round, with the incumbent as a hint; None if the time is over."""
         if self._left_s <= 0 or self.state.clock.is_over():
             return None
-        self._hint()
+        self.model.hint(() if self.state.best is None else self.state.best.units)
         return self.solver()
 
     def true_of(self, holds: Callable[[IntVar], bool]) -> set[int]:
@@ -317,13 +318,3 @@ class Search:
         if self._left_s < inf:
             solver.parameters.max_deterministic_time = self._left_s
         return solver
-
-    def _hint(self) -> None:
-        """Hint the incumbent's units and hosts."""
-        model, best = self.model, self.state.best
-        model.cp.clear_hints()  # type: ignore[no-untyped-call]
-        there = {(unit.id, unit.host, unit.standby) for unit in (() if best is None else best.units)}
-        for places, is_standby in ((model.runs_on, False), (model.waits_on, True)):
-            for i, on in places.items() if best is not None else ():
-                for host, literal in on.items():
-                    model.cp.add_hint(literal, (model.candidates.all[i].id, host, is_standby) in there)

@@ -11,9 +11,9 @@ from typing import Final, NamedTuple
 
 from cfgplan.domain import ComputationUnit, Objective
 from cfgplan.planners.exact.candidates import Candidates
-from cfgplan.planners.exact.decode import in_order
 from cfgplan.planners.exact.reasons import joint_reasons
 from cfgplan.planners.exact.rules import flaws
+from cfgplan.planners.exact.wiring import in_order
 from cfgplan.planners.networks.keys import Key, key_of, unused_required
 from cfgplan.planners.solving.clock import Clock, ContradictionError
 from cfgplan.planning import Feature, Measured, OnProgress, Plan, Problem, Progress, Status

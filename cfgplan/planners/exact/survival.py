@@ -22,7 +22,6 @@ from cfgplan.domain import ComputationUnit, Target
 from cfgplan.planners.exact.candidates import Candidates, HostName, Site
 from cfgplan.planners.exact.model import Model
 from cfgplan.planners.exact.pruning import needed_in_all
-from cfgplan.planners.exact.reach import Reach
 from cfgplan.planners.exact.survivors import (
     UnitsBySite,
     are_counted,
@@ -32,6 +31,7 @@ from cfgplan.planners.exact.survivors import (
     site_of,
     unmet,
 )
+from cfgplan.planners.networks.reach import Reach
 from cfgplan.planners.solving.engine import at_least
 
 
@@ -129,7 +129,7 @@ class Survival:
         """
         candidates = self.candidates
         without = dict(left)
-        reach = Reach(candidates.network, candidates.numbers(label for label, _ in left))
+        reach = Reach(candidates.network.core, candidates.numbers(label for label, _ in left))
         for site in candidates.clock.each(self._by_cost, 1):
             there = without.get(site, 0)
             if not there:

@@ -9,8 +9,8 @@ from typing import Final
 
 from cfgplan.domain import ALL, ComputationUnit, Environment, Target
 from cfgplan.planners.exact.candidates import Candidates, HostName, Site
-from cfgplan.planners.exact.reach import Reach
 from cfgplan.planners.exact.rule import CheckedUnits, Rule
+from cfgplan.planners.networks.reach import Reach
 from cfgplan.planning import Failures, Feature
 from cfgplan.reasons import startable
 
@@ -72,7 +72,7 @@ def unmet(candidates: Candidates, failure: Failure) -> list[tuple[Target, ...]]:
     First each target by itself; if each can be met, all targets together if they can't be met at once. Units of one
     site are interchangeable, so only their remaining number matters.
     """
-    reach = Reach(candidates.network, candidates.numbers(label for label, _ in failure.left))
+    reach = Reach(candidates.network.core, candidates.numbers(label for label, _ in failure.left))
     together = [failure.targets] if len(failure.targets) > 1 and are_counted(candidates) else []
     for wanted in ([(target,) for target in failure.targets], together):
         found = [targets for targets in wanted if not are_met(candidates, reach, failure.left, targets)]
@@ -83,7 +83,7 @@ def unmet(candidates: Candidates, failure: Failure) -> list[tuple[Target, ...]]:
 
 def are_met(candidates: Candidates, reach: Reach, units: UnitsBySite, targets: tuple[Target, ...]) -> bool:
     """Whether some units can meet targets, all at once. `reach` has to be that of their labels."""
-    if not all(reach.meets(target.tag) for target in targets):
+    if not all(reach.holds(candidates.network.fact_of_tag.get(target.tag)) for target in targets):
         return False
     environment, givers = candidates.environment, candidates.givers
     is_counted = are_counted(candidates)

@@ -1,4 +1,4 @@
-"""Which candidates' feeders matter, since a rule asks what a unit runs for: it has to serve something."""
+"""Which candidates' feeders matter: a rule asks what a unit runs for, or units might feed each other in a ring."""
 
 from __future__ import annotations
 
@@ -26,6 +26,18 @@ class Tracking(NamedTuple):
         apart = idle_feeders | keeping_each_other
         company = candidates.environment.companions if apart else frozenset()
         return cls(idle_feeders, keeping_each_other, _downstream_of(candidates, sorted(apart.union(required)), company))
+
+
+def in_rings(candidates: Candidates) -> frozenset[int]:
+    """The candidates that may feed each other in a ring without feedback inputs."""
+    from networkx import DiGraph, strongly_connected_components
+
+    kinds = candidates.kinds
+    tags = {(label, port.tag) for label, kind in kinds.items() for port in kind.inputs if not port.feedback}
+    givers = {tag: {candidates.all[i].transformation.label for i in candidates.feeders(tag)} for _, tag in tags}
+    graph = DiGraph((giver, label) for label, tag in sorted(tags) for giver in givers[tag])
+    rings = (ring for ring in strongly_connected_components(graph) if len(ring) > 1 or graph.has_edge(*ring, *ring))
+    return frozenset(i for ring in rings for label in ring for i in candidates.units_of(label))
 
 
 def _feeders_of_idle_inputs(candidates: Candidates) -> frozenset[int]:

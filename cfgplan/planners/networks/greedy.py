@@ -12,6 +12,7 @@ import numpy as np
 
 from cfgplan.planners.networks.core import MOST_PASSES, Floats, Ints
 from cfgplan.planners.networks.network import Network
+from cfgplan.planners.networks.reach import Reach
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.reasons import Each, assign_different, distinct_groups
 
@@ -158,31 +159,13 @@ def without_redundant(network: Network, cost: Ints, chosen: set[int]) -> set[int
 
 def is_plan(network: Network, chosen: set[int], each: Each = iter) -> bool:
     """Whether the labels have a grounded wiring among themselves that meets the goal."""
-    waiting: dict[int, list[int]] = {}
-    missing: dict[int, int] = {}
-    ahead: list[int] = []
-    left = network.core.crowd_takes.copy()
-    for label in (*sorted(chosen), network.core.goal):
-        needs = network.core.needs.lists[label]
-        missing[label] = len(needs)
-        for fact in needs:
-            waiting.setdefault(fact, []).append(label)
-        if not needs:
-            ahead.append(label)
+    order = Reach(network.core, [*sorted(chosen), network.core.goal], each).order
     before: set[int] = set()
-    for label in each(ahead):
+    for label in order:
         if label in network.special and not _special_inputs_are_fed(network, label, before, chosen):
             return False
         before.add(label)
-        for fact in network.core.gives.lists[label] if label != network.core.goal else ():
-            if left.get(fact, 1) > 1:
-                left[fact] -= 1
-                continue
-            for consumer in waiting.pop(fact, ()):
-                missing[consumer] -= 1
-                if missing[consumer] == 0:
-                    ahead.append(consumer)
-    return len(before) == len(chosen) + 1
+    return len(order) == len(chosen) + 1
 
 
 def _special_inputs_are_fed(network: Network, label: int, before: set[int], chosen: set[int]) -> bool:

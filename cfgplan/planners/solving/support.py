@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Collection
 
+from cfgplan.onward import derived
+
 
 class Support:
     """Each proposition rests on *any* of some others, or on *all* of them; sources rest on all of none.
@@ -30,21 +32,9 @@ class Support:
 
     def grounded(self, true: Collection[int]) -> dict[int, int]:
         """The true propositions that can be derived within `true`, each with its place in the order."""
-        missing = {p: len(self.all_of[p]) for p in true if p in self.all_of}
-        ahead = sorted(p for p, count in missing.items() if count == 0)
-        rank: dict[int, int] = {}
-        for proposition in ahead:
-            if proposition in rank:
-                continue
-            rank[proposition] = len(rank)
-            for above in self._above[proposition]:
-                if above in missing:
-                    missing[above] -= 1
-                    if missing[above] == 0:
-                        ahead.append(above)
-                elif above in true and above not in rank:
-                    ahead.append(above)
-        return rank
+        missing = {p: len(self.all_of[p]) if p in self.all_of else 1 for p in true}
+        sources = sorted(p for p, number in missing.items() if not number)
+        return {p: rank for rank, p in enumerate(derived(missing, sources, self._above.__getitem__))}
 
     def cut(self, true: Collection[int], rank: Collection[int]) -> tuple[list[int], list[int]]:
         """The ungrounded booleans as a cut (propositions, ways in): any proposition needs one of the ways in.

@@ -1,0 +1,81 @@
+"""The transformations that can start among themselves, beginning with sources; updated while more are added.
+
+Feedback inputs count as fed, and so does a distinct group with enough feeders: where there are such, some labels that
+are reached can't really run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from cfgplan.onward import derived
+from cfgplan.planners.networks.core import Core
+from cfgplan.reasons import Each
+
+
+class Reach:
+    """Present labels of a core, and the facts that hold then; the last addition can be undone.
+
+    `order` has the labels whose needs hold, in an order in which they can be started.
+    """
+
+    def __init__(self, core: Core, labels: Iterable[int] = (), each: Each = iter) -> None:
+        self._core = core
+        self._missing: dict[int, int] = {}
+        self._waiting: dict[int, list[int]] = {}
+        self._given: dict[int, int] = {}
+        self._added: int | None = None
+        self._started = 0
+        for label in dict.fromkeys(labels):
+            self._wait(label)
+        ready = [label for label, number in self._missing.items() if not number]
+        self.order = list(each(derived(self._missing, ready, self._consumers)))
+
+    def holds(self, fact: int | None) -> bool:
+        """Whether enough givers of a fact have started; False for None."""
+        return fact in self._given and self._given[fact] >= self._core.crowd_takes.get(fact, 1)
+
+    def runs(self, label: int) -> bool:
+        """Whether a label was added and its needs hold."""
+        return self._missing.get(label) == 0
+
+    def add(self, label: int) -> None:
+        """Add a label, and the labels that it lets start."""
+        self._added, before = None, len(self.order)
+        if label not in self._missing:
+            self._added = label
+            self._wait(label)
+            if not self._missing[label]:
+                self.order += derived(self._missing, [label], self._consumers)
+        self._started = len(self.order) - before
+
+    def take_back(self) -> None:
+        """Undo the last `add`."""
+        if self._added is None:
+            return
+        core, kept = self._core, len(self.order) - self._started
+        for one in self.order[kept:]:
+            for fact in core.gives.lists[one]:
+                if self._given[fact] == core.crowd_takes.get(fact, 1):
+                    for consumer in self._waiting.get(fact, ()):
+                        self._missing[consumer] += 1
+                self._given[fact] -= 1
+        for fact in core.needs.lists[self._added]:
+            self._waiting[fact].pop()
+        del self._missing[self._added]
+        del self.order[kept:]
+        self._added, self._started = None, 0
+
+    def _wait(self, label: int) -> None:
+        needs, waiting = self._core.needs.lists[label], self._waiting
+        self._missing[label] = len(needs) - sum(map(self.holds, needs)) if self._given else len(needs)
+        for fact in needs:
+            waiting.setdefault(fact, []).append(label)
+
+    def _consumers(self, label: int) -> Iterator[int]:
+        """Count what a label gives once it has started; yields the labels that need a fact which holds by it."""
+        takes, given, waiting = self._core.crowd_takes, self._given, self._waiting
+        for fact in self._core.gives.lists[label]:
+            number = given[fact] = given.get(fact, 0) + 1
+            if number == takes.get(fact, 1) and fact in waiting:
+                yield from waiting[fact]
