@@ -36,7 +36,7 @@ class Unusable:
 
 @dataclass(frozen=True, slots=True)
 class FactSeen:
-    """A stream carries the value of a fact of the world."""
+    """A stream carries the value of a fact, whose key is `name`."""
 
     name: str
     value: FactValue

@@ -139,7 +139,7 @@ class Manager:
         return self._supposing.think(self._state, change)
 
     def observe_fact(self, name: str, value: FactValue) -> None:
-        """Pass on a stream's value of a fact of the world. Thread-safe."""
+        """Pass on a stream's value of a fact by its key. Thread-safe."""
         self._put(FactSeen(name, value))
 
     def refuse(self, by: str, faults: tuple[Fault, ...]) -> None:
@@ -172,8 +172,9 @@ class Manager:
             state.faults,
             state.living.removed,
             situation.clocks_ahead_us,
-            seen.facts,
+            tuple(seen.variable.values()),
             seen.left_out,
+            seen.barred,
             {name: now - last.at_s for name, last in state.heard.items()},
             seen.qualities_now,
             quality_views(world.environment.with_facts(situation.facts), state, now),
