@@ -28,6 +28,7 @@ from cfgplan.qualities import (
     Curve,
     QualityAttribute,
     QualityRule,
+    Told,
     units,
 )
 from cfgplan.rows import ELEMENT, Feature, Row, Use
@@ -524,6 +525,13 @@ class Environment:
             for each in port.quality
             if each.observe is not None
         )
+
+    @cached_property
+    def told(self) -> Mapping[Statement, Told]:
+        """The statements whose quality topics of ROS 2 tell beside the streams."""
+        stated = ((statement, self.stated(statement)) for statement in self.observable)
+        found = {statement: each.told for statement, each in stated if each is not None and each.told is not None}
+        return MappingProxyType(found)
 
     @cached_property
     def losing(self) -> tuple[Statement, ...]:

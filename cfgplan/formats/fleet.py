@@ -24,7 +24,7 @@ from cfgplan.formats.fields import (
 from cfgplan.formats.left_out import LeftOut
 from cfgplan.formats.places import Passage
 from cfgplan.planning import Failures
-from cfgplan.qualities import MEASURES, Better, Contribution, Curve, Over, QualityAttribute, QualityRule, Wish
+from cfgplan.qualities import MEASURES, Better, Contribution, Curve, Over, QualityAttribute, QualityRule, Teller, Wish
 from cfgplan.selectors import selector
 
 
@@ -217,7 +217,8 @@ class FleetReader:
         curve = value if isinstance(value, CurvePart) else None
         try:
             contribution = Contribution(name, rule, 0 if curve else value, over, observe=observe)
-            known = MEASURES.get(contribution.measured or "")
+            is_statistic = contribution.told is not None and contribution.told.teller is Teller.STATISTICS
+            known = (None, "s") if is_statistic else MEASURES.get(contribution.measured or "")
             if known is not None and attribute.unit not in known:
                 message = f"{observe} is in {known[-1] or 'shares'}, but attribute `{name}` is in {attribute.unit}"
                 entry.note(message, f"give the attribute the unit {known[-1]}" if known[-1] else "remove its unit")

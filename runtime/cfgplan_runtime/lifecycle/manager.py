@@ -15,7 +15,7 @@ from dataclasses import replace
 from math import inf
 
 from cfgplan.api import World
-from cfgplan.domain import Environment
+from cfgplan.domain import Environment, Statement
 from cfgplan.errors import Fault, InputError
 from cfgplan.facts import FactValue
 from cfgplan.planning import Planner
@@ -34,7 +34,17 @@ from cfgplan_runtime.lifecycle.configuration import as_it_runs
 from cfgplan_runtime.lifecycle.decisions import BreakIn, breaks_in, decide, first_state
 from cfgplan_runtime.lifecycle.deliberation import Deliberation, Thought
 from cfgplan_runtime.lifecycle.guarded_estimator import GuardedEstimator
-from cfgplan_runtime.lifecycle.inbox import Asked, FactSeen, Inbox, Item, Leave, Outcome, PreviewAsked, Unusable
+from cfgplan_runtime.lifecycle.inbox import (
+    Asked,
+    FactSeen,
+    Inbox,
+    Item,
+    Leave,
+    Outcome,
+    PreviewAsked,
+    QualityTold,
+    Unusable,
+)
 from cfgplan_runtime.lifecycle.kinds import Urgency, kind_of
 from cfgplan_runtime.lifecycle.perturbations import Started
 from cfgplan_runtime.lifecycle.policy import Policy
@@ -141,6 +151,10 @@ class Manager:
     def observe_fact(self, name: str, value: FactValue) -> None:
         """Pass on a stream's value of a fact by its key. Thread-safe."""
         self._put(FactSeen(name, value))
+
+    def tell_quality(self, statement: Statement, value: float) -> None:
+        """Pass on the quality of an output that a topic tells, in units of the attribute. Thread-safe."""
+        self._put(QualityTold(statement, value))
 
     def refuse(self, by: str, faults: tuple[Fault, ...]) -> None:
         """Report that the world's file has errors; without faults, that it is valid again."""
