@@ -166,12 +166,12 @@ def differences(run: Lived, file: Path) -> Iterator[str]:
         yield f"{outcome(plan)} with --observed, but the review {reviewed}"
 
 
-def compared(worlds: int) -> tuple[Counter[str], list[str]]:
+def compared(worlds: range) -> tuple[Counter[str], list[str]]:
     """How many worlds were compared, in how many units ran or facts forbade something, and each difference."""
     counts: Counter[str] = Counter()
     found = []
     with tempfile.TemporaryDirectory() as folder:
-        for seed in range(worlds):
+        for seed in worlds:
             run = Lived(seed)
             run.told()
             found += [f"world {seed}: {one}" for one in differences(run, Path(folder, "now.json"))]
@@ -190,7 +190,9 @@ def compared(worlds: int) -> tuple[Counter[str], list[str]]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--worlds", type=int, default=1000)
-    counts, found = compared(parser.parse_args().worlds)
+    parser.add_argument("--first", type=int, default=0, help="the seed of the first world")
+    options = parser.parse_args()
+    counts, found = compared(range(options.first, options.first + options.worlds))
     print(*found, f"{dict(counts)}: {len(found)} differences", sep="\n")
 
 
