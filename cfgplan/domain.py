@@ -18,7 +18,7 @@ from typing import Annotated, TypeVar
 from cfgplan.arguments import Natural, checked
 from cfgplan.canonical import fields_of, refuse_duplicates, store_sorted
 from cfgplan.errors import InvalidValueError
-from cfgplan.facts import Comparison, Fact, FactValue, requirement, why_left_out
+from cfgplan.facts import Comparison, Fact, FactValue, requirement, variables, why_left_out
 from cfgplan.hosts import MANAGER as MANAGER
 from cfgplan.hosts import Host as Host
 from cfgplan.hosts import Link as Link
@@ -28,6 +28,7 @@ from cfgplan.qualities import (
     Curve,
     QualityAttribute,
     QualityRule,
+    Told,
     units,
 )
 from cfgplan.rows import ELEMENT, Feature, Row, Use
@@ -411,6 +412,15 @@ class Environment:
         return MappingProxyType({fact.name: fact for fact in self.facts})
 
     @cached_property
+    def variable(self) -> Mapping[str, Fact]:
+        """The facts that have one value, by key; a fact of hosts once for each host, such as `r1.battery`."""
+        return MappingProxyType(variables(self.facts, self.host))
+
+    def _facts_on(self, host: str) -> Mapping[str, Fact]:
+        """The facts by name, as they are on a host."""
+        return {fact.name: fact if fact.of is None else fact.on(host) for fact in self.facts}
+
+    @cached_property
     def comparisons(self) -> Mapping[str, tuple[Comparison, ...]]:
         """The comparisons that transformations make with each fact, by its name; only facts that some transformation
         requires.
@@ -439,18 +449,60 @@ class Environment:
             for comparison in requirement(requires).comparisons:
                 if misfit := comparison.misfit(self.fact):
                     raise InvalidValueError(f"transformation {label!r}: {misfit[0]}")
-        why = {label: why_left_out(requires, self.fact) for label, requires in asked.items()}
+        why = {label: self._why_nowhere(self.transformation[label], requires) for label, requires in asked.items()}
         return MappingProxyType({label: reason for label, reason in why.items() if reason is not None})
 
+    def _why_nowhere(self, transformation: Transformation, requires: str) -> str | None:
+        """Why no unit of a transformation may run as the facts are; None if one may somewhere."""
+        against = self._against.get(requires)
+        if against is None:
+            return why_left_out(requires, self.fact)
+        hosts = self._chosen(transformation)
+        if not hosts or any(host not in against for host in hosts):
+            return None
+        return " and ".join(dict.fromkeys(against[host] for host in hosts))
+
+    @cached_property
+    def _against(self) -> Mapping[str, Mapping[str, str]]:
+        """Why each host does not meet a requirement of its own facts, by the requirement; hosts that do are missing."""
+        of_hosts = {fact.name for fact in self.facts if fact.of is not None}
+        if not (of_hosts and self.hosts):
+            return MappingProxyType({})
+        asked = {t.requires for t in self.library if t.requires is not None}
+        found: dict[str, dict[str, str]] = {}
+        for requires in (text for text in asked if of_hosts & {one.fact for one in requirement(text).comparisons}):
+            why = {host: why_left_out(requires, self._facts_on(host)) for host in self.host}
+            found[requires] = {host: reason for host, reason in why.items() if reason is not None}
+        return MappingProxyType(found)
+
+    @cached_property
+    def barred(self) -> Mapping[str, Mapping[str, str]]:
+        """Why transformations may not run on some of their hosts as the facts of these are, by label and host:
+        `needs battery > 20, battery is 15 % on r1`.
+
+        Transformations that are left out, or may run on all of their hosts, are missing.
+        """
+        found = {
+            t.label: {host: f"needs {t.requires}, {against[host]}" for host in self._chosen(t) if host in against}
+            for t in self.library
+            if t.requires is not None and t.label not in self.left_out and (against := self._against.get(t.requires))
+        }
+        return MappingProxyType({label: hosts for label, hosts in found.items() if hosts})
+
     def with_facts(self, values: Mapping[str, FactValue]) -> Environment:
-        """Return the environment in which facts have other values; values of another kind are ignored.
+        """Return the environment in which facts have other values, by key; values of another kind are ignored.
 
         Qualities that follow a fact get the values that follow from it.
         """
-        facts = {fact.name: fact.being(values.get(fact.name)) for fact in self.facts}
+        facts = {fact.name: self._being(fact, values) for fact in self.facts}
         changed = {label: _following(self.transformation[label], facts) for label in self.following}
         library = tuple(changed.get(t.label, t) for t in self.library) if changed else self.library
         return replace(self, facts=tuple(facts.values()), library=library)
+
+    def _being(self, fact: Fact, values: Mapping[str, FactValue]) -> Fact:
+        if fact.of is None:
+            return fact.being(values.get(fact.name))
+        return fact.being_on({host: values[key] for host in self.host if (key := f"{host}.{fact.name}") in values})
 
     def with_qualities(self, seen: Mapping[Statement, int]) -> Environment:
         """The environment with the learned qualities of outputs; an output without any keeps its stated one.
@@ -479,6 +531,13 @@ class Environment:
         )
 
     @cached_property
+    def told(self) -> Mapping[Statement, Told]:
+        """The statements whose quality topics of ROS 2 tell beside the streams."""
+        stated = ((statement, self.stated(statement)) for statement in self.observable)
+        found = {statement: each.told for statement, each in stated if each is not None and each.told is not None}
+        return MappingProxyType(found)
+
+    @cached_property
     def losing(self) -> tuple[Statement, ...]:
         """Return the statements whose loss of elements is measured at the inputs that their streams feed."""
         stated = ((statement, self.stated(statement)) for statement in self.observable)
@@ -502,12 +561,16 @@ class Environment:
     def as_declared(self) -> Environment:
         """The environment in which every fact and quality has its declared value."""
         plain = self.with_qualities({})
-        return plain.with_facts({fact.name: fact.declared for fact in self.facts}) if self.facts else plain
+        return plain.with_facts({key: fact.declared for key, fact in self.variable.items()}) if self.facts else plain
 
     @property
     def sides(self) -> Mapping[str, bool]:
         """Whether each comparison that transformations require is true as the facts are, by its text."""
-        found = ((each, self.fact[name]) for name, some in self.comparisons.items() for each in some)
+        found = (
+            (replace(each, fact=fact.key), fact)
+            for fact in self.variable.values()
+            for each in self.comparisons.get(fact.name, ())
+        )
         return {str(each): each.holds(fact.value) for each, fact in sorted(found, key=lambda one: str(one[0]))}
 
     @cached_property
@@ -588,9 +651,16 @@ class Environment:
         return replace(self, library=tuple(t for t in self.library if t.label not in self.left_out))
 
     def hosts_for(self, transformation: Transformation) -> tuple[str | None, ...]:
-        """Return the hosts where units of a transformation may run, by name, in order; (None,) without hosts."""
+        """Return the hosts where units of a transformation may run as the facts are, by name, in order; (None,)
+        without hosts.
+        """
         if not self.hosts:
             return (None,)
+        against = self._against.get(transformation.requires, {}) if transformation.requires is not None else {}
+        return tuple(host for host in self._chosen(transformation) if host not in against)
+
+    def _chosen(self, transformation: Transformation) -> tuple[str, ...]:
+        """The hosts that a transformation names or selects, whatever the facts are."""
         wanted = transformation.hosts if transformation.host is None else (transformation.host,)
         return tuple(
             host.name

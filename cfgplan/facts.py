@@ -1,4 +1,4 @@
-"""Facts of the world, what transformations require of them, and which streams observe them.
+"""Facts of the world and of hosts, what transformations require of them, and which streams observe them.
 
 requirement = comparisons joined by and, or, not and brackets, as in selectors
 comparison  = NAME | NAME ( >= | <= | > | < | == ) VALUE
@@ -8,6 +8,7 @@ A value is a number, true, false, or a word; a name alone says that a fact is tr
 
 from __future__ import annotations
 
+import dataclasses
 import operator
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -16,7 +17,7 @@ from decimal import Decimal
 from functools import lru_cache
 from itertools import chain
 from types import MappingProxyType
-from typing import Annotated, Final, TypeAlias
+from typing import Annotated, Final, Literal, TypeAlias
 
 from cfgplan.arguments import Natural, checked
 from cfgplan.errors import InvalidValueError, TagError, did_you_mean
@@ -28,6 +29,8 @@ from cfgplan.selectors import ExpressionReader
 FactValue: TypeAlias = bool | int | str
 """True or false, a number in millionths, or a word."""
 
+HOST_MARK: Final = "{host}"
+"""It stands for the name of a host in the tag and the topic that observe a fact of hosts."""
 _NUMBER: Final = re.compile(r"-?[0-9]+(\.[0-9]+)?")
 _TRUTH: Final = {"true": True, "false": False}
 _SIGNS: Final[Mapping[str, Callable[[int, int], bool]]] = MappingProxyType(
@@ -57,6 +60,9 @@ class Fact:
     one of ROS 2, read with the quality of service `qos`. If elements are mappings, the value is under `field`; a dot
     leads into nested mappings, and into the parts of a list by their number, `name` or `key`. Values with `noise` are
     filtered. If no element has come for `silent_us`, the declared value counts again.
+
+    A fact `of` hosts has a value on each host: `hosts` has the declared ones that differ. `{host}` in `by` and `topic`
+    stands for the host's name. `on` gives the fact of one host.
     """
 
     name: str
@@ -103,8 +109,23 @@ class Fact:
             use=Use.RUNNING,
         ),
     ] = None
+    of: Annotated[
+        Literal["host"] | None,
+        Row(
+            "`host`: each host has a value of its own; `{host}` in `by` and `topic` stands for its name",
+            form='Literal["host"]',
+        ),
+    ] = None
+    hosts: Annotated[
+        Mapping[str, FactValue],
+        Row("with `of: host`: declared values of hosts that differ from `declared`, by host", form="dict[Name, Fact]"),
+    ] = dataclasses.field(default_factory=dict, hash=False)
     now: Annotated[FactValue | None, FOUND] = None
     """The present value, if it is known to differ from the declared one."""
+    now_on: Annotated[Mapping[str, FactValue], FOUND] = dataclasses.field(default_factory=dict, hash=False)
+    """The present values on hosts, if they are known to differ from the declared ones, by host."""
+    host: Annotated[str | None, FOUND] = None
+    """The host whose value this is; None for a fact of the world, and for a fact of all hosts."""
 
     def __post_init__(self) -> None:
         if misfit := misfit_of_fact({name: getattr(self, name) for name in self.__slots__}):
@@ -119,13 +140,30 @@ class Fact:
         """The fact with a value; None, or one of another kind, changes nothing."""
         return self if value is None or kind_of(value) != kind_of(self.declared) else replace(self, now=value)
 
+    def on(self, host: str) -> Fact:
+        """The fact of one host, of a fact of hosts."""
+        by, topic = (text and text.replace(HOST_MARK, host) for text in (self.by, self.topic))
+        declared, now = self.hosts.get(host, self.declared), self.now_on.get(host)
+        return replace(self, declared=declared, by=by, topic=topic, now=now, hosts={}, now_on={}, host=host)
+
+    def being_on(self, values: Mapping[str, FactValue]) -> Fact:
+        """The fact of hosts with values on some of them, by host; one of another kind changes nothing."""
+        fitting = {host: value for host, value in values.items() if kind_of(value) == kind_of(self.declared)}
+        return replace(self, now_on={**self.now_on, **fitting}) if fitting else self
+
+    @property
+    def key(self) -> str:
+        """The name by which the fact is set and shown: `visibility`, or `r1.battery` on host `r1`."""
+        return self.name if self.host is None else f"{self.host}.{self.name}"
+
     @property
     def observed_on(self) -> str | None:
         """The topic whose stream observes the fact; None if none does."""
-        return self.topic if self.by is None else f"/facts/{self.name}"
+        return self.topic if self.by is None else f"/facts/{self.key}"
 
     def __str__(self) -> str:
-        return f"{self.name} is {said(self.value)}{f' {self.unit}' if self.unit else ''}"
+        there = "" if self.host is None else f" on {self.host}"
+        return f"{self.name} is {said(self.value)}{f' {self.unit}' if self.unit else ''}{there}"
 
     def value_in(self, element: object) -> FactValue | None:
         """The value that an element of the observing stream says; None if a list in it lacks the part of that name, as
@@ -164,9 +202,22 @@ class Fact:
         return value
 
 
+def variables(facts: Iterable[Fact], hosts: Iterable[str]) -> dict[str, Fact]:
+    """The facts that have one value, by key: facts of the world, and each fact of hosts once for each host."""
+    names = tuple(hosts)
+    found = ((fact,) if fact.of is None else tuple(map(fact.on, names)) for fact in facts)
+    return {fact.key: fact for fact in chain.from_iterable(found)}
+
+
 def misfit_of_fact(said: Mapping[str, object]) -> tuple[str, str, str] | None:
     """Return the key that contradicts the other keys of a fact, why, and the mend; None if there is none."""
     by, topic = said.get("by"), said.get("topic")
+    if said.get("of") is None and said.get("hosts"):
+        return "hosts", "a fact of the world has one value for all hosts", "add `of: host`, or remove it"
+    for key, text in (("by", by), ("topic", topic)):
+        if said.get("of") and not said.get("host") and isinstance(text, str) and HOST_MARK not in text:
+            message = f"all hosts would have the value of one stream: `{HOST_MARK}` stands for the host's name"
+            return key, message, f"write `{key}: {text}{'_' if key == 'by' else '/'}{HOST_MARK}`"
     if by is not None and topic is not None:
         return "topic", "a fact is observed `by` a tag or on a `topic`, not by both", "remove one of the two"
     if said.get("type") is not None and topic is None:
@@ -262,7 +313,7 @@ def check_requirement(text: str) -> None:
 
 def why_left_out(text: str, facts: Mapping[str, Fact]) -> str | None:
     """Return why a requirement is not met, such as `visibility is 1 m`; None if it is. `facts` must have all
-    its facts.
+    its facts by name, facts of hosts as those of one host.
     """
     blamed = requirement(text).blamed({name: fact.value for name, fact in facts.items()})
     if blamed is None:

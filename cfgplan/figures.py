@@ -170,7 +170,7 @@ def told_qualities(environment: Environment, units: Collection[ComputationUnit])
     Left out are targets that only observe a fact, and a worst value that no target asks about: a stream that states
     nothing of an attribute has it.
     """
-    observed = {fact.observed_on for fact in environment.facts if fact.by is not None}
+    observed = {fact.observed_on for fact in environment.variable.values() if fact.by is not None}
     return {
         label: {
             name: value

@@ -67,11 +67,11 @@ def observers(environment: Environment, similarity: Similarity, fact: Fact) -> d
 
 def circles(environment: Environment, similarity: Similarity) -> Iterator[Circle]:
     """Yield the transformations that require a fact which they help to observe."""
-    for fact in environment.facts:
+    for fact in environment.variable.values():
         for label, observer in observers(environment, similarity, fact).items():
             requires = environment.transformation[label].requires
             if requires is not None and fact.name in {each.fact for each in requirement(requires).comparisons}:
-                yield Circle(label, fact.name, observer)
+                yield Circle(label, fact.key, observer)
 
 
 def blurred(environment: Environment, similarity: Similarity) -> Iterator[str]:
@@ -79,7 +79,7 @@ def blurred(environment: Environment, similarity: Similarity) -> Iterator[str]:
 
     The rate of the values is that of the slowest source that they may come from.
     """
-    for fact in environment.facts:
+    for fact in environment.variable.values():
         bounds = environment.bounds.get(fact.name, ())
         if fact.noise is None or len(bounds) < 2:
             continue
@@ -91,7 +91,7 @@ def blurred(environment: Environment, similarity: Similarity) -> Iterator[str]:
             bands = [fact.noise.band(bound, variance) for bound in (low, high)]
             if sum(bands) > 2 * (high - low) * MOST_OF_THE_WAY:
                 yield (
-                    f"{fact.name} does not tell {said(low)} from {said(high)} in time: a noise of {fact.noise} at "
+                    f"{fact.key} does not tell {said(low)} from {said(high)} in time: a noise of {fact.noise} at "
                     f"{_rate_text(rate_hz)} takes {max(bands) / MICRO:.2g} beyond a bound to be sure; "
                     "observe it more often, or compare it with numbers further apart"
                 )

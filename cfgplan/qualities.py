@@ -163,6 +163,30 @@ class Curve:
         return self.points[-1][1]
 
 
+class Teller(StrEnum):
+    """What tells the quality of streams on a topic of ROS 2, beside them."""
+
+    DIAGNOSTICS = "diagnostics"
+    STATISTICS = "statistics"
+
+
+TELLERS: Final[Mapping[str, str]] = MappingProxyType(
+    {Teller.DIAGNOSTICS: "diagnostics.STATUS.KEY", Teller.STATISTICS: "statistics.NODE.age"}
+)
+"""The forms of `observe` for what topics tell, by their first word."""
+STATISTICS: Final = ("age", "period")
+"""What a node of ROS 2 with topic statistics tells of the messages that it gets, in seconds."""
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Told:
+    """A number that a topic tells: a `key` of the status of a `name` in diagnostics, or a statistic of a node."""
+
+    teller: Teller
+    name: str
+    key: str
+
+
 @dataclass(frozen=True, slots=True, order=True)
 @checked
 class Contribution:
@@ -171,8 +195,8 @@ class Contribution:
     `over` says how the values of several inputs become one. An output without inputs that count (all but feedback) has
     its own value, whatever the rule. If the value follows a fact, it is the value for the fact's present state, and
     `by` is the curve. `observe` names the field of an element that gives the element's own quality, in units of the
-    attribute, or what a run measures: `measured.` and one of MEASURES. `seen` is the part of `value` that was learned
-    from observed streams; the rest is `stated`.
+    attribute, or what a run measures: `measured.` and one of MEASURES, or what a topic of ROS 2 tells beside the
+    stream: see `told`. `seen` is the part of `value` that was learned from observed streams; the rest is `stated`.
     """
 
     attribute: str
@@ -184,7 +208,7 @@ class Contribution:
         str | None,
         Row(
             "the field in which an element says its quality; `pose.error` is a nested field, `covariance.0` a list's "
-            "value",
+            "value; or `measured.NAME`, `diagnostics.STATUS.KEY`, `statistics.NODE.NAME`",
             use=Use.RUNNING,
         ),
     ] = None
@@ -194,7 +218,14 @@ class Contribution:
         if self.measured is not None and self.measured not in MEASURES:
             mend = did_you_mean(self.measured, MEASURES, f"write measured. and one of {', '.join(MEASURES)}")
             raise InvalidValueError(f"a run does not measure {self.measured!r}: {mend}")
-        if self.measured is not None and self.rule is not QualityRule.SET:
+        if self.told is not None and not (self.told.name and self.told.key):
+            form = next(form for form in TELLERS.values() if (self.observe or "").startswith(form.partition(".")[0]))
+            raise InvalidValueError(f"{self.observe!r} names nothing that a topic tells: write {form}")
+        if self.told is not None and self.told.teller is Teller.STATISTICS and self.told.key not in STATISTICS:
+            mend = did_you_mean(self.told.key, STATISTICS, f"end it with one of {', '.join(STATISTICS)}")
+            raise InvalidValueError(f"topic statistics have no {self.told.key!r}: {mend}")
+        is_of_stream = self.measured is not None or (self.told is not None and self.told.teller is Teller.STATISTICS)
+        if is_of_stream and self.rule is not QualityRule.SET:
             raise InvalidValueError(
                 f"{self.observe} is of the whole stream, not of this transformation alone: write `set` in place of "
                 f"`{self.rule}`"
@@ -214,6 +245,22 @@ class Contribution:
         """What a run measures of the stream itself; None if its elements say it, or nothing is observed."""
         is_measured = self.observe is not None and self.observe.startswith("measured.")
         return self.observe.removeprefix("measured.") if is_measured and self.observe is not None else None
+
+    @property
+    def told(self) -> Told | None:
+        """What a topic of ROS 2 tells of the stream; None if its elements say it, a run measures it, or nothing is
+        observed.
+        """
+        teller, _, rest = (self.observe or "").partition(".")
+        if teller not in TELLERS:
+            return None
+        name, _, key = rest.rpartition(".")
+        return Told(Teller(teller), name, key)
+
+    @property
+    def of_stream(self) -> str | None:
+        """What `observe` says, unless a topic tells it beside the stream."""
+        return None if self.told is not None else self.observe
 
     @property
     def stated(self) -> int:

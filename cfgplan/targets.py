@@ -93,7 +93,9 @@ LOWEST_PRIORITY = -1_000_000_000
 
 
 def observing(fact: Fact) -> Target | None:
-    """The target that wants the stream which observes a fact; None if it is not observed by a tag."""
+    """The target that wants the stream which observes a fact, on its host if it is one of a host; None if it is not
+    observed by a tag.
+    """
     if fact.by is None or fact.observed_on is None:
         return None
-    return Target(f"fact {fact.name}", fact.by, fact.observed_on, LOWEST_PRIORITY)
+    return Target(f"fact {fact.key}", fact.by, fact.observed_on, LOWEST_PRIORITY, host=fact.host)

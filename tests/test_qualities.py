@@ -17,6 +17,8 @@ from cfgplan.qualities import (
     Over,
     QualityAttribute,
     QualityRule,
+    Teller,
+    Told,
     Wish,
     is_met,
     micro_units,
@@ -106,3 +108,24 @@ def test_a_better_input_never_gives_a_worse_output(data: st.DataObject) -> None:
     worse = [max(pair) if attribute.better is Better.LOWER else min(pair) for pair in pairs]
     after = propagated(attribute, contribution, better), propagated(attribute, contribution, worse)
     assert not attribute.is_better(after[1], after[0])
+
+
+@pytest.mark.parametrize(
+    ("observe", "rule", "message"),
+    [
+        ("diagnostics.error", QualityRule.SET, r"write diagnostics\.STATUS\.KEY"),
+        ("statistics", QualityRule.SET, r"write statistics\.NODE\.age"),
+        ("statistics.map.aeg", QualityRule.SET, "topic statistics have no 'aeg': did you mean .age."),
+        ("statistics.map.age", QualityRule.ADD, "write `set` in place of `add`"),
+    ],
+)
+def test_what_no_topic_tells_is_refused_with_the_mend(observe: str, rule: QualityRule, message: str) -> None:
+    with pytest.raises(InvalidValueError, match=message):
+        Contribution("error", rule, 1, observe=observe)
+
+
+def test_what_a_topic_tells_is_named_by_status_and_key_and_not_read_from_elements() -> None:
+    told = Contribution("error", QualityRule.ADD, 1, observe="diagnostics.arm.left: grip.error")
+    assert (told.told, told.of_stream) == (Told(Teller.DIAGNOSTICS, "arm.left: grip", "error"), None)
+    field = Contribution("error", QualityRule.ADD, 1, observe="pose.error")
+    assert (field.told, field.of_stream) == (None, "pose.error")

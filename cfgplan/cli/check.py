@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import Exit
-from cfgplan.cli.plan_text import left_out_lines, nothing_wanted
+from cfgplan.cli.plan_text import left_out_lines, nothing_wanted, plain_barred
 from cfgplan.cli.screen import Screen, append_excerpt, counted
 from cfgplan.errors import Fault
 from cfgplan.summary import some
@@ -100,9 +100,9 @@ def _nothing_runs(options: argparse.Namespace, world: World, screen: Screen) -> 
 
 
 def _left_out(world: World) -> dict[str, object]:
-    """Return for JSON why transformations are left out for now; empty without any."""
-    left_out = world.environment.left_out
-    return {"left_out": dict(left_out)} if left_out else {}
+    """Return for JSON why transformations may not run for now, or not on some hosts; empty without any."""
+    told = {"left_out": dict(world.environment.left_out), "barred": plain_barred(world.environment)}
+    return {key: said for key, said in told.items() if said}
 
 
 def _faults(options: argparse.Namespace, screen: Screen) -> tuple[World, tuple[WiringFault, ...], tuple[str, ...]]:

@@ -12,7 +12,7 @@ from rich.text import Text
 from cfgplan.canonical import normal
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import OF_STATUS, Exit
-from cfgplan.cli.plan_text import cpu, fact_lines
+from cfgplan.cli.plan_text import cpu, fact_lines, plain_barred
 from cfgplan.cli.screen import Screen
 from cfgplan.domain import Environment
 from cfgplan.errors import known
@@ -102,7 +102,11 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
 def _of_facts(environment: Environment) -> dict[str, object]:
     """Return the effects of facts and observations on the library, for JSON; empty without any."""
-    told = {"left_out": dict(environment.left_out), "qualities_now": environment.qualities_now}
+    told = {
+        "left_out": dict(environment.left_out),
+        "barred": plain_barred(environment),
+        "qualities_now": environment.qualities_now,
+    }
     return {key: said for key, said in told.items() if said}
 
 

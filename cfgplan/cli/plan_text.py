@@ -31,8 +31,24 @@ def update_text(problem: Problem, plan: Plan, given_up: Collection[str] = ()) ->
 
 
 def left_out_lines(environment: Environment) -> list[str]:
-    """The transformations that the facts leave out, each with the reason."""
-    return [f"left out for now: {label}, {why}" for label, why in environment.left_out.items()]
+    """The transformations that the facts leave out, and those that facts of hosts bar from some, with the reasons."""
+    left_out = [f"left out for now: {label}, {why}" for label, why in environment.left_out.items()]
+    return [*left_out, *_barred_lines(environment)]
+
+
+def _barred_lines(environment: Environment, of: str | None = None) -> list[str]:
+    """The hosts where transformations, or only the one of a label, may not run for now."""
+    return [
+        f"{label} may not run on {host} for now: {why}"
+        for label, hosts in environment.barred.items()
+        if of in (None, label)
+        for host, why in hosts.items()
+    ]
+
+
+def plain_barred(environment: Environment) -> dict[str, dict[str, str]]:
+    """Return for JSON why transformations may not run on some hosts for now, by label and host."""
+    return {label: dict(hosts) for label, hosts in environment.barred.items()}
 
 
 def fact_lines(environment: Environment, of: str | None = None) -> list[str]:
@@ -43,7 +59,9 @@ def fact_lines(environment: Environment, of: str | None = None) -> list[str]:
     label = of if of is None or of not in environment.unit else environment.unit[of].transformation
     now = environment.qualities_now.items()
     of_quality = [f"for now: {what} {value}" for what, value in now if label is None or what.startswith(f"{label}/")]
-    return of_quality if of is not None else [*left_out_lines(environment), *of_quality]
+    if label is not None:
+        return [*_barred_lines(environment, label), *of_quality]
+    return [*left_out_lines(environment), *of_quality]
 
 
 def changes_text(before: Environment, changes: ChangeSet) -> Text:

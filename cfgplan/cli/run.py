@@ -284,6 +284,9 @@ def _check_nodes(options: argparse.Namespace, world: World) -> None:
     if _fleet(options) is not None:
         raise InputError.of(f"{ros} nodes are started on this computer only", mend="leave out --local and --connect")
     is_read = options.middleware == ROS2
+    for statement in () if is_read else world.environment.told:
+        mend = "observe a field of its messages, or what the run measures"
+        raise InputError.of(f"topics of ROS 1 tell no qualities ({statement})", file=options.env, mend=mend)
     facts = [fact for fact in world.environment.facts if fact.observed_on and not (is_read and fact.type)]
     if facts:
         name = facts[0].name
@@ -338,7 +341,8 @@ def _operate(
     with Interrupts() as interrupts:
         with screen.phase("start"):
             operation = Operation(world, Path(options.env), settings)
-        with operation, run_targets.published(options, operation, _folder(options)), _facts_of_ros(options, operation):
+        topics = _facts_of_ros(options, operation), _qualities_of_ros(operation)
+        with operation, run_targets.published(options, operation, _folder(options)), topics[0], topics[1]:
             interrupts.only_count()
             with screen.phase("plan"):
                 while not interrupts.count and not operation.begun.wait(_LIVE_LOOK_S):
@@ -491,6 +495,18 @@ def _settings(options: argparse.Namespace, screen: Screen) -> Settings:
         reloads=options.reload,
         name=options.name,
     )
+
+
+@contextmanager
+def _qualities_of_ros(operation: Operation) -> Iterator[None]:
+    """Read the ROS 2 topics that tell qualities of streams, if outputs are observed there. Raises InputError."""
+    if not operation.manager.world.environment.told:
+        yield
+        return
+    from cfgplan_runtime.ros2.told_qualities import ToldQualities
+
+    with ToldQualities(operation.id, operation.manager, operation.show):
+        yield
 
 
 @contextmanager

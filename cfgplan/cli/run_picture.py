@@ -92,6 +92,9 @@ def _whole(run: str, environment: str, pid: int, state: Mapping[str, Any]) -> It
         yield Text(f"For now: {what} {value}.")
     for label, why in state["left_out"].items():
         yield Text(f"Left out for now: {label}, {why}.", style="yellow")
+    for label, hosts in state["barred"].items():
+        for host, why in hosts.items():
+            yield Text(f"{label} may not run on {host} for now: {why}.", style="yellow")
     if state["clocks_ahead_us"]:
         clocks = (
             f"{host} {'+' if ahead_us >= 0 else ''}{span(ahead_us / 1e6)}"

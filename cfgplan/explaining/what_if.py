@@ -53,8 +53,8 @@ def without(environment: Environment, names: Collection[str]) -> Environment:
 def with_settings(supposed: Supposed, settings: Mapping[str, str]) -> Supposed:
     """Return the same with other values of `horizon`, `max_cost`, facts, and properties of transformations or targets.
 
-    Keys are `facts.NAME`, `T.labor`, `T.upkeep` (CPU seconds), `T.pinned`, `T.required` (true or false) and, for a
-    target, `T.priority`. Raises InputError with every setting that can't be made.
+    Keys are `facts.NAME`, `facts.HOST.NAME`, `T.labor`, `T.upkeep` (CPU seconds), `T.pinned`, `T.required` (true or
+    false) and, for a target, `T.priority`. Raises InputError with every setting that can't be made.
     """
     faults = []
     for key, value in settings.items():
@@ -77,9 +77,9 @@ def _with_setting(supposed: Supposed, key: str, value: str) -> Supposed:
         return replace(supposed, max_cost_us=_cost_us(value))
     label, _, name = key.rpartition(".")
     kind, _, fact = key.partition(".")
-    if kind == "facts" and (fact in environment.fact or name not in _SETTINGS):
-        known(fact, environment.fact, "fact")
-        return replace(supposed, environment=environment.with_facts({fact: environment.fact[fact].read(value)}))
+    if kind == "facts" and (fact in environment.variable or name not in _SETTINGS):
+        known(fact, environment.variable, "fact")
+        return replace(supposed, environment=environment.with_facts({fact: environment.variable[fact].read(value)}))
     if name not in _SETTINGS:
         settable = ", ".join(f"T.{each}" for each in _SETTINGS)
         raise InputError.of(f"{key!r} can't be set", mend=f"set horizon, max_cost, facts.NAME, {settable}")

@@ -20,6 +20,7 @@ from cfgplan.domain import (
     observing,
 )
 from cfgplan.errors import Fault, InputError, MatchingError, TagError, UnknownNameError, did_you_mean
+from cfgplan.facts import variables
 from cfgplan.formats import fields, templates
 from cfgplan.formats.document import Document, File
 from cfgplan.formats.environment_file import EnvironmentFile
@@ -319,8 +320,8 @@ def _build(document: Document, vocabulary: TagVocabulary) -> EnvironmentFile:
         _check_labels(entry.at("run"), [part.run] if part.run else (), library, left_out)
         if is_new:
             targets[part.label] = Target(**{**part.values(), "quality": fleet.wishes(entry.at("quality"), part)})
-    for name, fact in fleet.facts.items():
-        entry = Passage(document.files[0].source, ("facts", name), faults)
+    for fact in variables(fleet.facts.values(), fleet.hosts).values():
+        entry = Passage(document.files[0].source, ("facts", fact.name), faults)
         if (wanted := observing(fact)) is not None:
             tags.check(wanted.tag, entry.at("by"))
             if names.is_new("target", wanted.label, entry, "by") & names.is_new("topic", wanted.topic, entry, "by"):

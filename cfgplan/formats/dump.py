@@ -11,6 +11,7 @@ import yaml
 
 from cfgplan import domain
 from cfgplan.errors import InputError
+from cfgplan.facts import Fact, FactValue
 from cfgplan.formats import fields
 from cfgplan.formats.document import Document
 from cfgplan.formats.environment_file import ANY_IMPORT
@@ -87,16 +88,26 @@ def plain_environment(
         hosts=[fields.HostPart.written(host, copies=None) for host in environment.hosts],
         links=[fields.LinkPart.written(link) for link in environment.links],
         qualities=[_attribute(attribute) for attribute in environment.qualities],
-        facts={fact.name: fields.FactPart.written(replace(fact, declared=fact.value)) for fact in environment.facts},
+        facts={fact.name: _fact(fact) for fact in environment.facts},
         survive=None if survive is None else survive.value,
         transformations=[_transformation(t, environment) for t in environment.library],
         units=[plain_unit(unit) for unit in environment.units],
         targets=[
             _target(target, environment)
             for target in environment.targets
-            if target not in map(domain.observing, environment.facts)
+            if target not in map(domain.observing, environment.variable.values())
         ],
     )
+
+
+def _fact(fact: Fact) -> dict[str, Any]:
+    """A fact with its present values as the declared ones."""
+
+    def plain(value: FactValue) -> object:
+        return fields.FactPart.plain("declared", replace(fact, declared=value, hosts={}))
+
+    hosts = {host: plain(value) for host, value in {**fact.hosts, **fact.now_on}.items() if value != fact.value}
+    return fields.FactPart.written(fact, declared=plain(fact.value), hosts=hosts)
 
 
 def _one_or_all(names: Iterable[str]) -> str | list[str]:

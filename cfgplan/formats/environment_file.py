@@ -47,13 +47,14 @@ class EnvironmentFile:
     def digest(self) -> str:
         """SHA-256 (hex) of all input of a plan, including the ontology files, `imports`, `rules` and `prefer`.
 
-        For facts, only the transformations that they leave out count, not their values. Comments, the order of lists
-        and fields that planning does not use don't count, nor do imported files that `imports` does not name: to find
-        them would take reading ontologies.
+        For facts, only the transformations that they leave out, or bar from hosts, count, not their values. Comments,
+        the order of lists and fields that planning does not use don't count, nor do imported files that `imports` does
+        not name: to find them would take reading ontologies.
         """
         environment = self.environment
         limits = self.horizon_s, self.max_cost_us, self.survive
-        content = [*limits, planned(environment), sorted(environment.left_out)]
+        barred = sorted((label, sorted(hosts)) for label, hosts in environment.barred.items())
+        content = [*limits, planned(environment), sorted(environment.left_out), *([barred] if barred else [])]
         hashed = hashlib.sha256(json.dumps(content, separators=(",", ":")).encode())
         for path in self.ontology_paths:
             hashed.update(_file_digest(path))

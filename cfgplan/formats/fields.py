@@ -9,6 +9,7 @@ nothing without a refused one. Every text of a transformation or a target may ho
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import MISSING, dataclass
 from functools import cache
@@ -18,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, WithJsonS
 
 from cfgplan.arguments import AtLeast, Natural
 from cfgplan.domain import ComputationUnit, Host, Link, Target
+from cfgplan.facts import HOST_MARK
 from cfgplan.facts import Fact as FactOfTheWorld
 from cfgplan.formats import schema_values
 from cfgplan.formats.schema_values import (
@@ -178,6 +180,7 @@ def _form_of(attribute: Attribute) -> str:
     return _FORMS[types[0]]
 
 
+_IS_EMPTY: Final[Any] = {"maxProperties": 0}
 _IS_SAID: Final[Any] = {"not": {"type": "null"}}
 _IS_UNSAID: Final[Any] = {"type": "null"}
 _ZERO: Final = {"const": 0}
@@ -188,7 +191,10 @@ _IS_TRUE: Final = {"const": True}
 def _either(*forms: Mapping[str, Any]) -> ConfigDict:
     """The JSON Schema of keys that go together or do not, in any of some forms; readers check it in words."""
     of_forms: list[Any] = [
-        {"required": [key for key, said in form.items() if said not in (_IS_UNSAID, _ZERO)], "properties": {**form}}
+        {
+            "required": [key for key, said in form.items() if said not in (_IS_UNSAID, _IS_EMPTY, _ZERO)],
+            "properties": {**form},
+        }
         for form in forms
     ]
     return ConfigDict(json_schema_extra={"anyOf": of_forms})
@@ -429,10 +435,19 @@ class FactPart(Part):
     """A fact of the world that transformations may require."""
 
     model_config = _either(
-        {"by": _IS_SAID, "topic": _IS_UNSAID, "type": _IS_UNSAID, "qos": _IS_UNSAID},
-        {"topic": _IS_SAID, "by": _IS_UNSAID, "qos": _IS_UNSAID},
-        {"topic": _IS_SAID, "by": _IS_UNSAID, "type": _IS_SAID},
-        dict.fromkeys(("by", "topic", "field", "type", "qos", "noise", "silent"), _IS_UNSAID),
+        *(
+            {**form, **owner, **{key: observed for key in ("by", "topic") if form[key] is _IS_SAID}}
+            for form in (
+                {"by": _IS_SAID, "topic": _IS_UNSAID, "type": _IS_UNSAID, "qos": _IS_UNSAID},
+                {"topic": _IS_SAID, "by": _IS_UNSAID, "qos": _IS_UNSAID},
+                {"topic": _IS_SAID, "by": _IS_UNSAID, "type": _IS_SAID},
+                dict.fromkeys(("by", "topic", "field", "type", "qos", "noise", "silent"), _IS_UNSAID),
+            )
+            for owner, observed in (
+                ({"of": _IS_UNSAID, "hosts": _IS_EMPTY}, _IS_SAID),
+                ({"of": _IS_SAID}, {"type": "string", "pattern": re.escape(HOST_MARK)}),
+            )
+        )
     )
     take_rows(FactOfTheWorld, locals())
 

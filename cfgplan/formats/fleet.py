@@ -8,7 +8,7 @@ from typing import Any
 
 from cfgplan.domain import MANAGER, Host, Link
 from cfgplan.errors import Fault, InvalidValueError, TagError, did_you_mean
-from cfgplan.facts import Fact, kind_of, misfit_of_fact, requirement
+from cfgplan.facts import Fact, FactValue, kind_of, misfit_of_fact, requirement
 from cfgplan.formats.document import Document
 from cfgplan.formats.fields import (
     ContributionPart,
@@ -24,7 +24,7 @@ from cfgplan.formats.fields import (
 from cfgplan.formats.left_out import LeftOut
 from cfgplan.formats.places import Passage
 from cfgplan.planning import Failures
-from cfgplan.qualities import MEASURES, Better, Contribution, Curve, Over, QualityAttribute, QualityRule, Wish
+from cfgplan.qualities import MEASURES, Better, Contribution, Curve, Over, QualityAttribute, QualityRule, Teller, Wish
 from cfgplan.selectors import selector
 
 
@@ -84,7 +84,24 @@ class FleetReader:
             key, message, mend = misfit
             entry.at(key).note(message, mend, at_key=True)
             said = {"declared": part.declared}
+        if said.get("of") is not None and not self.hosts and not self._left_out.any_of("hosts"):
+            entry.at("of").note("no hosts are declared", "declare `hosts:`, or remove `of: host`")
         self.facts[name] = Fact(name, **said)
+        self.facts[name] = replace(self.facts[name], hosts=self._values_of_hosts(entry.at("hosts"), self.facts[name]))
+
+    def _values_of_hosts(self, entry: Passage, fact: Fact) -> dict[str, FactValue]:
+        """The declared values of a fact on hosts; that of a name of several hosts is that of each."""
+        found: dict[str, FactValue] = {}
+        for name, value in fact.hosts.items():
+            hosts = self.copies.get(name, (name,))
+            if name not in self.copies:
+                self.check_host(entry.at(name), name, is_choice=True)
+            if kind_of(value) == kind_of(fact.declared):
+                found |= dict.fromkeys(hosts, value)
+            else:
+                kinds = f"{kind_of(value)}, but its `declared` is {kind_of(fact.declared)}"
+                entry.at(name).note(f"the value on {name} is {kinds}", "write a value of the same kind")
+        return found
 
     def _may_add(self, entry: Passage, link: LinkPart) -> bool:
         """Whether the latency of a link may be added to an attribute, if it has one."""
@@ -200,7 +217,8 @@ class FleetReader:
         curve = value if isinstance(value, CurvePart) else None
         try:
             contribution = Contribution(name, rule, 0 if curve else value, over, observe=observe)
-            known = MEASURES.get(contribution.measured or "")
+            is_statistic = contribution.told is not None and contribution.told.teller is Teller.STATISTICS
+            known = (None, "s") if is_statistic else MEASURES.get(contribution.measured or "")
             if known is not None and attribute.unit not in known:
                 message = f"{observe} is in {known[-1] or 'shares'}, but attribute `{name}` is in {attribute.unit}"
                 entry.note(message, f"give the attribute the unit {known[-1]}" if known[-1] else "remove its unit")
@@ -221,6 +239,10 @@ class FleetReader:
                 entry.at("by").note(f"there is no fact `{part.by}`", mend)
             return None
         fact = self.facts[part.by]
+        if fact.of is not None:
+            mend = "name a fact of the world, or write a transformation for each kind of host, with `requires`"
+            entry.at("by").note(f"no value follows fact `{part.by}`: it differs from host to host", mend)
+            return None
         if isinstance(fact.value, bool | str):
             entry.at("by").note(f"no value follows fact `{part.by}`: it is {kind_of(fact.value)}", "name a number")
             return None

@@ -85,12 +85,13 @@ def _facts(source: Source, part: ObservedPart, environment: Environment, faults:
     found: dict[str, FactValue] = {}
     for name, value in part.facts.items():
         place = ("facts", name)
-        if name not in environment.fact:
+        if name not in environment.variable:
             message = f"the environment has no fact `{name}`"
-            faults.append(source.fault(place, message, did_you_mean(name, environment.fact, _ANEW)))
+            faults.append(source.fault(place, message, did_you_mean(name, environment.variable, _ANEW)))
             continue
         try:
-            found[name] = environment.fact[name].read(str(value).lower() if isinstance(value, bool) else str(value))
+            written = str(value).lower() if isinstance(value, bool) else str(value)
+            found[name] = environment.variable[name].read(written)
         except InvalidValueError as error:
             faults.append(source.fault(place, str(error), _ANEW))
     return found

@@ -200,7 +200,8 @@ def _plan_in(source: Source, part: PlanPart) -> Plan:
 
 
 def _facts(environment: Environment) -> dict[str, dict[str, object]]:
-    return {fact.name: {"declared": _plain(fact.declared), "used": _plain(fact.value)} for fact in environment.facts}
+    found = environment.variable.items()
+    return {key: {"declared": _plain(fact.declared), "used": _plain(fact.value)} for key, fact in found}
 
 
 def _qualities(environment: Environment) -> dict[str, dict[str, object]]:

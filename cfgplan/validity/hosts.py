@@ -25,7 +25,9 @@ def placing_violations(environment: Environment, horizon_s: int = 0) -> Iterator
         elif unit.host not in environment.host:
             yield Violation(Rule.PLACED, f"unit {unit.id} is on {unit.host}, which is no host", unit.id)
         elif unit.host not in environment.hosts_for(transformation):
-            text = f"unit {unit.id} is on {unit.host}, where {transformation.label} may not run"
+            why = environment.barred.get(transformation.label, {}).get(unit.host)
+            for_now = f" for now: it {why}" if why else ""
+            text = f"unit {unit.id} is on {unit.host}, where {transformation.label} may not run{for_now}"
             yield Violation(Rule.PLACED, text, unit.id)
     for host in environment.hosts:
         there = [

@@ -1,11 +1,12 @@
 """SUAVE's problem on real processes: an underwater robot searches for a pipeline and inspects it as the world changes.
 
     python experiments/observed/suave.py [--missions 3] [--pace 5] [--out models/suave/mission.svg]
-    python experiments/observed/suave.py --crossings
+    python experiments/observed/suave.py --crossings [--noise 0.2]
 
 A mission takes 300 simulated seconds. After 35 s a thruster fails. Missions are run with the world's library, and with
 a single altitude of the search each, as without adaptation. With `--crossings` the search takes 480 s in real time,
-noise-free: each crossing of a comparison has to be answered by one switch.
+noise-free: each crossing of a comparison has to be answered by one switch. With `--noise` five values come in a second,
+with this standard deviation as a share of the visibility, and crossings are those of the truth.
 
 Reference: Rezende Silva et al., SUAVE: an exemplar for self-adaptive underwater vehicles, SEAMS 2023.
 """
@@ -32,6 +33,8 @@ from cfgplan_runtime.operating.operation import Operation, Settings
 import cfgplan
 from cfgplan.api import World
 from cfgplan.domain import Target, Transformation
+from cfgplan.noise import Noise
+from cfgplan.qualities import MICRO
 
 ENVIRONMENT = Path(__file__).parents[2] / "models" / "suave" / "1-search.yaml"
 FOUND = ENVIRONMENT.with_name("4-found.yaml")
@@ -65,10 +68,11 @@ def main() -> None:
     parser.add_argument("--missions", type=int, default=3)
     parser.add_argument("--pace", type=float, default=5.0, help="simulated seconds in a second")
     parser.add_argument("--crossings", action="store_true")
+    parser.add_argument("--noise", type=float, default=0.0, help="with --crossings")
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
     if options.crossings:
-        print(_crossings())
+        print(_noisy_crossings(options.noise) if options.noise else _crossings())
         return
     world = at_pace(cfgplan.load(ENVIRONMENT), options.pace)
     last = None
@@ -185,6 +189,40 @@ def _crossings() -> str:
         f"{statistics.median(delays) * 1e3:.0f} ms at the median, {max(delays) * 1e3:.0f} ms at most; "
         f"the longest time without an element {max(gaps) * 1e3:.0f} ms, "
         f"the median {statistics.median(gaps) * 1e3:.0f} ms"
+    )
+
+
+def _noisy_crossings(noise: float) -> str:
+    """Search on for 480 s with noisy values: crossings of the true visibility, switches, reviews and delays."""
+    world = cfgplan.load(ENVIRONMENT)
+    library = tuple(
+        replace(one, params={**one.params, "noise": noise}) if one.label == "water" else one
+        for one in world.environment.library
+    )
+    facts = tuple(
+        replace(fact, noise=Noise(round(noise * MICRO), is_share=True)) if fact.name == "visibility" else fact
+        for fact in world.environment.facts
+    )
+    searched = list[tuple[float, float]]()
+    hear = lambda value, at_s: searched.append((at_s, value["altitude"]))  # noqa: E731
+    with begun(replace(world, environment=replace(world.environment, library=library, facts=facts))) as operation:
+        threading.Thread(target=_listen, args=(operation.id, "/search", hear), daemon=True).start()
+        begun_s = time.time()
+        time.sleep(CROSSINGS_S)
+        reviews = operation.manager.snapshot().reviews
+    times = [begun_s + step / 100 for step in range(int(CROSSINGS_S * 100))]
+    true = [(at_s, _best(visibility_m(at_s, PERIOD_S))) for at_s in times]
+    crossed = [(at_s, altitude) for (_, before), (at_s, altitude) in pairwise(true) if before != altitude]
+    switches = [(at_s, after) for (_, before), (at_s, after) in pairwise(searched) if before != after]
+    delays = [
+        next((s - at_s for s, to in switches if at_s <= s < until_s and to == altitude), None)
+        for (at_s, altitude), (until_s, _) in pairwise([*crossed, (begun_s + CROSSINGS_S, 0.0)])
+    ]
+    known = sorted(each for each in delays if each is not None)
+    return (
+        f"{len(crossed)} crossings of the truth, {len(switches)} switches, {len(reviews)} reviews; "
+        f"{len(delays) - len(known)} crossings without a switch before the next one; from a crossing to the first "
+        f"element that follows it {statistics.median(known):.1f} s at the median, {known[-1]:.1f} s at most"
     )
 
 

@@ -43,6 +43,13 @@ def count_beside_a_daemon(note: str) -> Iterator[int]:
         time.sleep(0.1)
 
 
+def gauge(file: str) -> Iterator[dict[str, float]]:
+    """The number in a file, ten times a second, as a battery gauge says it."""
+    while True:
+        yield {"percent": float(Path(file).read_text())}
+        time.sleep(0.1)
+
+
 def same(x: Any) -> Any:
     return x
 

@@ -150,6 +150,43 @@ def test_rented_copies_links_and_packages_run_on_hosts_of_this_computer(tmp_path
             assert next(iter(answers)).value > first
 
 
+BATTERIES = """
+format: cfgplan/1
+hosts: [{name: r1}, {name: r2, speed: 0.5}]
+facts: {battery: {of: host, declared: 100, unit: "%", by: "Battery_{host}", field: percent}}
+transformations:
+  - {label: gauge_r1, source: units.py:gauge, host: r1, params: {file: FOLDER/r1}, outputs: {b: Battery_r1}}
+  - {label: gauge_r2, source: units.py:gauge, host: r2, params: {file: FOLDER/r2}, outputs: {b: Battery_r2}}
+  - {label: asking, source: units.py:count, requires: battery > 20, upkeep: 0.1, run: {rate: 20}, outputs: {n: N}}
+targets: [{label: answers, topic: /answers, tag: N}]
+"""
+
+
+def test_a_unit_leaves_a_robot_whose_battery_is_low_and_comes_back(tmp_path: Path) -> None:
+    (tmp_path / "units.py").write_text((Path(__file__).parent / "fleet_units.py").read_text())
+    env, first = tmp_path / "env.yaml", tmp_path / "r1"
+    env.write_text(BATTERIES.replace("FOLDER", str(tmp_path)))
+    for file in (first, tmp_path / "r2"):
+        file.write_text("80")
+
+    def place() -> str | None:
+        units = control.call("state")["units"]
+        return next((unit["host"] for unit in units if unit["transformation"] == "asking"), None)
+
+    with local_run(env), subscribe("/answers", wait_s=PATIENCE_S, timeout_s=PATIENCE_S) as answers:
+        next(iter(answers))
+        with connect() as control:
+            eventually(lambda: set(control.call("state")["facts_heard_s"]) == {"r1.battery", "r2.battery"})
+            assert place() == "r1"
+            first.write_text("15")
+            eventually(lambda: place() == "r2")
+            state = control.call("state")
+            assert state["facts"] == {"r1.battery": "15", "r2.battery": "80"}
+            assert state["barred"] == {"asking": {"r1": "needs battery > 20, battery is 15 % on r1"}}
+            first.write_text("21")
+            eventually(lambda: place() == "r1")
+
+
 def test_three_backends_answer_visitors_also_after_the_machine_of_one_is_lost() -> None:
     with local_run(SHOP) as process, subscribe("/answers", wait_s=PATIENCE_S, timeout_s=PATIENCE_S) as answers:
         pages = (page for received in answers for page in received.value)

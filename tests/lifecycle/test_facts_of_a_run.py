@@ -11,13 +11,13 @@ from typing import Any
 
 import pytest
 from cfgplan_runtime.lifecycle.basis import plan_text
-from cfgplan_runtime.lifecycle.changes import Add, ApplyPlan, SetFact
+from cfgplan_runtime.lifecycle.changes import Add, ApplyPlan, LoseHost, RegainHost, SetFact
 from cfgplan_runtime.lifecycle.perturbations import FactsChanged
 from cfgplan_runtime.lifecycle.reports import Decision, FactSilent, Review
 from living import Life, source, started, worker
 
 from cfgplan import api
-from cfgplan.domain import Environment, Target, Transformation, observing
+from cfgplan.domain import Environment, Host, Target, Transformation, observing
 from cfgplan.errors import InputError
 from cfgplan.facts import Fact, FactValue
 from cfgplan.formats.plan_file import read_run_plan
@@ -300,3 +300,69 @@ def test_a_plan_is_not_stale_because_a_quality_has_followed_a_fact() -> None:
     run.reviewed(SetFact("brightness", "0.8"))
     assert "camera.1" in run.units
     assert apply(run, written).decision is Decision.APPLIED
+
+
+def life_on_hosts(fact: Fact | None = None) -> Life:
+    """A worker that may run on hosts with a good battery; `b` is slower than `a`."""
+    facts = (fact or Fact("battery", 100_000_000, "%", of="host"),)
+    hosts = Host("a", 1_000_000), Host("b", 1_000_000, speed=500_000)
+    library = source(), worker(requires="battery > 20")
+    target = Target("result", worker().outputs[0].tag, "/result")
+    environment = Environment((), library, (target,), hosts, facts=facts)
+    return started(world=api.world(environment, horizon_s=60))
+
+
+def placed(run: Life) -> dict[str, str | None]:
+    return {unit.transformation: unit.host for unit in run.runtime.environment.units}
+
+
+def test_a_unit_leaves_a_host_whose_fact_forbids_it_and_comes_back() -> None:
+    run = life_on_hosts()
+    assert placed(run)["work"] == "a"
+    review = run.reviewed(SetFact("a.battery", "15"))
+    assert (placed(run)["work"], review.decision) == ("b", Decision.APPLIED)
+    assert run.manager.snapshot().barred == {"work": {"a": "needs battery > 20, battery is 15 % on a"}}
+    assert run.ask(SetFact("a.battery", "16")) is None, "on the same side of the bound"
+    gone = run.reviewed(SetFact("b.battery", "3"))
+    assert dict(gone.avoided) == {"work": "battery is 16 % on a and battery is 3 % on b"}
+    run.reviewed(SetFact("a.battery", "21"))
+    assert placed(run)["work"] == "a"
+    assert run.perturbations(FactsChanged) == [
+        FactsChanged(("work on a",)),
+        FactsChanged(("work",), ("work on a",)),
+        FactsChanged(("work on b",), ("work",)),
+    ]
+
+
+def test_facts_of_a_host_outlast_its_absence() -> None:
+    run = life_on_hosts()
+    run.reviewed(SetFact("a.battery", "15"))
+    lost = run.reviewed(LoseHost("b"))
+    assert dict(lost.avoided) == {"work": "host b is gone"}
+    run.reviewed(RegainHost("b"))
+    assert placed(run)["work"] == "b"
+
+
+def test_values_that_streams_say_of_a_host_are_filtered_and_fall_silent_on_their_own() -> None:
+    more: dict[str, Any] = {"by": "Battery_{host}", "noise": Noise(200_000, is_share=True), "silent_us": 5_000_000}
+    run = life_on_hosts(Fact("battery", 100_000_000, "%", of="host", **more))
+    run.manager.observe_fact("a.battery", 19_000_000)
+    run.pass_time(0.1)
+    assert placed(run)["work"] == "a", "one noisy value is no news"
+    for _ in range(40):
+        run.manager.observe_fact("a.battery", 5_000_000)
+        run.pass_time(0.2)
+    assert placed(run)["work"] == "b"
+    run.pass_time(6)
+    assert [report.fact for report in run.reports if isinstance(report, FactSilent)] == ["a.battery"]
+    assert placed(run)["work"] == "a"
+
+
+def test_a_plan_is_stale_once_a_fact_of_a_host_is_on_the_other_side() -> None:
+    run = life_on_hosts()
+    written = written_plan(run)
+    assert written["facts"]["b.battery"] == {"declared": 100.0, "used": 100.0}
+    run.reviewed(SetFact("a.battery", "15"))
+    with pytest.raises(InputError) as refused:
+        apply(run, written)
+    assert "the plan is stale: fact a.battery > 20 is the other way round now" in str(refused.value)

@@ -423,3 +423,17 @@ def test_a_stream_that_loses_elements_on_the_way_is_replaced() -> None:
     assert "slow.1" in run.units
     (fast,) = (one for one in run.manager.snapshot().qualities if one.transformation == "fast")
     assert MICRO / 10 < fast.planned <= MICRO / 2  # it is replaced as soon as the mean has passed the bound
+
+
+def test_a_quality_that_a_topic_tells_is_learned_for_the_running_units() -> None:
+    world = watched(sensor("sonar", 0.2, 1000, observe="diagnostics.sonar.error"), sensor("camera", 0.3, 100_000))
+    run = started(world=world)
+    (statement,) = world.environment.told
+    for _ in range(20):
+        run.manager.tell_quality(statement, 0.8)
+        run.pass_time(1)
+    assert run.units == {"camera.1"}
+    assert run.manager.snapshot().qualities_now["sonar/p error"] == "0.8 m observed, 0.2 m declared"
+    run.manager.tell_quality(statement, 0.1)
+    run.pass_time(5)
+    assert run.units == {"camera.1"}, "nobody tells the quality of a unit that does not run"

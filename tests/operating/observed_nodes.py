@@ -108,6 +108,19 @@ def check_that_a_bad_node_is_replaced(env: Path, middleware: str) -> None:
     assert solved["qualities"] == planned["qualities"]
 
 
+def check_that_diagnostics_are_learned(env: Path) -> None:
+    """Let a node that is not of the run tell on `/diagnostics` that the sonar is worse than the bound."""
+    with running("--middleware", "ros2", env) as process:
+        of_run = ("--run", await_event(process, "Running")["run"])
+        eventually(lambda: json.loads(_said("ctl", *of_run, "observed", "--json"))["qualities"])
+        env.with_name("water").write_text("0.8")
+        await_event(process, "Perturbed")
+        applied = await_event(process, "Reviewed", decision="applied")
+        assert [unit["transformation"] for unit in applied["change_set"]["started"]] == ["camera"]
+        (told,) = json.loads(_said("ctl", *of_run, "observed", "--json"))["qualities"]
+        assert (told["output"], told["planned"] > 0.5) == ("sonar/p", True)
+
+
 def check_that_a_slow_node_is_replaced(folder: Path, nodes: Path, middleware: str) -> None:
     """A node that publishes 100 messages a second is to publish 180: the run measures it, and takes another."""
     shutil.copy(nodes, folder / "talking.py")

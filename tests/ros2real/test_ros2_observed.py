@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import queue
 import signal
+import subprocess
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -13,19 +14,22 @@ from pathlib import Path
 import pytest
 from cfgplan_runtime import Runtime
 from cfgplan_runtime.ros2.ros2_backend import Ros2Backend
+from cfgplan_runtime.ros2.told_qualities import told_in
 from cfgplan_runtime.supervision.events import Event, OutletsOpened, SparePrepared, SpareUsed, UnitFailed, UnitStatus
 from observed_nodes import (
     check_that_a_bad_node_is_replaced,
     check_that_a_look_brings_a_node_back,
     check_that_a_slow_node_is_replaced,
+    check_that_diagnostics_are_learned,
     unsaid,
     write_finders,
 )
 from operated_world import PATIENCE_S, running
+from ros2_venv import PYTHON
 from ros2_words import NODES
 
 from cfgplan.domain import ChangeSet, ComputationUnit, OutputPort, RunOptions, Transformation
-from cfgplan.qualities import Contribution, QualityRule
+from cfgplan.qualities import Contribution, QualityRule, Teller, Told
 
 FINDER = Transformation(
     "finder",
@@ -88,6 +92,27 @@ def test_a_node_that_was_too_bad_is_looked_at_beside_the_other_and_taken_once_it
 
 def test_a_node_that_is_measured_to_be_slower_than_its_bound_is_replaced(tmp_path: Path) -> None:
     check_that_a_slow_node_is_replaced(tmp_path, NODES, "ros2")
+
+
+def test_diagnostics_tell_that_a_node_is_worse_than_its_bound(tmp_path: Path) -> None:
+    env = write_finders(tmp_path, NODES, "diagnostics.thrusters.left")
+    line = [str(PYTHON), str(NODES), "doctor", "--ros-args", "-p", f"water:={tmp_path / 'water'}"]
+    with subprocess.Popen(line, start_new_session=True) as doctor:
+        try:
+            check_that_diagnostics_are_learned(env)
+        finally:
+            doctor.kill()
+
+
+def test_messages_of_diagnostics_and_statistics_tell_numbers() -> None:
+    values = [{"key": "error", "value": "0.25"}, {"key": "mode", "value": "fine"}]
+    found = dict(told_in(Teller.DIAGNOSTICS, {"status": [{"name": "arm: left", "values": values}]}))
+    assert found[Told(Teller.DIAGNOSTICS, "arm: left", "error")] == 0.25
+    assert found[Told(Teller.DIAGNOSTICS, "arm: left", "mode")] is None
+    points = [{"data_type": 2, "data": 9.0}, {"data_type": 1, "data": 40.0}]
+    message = {"measurement_source_name": "map_1", "metrics_source": "message_age", "unit": "ms", "statistics": points}
+    assert list(told_in(Teller.STATISTICS, message)) == [(Told(Teller.STATISTICS, "map_1", "age"), 0.04)]
+    assert list(told_in(Teller.STATISTICS, {**message, "unit": "px"})) == []
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,7 @@ def unit_order(unit: str, transformation: Transformation, state: bytes | None) -
         keeps_state=bool(run.state),
         state=state,
         qualities={
-            port.name: {stated.attribute: stated.observe for stated in port.quality}
+            port.name: {stated.attribute: stated.of_stream for stated in port.quality}
             for port in transformation.outputs
             if port.quality
         },

@@ -111,7 +111,7 @@ class RegainHost:
 
 @dataclass(frozen=True, slots=True)
 class SetFact:
-    """Set a fact of the world to a value, written as in a file, with priority over the file."""
+    """Set a fact to a value, written as in a file, with priority over the file; a host's is called HOST.NAME."""
 
     name: str
     value: str

@@ -21,7 +21,7 @@ from cfgplan_runtime.lifecycle.changes import ApplyPlan, RestartUnits, Stop
 from cfgplan_runtime.lifecycle.configuration import Situation, external_units, restarting, with_world
 from cfgplan_runtime.lifecycle.deliberation import Looked, Thought
 from cfgplan_runtime.lifecycle.fact_values import fact_seen, facts_fallen_silent
-from cfgplan_runtime.lifecycle.inbox import Asked, FactSeen, Item, Leave, PreviewAsked, Unusable
+from cfgplan_runtime.lifecycle.inbox import Asked, FactSeen, Item, Leave, PreviewAsked, QualityTold, Unusable
 from cfgplan_runtime.lifecycle.kinds import Urgency, kind_of
 from cfgplan_runtime.lifecycle.perturbations import (
     HorizonReached,
@@ -36,7 +36,7 @@ from cfgplan_runtime.lifecycle.perturbations import (
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Decision, Ended, Observed, Review, ReviewBegan, Reviewed
 from cfgplan_runtime.lifecycle.state import Doing, Entry, Gathering, Planning, State, Updating
-from cfgplan_runtime.lifecycle.stream_qualities import qualities_faded, qualities_learned
+from cfgplan_runtime.lifecycle.stream_qualities import qualities_faded, qualities_learned, quality_told
 from cfgplan_runtime.lifecycle.turns import (
     ApplyUpdate,
     Effect,
@@ -125,6 +125,8 @@ def _case(turn: Turn, what: Happening) -> Turn:
             return intake.matched(turn, what)
         case FactSeen(name, value):
             return fact_seen(turn, name, value)
+        case QualityTold(statement, value):
+            return quality_told(turn, statement, value)
         case PreviewAsked():
             return turn.to(replace(turn.state, previews=(*turn.state.previews, what.outcome)))
         case Unusable():

@@ -1,4 +1,4 @@
-"""How facts of the world get their values in a run: by request, by the streams that observe them, by silence."""
+"""How facts get their values in a run: by request, by the streams that observe them, by silence."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ NEWS: Final = Fraction(1, 20)
 
 def fact_set(turn: Turn, name: str, value: str, request: Asked) -> Turn:
     """A fact has a value by request, until a stream says another. A review is due only if other units may run now."""
-    state, facts = turn.state, turn.state.scene.world.environment.fact
+    state, facts = turn.state, turn.state.scene.world.environment.variable
     known(name, facts, "fact")
     try:
         values = {**state.situation.facts, name: facts[name].read(value)}
@@ -37,7 +37,7 @@ def fact_set(turn: Turn, name: str, value: str, request: Asked) -> Turn:
 def fact_seen(turn: Turn, name: str, value: FactValue) -> Turn:
     """A stream says the value of a fact. Values of facts that are gone, or of another kind now, are ignored."""
     state, world = turn.state, turn.state.living.world.environment
-    fact = world.fact.get(name)
+    fact = world.variable.get(name)
     if fact is None or fact.observed_on is None or kind_of(value) != kind_of(fact.declared):
         return turn
     mean, band, known_value = None, 0.0, fact.being(state.situation.facts.get(name)).value
@@ -45,9 +45,9 @@ def fact_seen(turn: Turn, name: str, value: FactValue) -> Turn:
         known_mean = state.heard[name].mean if name in state.heard else None
         mean = NoisyMean(value, turn.at_s) if known_mean is None else known_mean.after(value, turn.at_s)
         assert isinstance(known_value, int)
-        value = mean.told(fact.noise, known_value, world.bounds.get(name, ()))
+        value = mean.told(fact.noise, known_value, world.bounds.get(fact.name, ()))
         band = fact.noise.band(value, mean.variance)
-    if name in world.curves and not _is_news(world, fact, known_value, value, band):
+    if fact.name in world.curves and not _is_news(world, fact, known_value, value, band):
         value = known_value
     turn = turn.to(replace(state, heard={**state.heard, name: Heard(turn.at_s, mean)}))
     return _with_facts(turn, {**state.situation.facts, name: value})
@@ -59,7 +59,7 @@ def facts_fallen_silent(turn: Turn) -> Turn:
     gone = [name for name, at_s in state.silences_of_facts.items() if at_s <= turn.at_s]
     if not gone:
         return turn
-    facts = state.living.world.environment.fact
+    facts = state.living.world.environment.variable
     told = [FactSilent(name, turn.at_s - state.heard[name].at_s, said(facts[name].declared)) for name in gone]
     heard = {name: last for name, last in state.heard.items() if name not in gone}
     values = {name: value for name, value in state.situation.facts.items() if name not in gone}
@@ -70,10 +70,10 @@ def _with_facts(turn: Turn, values: Mapping[str, FactValue], outcomes: Iterable[
     """Let facts have these values: a review is due only if other transformations may run now."""
     state, declared = turn.state, turn.state.living.world.environment
     turn = turn.situated(replace(state.situation, facts=values))
-    if not any(_is_other(declared, fact, state.situation.facts, values) for fact in declared.facts):
+    if not any(_is_other(declared, fact, state.situation.facts, values) for fact in declared.variable.values()):
         return turn.also(*(Respond(outcome) for outcome in outcomes))
     before, after = state.scene.world.environment, turn.state.scene.world.environment
-    was, now = before.left_out.keys(), after.left_out.keys()
+    was, now = _forbidden(before), _forbidden(after)
     library = before.transformation
     requalified = [label for label in after.following if after.transformation[label] != library[label]]
     if was == now and not requalified:
@@ -81,6 +81,12 @@ def _with_facts(turn: Turn, values: Mapping[str, FactValue], outcomes: Iterable[
     turn = turn.to(replace(turn.state, seen=_unheard(turn.state, requalified)))
     changed = FactsChanged(tuple(sorted(now - was)), tuple(sorted(was - now)), tuple(sorted(requalified)))
     return turn.perturbed(changed, outcomes)
+
+
+def _forbidden(world: Environment) -> set[str]:
+    """The transformations that may not run, and those that may not run on a host, as `mapper on r1`."""
+    barred = (f"{label} on {host}" for label, hosts in world.barred.items() for host in hosts)
+    return {*world.left_out, *barred}
 
 
 def _unheard(state: State, requalified: Collection[str]) -> SeenQualities:
@@ -100,7 +106,7 @@ def _unheard(state: State, requalified: Collection[str]) -> SeenQualities:
 
 def _is_other(world: Environment, fact: Fact, old: Mapping[str, FactValue], new: Mapping[str, FactValue]) -> bool:
     """Whether a comparison of some `requires`, or a quality that follows a fact, tells two of its values apart."""
-    before, after = fact.being(old.get(fact.name)).value, fact.being(new.get(fact.name)).value
+    before, after = fact.being(old.get(fact.key)).value, fact.being(new.get(fact.key)).value
     return before != after and (
         _sides(world, fact, before) != _sides(world, fact, after) or _followers(world, fact, before, after) != []
     )

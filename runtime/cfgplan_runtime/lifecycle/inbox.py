@@ -8,6 +8,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import TypeAlias
 
+from cfgplan.domain import Statement
 from cfgplan.errors import Fault
 from cfgplan.facts import FactValue
 from cfgplan_runtime.lifecycle.basis import Preview
@@ -36,10 +37,18 @@ class Unusable:
 
 @dataclass(frozen=True, slots=True)
 class FactSeen:
-    """A stream carries the value of a fact of the world."""
+    """A stream carries the value of a fact, whose key is `name`."""
 
     name: str
     value: FactValue
+
+
+@dataclass(frozen=True, slots=True)
+class QualityTold:
+    """A topic tells the quality of an output, in units of the attribute."""
+
+    statement: Statement
+    value: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +63,7 @@ class Leave:
     """The manager has to end, and to leave the units to the middleware."""
 
 
-Item: TypeAlias = Event | Asked | FactSeen | PreviewAsked | Unusable | Leave
+Item: TypeAlias = Event | Asked | FactSeen | QualityTold | PreviewAsked | Unusable | Leave
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from dataclasses import replace
 from math import inf
 
 from cfgplan.api import World
-from cfgplan.domain import Environment
+from cfgplan.domain import Environment, Statement
 from cfgplan.errors import Fault, InputError
 from cfgplan.facts import FactValue
 from cfgplan.planning import Planner
@@ -34,7 +34,17 @@ from cfgplan_runtime.lifecycle.configuration import as_it_runs
 from cfgplan_runtime.lifecycle.decisions import BreakIn, breaks_in, decide, first_state
 from cfgplan_runtime.lifecycle.deliberation import Deliberation, Thought
 from cfgplan_runtime.lifecycle.guarded_estimator import GuardedEstimator
-from cfgplan_runtime.lifecycle.inbox import Asked, FactSeen, Inbox, Item, Leave, Outcome, PreviewAsked, Unusable
+from cfgplan_runtime.lifecycle.inbox import (
+    Asked,
+    FactSeen,
+    Inbox,
+    Item,
+    Leave,
+    Outcome,
+    PreviewAsked,
+    QualityTold,
+    Unusable,
+)
 from cfgplan_runtime.lifecycle.kinds import Urgency, kind_of
 from cfgplan_runtime.lifecycle.perturbations import Started
 from cfgplan_runtime.lifecycle.policy import Policy
@@ -140,8 +150,12 @@ class Manager:
         return self._supposing.think(self._state, change)
 
     def observe_fact(self, name: str, value: FactValue) -> None:
-        """Pass on a stream's `value` of the fact `name`. Thread-safe."""
+        """Pass on a stream's `value` of a fact, by its key `name`. Thread-safe."""
         self._put(FactSeen(name, value))
+
+    def tell_quality(self, statement: Statement, value: float) -> None:
+        """Pass on the quality of an output that a topic tells, in units of the attribute. Thread-safe."""
+        self._put(QualityTold(statement, value))
 
     def refuse(self, by: str, faults: tuple[Fault, ...]) -> None:
         """Report that the world's file, called `by`, has these `faults`; without any, that it is valid again."""
@@ -173,8 +187,9 @@ class Manager:
             state.faults,
             state.living.removed,
             situation.clocks_ahead_us,
-            seen.facts,
+            tuple(seen.variable.values()),
             seen.left_out,
+            seen.barred,
             {name: now - last.at_s for name, last in state.heard.items()},
             seen.qualities_now,
             quality_views(world.environment.with_facts(situation.facts), state, now),

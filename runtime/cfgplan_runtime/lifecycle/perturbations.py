@@ -105,7 +105,7 @@ class FactsChanged(Perturbation, frozen=True):
     """Facts have changed the world of the plan.
 
     Transformations `left_out` may not run any more, those `back` may again, and outputs of those `requalified` are
-    better or worse than before.
+    better or worse than before. A transformation that facts of a host bar from it is called `mapper on r1`.
     """
 
     left_out: tuple[str, ...] = ()

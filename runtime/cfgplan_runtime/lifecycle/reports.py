@@ -172,9 +172,11 @@ class Snapshot:
     clocks_ahead_us: Mapping[str, int] = field(default_factory=dict)
     """By joined host: the microseconds by which its clock is ahead of the manager's."""
     facts: tuple[Fact, ...] = ()
-    """The facts of the world as they are now."""
+    """The facts of the world and of each host as they are now."""
     left_out: Mapping[str, str] = field(default_factory=dict)
     """The reasons why transformations may not run with the present facts, by label."""
+    barred: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    """The reasons why transformations may not run on hosts with the present facts of these, by label and host."""
     facts_heard_s: Mapping[str, float] = field(default_factory=dict)
     """By fact that a stream observes: how long ago its last value came."""
     qualities_now: Mapping[str, str] = field(default_factory=dict)

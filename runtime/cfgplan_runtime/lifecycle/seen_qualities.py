@@ -9,6 +9,7 @@ from math import isfinite
 from cfgplan.domain import Environment, Stream
 from cfgplan.observed import Estimates, Figures, Lesson, Said, Window
 from cfgplan.qualities import MICRO
+from cfgplan_runtime.children.messages import Qualities
 from cfgplan_runtime.supervision.events import UnitStatus
 
 Losing = Mapping[tuple[str, str], Said]
@@ -48,14 +49,18 @@ class SeenQualities:
 
     def after_status(self, status: UnitStatus, at_s: float) -> SeenQualities:
         """Take in the qualities in a unit's report."""
-        if not status.qualities:
+        return self.after_said(status.unit, status.qualities, at_s)
+
+    def after_said(self, unit: str, qualities: Qualities, at_s: float) -> SeenQualities:
+        """Take in the qualities of a unit's outputs."""
+        if not qualities:
             return self
-        if status.unit not in self.heard:
-            return replace(self, heard=self.heard | {status.unit})
+        if unit not in self.heard:
+            return replace(self, heard=self.heard | {unit})
         windows = dict(self.windows)
-        for port, said in status.qualities.items():
+        for port, said in qualities.items():
             for attribute, quality in said.items():
-                key = (Stream(status.unit, port), attribute)
+                key = (Stream(unit, port), attribute)
                 figures = Figures(quality.elements, quality.mean * MICRO, quality.squares * MICRO**2)
                 if not (isfinite(figures.mean) and isfinite(figures.squares)):
                     continue  # children send no such sums: what is on the wire is from something else

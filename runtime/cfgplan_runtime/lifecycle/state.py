@@ -178,7 +178,7 @@ class State:
     @property
     def silences_of_facts(self) -> dict[str, float]:
         """By fact that was heard of and may not be silent for ever: when it will have been silent for too long."""
-        facts = self.living.world.environment.fact
+        facts = self.living.world.environment.variable
         limits = {name: facts[name].silent_us for name in self.heard if name in facts}
         return {
             name: self.heard[name].at_s + limit_us / 1e6 for name, limit_us in limits.items() if limit_us is not None

@@ -14,6 +14,7 @@ from cfgplan_runtime.lifecycle.perturbations import QualitiesObserved
 from cfgplan_runtime.lifecycle.reports import Decision, QualityView
 from cfgplan_runtime.lifecycle.state import State
 from cfgplan_runtime.lifecycle.turns import Turn
+from cfgplan_runtime.streams.measured_stream import Quality
 from cfgplan_runtime.supervision.delays import doubling_s
 
 FIRST_CALM_S: Final = 4.0
@@ -21,6 +22,16 @@ LONGEST_CALM_S: Final = 16.0
 """After a review of qualities that changed nothing, the next one waits: first 4 s, then twice as long each time.
 A plan that would be cheaper comes later by this at most; experiments/observed/drifting.py shows what it costs.
 """
+
+
+def quality_told(turn: Turn, statement: Statement, value: float) -> Turn:
+    """Take in the quality that a topic tells of an output, for all running units of its transformation."""
+    seen = turn.state.seen
+    for unit in turn.state.running.units:
+        if unit.transformation == statement.transformation and not unit.standby:
+            said = {statement.output: {statement.attribute: Quality(1, value, 0.0)}}
+            seen = seen.after_said(unit.id, said, turn.at_s)
+    return turn.to(replace(turn.state, seen=seen))
 
 
 def qualities_learned(turn: Turn) -> Turn:

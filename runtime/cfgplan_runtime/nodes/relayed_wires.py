@@ -159,7 +159,7 @@ class RelayedWires:
         """Read how good a unit's outputs are, where the file names fields that say it, until its inlets are closed."""
         publisher = node.name if node.is_foreign else None
         for port in node.transformation.outputs:
-            fields = {stated.attribute: stated.observe for stated in port.quality if stated.observe is not None}
+            fields = {stated.attribute: field for stated in port.quality if (field := stated.of_stream) is not None}
             if fields:
                 order = Observe(unit, port.name, node.publishes_at(port.name), fields, publisher)
                 self._observed.setdefault(unit, []).append(order)

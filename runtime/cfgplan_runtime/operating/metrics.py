@@ -176,7 +176,7 @@ class Present(Collector):
         yield from (measure.family((), [((), now)]) for measure in _OF_ALL)
         held_out = [((one.transformation, one.host or ""), one) for one in now.backing_off]
         yield _OF_HELD_OUT.family(("transformation", "host"), held_out)
-        yield _OF_FACTS.family(("fact",), [((fact.name,), fact) for fact in now.facts])
+        yield _OF_FACTS.family(("fact",), [((fact.key,), fact) for fact in now.facts])
         own_parts = [((one.transformation, one.output, one.attribute), one) for one in now.qualities]
         yield from (measure.family(("transformation", "output", "attribute"), own_parts) for measure in _OF_QUALITIES)
         yield _OF_HEARD.family(("fact",), [((name,), ago_s) for name, ago_s in now.facts_heard_s.items()])

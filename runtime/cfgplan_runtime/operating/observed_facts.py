@@ -1,4 +1,4 @@
-"""Facts of the world that streams observe: the values of such streams are passed to the manager."""
+"""Facts that streams observe: the values of such streams are passed to the manager."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class ObservedFacts(Closable):
 
     def follow(self) -> None:
         """Follow the streams that observe the facts of the present world, and no others."""
-        facts = self._manager.world.environment.facts
+        facts = self._manager.world.environment.variable.values()
         topics = (fact.observed_on for fact in facts if fact.type is None)  # the others are topics of ROS
         self._following.follow(topic for topic in topics if topic is not None)
 
@@ -36,9 +36,8 @@ class ObservedFacts(Closable):
         self._following.close()
 
     def _hear(self, topic: str, element: Element) -> None:
-        facts = [
-            fact for fact in self._manager.world.environment.facts if fact.observed_on == topic and fact.type is None
-        ]
+        known = self._manager.world.environment.variable.values()
+        facts = [fact for fact in known if fact.observed_on == topic and fact.type is None]
         value = decode(element.payload) if facts else None
         for fact in facts:
             try:
@@ -50,4 +49,4 @@ class ObservedFacts(Closable):
             else:
                 self._wrong.discard(fact)
                 if found is not None:
-                    self._manager.observe_fact(fact.name, found)
+                    self._manager.observe_fact(fact.key, found)

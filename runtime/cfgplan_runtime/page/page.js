@@ -50,6 +50,8 @@ function tiles() {
     ...(state.saving_us ? [`Replanning at the horizon could save ${cost(state.saving_us)}.`] : []),
     ...Object.entries(state.facts).map(([name, value]) => `${name} is ${value}`),
     ...Object.entries(state.left_out).map(([label, why]) => `Left out for now: ${label}, ${why}`),
+    ...Object.entries(state.barred).flatMap(([label, hosts]) =>
+      Object.entries(hosts).map(([host, why]) => `${label} may not run on ${host} for now: ${why}`)),
     ...Object.entries(state.qualities_now).map(([what, value]) => `${what} ${value}`),
     ...state.backing_off.map((one) => `${one.transformation} has failed ${one.failures} times and waits: ${one.cause}`)];
   const key = JSON.stringify(notes), list = byId("notes");

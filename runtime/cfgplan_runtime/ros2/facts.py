@@ -46,14 +46,14 @@ class RosFacts(Closable):
 
     def _follow(self) -> None:
         """Read the topics of the present world's facts, and no others."""
-        wanted = {fact for fact in self._manager.world.environment.facts if fact.type is not None}
+        wanted = {fact for fact in self._manager.world.environment.variable.values() if fact.type is not None}
         for fact in self._read.keys() - wanted:
             self._node.end(self._read.pop(fact))
-        for fact in sorted(wanted - self._read.keys(), key=lambda each: each.name):
+        for fact in sorted(wanted - self._read.keys(), key=lambda each: each.key):
             try:
                 form = form_of(fact, self._folder)
             except InputError as error:
-                self._once.tell(fact.name, f"fact {fact.name} is not observed: {error}")
+                self._once.tell(fact.key, f"fact {fact.key} is not observed: {error}")
                 continue
             quality = ServiceQuality.read(fact.qos or "")
             take = partial(self._take, fact, form)
@@ -63,10 +63,10 @@ class RosFacts(Closable):
         try:
             value = fact.value_in(form.decode(data))
         except (EncodingError, InvalidValueError) as error:
-            self._once.tell(f"{fact.name} value", f"{fact.observed_on} does not observe its fact: {error}")
+            self._once.tell(f"{fact.key} value", f"{fact.observed_on} does not observe its fact: {error}")
         else:
             if value is not None:
-                self._manager.observe_fact(fact.name, value)
+                self._manager.observe_fact(fact.key, value)
 
 
 def form_of(fact: Fact, folder: Path) -> MessageForm:

@@ -30,7 +30,7 @@ def field_faults(environment: Environment, folder: Path) -> Iterator[FieldFault]
     stated = [
         statement
         for statement in environment.observable
-        if _type_of(environment, statement) is not None and not _is_measured(environment, statement)
+        if _type_of(environment, statement) is not None and not _is_no_field(environment, statement)
     ]
     if not stated:
         return
@@ -49,9 +49,9 @@ def field_faults(environment: Environment, folder: Path) -> Iterator[FieldFault]
             yield FieldFault(statement, contribution.observe, cause)
 
 
-def _is_measured(environment: Environment, statement: Statement) -> bool:
+def _is_no_field(environment: Environment, statement: Statement) -> bool:
     contribution = environment.stated(statement)
-    return contribution is not None and contribution.measured is not None
+    return contribution is not None and (contribution.measured is not None or contribution.told is not None)
 
 
 def _type_of(environment: Environment, statement: Statement) -> MessageType | None:

@@ -1,0 +1,103 @@
+"""Qualities that topics of ROS 2 tell beside the streams: diagnostics and topic statistics."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from math import isfinite
+from pathlib import Path
+from typing import Any, Final
+
+from cfgplan.qualities import Teller, Told
+from cfgplan.ros.qos import ServiceQuality
+from cfgplan.ros.types import MessageType
+from cfgplan_runtime.errors import EncodingError
+from cfgplan_runtime.lifecycle.manager import Manager
+from cfgplan_runtime.lifecycle.reports import Report, Reviewed
+from cfgplan_runtime.outside.once import Once
+from cfgplan_runtime.ros2.definitions import Definitions
+from cfgplan_runtime.ros2.message_form import MessageForm
+from cfgplan_runtime.ros2.topics import RosTopics
+from cfgplan_runtime.streams.closable import Closable
+
+_TYPES: Final = {
+    Teller.DIAGNOSTICS: "diagnostic_msgs/DiagnosticArray",
+    Teller.STATISTICS: "statistics_msgs/MetricsMessage",
+}
+_TOLD_DEPTH: Final = 50
+_MEAN: Final = 1
+"""The kind of a data point of topic statistics that is the mean of a window."""
+_SECONDS_OF: Final = {"ms": 1e-3, "s": 1.0}
+
+
+class ToldQualities(Closable):
+    """Reads `/diagnostics` and `/statistics` by a node of its own, as far as outputs are observed there.
+
+    `tell` is called with faults, each once. Raises InputError.
+    """
+
+    def __init__(self, run: str, manager: Manager, tell: Callable[[str], None]) -> None:
+        self._manager, self._once = manager, Once(tell)
+        self._read: dict[Teller, int] = {}
+        self._node = RosTopics(f"cfgplan_qualities_{re.sub('[^A-Za-z0-9]', '_', run)}", tell)
+        self._follow()
+        manager.listen(self._hear)
+
+    def close(self) -> None:
+        """End the node."""
+        self._node.close()
+
+    def _hear(self, report: Report) -> None:
+        if isinstance(report, Reviewed):
+            self._follow()
+
+    def _follow(self) -> None:
+        """Read the topics that the present world names, and no others."""
+        wanted = {told.teller for told in self._manager.world.environment.told.values()}
+        for teller in self._read.keys() - wanted:
+            self._node.end(self._read.pop(teller))
+        for teller in sorted(wanted - self._read.keys()):
+            form = Definitions(folder=Path()).form(MessageType.read(_TYPES[teller]))
+            take = partial(self._take, teller, form)
+            self._read[teller] = self._node.read(
+                f"/{teller}", form, ServiceQuality.read("best_effort"), _TOLD_DEPTH, take
+            )
+
+    def _take(self, teller: Teller, form: MessageForm, data: bytes, _: int) -> None:
+        try:
+            message = form.decode(data)
+        except EncodingError as error:
+            self._once.tell(teller, f"/{teller} tells nothing: {error}")
+            return
+        numbers = dict(told_in(teller, message))
+        for statement, told in self._manager.world.environment.told.items():
+            if told not in numbers:
+                continue
+            value = numbers[told]
+            if value is None:
+                self._once.tell(str(statement), f"/{teller} does not tell {statement}: {told.key} is no number")
+            else:
+                self._manager.tell_quality(statement, value)
+
+
+def told_in(teller: Teller, message: Mapping[str, Any]) -> Iterator[tuple[Told, float | None]]:
+    """Yield what a message tells, each with its number, of statistics in seconds; None if a text is no number."""
+    if teller is Teller.DIAGNOSTICS:
+        for status in message["status"]:
+            for pair in status["values"]:
+                yield Told(teller, status["name"], pair["key"]), _number(pair["value"])
+        return
+    key = message["metrics_source"].removeprefix("message_")
+    means = [point["data"] for point in message["statistics"] if point["data_type"] == _MEAN]
+    scale = _SECONDS_OF.get(message["unit"])
+    if means and isfinite(means[0]) and scale is not None:
+        yield Told(teller, message["measurement_source_name"], key), means[0] * scale
+
+
+def _number(text: str) -> float | None:
+    try:
+        number = float(text)
+    except ValueError:
+        return None
+    return number if isfinite(number) else None
