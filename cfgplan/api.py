@@ -461,7 +461,8 @@ def load_plan(world: World, problem: Problem, path: str | os.PathLike[str]) -> P
 
 def schema_text() -> str:
     """The JSON Schema of the environment file."""
-    from cfgplan.formats.fields import EnvironmentPart, json_schema
+    from cfgplan.formats.fields import EnvironmentPart
+    from cfgplan.formats.models import json_schema
 
     return json.dumps(json_schema(EnvironmentPart), indent=2, ensure_ascii=False) + "\n"
 

@@ -13,6 +13,7 @@ from yaml import events
 
 from cfgplan.canonical import normal
 from cfgplan.errors import Fault, InputError
+from cfgplan.formats.block_yaml import read_block_yaml
 from cfgplan.formats.garbage import no_garbage_collection
 from cfgplan.formats.places import DEEPEST_NESTING, Path, Source, Spot
 from cfgplan.formats.scalars import FIRST_OF_NON_TEXT, resolve
@@ -28,6 +29,8 @@ def read_yaml(text: str, file: str) -> Source:
     the end.
     """
     with no_garbage_collection():
+        if (plain := read_block_yaml(text)) is not None:
+            return Source(file, plain, _YamlLocator(text))
         try:
             data, faults = _YamlReading(text, file).document()
         except yaml.YAMLError as error:
