@@ -253,8 +253,7 @@ class Expander:
             )
         if "quality" in said:
             said["quality"] = self._fleet.contributions(entry.at("quality"), said["quality"])
-        made = _PORT_TYPES[key](name, **said)
-        return made
+        return _made(key, name, said)
 
     def _check_plain_tags(self, entry: Passage, part: Expandable) -> None:
         """Check the plain tags of a template that can't be expanded, so that all its faults are told at once."""
@@ -267,6 +266,10 @@ class Expander:
                 place, tag = _tag_of(written, entry.at(key, name))
                 if "$" not in tag:
                     self._tags.check(tag, place)
+
+
+def _made(key: str, name: str, said: dict[str, Any]) -> InputPort | OutputPort:
+    return InputPort(name, **said) if key == "inputs" else OutputPort(name, **said)
 
 
 def _variables(entry: Passage, part: Expandable) -> dict[templates.Variable, tuple[Passage, int]] | None:

@@ -15,7 +15,7 @@ from cfgplan.errors import Fault, InputError
 from cfgplan.formats import fields
 from cfgplan.formats.environment_file import ANY_IMPORT, FoundImports
 from cfgplan.formats.files import is_folder, read_source
-from cfgplan.formats.forms import Refused
+from cfgplan.formats.forms import RefusedError
 from cfgplan.formats.garbage import no_garbage_collection
 from cfgplan.formats.places import Path, Source, Spot
 
@@ -165,7 +165,7 @@ def _read_source(source: Source, part: type[P]) -> tuple[P, File, list[Fault]]:
     bad: dict[Any, set[int]] = {}
     try:
         read = part.reader()(data)
-    except Refused:
+    except RefusedError:
         from cfgplan.formats.models import refusals
         from cfgplan.formats.schema_faults import schema_faults
 

@@ -18,7 +18,7 @@ from cfgplan.arguments import AtLeast, Natural
 from cfgplan.domain import ComputationUnit, Host, Link, Target
 from cfgplan.facts import Fact as FactOfTheWorld
 from cfgplan.formats import schema_values
-from cfgplan.formats.forms import Choice, Form, Limits, Reader, Refused, Schema, reader_of
+from cfgplan.formats.forms import Choice, Form, Limits, Reader, RefusedError, Schema, reader_of
 from cfgplan.formats.schema_values import (
     FULL_FORM,
     SHORT_FORM,
@@ -244,7 +244,7 @@ class Part:
     @classmethod
     @cache
     def reader(cls) -> Reader:
-        """The function that makes a part of plain data. It raises Refused without saying why; see `models`."""
+        """The function that makes a part of plain data. It raises RefusedError without saying why; see `models`."""
         readers = {
             key: reader_of(Annotated[each.form, Limits(**each.limits)] if each.limits else each.form, _reader_in)
             for key, each in cls.all_keys().items()
@@ -254,13 +254,13 @@ class Part:
 
         def read(data: Any) -> Any:
             if type(data) is not dict or not needed <= data.keys():
-                raise Refused
+                raise RefusedError
             part = object.__new__(cls)
             values = part.__dict__
             for key, value in data.items():
                 reader = reader_by_key(key)
                 if reader is None:
-                    raise Refused
+                    raise RefusedError
                 values[key] = reader(value)
             return part
 

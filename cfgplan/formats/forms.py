@@ -20,7 +20,7 @@ _KNOWN_KEYS = 4096
 """The most keys of a kind of mapping that are read once: ports have the same few names in most transformations."""
 
 
-class Refused(Exception):
+class RefusedError(Exception):
     """A value has another form. `kind` is pydantic's name for the error; `mend` is None if `kind` says enough."""
 
     def __init__(self, text: str = "", mend: str | None = None, kind: str = "value") -> None:
@@ -44,11 +44,11 @@ class Before(_Note):
 
 
 class After(_Note):
-    """A function that a read value passes. It raises Refused."""
+    """A function that a read value passes. It raises RefusedError."""
 
 
 class Instead(_Note):
-    """A function that reads the value, whatever the type. It raises Refused."""
+    """A function that reads the value, whatever the type. It raises RefusedError."""
 
 
 class Schema(_Note):
@@ -141,7 +141,7 @@ def _or_none(read: Reader) -> Reader:
 def _exactly(kind: type) -> Reader:
     def read(value: Any) -> Any:
         if type(value) is not kind:
-            raise Refused
+            raise RefusedError
         return value
 
     return read
@@ -152,7 +152,7 @@ def _one_of(values: tuple[Any, ...]) -> Reader:
 
     def read(value: Any) -> Any:
         if type(value) not in kinds or value not in allowed:
-            raise Refused
+            raise RefusedError
         return value
 
     return read
@@ -161,7 +161,7 @@ def _one_of(values: tuple[Any, ...]) -> Reader:
 def _list(read_item: Reader) -> Reader:
     def read(value: Any) -> Any:
         if type(value) is not list:
-            raise Refused
+            raise RefusedError
         return [read_item(each) for each in value]
 
     return read
@@ -170,7 +170,7 @@ def _list(read_item: Reader) -> Reader:
 def _mapping(read_key: Reader, read_value: Reader) -> Reader:
     def read(value: Any) -> Any:
         if type(value) is not dict:
-            raise Refused
+            raise RefusedError
         return {read_known_key(key): read_value(each) for key, each in value.items()}
 
     read_known_key = lru_cache(maxsize=_KNOWN_KEYS)(read_key)
@@ -193,9 +193,9 @@ def _text(limits: Mapping[str, Any]) -> Reader:
 
     def read(value: Any) -> Any:
         if type(value) is not str or (fits(value) is None if fits is not None else len(value) < shortest):
-            raise Refused
+            raise RefusedError
         if not (value.isascii() or _is_unicode(value)):
-            raise Refused
+            raise RefusedError
         return value
 
     return read
@@ -204,7 +204,7 @@ def _text(limits: Mapping[str, Any]) -> Reader:
 def _if(fits: Callable[[Any], bool]) -> Reader:
     def read(value: Any) -> Any:
         if not fits(value):
-            raise Refused
+            raise RefusedError
         return value
 
     return read

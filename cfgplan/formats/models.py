@@ -6,7 +6,8 @@ They are made of the same forms as the readers, and only when something is refus
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
+from functools import reduce
+from operator import or_
 from types import UnionType
 from typing import Annotated, Any, Union, get_args, get_origin
 
@@ -26,15 +27,34 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from cfgplan.formats.fields import Key, Part
-from cfgplan.formats.forms import After, Before, Choice, Described, Form, Instead, Limits, MoreSchema, Refused, Schema
+from cfgplan.formats.forms import (
+    After,
+    Before,
+    Choice,
+    Described,
+    Form,
+    Instead,
+    Limits,
+    MoreSchema,
+    RefusedError,
+    Schema,
+)
 
 _IN_SCHEMA = {"ge": "minimum", "le": "maximum"}
 """The limits of a number that pydantic forgets in the schema, where a validator of ours comes first."""
 
 
-@cache
 def model_of(part: type[Part]) -> type[BaseModel]:
     """The model of a part; it accepts what the part's reader takes."""
+    if part not in _MODELS:
+        _MODELS[part] = _made_of(part)
+    return _MODELS[part]
+
+
+_MODELS: dict[type[Part], type[BaseModel]] = {}
+
+
+def _made_of(part: type[Part]) -> type[BaseModel]:
     config = ConfigDict(extra="forbid", strict=True, defer_build=True)
     if part.schema is not None:
         config["json_schema_extra"] = dict(part.schema)
@@ -66,7 +86,7 @@ def _annotation(form: Any) -> Any:
         notes = [_WORDS[type(note)](note.told) for note in inner[1:] if type(note) in _WORDS]
         return Annotated[(_annotation(inner[0]), *notes)]
     if origin in (Union, UnionType):
-        return Union[tuple(map(_annotation, inner))]
+        return reduce(or_, map(_annotation, inner))
     if origin in (list, dict):
         return origin[tuple(map(_annotation, inner))]
     return model_of(form) if isinstance(form, type) and issubclass(form, Part) else form
@@ -78,11 +98,11 @@ def _told(function: Callable[[Any], Any]) -> Callable[[Any], Any]:
     def validator(value: Any) -> Any:
         try:
             return function(value)
-        except Refused as refused:
+        except RefusedError as refused:
             if refused.mend is None:
-                raise PydanticCustomError(refused.kind, refused.text) from None  # type: ignore[arg-type]
+                raise PydanticCustomError(refused.kind, refused.text) from None
             told = {"text": refused.text, "mend": refused.mend}
-            raise PydanticCustomError(refused.kind, "{text}", told) from None  # type: ignore[arg-type]
+            raise PydanticCustomError(refused.kind, "{text}", told) from None
 
     return validator
 

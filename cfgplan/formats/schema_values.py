@@ -15,7 +15,7 @@ from cfgplan.costs import LARGEST_COST_US, LONGEST_HORIZON_S, MICROSECONDS, SPAN
 from cfgplan.domain import Objective
 from cfgplan.errors import InvalidValueError
 from cfgplan.facts import FactValue
-from cfgplan.formats.forms import After, Before, Described, Instead, Limits, MoreSchema, Refused, Schema
+from cfgplan.formats.forms import After, Before, Described, Instead, Limits, MoreSchema, RefusedError, Schema
 from cfgplan.noise import Noise
 from cfgplan.qualities import LARGEST_QUALITY, MICRO, Better, QualityRule, micro_units, units
 from cfgplan.rows import LARGEST_AMOUNT
@@ -57,9 +57,9 @@ def _taken(convert: Callable[[Any], T], value: object) -> T:
         return convert(value)
     except InvalidValueError as error:
         message, _, mend = str(error).partition(": ")
-        raise Refused(message, mend or "write a number") from None
+        raise RefusedError(message, mend or "write a number") from None
     except DecimalException:
-        raise Refused("the number is too large", "write a smaller one") from None
+        raise RefusedError("the number is too large", "write a smaller one") from None
 
 
 @lru_cache(maxsize=65536)
@@ -70,7 +70,7 @@ def _microseconds(value: Decimal | int) -> int:
 def _number(value: object, is_what: str, kind: str = "number_type") -> Decimal | int:
     if type(value) is int or type(value) is Decimal:
         return value
-    raise Refused(is_what, kind=kind)
+    raise RefusedError(is_what, kind=kind)
 
 
 def _cost(value: object) -> int:
@@ -93,10 +93,10 @@ def _span(value: object) -> int:
     mend = "write a number of seconds above 0, or 500ms, 5s, 2m or 1h"
     number = span_s(value) if type(value) is str else value
     if type(number) is not int and type(number) is not Decimal:
-        raise Refused("this is no span of time", mend)
+        raise RefusedError("this is no span of time", mend)
     span_us = _microseconds(number)
     if not span_us:
-        raise Refused("the span of time is 0", mend)
+        raise RefusedError("the span of time is 0", mend)
     return span_us
 
 
@@ -115,14 +115,16 @@ def _whole_span(value: object) -> object:
 def _no_flag(value: object) -> object:
     """A number or a name; Python takes `true` for 1."""
     if type(value) is bool:
-        raise Refused(f"this must be 0, 1, units or hosts, but is {str(value).lower()}", "write one of these")
+        raise RefusedError(f"this must be 0, 1, units or hosts, but is {str(value).lower()}", "write one of these")
     return value
 
 
 def _rate(value: object) -> float:
     number = _finite_number(_number(value, "a rate is a number"))
     if number is None or not 0 < number <= LARGEST_RATE_HZ:
-        raise Refused(f"a rate of {value} is out of range", f"write a number above 0 and up to {LARGEST_RATE_HZ:,}")
+        raise RefusedError(
+            f"a rate of {value} is out of range", f"write a number above 0 and up to {LARGEST_RATE_HZ:,}"
+        )
     return float(number)
 
 
@@ -138,7 +140,7 @@ def _fact_value(value: object) -> FactValue:
         return normal(value)
     if type(value) is int or type(value) is Decimal:
         return _micro(value)
-    raise Refused("this is no value of a fact", "write a number, true, false or a word")
+    raise RefusedError("this is no value of a fact", "write a number, true, false or a word")
 
 
 def _state(value: object) -> bool | str:
@@ -148,7 +150,7 @@ def _state(value: object) -> bool | str:
     if type(value) is str and re.fullmatch(STATE_NAME, value):
         return value
     mend = "write true, false or a name of letters, digits and underscores"
-    raise Refused("this says of no state that it is kept", mend)
+    raise RefusedError("this says of no state that it is kept", mend)
 
 
 def _plain_fact(value: FactValue) -> object:
@@ -163,13 +165,13 @@ def _noise(value: object) -> Noise:
         micro = _micro(value)
         if micro > 0:
             return Noise(micro)
-    raise Refused("this is no noise", "write a standard deviation above 0, or a percentage such as 20 %")
+    raise RefusedError("this is no noise", "write a standard deviation above 0, or a percentage such as 20 %")
 
 
 def _positive_micro(value: object) -> int:
     micro = _micro(value)
     if micro < 0:
-        raise Refused(f"{value} is negative", "write a number of 0 or more")
+        raise RefusedError(f"{value} is negative", "write a number of 0 or more")
     return micro
 
 
@@ -178,7 +180,7 @@ def _finite(value: object) -> object:
     if type(value) is Decimal:
         number = float(value)
         if number - number != 0:
-            raise Refused(f"{value} is not a finite number", "quote it")
+            raise RefusedError(f"{value} is not a finite number", "quote it")
         return number
     if type(value) is dict:
         return {key: _finite(item) for key, item in value.items()}
@@ -191,7 +193,7 @@ def _params(value: object) -> object:
     if value is None:
         return {}
     if type(value) is not dict:
-        raise Refused("params must be a mapping", kind="dict_type")
+        raise RefusedError("params must be a mapping", kind="dict_type")
     return _finite(value)
 
 
@@ -206,7 +208,7 @@ def _amount(value: object) -> Decimal | int:
     number = _finite_number(value)
     if number is None or not 0 <= number <= LARGEST_AMOUNT:
         shown = repr(value) if type(value) is str else str(value)
-        raise Refused(f"{shown} is no amount of a resource", f"write a whole number from 0 to {LARGEST_AMOUNT:,}")
+        raise RefusedError(f"{shown} is no amount of a resource", f"write a whole number from 0 to {LARGEST_AMOUNT:,}")
     return number
 
 
@@ -215,7 +217,7 @@ def _speed(value: object) -> int:
     micro = _taken(micro_units, _number(value, "a speed is a number"))
     if not SPEEDS[0] * MICRO <= micro <= SPEEDS[1] * MICRO:
         mend = f"write a number from {SPEEDS[0]} to {SPEEDS[1]}; 1 is where costs were measured"
-        raise Refused(f"{value} is no speed of a host", mend)
+        raise RefusedError(f"{value} is no speed of a host", mend)
     return micro
 
 
@@ -224,7 +226,7 @@ def _resources(amounts: dict[str, Decimal | int]) -> dict[str, int]:
     found = {name: _microseconds(amount) if name == CPU else _whole(amount) for name, amount in amounts.items()}
     parts = next((f"{amount} of `{name}`" for name, amount in found.items() if type(amount) is not int), None)
     if parts is not None:
-        raise Refused(f"there can't be {parts}", "write a whole number; only cpu has parts")
+        raise RefusedError(f"there can't be {parts}", "write a whole number; only cpu has parts")
     return {name: amount for name, amount in found.items() if type(amount) is int}
 
 
@@ -234,7 +236,7 @@ def _count(value: object) -> int:
         return ALL
     value = _whole(value)
     if type(value) is not int or not 1 <= value <= MOST_COUNTED:
-        raise Refused(f"{value} is no number of streams", f"write a whole number from 1 to {MOST_COUNTED}, or all")
+        raise RefusedError(f"{value} is no number of streams", f"write a whole number from 1 to {MOST_COUNTED}, or all")
     return value
 
 
@@ -243,7 +245,7 @@ def _once_each(values: list[T]) -> list[T]:
     seen = set[T]()
     for value in values:
         if value in seen:
-            raise Refused(f"`{value}` is written twice in this list", "remove one of the two")
+            raise RefusedError(f"`{value}` is written twice in this list", "remove one of the two")
         seen.add(value)
     return values
 
