@@ -130,7 +130,8 @@ def ontology_of(document: Document) -> Ontology:
 def world_of(document: Document, ontology: Ontology, *, use_cache: bool = False) -> World:
     """The world that a document describes, with its templates expanded by an ontology.
 
-    With `use_cache`, the individuals of the templates' classes are kept between runs. Raises InputError with every fault of the document too.
+    With `use_cache`, the individuals of the templates' classes are kept between runs. Raises InputError with every
+    fault of the document too.
     """
     from cfgplan.formats.assembly import build
 
@@ -479,8 +480,11 @@ class _OntologyVocabulary:
     """An ontology as the formats ask for it."""
 
     def __init__(self, ontology: Ontology, cache: Path | None) -> None:
+        from cfgplan.matching import check_tag
+
         self._ontology = ontology
         self._cache = cache
+        self._check_tag = check_tag
 
     def instances(self, class_name: str) -> tuple[str, ...]:
         from cfgplan.matching import instances
@@ -488,9 +492,7 @@ class _OntologyVocabulary:
         return instances(self._ontology, class_name, time_limit_s=MEMBERSHIP_LIMIT_S, cache=self._cache)
 
     def check_tag(self, text: str) -> None:
-        from cfgplan.matching import check_tag
-
-        check_tag(text, self._ontology)
+        self._check_tag(text, self._ontology)
 
 
 def _as_ontology(ontology: object) -> Ontology:

@@ -55,7 +55,8 @@ def unchecked(kind: type[T], said: Mapping[str, object]) -> T:
     """
     value, put = object.__new__(kind), object.__setattr__
     for name, usual in _stored_defaults(kind):  # type: ignore[arg-type]
-        put(value, name, usual)
+        if name not in said:
+            put(value, name, usual)
     for name, each in said.items():
         put(value, name, each)
     return value

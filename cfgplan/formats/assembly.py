@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
+from functools import reduce
 from math import prod
-from operator import attrgetter
+from operator import attrgetter, getitem
 from typing import Any, Protocol, TypeAlias, TypeVar
 
 from cfgplan.canonical import unchecked
@@ -102,7 +103,7 @@ class Expander:
         self._fleet = fleet
         self._left_out = left_out
         self._instances: dict[str, tuple[str, ...] | MatchingError] = {}
-        self._plain_ports: dict[tuple[str, str, str], InputPort | OutputPort] = {}
+        self._plain_ports: dict[tuple[str, str, object], InputPort | OutputPort] = {}
 
     def expand(self, entry: Passage, part: fields.TransformationPart) -> list[Transformation]:
         """Return the transformations that one written transformation expands to, without those that have faults."""
@@ -121,10 +122,7 @@ class Expander:
 
     def _expansions(self, entry: Passage, part: PartT, kind: str) -> Iterable[tuple[PartT, VariableValues]]:
         """Return the part with its variables filled in, in each way; if it has faults, check its plain tags instead."""
-        written: Any = entry.source.data
-        for step in entry.path:
-            written = written[step]
-        if "$" not in repr(written):
+        if entry.source.is_plain or "$" not in repr(_at(entry)):
             return ((part, _NO_VARIABLES),)
         instances = self._variable_instances(entry, part, kind)
         if instances is None:
@@ -227,9 +225,10 @@ class Expander:
     ) -> list[InputPort | OutputPort]:
         """The ports under a key. Equal ones that are only a tag are one object, made when the tag is checked."""
         written, ports = getattr(part, key), getattr(filled, key)
-        found = [
-            self._plain_ports.get((key, name, port)) if type(port) is str else None for name, port in ports.items()
-        ]
+        known = self._plain_ports.get
+        found = [known((key, name, port)) for name, port in ports.items()]
+        if all(found):
+            return found  # type: ignore[return-value]
         for index, (template, name) in enumerate(zip(written, ports, strict=True)):
             if found[index] is None:
                 found[index] = self._port(entry.at(key, template), key, name, written[template], ports[name], values)
@@ -266,6 +265,11 @@ class Expander:
                 place, tag = _tag_of(written, entry.at(key, name))
                 if "$" not in tag:
                     self._tags.check(tag, place)
+
+
+def _at(entry: Passage) -> Any:
+    """The plain data at an entry."""
+    return reduce(getitem, entry.path, entry.source.data)  # type: ignore[arg-type]
 
 
 def _made(key: str, name: str, said: dict[str, Any]) -> InputPort | OutputPort:

@@ -7,6 +7,7 @@ it, a fault for example, is left to `yaml_text`.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from typing import Any, Final
 
 from cfgplan.formats.places import DEEPEST_NESTING
@@ -16,11 +17,13 @@ _CHARACTERS: Final = re.compile("[\n -~\xa0-\u1fff\u2100-\ud7ff]*")
 """No tabs, no other line breaks of YAML, and no characters that it refuses."""
 _PLAIN: Final = r"(?:-(?=[0-9.])|[^\n \-?:,\[\]{}#&*!|>'\"%@`])[^\n:#]*(?::[^\n :#][^\n:#]*)*"
 _LINE: Final = re.compile(
-    r"(?:(?: *#[^\n]*)?\n)*( *)(- )?(?:([A-Za-z_][A-Za-z0-9_./()-]{0,200}):(?=[ \n]))?"
-    rf"(?: *(?:({_PLAIN})|('[^\n']*'|\"[^\n\"\\]*\"))? *)\n"
+    r"(?:(?: *#[^\n]*)?\n)+|( *)(- )?(?:([A-Za-z_][A-Za-z0-9_./()-]{0,200}):(?=[ \n]))?"
+    rf"(?: *(?:({_PLAIN})|('[^\n']*'|\"[^\n\"\\]*\"))? *)\n|([^\n]*\n)"
 )
-_REST: Final = re.compile(r"(?:(?: *#[^\n]*)?\n)*")
+"""Empty lines and comments; a line with its spaces, dash, key and value; or any other line."""
 _NO_KEY: Final = ""
+_AT_ONCE: Final = 100_000
+"""Characters whose lines are split at once."""
 
 
 def read_block_yaml(text: str) -> dict[str, Any] | None:
@@ -34,12 +37,11 @@ def read_block_yaml(text: str) -> dict[str, Any] | None:
     below: list[tuple[int, Any]] = []
     values: dict[str, Any] = {}
     texts: set[str] = set()
-    at = 0
-    for line in _LINE.finditer(text):
-        if line.start() != at:
-            return None
-        at = line.end()
-        spaces, dash, name, plain, quoted = line.groups()
+    for spaces, dash, name, plain, quoted, other in _lines(text):
+        if not name and not dash:
+            if spaces or plain or quoted or other:
+                return None
+            continue
         here = len(spaces)
         if here != column or dash or key or type(top) is list:
             if key and (here > column or (dash and here == column)):
@@ -52,7 +54,7 @@ def read_block_yaml(text: str) -> dict[str, Any] | None:
                 column, top = below.pop()
             if column == here and not dash and type(top) is list:
                 column, top = below.pop()
-            if column != here or (dash is None) is (type(top) is list) or len(below) >= DEEPEST_NESTING:
+            if column != here or (not dash) is (type(top) is list) or len(below) >= DEEPEST_NESTING:
                 return None
             if dash and name:
                 item: dict[str, Any] = {}
@@ -75,8 +77,14 @@ def read_block_yaml(text: str) -> dict[str, Any] | None:
                 return None
             texts.add(name)
             top[name] = value
-        elif dash:
-            top.append(value)
         else:
-            return None
-    return root if root and _REST.fullmatch(text, at) is not None else None
+            top.append(value)
+    return root or None
+
+
+def _lines(text: str) -> Iterator[tuple[str, ...]]:
+    """Yield the parts of each line; only those of some thousand lines are there at once."""
+    end = 0
+    while end < len(text):
+        begin, end = end, text.find("\n", end + _AT_ONCE) + 1 or len(text)
+        yield from _LINE.findall(text, begin, end)

@@ -68,7 +68,10 @@ class Form(_Note):
 
 
 class Choice(_Note):
-    """A function that returns the name of the form that an author chose, so that faults are about that one only."""
+    """A function that returns the name of the form that an author chose, so that faults are about that one only.
+
+    It goes by the type of the value.
+    """
 
 
 class Limits(_Note):
@@ -127,7 +130,15 @@ def _named(form: Any) -> list[tuple[str, Any]]:
 
 
 def _chosen(choice: Callable[[Any], str], readers: Mapping[str, Reader]) -> Reader:
-    return lambda value: readers[choice(value)](value)
+    by_type: dict[type, Reader] = {}
+
+    def read(value: Any) -> Any:
+        reader = by_type.get(type(value))
+        if reader is None:
+            reader = by_type[type(value)] = readers[choice(value)]
+        return reader(value)
+
+    return read
 
 
 def _after(first: Reader, then: Reader) -> Reader:

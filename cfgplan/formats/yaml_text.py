@@ -14,7 +14,7 @@ from yaml import events
 from cfgplan.canonical import normal
 from cfgplan.errors import Fault, InputError
 from cfgplan.formats.garbage import no_garbage_collection
-from cfgplan.formats.places import DEEPEST_NESTING, Path, Source, Spot
+from cfgplan.formats.places import DEEPEST_NESTING, Path, Source, Spot, has_no_dollar
 from cfgplan.formats.scalars import FIRST_OF_NON_TEXT, resolve
 from cfgplan.formats.yaml_faults import TOO_DEEP, syntax_fault
 
@@ -34,12 +34,12 @@ def read_yaml(text: str, file: str) -> Source:
             from cfgplan.formats.block_yaml import read_block_yaml
 
             if (plain := read_block_yaml(text)) is not None:
-                return Source(file, plain, _YamlLocator(text))
+                return Source(file, plain, _YamlLocator(text), is_plain=has_no_dollar(text))
         try:
             data, faults = _YamlReading(text, file).document()
         except yaml.YAMLError as error:
             raise InputError([syntax_fault(error, text, file)]) from None
-    return Source(file, data, _YamlLocator(text), tuple(faults))
+    return Source(file, data, _YamlLocator(text), tuple(faults), has_no_dollar(text))
 
 
 class _YamlReading:
