@@ -21,7 +21,6 @@ _LINE: Final = re.compile(
     rf"(?: *(?:({_PLAIN})|('[^\n']*'|\"[^\n\"\\]*\"))? *)\n|([^\n]*\n)"
 )
 """Empty lines and comments; a line with its spaces, dash, key and value; or any other line."""
-_NO_KEY: Final = ""
 _AT_ONCE: Final = 100_000
 """Characters whose lines are split at once."""
 
@@ -33,7 +32,7 @@ def read_block_yaml(text: str) -> dict[str, Any] | None:
     text = text if text.endswith("\n") else f"{text}\n"
     root: dict[str, Any] = {}
     top: Any = root
-    column, key = 0, _NO_KEY
+    column, key = 0, ""
     below: list[tuple[int, Any]] = []
     values: dict[str, Any] = {}
     texts: set[str] = set()
@@ -49,7 +48,7 @@ def read_block_yaml(text: str) -> dict[str, Any] | None:
                 top[key] = inner
                 below.append((column, top))
                 top, column = inner, here
-            key = _NO_KEY
+            key = ""
             while column > here:
                 column, top = below.pop()
             if column == here and not dash and type(top) is list:
