@@ -164,11 +164,11 @@ def tables() -> str:
     for title, part in PARTS.items():
         text += f"\n### {title}\n\n| key | meaning | if absent | XML | for |\n|---|---|---|---|---|\n"
         for key, row in part.rows().items():
-            field = part.model_fields[key]
-            absent = "not allowed" if field.is_required() else f"`{row.default}`" if row.default else ""
+            field = part.all_keys()[key]
+            absent = "not allowed" if field.default is ... else f"`{row.default}`" if row.default else ""
             xml = "no" if not row.xml or part in YAML_ONLY else "element" if row.xml == ELEMENT else f"`{row.xml}`"
             uses = ", ".join(str(use.name).lower() for use in (Use.PLANNING, Use.RUNNING) if use in row.use)
-            text += f"| `{key}` | {field.description} | {absent} | {xml} | {uses} |\n"
+            text += f"| `{key}` | {field.meaning} | {absent} | {xml} | {uses} |\n"
     return text
 
 
