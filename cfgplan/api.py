@@ -22,18 +22,7 @@ from cfgplan.canonical import fields_of
 from cfgplan.domain import ENVIRONMENT_HEADS, Environment, Similarity, environment_rows
 from cfgplan.errors import Fault, InputError, UnknownNameError, known
 from cfgplan.extras import is_there
-from cfgplan.matching import (
-    REASONERS,
-    Matches,
-    MatchExplanation,
-    Matching,
-    Nearest,
-    Ontology,
-    Suggestion,
-    load_ontology,
-    read_owlready,
-)
-from cfgplan.matching import match as match_tags
+from cfgplan.matching import REASONERS, Ontology
 from cfgplan.observers import Circle, circles
 from cfgplan.planners import PLANNERS, planner_of
 from cfgplan.planners.undecided import Deciding
@@ -45,6 +34,7 @@ from cfgplan.validity import Violation, plan_violations, silent_stops
 if TYPE_CHECKING:
     from cfgplan.formats.document import Document
     from cfgplan.formats.environment_file import EnvironmentFile
+    from cfgplan.matching import Matches, MatchExplanation, Matching, Nearest, Suggestion
 
 PLANNER_NAMES = tuple(PLANNERS)
 REASONER_NAMES = tuple(REASONERS)
@@ -101,15 +91,16 @@ class World:
 
 
 @checked
-def load(path: str | os.PathLike[str], *, also: Sequence[str | os.PathLike[str]] = ()) -> World:
+def load(path: str | os.PathLike[str], *, also: Sequence[str | os.PathLike[str]] = (), use_cache: bool = True) -> World:
     """Read the environment file at `path` (YAML, JSON, or the paper's XML) and the ontologies it names.
 
-    Files named `also` count as included. Raises InputError with every fault that was found.
+    Files named `also` count as included. With `use_cache`, the individuals of templates' classes are kept between runs.
+    Raises InputError with every fault that was found.
     """
     from cfgplan.formats.document import read_document
 
     document = read_document(path, also)
-    return world_of(document, ontology_of(document))
+    return world_of(document, ontology_of(document), use_cache=use_cache)
 
 
 def ontology_of(document: Document) -> Ontology:
@@ -117,6 +108,8 @@ def ontology_of(document: Document) -> Ontology:
 
     Raises InputError with the document's faults and those of the ontologies.
     """
+    from cfgplan.matching import load_ontology
+
     try:
         ontology = load_ontology(document.ontology_paths, dict(document.imports), ignores_rules=document.ignores_rules)
     except InputError as error:
@@ -134,14 +127,15 @@ def ontology_of(document: Document) -> Ontology:
     return ontology.preferring(spaces)
 
 
-def world_of(document: Document, ontology: Ontology) -> World:
+def world_of(document: Document, ontology: Ontology, *, use_cache: bool = False) -> World:
     """The world that a document describes, with its templates expanded by an ontology.
 
-    Raises InputError with every fault of the document too.
+    With `use_cache`, the individuals of the templates' classes are kept between runs. Raises InputError with every
+    fault of the document too.
     """
     from cfgplan.formats.assembly import build
 
-    file = build(document, _OntologyVocabulary(ontology))
+    file = build(document, _OntologyVocabulary(ontology, cache_folder() if use_cache else None))
     return World(file.environment, ontology, file.horizon_s, file.max_cost_us, file, file.survive)
 
 
@@ -215,6 +209,8 @@ def matches(
     The reasoner decides open pairs at once if there are at most `most`. Otherwise pass the result as `decider` to the
     planning function: it decides only pairs that matter to the plan.
     """
+    from cfgplan.matching import Matches
+
     cache = cache_folder() if use_cache else None
     return Matches(
         *_tags(world.environment), world.ontology, reasoner=reasoner, time_limit_s=time_limit_s, cache=cache, most=most
@@ -267,6 +263,7 @@ def suggested_tags(
     class is proposed whose IRI begins with `foreign`. Names are those of `Environment.outputs` and `.demands`; any
     other raises InputError.
     """
+    from cfgplan.matching import match as match_tags
     from cfgplan.matching.suggestions import Proposer, tested, words_of_ports
 
     environment = world.environment
@@ -465,7 +462,8 @@ def load_plan(world: World, problem: Problem, path: str | os.PathLike[str]) -> P
 
 def schema_text() -> str:
     """The JSON Schema of the environment file."""
-    from cfgplan.formats.fields import EnvironmentPart, json_schema
+    from cfgplan.formats.fields import EnvironmentPart
+    from cfgplan.formats.models import json_schema
 
     return json.dumps(json_schema(EnvironmentPart), indent=2, ensure_ascii=False) + "\n"
 
@@ -485,21 +483,25 @@ def converted(path: str | os.PathLike[str], to: Literal["yaml", "xml"]) -> str:
 class _OntologyVocabulary:
     """An ontology as the formats ask for it."""
 
-    def __init__(self, ontology: Ontology) -> None:
+    def __init__(self, ontology: Ontology, cache: Path | None) -> None:
+        from cfgplan.matching import check_tag
+
         self._ontology = ontology
+        self._cache = cache
+        self._check_tag = check_tag
 
     def instances(self, class_name: str) -> tuple[str, ...]:
         from cfgplan.matching import instances
 
-        return instances(self._ontology, class_name, time_limit_s=MEMBERSHIP_LIMIT_S)
+        return instances(self._ontology, class_name, time_limit_s=MEMBERSHIP_LIMIT_S, cache=self._cache)
 
     def check_tag(self, text: str) -> None:
-        from cfgplan.matching import check_tag
-
-        check_tag(text, self._ontology)
+        self._check_tag(text, self._ontology)
 
 
 def _as_ontology(ontology: object) -> Ontology:
+    from cfgplan.matching import load_ontology, read_owlready
+
     if ontology is None:
         return load_ontology([])
     if isinstance(ontology, Ontology):

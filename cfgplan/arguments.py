@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import builtins
 import inspect
 import os
@@ -21,6 +20,7 @@ from cfgplan.errors import InvalidValueError
 
 T = TypeVar("T")
 _LONGEST_SHOWN = 60
+_ANNOTATED = "Annotated["
 
 
 @dataclass(frozen=True)
@@ -95,18 +95,21 @@ def _checked_class(cls: type[Any]) -> type[Any]:
 
 def noted(cls: type[Any]) -> Mapping[str, Any]:
     """The annotations of a checked class with their notes, by attribute."""
-    names = vars(sys.modules[cls.__module__])
-    return {name: eval(text, dict(names), _Later(names)) for name, text in cls.__noted__.items()}
+    names = dict(vars(sys.modules[cls.__module__]))
+    return {name: eval(text, names, _Later(names)) for name, text in cls.__noted__.items()}
 
 
 def _without_notes(annotation: str) -> str:
     """An annotation's text without notes that do not limit the values, such as rows: signatures don't show them."""
-    whole = ast.parse(annotation, mode="eval").body if annotation.startswith("Annotated[") else None
-    if not isinstance(whole, ast.Subscript) or not isinstance(whole.slice, ast.Tuple):
+    if not annotation.startswith(_ANNOTATED):
         return annotation
-    inner, note = whole.slice.elts
-    is_limit = isinstance(note, ast.Call) and ast.unparse(note.func) == AtLeast.__name__
-    return annotation if is_limit else ast.unparse(inner)
+    depth = 0
+    for at in range(len(_ANNOTATED), len(annotation)):
+        depth += (annotation[at] in "[(") - (annotation[at] in "])")
+        if annotation[at] == "," and not depth:
+            is_limit = annotation.startswith(f"{AtLeast.__name__}(", at + 2)
+            return annotation if is_limit else annotation[len(_ANNOTATED) : at]
+    return annotation
 
 
 def _test_of(cls: type[Any], module: str) -> Callable[[Any], None]:
@@ -136,18 +139,20 @@ def _put(name: str, kind: _Kind, holder: Any, value: object) -> None:
 
 
 def _checked_function(function: Callable[..., Any]) -> Callable[..., Any]:
-    signature = inspect.signature(function)
+    @cache
+    def signature() -> inspect.Signature:
+        return inspect.signature(function)
 
     @cache
     def kinds() -> Mapping[str, _Kind]:
-        told = {name: each.annotation for name, each in signature.parameters.items()}
+        told = {name: each.annotation for name, each in signature().parameters.items()}
         return {name: _kind_named(text, function.__module__) for name, text in told.items() if text is not each_empty}
 
     each_empty = inspect.Parameter.empty
 
     @wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
-        bound = signature.bind(*args, **kwargs)
+        bound = signature().bind(*args, **kwargs)
         for name, value in bound.arguments.items():
             kind = kinds().get(name)
             if kind is not None and type(value) not in kind.exact:

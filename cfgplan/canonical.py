@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import fields
+from dataclasses import MISSING, fields
 from functools import cache
 from typing import Any, TypeVar
 from unicodedata import normalize
@@ -46,6 +46,28 @@ def with_fields(value: T, **changed: object) -> T:
     for name in _names_of(type(value)):  # type: ignore[arg-type]
         put(copy, name, changed[name] if name in changed else getattr(value, name))
     return copy
+
+
+def unchecked(kind: type[T], said: Mapping[str, object]) -> T:
+    """Return a frozen dataclass with these fields, which are not checked: they must be allowed, and as they are kept.
+
+    Other fields have their defaults; mappings of several values that are empty by default may be one object.
+    """
+    value, put = object.__new__(kind), object.__setattr__
+    for name, usual in _stored_defaults(kind):  # type: ignore[arg-type]
+        if name not in said:
+            put(value, name, usual)
+    for name, each in said.items():
+        put(value, name, each)
+    return value
+
+
+@cache
+def _stored_defaults(kind: type[Any]) -> tuple[tuple[str, Any], ...]:
+    """The defaults that each value has to store; those of a class without slots are attributes of the class already."""
+    usual = [(each.name, each.default) for each in fields(kind) if each.default is not MISSING]
+    made = [(each.name, each.default_factory()) for each in fields(kind) if each.default_factory is not MISSING]
+    return (*(usual if hasattr(kind, "__slots__") else ()), *made)
 
 
 @cache

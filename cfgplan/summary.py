@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from html import escape
 from itertools import islice
 from typing import TypeVar
 
@@ -24,6 +23,8 @@ class Summary:
 
     def html(self) -> str:
         """The table with the line as its caption; markup in texts stays text."""
+        from html import escape
+
         heads = "".join(f"<th>{escape(head)}</th>" for head in self.heads)
         rows = "".join(f"<tr>{''.join(f'<td>{escape(str(each))}</td>' for each in row)}</tr>" for row in self.rows)
         more = f"<tr><td colspan={len(self.heads)}>and {self.left_out} more</td></tr>" if self.left_out else ""

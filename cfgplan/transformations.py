@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import Annotated, Literal, NamedTuple, TypeAlias
 
 from cfgplan.arguments import AtLeast, Natural, checked
-from cfgplan.canonical import fields_of, refuse_duplicates, store_resources, store_sorted
+from cfgplan.canonical import fields_of, refuse_duplicates, store_resources, store_sorted, unchecked
 from cfgplan.errors import InvalidValueError
 from cfgplan.facts import check_requirement
 from cfgplan.qualities import Contribution, units
@@ -497,6 +497,20 @@ class Transformation:
     def output(self) -> Mapping[str, OutputPort]:
         """The output ports by name."""
         return MappingProxyType({port.name: port for port in self.outputs})
+
+
+_UNBOUND = frozenset(
+    ("label", "inputs", "outputs", "labor_us", "upkeep_us", "source", "kind", "params", "pinned", "required")
+)
+"""The fields of a transformation that only their types and the names of ports limit."""
+
+
+def transformation_of(said: Mapping[str, object]) -> Transformation:
+    """Return the transformation with these fields; `inputs` and `outputs` are in order, and their names differ.
+
+    Values are of the right types: a file's reader has seen to it. Fields that limit each other are checked.
+    """
+    return unchecked(Transformation, said) if said.keys() <= _UNBOUND else Transformation(**said)  # type: ignore[arg-type]
 
 
 def what_runs(transformation: Transformation) -> tuple[object, ...]:

@@ -164,11 +164,11 @@ def tables() -> str:
     for title, part in PARTS.items():
         text += f"\n### {title}\n\n| key | meaning | if absent | XML | for |\n|---|---|---|---|---|\n"
         for key, row in part.rows().items():
-            field = part.model_fields[key]
-            absent = "not allowed" if field.is_required() else f"`{row.default}`" if row.default else ""
+            field = part.all_keys()[key]
+            absent = "not allowed" if field.default is ... else f"`{row.default}`" if row.default else ""
             xml = "no" if not row.xml or part in YAML_ONLY else "element" if row.xml == ELEMENT else f"`{row.xml}`"
             uses = ", ".join(str(use.name).lower() for use in (Use.PLANNING, Use.RUNNING) if use in row.use)
-            text += f"| `{key}` | {field.description} | {absent} | {xml} | {uses} |\n"
+            text += f"| `{key}` | {field.meaning} | {absent} | {xml} | {uses} |\n"
     return text
 
 
@@ -207,7 +207,7 @@ def test_tables_say_what_the_code_says(page: str) -> None:
 
 def test_every_key_of_run_is_explained() -> None:
     rows = [line.split("|")[1] for line in TEXT["runtime"].splitlines() if line.startswith("| ")]
-    assert set(fields.RunPart.model_fields) <= set(re.findall(r"`(\w+)`", "\n".join(rows)))
+    assert {*fields.RunPart.all_keys()} <= set(re.findall(r"`(\w+)`", "\n".join(rows)))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,9 @@
 """The command line: it parses, calls, prints and exits; nothing else in cfgplan prints."""
 
+import gc
 import os
+
+gc.set_threshold(50_000)  # a short command makes no garbage worth the twenty searches that its imports would set off
 
 try:
     from cfgplan.cli.main import main

@@ -14,9 +14,8 @@ from cfgplan.errors import Fault
 from cfgplan.summary import some
 
 if TYPE_CHECKING:
-    from rich.text import Text
-
     from cfgplan.api import World
+    from cfgplan.cli.styled import Text
     from cfgplan.explaining import WiringFault
     from cfgplan.formats.places import Place
 
@@ -127,7 +126,7 @@ def _faults(options: argparse.Namespace, screen: Screen) -> tuple[World, tuple[W
 
 
 def _text(world: World, fault: WiringFault) -> Text:
-    from rich.text import Text
+    from cfgplan.cli.styled import Text
 
     line = Text(f"{_place(world, fault)}: ", style="bold")
     line.append(f"{fault.rule}: ", style="red" if fault.breaks else "yellow")
@@ -155,7 +154,7 @@ def _verdict(options: argparse.Namespace, world: World, broken: Sequence[WiringF
 
 def _bold(world: World, verdict: str, colour: str) -> Text:
     """Return a verdict after the number of parts checked."""
-    from rich.text import Text
+    from cfgplan.cli.styled import Text
 
     environment = world.environment
     size = ", ".join(

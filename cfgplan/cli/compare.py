@@ -55,9 +55,8 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
-    from rich.text import Text
-
     from cfgplan import api, comparing
+    from cfgplan.cli.styled import Text
 
     for name in options.planner or ():
         shared.planner(name)

@@ -7,13 +7,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from rich.text import Text
-
 from cfgplan.canonical import normal
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import OF_STATUS, Exit
 from cfgplan.cli.plan_text import cpu, fact_lines, plain_barred
 from cfgplan.cli.screen import Screen
+from cfgplan.cli.styled import Text
 from cfgplan.domain import Environment
 from cfgplan.errors import known
 from cfgplan.explaining import Blocked, Choice, Clash, Unfed, Unreachable, Unused, Why, WhyNot

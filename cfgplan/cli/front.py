@@ -69,9 +69,9 @@ def _asked(text: str, environment: Environment, env: str) -> tuple[str, str]:
 
 def _show(screen: Screen, problem: Problem, found: Front) -> None:
     from rich.table import Table
-    from rich.text import Text
 
     from cfgplan.cli.plan_text import cpu
+    from cfgplan.cli.styled import Text
 
     table = Table("cost", found.attribute.name, "start", "rewire", "stop", "started units", box=None)
     for point in found.points:

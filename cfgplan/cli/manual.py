@@ -57,7 +57,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
 def _search(pages: Mapping[str, Path], words: Sequence[str], screen: Screen) -> None:
     """Print the sections that have all words, the best ones first. Raises InputError if there are none."""
-    from rich.text import Text
+    from cfgplan.cli.styled import Text
 
     every = list(sections(pages))
     asked = asked_stems(words)

@@ -100,7 +100,7 @@ def _show_matrix(environment: Environment, similarity: Similarity, screen: Scree
         matches = {input_: {"tag": rows[input_], "outputs": outputs} for input_, outputs in fed_by.items()}
         screen.show_json({"inputs": matches, "outputs": columns, "unknown": undecided})
         return
-    from rich.text import Text
+    from cfgplan.cli.styled import Text
 
     count = sum(len(outputs) for outputs in fed_by.values())
     width = max(map(len, rows), default=0)

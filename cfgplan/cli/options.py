@@ -151,7 +151,8 @@ def load(options: argparse.Namespace, screen: Screen) -> api.World:
     from cfgplan import api
 
     with screen.phase("load"):
-        world = api.load(options.env, also=getattr(options, "also", ()))
+        use_cache = not getattr(options, "no_cache", False)
+        world = api.load(options.env, also=getattr(options, "also", ()), use_cache=use_cache)
         without, settings = getattr(options, "without", ()), dict(getattr(options, "settings", ()))
         observed = getattr(options, "observed", None)
         if not (without or settings or observed):

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator
 
-from rich.text import Text
-
 from cfgplan.amounts import core_share
 from cfgplan.cli.screen import counted, decided_by
+from cfgplan.cli.styled import Text
 from cfgplan.costs import keep_cost_us, labor_us, standby_cost_us, upkeep_us
 from cfgplan.domain import CPU, MEMORY, POWER, ChangeSet, ComputationUnit, Environment, Host, Stream, Target
 from cfgplan.figures import CostParts, amount, cost_parts, link_loads, loads, told_qualities, transfers

@@ -4,24 +4,24 @@ from __future__ import annotations
 
 import errno
 import json
+import os
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from enum import Enum
-from fractions import Fraction
 from functools import cached_property
 from threading import Event, Thread
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
+from cfgplan.cli.styled import Text
 from cfgplan.errors import Fault
 from cfgplan.summary import counted as counted
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
-    from rich.text import Text
 
     from cfgplan.planning import Progress
 
@@ -120,7 +120,10 @@ class Screen:
 
     def show(self, result: RenderableType) -> None:
         """Print a result for people; long lines are left to the terminal."""
-        self._out.print(result, soft_wrap=True)
+        if isinstance(result, Text) and _takes_plain_text(sys.stdout):
+            _put(sys.stdout, result)
+        else:
+            self._out.print(result, soft_wrap=True)
 
     def show_json(self, document: object) -> None:
         """Print a result for machines: a mapping or a dataclass, as `_plain` says it."""
@@ -159,9 +162,7 @@ class Screen:
 
     def note(self, text: str, style: str = "dim") -> None:
         """Print a message about the work on stderr."""
-        from rich.text import Text
-
-        self._err.print(Text(text, style=style), soft_wrap=True)
+        self._say(Text(text, style=style))
 
     def times(self) -> None:
         """Say how long each phase took."""
@@ -178,16 +179,21 @@ class Screen:
             self.show_json({"errors": faults})
             return
         for fault in faults:
-            self._err.print(self._told(fault, "error: ", "bold red"), soft_wrap=True)
+            self._say(self._told(fault, "error: ", "bold red"))
 
     def warn_of(self, fault: Fault) -> None:
         """Show a fault of the input that does not stop the work."""
-        self._err.print(self._told(fault, "warning: ", "yellow"), soft_wrap=True)
+        self._say(self._told(fault, "warning: ", "yellow"))
+
+    def _say(self, text: Text) -> None:
+        """Print text on stderr."""
+        if _takes_plain_text(sys.stderr):
+            _put(sys.stderr, text)
+        else:
+            self._err.print(text, soft_wrap=True)
 
     def _told(self, fault: Fault, kind: str, style: str) -> Text:
         """A fault with its place, the line that it is about, and its mend."""
-        from rich.text import Text
-
         text = Text(kind, style=style)
         text.append(f"{fault.place}: " if fault.place else "", style="bold")
         text.append(f"{fault.key}: " if fault.key else "", style="cyan")
@@ -221,6 +227,16 @@ class Screen:
         return Console(stderr=True, highlight=False, markup=False, emoji=False)
 
 
+def _takes_plain_text(stream: TextIO) -> bool:
+    """Whether rich would print no colours there either."""
+    return not (stream.isatty() or "FORCE_COLOR" in os.environ or "TTY_COMPATIBLE" in os.environ)
+
+
+def _put(stream: TextIO, text: Text) -> None:
+    stream.write(f"{text.plain}\n")
+    stream.flush()
+
+
 def append_excerpt(text: Text, fault: Fault, style: str, command: Sequence[str] = ()) -> None:
     """Append the line that a fault is about, with carets below it, if it is about one."""
     from cfgplan.excerpts import drawn, excerpt
@@ -243,6 +259,8 @@ def blamed(error: Exception) -> str:
 
 def _plain(value: object) -> Any:
     """An explanation as JSON values. A plan becomes its status, cost and bound; a fraction becomes text."""
+    from fractions import Fraction
+
     from cfgplan.planning import Plan
 
     match value:

@@ -8,13 +8,12 @@ from fractions import Fraction
 from functools import partial
 from typing import TYPE_CHECKING
 
-from rich.text import Text
-
 from cfgplan.canonical import normal
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.plan_text import cpu
 from cfgplan.cli.screen import Screen
+from cfgplan.cli.styled import Text
 from cfgplan.explaining import Sensitivity, Span
 from cfgplan.summary import some
 

@@ -10,13 +10,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.text import Text
-
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import OF_STATUS, Exit, exit_of
 from cfgplan.cli.front import add_front, show_front
 from cfgplan.cli.plan_text import cpu, verdict
 from cfgplan.cli.screen import Screen, blamed, counted
+from cfgplan.cli.styled import Text
 from cfgplan.errors import InputError
 from cfgplan.planning import REFUSED, Plan, PlannerFaultError, Problem
 

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
+from functools import reduce
 from math import prod
+from operator import attrgetter, getitem
 from typing import Any, Protocol, TypeAlias, TypeVar
 
+from cfgplan.canonical import unchecked
 from cfgplan.domain import (
     CPU,
     MEMORY,
@@ -30,7 +33,7 @@ from cfgplan.formats.left_out import LeftOut
 from cfgplan.formats.places import Passage, Path
 from cfgplan.formats.references import UnitChecker
 from cfgplan.formats.templates import Variable, original_column
-from cfgplan.transformations import DEFAULT_LABOR_US
+from cfgplan.transformations import DEFAULT_LABOR_US, transformation_of
 
 
 class TagVocabulary(Protocol):
@@ -48,7 +51,8 @@ class TagChecker:
 
     def __init__(self, vocabulary: TagVocabulary) -> None:
         self._vocabulary = vocabulary
-        self._good: set[str] = set()
+        self.good: set[str] = set()
+        """The tags that were checked and have no fault."""
         self._reported: set[tuple[str, Path]] = set()
 
     def check(
@@ -56,7 +60,7 @@ class TagChecker:
     ) -> None:
         """Note the fault of a tag, which may be a template's expansion, once for each place."""
         place = (entry.source.file, entry.path)
-        if tag in self._good or place in self._reported:
+        if tag in self.good or place in self._reported:
             return
         try:
             self._vocabulary.check_tag(tag)
@@ -66,11 +70,13 @@ class TagChecker:
             message = f"{error.message}, in the expansion {tag!r}" if values else error.message
             entry.note(message, error.mend, text_column=column)
         else:
-            self._good.add(tag)
+            self.good.add(tag)
 
 
 VariableValues = Mapping[templates.Variable, str]
+_NO_VARIABLES: VariableValues = {}
 PartT = TypeVar("PartT", fields.TransformationPart, fields.TargetPart)
+_name_of = attrgetter("name")
 _PORT_TYPES: dict[Any, Any] = {"inputs": InputPort, "outputs": OutputPort}
 
 
@@ -98,11 +104,15 @@ class Expander:
         self._fleet = fleet
         self._left_out = left_out
         self._instances: dict[str, tuple[str, ...] | MatchingError] = {}
+        self._plain_ports: dict[tuple[str, str, object], InputPort | OutputPort] = {}
 
-    def expand(self, entry: Passage, part: fields.TransformationPart) -> Iterator[Transformation]:
-        """Return the transformations that one written transformation expands to; empty if it has faults."""
-        for filled, values in self._expansions(entry, part, "transformations"):
-            yield from self._filled(entry, part, filled, values)
+    def expand(self, entry: Passage, part: fields.TransformationPart) -> list[Transformation]:
+        """Return the transformations that one written transformation expands to, without those that have faults."""
+        made = (
+            self._filled(entry, part, filled, values)
+            for filled, values in self._expansions(entry, part, "transformations")
+        )
+        return [transformation for transformation in made if transformation is not None]
 
     def expand_target(self, entry: Passage, part: fields.TargetPart) -> Iterator[fields.TargetPart]:
         """Yield the targets that one written target expands to, and check their tags; none if it has faults."""
@@ -111,18 +121,16 @@ class Expander:
                 self._tags.check(filled.tag, entry.at("tag"), part.tag, values)
             yield filled
 
-    def _expansions(self, entry: Passage, part: PartT, kind: str) -> Iterator[tuple[PartT, VariableValues]]:
-        """Yield the part with its variables filled in, in each way; if it has faults, check its plain tags instead."""
-        if "$" not in str(vars(part)):
-            yield part, {}
-            return
+    def _expansions(self, entry: Passage, part: PartT, kind: str) -> Iterable[tuple[PartT, VariableValues]]:
+        """Return the part with its variables filled in, in each way; if it has faults, check its plain tags instead."""
+        if entry.source.is_plain or "$" not in repr(_at(entry)):
+            return ((part, _NO_VARIABLES),)
         instances = self._variable_instances(entry, part, kind)
         if instances is None:
             self._left_out.add(kind, part.label)
             self._check_plain_tags(entry, part)
-            return
-        for values in templates.assignments(instances):
-            yield templates.substitute_all(part, values), values
+            return ()
+        return ((templates.substitute_all(part, values), values) for values in templates.assignments(instances))
 
     def _variable_instances(
         self, entry: Passage, part: Expandable, kind: str
@@ -168,38 +176,44 @@ class Expander:
 
     def _filled(
         self, entry: Passage, part: fields.TransformationPart, filled: fields.TransformationPart, values: VariableValues
-    ) -> Iterator[Transformation]:
-        """The transformation of a part with all variables filled in; none if it has faults."""
-        names = [templates.substitute(name, values) for key in _PORT_TYPES for name in getattr(part, key) or ()]
+    ) -> Transformation | None:
+        """The transformation of a part with all variables filled in; None if it has faults."""
+        names = [*(part.inputs or ()), *(part.outputs or ())]
+        if filled is not part:
+            names = [templates.substitute(name, values) for name in names]
         if len(set(names)) != len(names):
             self._check_plain_tags(entry, part)
             _note_repeated_port(entry, part, names, values)
             self._left_out.add("transformations", filled.label)
-            return
-        ports = {key: tuple(self._ports(entry.at(key), key, part, filled, values)) for key in _PORT_TYPES}
-        hosts = self._hosts(entry.at("host"), filled.host)
+            return None
+        said = {**self._costs_us, **filled.values()}
+        for key in _PORT_TYPES:
+            if key in said:
+                ports = self._ports(entry, key, part, filled, values)
+                said[key] = tuple(sorted(ports, key=_name_of) if len(ports) > 1 else ports)
+        if filled.host is not None:
+            said |= self._hosts(entry.at("host"), filled.host)
         if not (
             _is_well_numbered(entry, part)
             & self._fleet.are_selectors(entry, filled)
-            & self._fleet.is_requirement(entry.at("requires"), filled.requires)
+            & (filled.requires is None or self._fleet.is_requirement(entry.at("requires"), filled.requires))
         ):
             self._left_out.add("transformations", filled.label)
-            return
-        run = _run_options(entry.at("run"), filled)
-        said = (
-            {"conflicts": (), **filled.conflicts.values()} if isinstance(filled.conflicts, fields.ConflictsPart) else {}
-        )
-        yield Transformation(**{**self._costs_us, **filled.values(), **ports, **hosts, **said, "run": run})
+            return None
+        if filled.run is not None:
+            said["run"] = _run_options(entry.at("run"), filled)
+        if isinstance(filled.conflicts, fields.ConflictsPart):
+            said |= {"conflicts": (), **filled.conflicts.values()}
+        return transformation_of(said)
 
-    def _hosts(self, entry: Passage, written: str | list[str] | None) -> dict[str, Any]:
+    def _hosts(self, entry: Passage, written: str | list[str]) -> dict[str, Any]:
         if isinstance(written, list) or written in self._fleet.copies:
             named = written if isinstance(written, list) else [written]
             for index, name in enumerate(named):
                 if name not in self._fleet.copies:
                     self._fleet.check_host(entry.at(index), name, is_choice=True)
             return {"host": None, "hosts": self._fleet.choice(named)}
-        if written is not None:
-            self._fleet.check_host(entry, written)
+        self._fleet.check_host(entry, written)
         return {}
 
     def _ports(
@@ -209,18 +223,37 @@ class Expander:
         part: fields.TransformationPart,
         filled: fields.TransformationPart,
         values: VariableValues,
-    ) -> Iterator[InputPort | OutputPort]:
-        templated, ports = getattr(part, key) or {}, getattr(filled, key) or {}
-        for (written, template), (name, port) in zip(templated.items(), ports.items(), strict=True):
-            at = entry.at(written)
-            place, tag = _tag_of(port, at)
-            self._tags.check(tag, place, _tag_of(template, at)[1], values)
-            said: dict[str, Any] = {"tag": tag} if isinstance(port, str) else port.values()
-            if isinstance(port, fields.InputPart) and port.worth and not port.optional:
-                at.at("worth").note(f"the input `{written}` is never unfed", "add `optional: true`, or remove `worth`")
-            if "quality" in said:
-                said["quality"] = self._fleet.contributions(at.at("quality"), said["quality"])
-            yield _PORT_TYPES[key](name, **said)
+    ) -> list[InputPort | OutputPort]:
+        """The ports under a key. Equal ones that are only a tag are one object, made when the tag is checked."""
+        written, ports = getattr(part, key), getattr(filled, key)
+        known = self._plain_ports.get
+        found = [known((key, name, port)) for name, port in ports.items()]
+        if all(found):
+            return found  # type: ignore[return-value]
+        for index, (template, name) in enumerate(zip(written, ports, strict=True)):
+            if found[index] is None:
+                found[index] = self._port(entry.at(key, template), key, name, written[template], ports[name], values)
+        return found  # type: ignore[return-value]
+
+    def _port(
+        self, entry: Passage, key: str, name: str, template: Any, port: Any, values: VariableValues
+    ) -> InputPort | OutputPort:
+        """The port that stands at `entry`, a text or a part, filled in from a template."""
+        place, tag = _tag_of(port, entry)
+        self._tags.check(tag, place, _tag_of(template, entry)[1], values)
+        if isinstance(port, str):
+            made: InputPort | OutputPort = unchecked(_PORT_TYPES[key], {"name": name, "tag": tag})
+            if tag in self._tags.good:
+                self._plain_ports[key, name, tag] = made
+            return made
+        said = port.values()
+        if isinstance(port, fields.InputPart) and port.worth and not port.optional:
+            entry.at("worth").note(
+                f"the input `{entry.path[-1]}` is never unfed", "add `optional: true`, or remove `worth`"
+            )
+        if "quality" in said:
+            said["quality"] = self._fleet.contributions(entry.at("quality"), said["quality"])
+        return _made(key, name, said)
 
     def _check_plain_tags(self, entry: Passage, part: Expandable) -> None:
         """Check the plain tags of a template that can't be expanded, so that all its faults are told at once."""
@@ -233,6 +266,15 @@ class Expander:
                 place, tag = _tag_of(written, entry.at(key, name))
                 if "$" not in tag:
                     self._tags.check(tag, place)
+
+
+def _at(entry: Passage) -> Any:
+    """The plain data at an entry."""
+    return reduce(getitem, entry.path, entry.source.data)  # type: ignore[arg-type]
+
+
+def _made(key: str, name: str, said: dict[str, Any]) -> InputPort | OutputPort:
+    return InputPort(name, **said) if key == "inputs" else OutputPort(name, **said)
 
 
 def _variables(entry: Passage, part: Expandable) -> dict[templates.Variable, tuple[Passage, int]] | None:
@@ -252,6 +294,8 @@ def _variables(entry: Passage, part: Expandable) -> dict[templates.Variable, tup
 
 def _is_well_numbered(entry: Passage, part: fields.TransformationPart) -> bool:
     """Whether a part does not ask for more units than it allows, nor for a resource in two places."""
+    if part.max_instances is None and not part.needs:
+        return True
     fits = part.max_instances is None or part.min_instances <= part.max_instances
     if not fits:
         message = f"it asks for {part.min_instances} units, but allows {part.max_instances}"
@@ -317,7 +361,8 @@ def _build(document: Document, vocabulary: TagVocabulary) -> EnvironmentFile:
             is_new &= names.is_new("topic", part.topic, entry, "topic")
         if part.host is not None:
             fleet.check_host(entry.at("host"), part.host, is_choice=True)
-        _check_labels(entry.at("run"), [part.run] if part.run else (), library, left_out)
+        if part.run:
+            _check_labels(entry.at("run"), [part.run], library, left_out)
         if is_new:
             targets[part.label] = Target(**{**part.values(), "quality": fleet.wishes(entry.at("quality"), part)})
     for fact in variables(fleet.facts.values(), fleet.hosts).values():
@@ -426,6 +471,8 @@ def _check_named(
     library: dict[str, Transformation], left_out: LeftOut, origins: Mapping[tuple[str, str], Passage]
 ) -> None:
     for t in library.values():
+        if not (t.beside or t.conflicts or t.conflicts_on_host):
+            continue
         _check_labels(origins["transformation", t.label].at("with"), t.beside, library, left_out)
         entry = origins["transformation", t.label].at("conflicts")
         in_all = entry.at("system") if t.conflicts_on_host else entry

@@ -11,15 +11,13 @@ from operator import getitem
 from pathlib import Path as FilePath
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, ValidationError
-
 from cfgplan.errors import Fault, InputError
 from cfgplan.formats import fields
 from cfgplan.formats.environment_file import ANY_IMPORT, FoundImports
 from cfgplan.formats.files import is_folder, read_source
+from cfgplan.formats.forms import RefusedError
 from cfgplan.formats.garbage import no_garbage_collection
 from cfgplan.formats.places import Path, Source, Spot
-from cfgplan.formats.schema_faults import schema_faults
 
 _BEGINS = "a file is a mapping that begins with `format: cfgplan/1`"
 _LAUNCH_FILE = "a launch file", "make an environment of it: `cfgplan import ros2 FILE --out env.yaml`"
@@ -33,7 +31,7 @@ _OTHER_KINDS = {
 }
 """Files that are mistaken for an environment, by their ending, each with its mend."""
 SUFFIXES = (".yaml", ".yml", ".json", ".xml")
-P = TypeVar("P", bound=BaseModel)
+P = TypeVar("P", bound=fields.Part)
 
 Indexed = tuple[int, P]
 """A part and its position in its file's list."""
@@ -166,14 +164,17 @@ def _read_source(source: Source, part: type[P]) -> tuple[P, File, list[Fault]]:
     faults = list(source.faults)
     bad: dict[Any, set[int]] = {}
     try:
-        model = part.model_validate(data)
-    except ValidationError as error:
-        errors = error.errors(include_url=False)
+        read = part.reader()(data)
+    except RefusedError:
+        from cfgplan.formats.models import refusals
+        from cfgplan.formats.schema_faults import schema_faults
+
+        errors = refusals(part, data)
         told = {(fault.line, fault.column) for fault in source.faults}
         faults += (f for f in schema_faults(source, (), errors, part) if (f.line, f.column) not in told)
         bad = _bad_entries([e["loc"] for e in errors])
-        model = part.model_validate(_good_entries(data, bad))
-    return model, _file(source, model, data, bad), faults
+        read = part.reader()(_good_entries(data, bad))
+    return read, _file(source, read, data, bad), faults
 
 
 def _other_kind(data: Mapping[str, object]) -> tuple[str, str] | None:
@@ -210,10 +211,10 @@ def _good_entries(data: Mapping[str, Any], bad: Mapping[Any, set[int]]) -> dict[
     return good
 
 
-def _file(source: Source, model: Any, data: Mapping[str, Any], bad: Mapping[Any, set[int]]) -> File:
+def _file(source: Source, read: Any, data: Mapping[str, Any], bad: Mapping[Any, set[int]]) -> File:
     def indexed(key: str) -> Iterator[Any]:
         positions = (index for index in count() if index not in bad.get(key, ()))
-        return zip(positions, getattr(model, key, None) or (), strict=False)
+        return zip(positions, getattr(read, key, None) or (), strict=False)
 
     names = {"transformations": "label", "units": "id", "targets": "label"}
     broken = {

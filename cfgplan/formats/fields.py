@@ -11,17 +11,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import MISSING, dataclass
+from dataclasses import MISSING, dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args, get_origin, get_type_hints
-
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, WithJsonSchema
+from typing import Annotated, Any, ClassVar, Final, Literal, get_args, get_origin
 
 from cfgplan.arguments import AtLeast, Natural
 from cfgplan.domain import ComputationUnit, Host, Link, Target
 from cfgplan.facts import HOST_MARK
 from cfgplan.facts import Fact as FactOfTheWorld
 from cfgplan.formats import schema_values
+from cfgplan.formats.forms import Choice, Form, Limits, Reader, RefusedError, Schema, reader_of
 from cfgplan.formats.schema_values import (
     FULL_FORM,
     SHORT_FORM,
@@ -64,7 +63,7 @@ MOST_COPIES = 1000
 DEFAULT_HORIZON_S = 600
 DEFAULT_UPKEEP_US = 0
 
-_SHORT, _FULL, _CHOICE = Tag(SHORT_FORM), Tag(FULL_FORM), Discriminator(form_of)
+_SHORT, _FULL, _CHOICE = Form(SHORT_FORM), Form(FULL_FORM), Choice(form_of)
 _FIRST_IN_XML = ("type", "labor", "upkeep")
 IGNORE = "ignore"
 
@@ -91,15 +90,20 @@ class FieldRow:
 
 
 @dataclass(frozen=True, slots=True)
-class _Said:
-    to: str = ""
-    use: Use = Use.PLANNING
-    xml: str | None = None
-    below: str = ""
+class Key:
+    """A key of a part: the form of its value, its meaning, and the default, which is `...` if the key can't be absent.
 
+    `limits` are those of the value as in `forms.Limits`; the others are as of `FieldRow`.
+    """
 
-_IN_SCHEMA = {"ge": "minimum", "le": "maximum"}
-"""The limits of a number that pydantic forgets in the schema, where a validator of ours comes first."""
+    form: Any
+    meaning: str
+    default: Any
+    to: str
+    use: Use
+    xml: str | None
+    below: str
+    limits: Mapping[str, Any]
 
 
 def row(
@@ -109,40 +113,41 @@ def row(
     use: Use = Use.PLANNING,
     xml: str | None = None,
     below: str = "",
+    form: Any = None,
     **limits: Any,
 ) -> Any:
-    """A field of a part. With `...` as default the key can't be absent."""
-    in_schema: Any = {_IN_SCHEMA[name]: limit for name, limit in limits.items() if name in _IN_SCHEMA}
-    more = {"json_schema_extra": in_schema} if in_schema else {}
-    field = Field(default=default, description=meaning, **more, **limits)
-    field.metadata.append(_Said(to, use, xml, below))
-    return field
+    """A key of a part. With `...` as default the key can't be absent."""
+    return Key(form, meaning, default, to, use, xml, below, limits)
 
 
-def take_rows(kind: type[Any], part: dict[str, Any]) -> None:
-    """Add the rows of a domain's value to the body of a part's class, in order: those of the part's own come first."""
-    annotations = part.setdefault("__annotations__", {})
-    for each in attributes(kind):
-        if each.row.meaning:
-            annotations[each.key], part[each.key] = _made_of(each)
+def _keys_of(part: type[Part]) -> dict[str, Key]:
+    """Return the keys of a part, in order: its own come first, then the rows of the domain's value."""
+    found = {key: replace(each, form=eval(part.own_forms[key], _names())) for key, each in part.own_rows.items()}
+    if part.domain is not None:
+        found |= {each.key: _made_of(each) for each in attributes(part.domain) if each.row.meaning}
     below: dict[str, list[str]] = {}
-    for key in annotations:
-        (said,) = (note for note in part[key].metadata if isinstance(note, _Said))
-        below.setdefault(said.below, []).append(key)
+    for key, each in found.items():
+        below.setdefault(each.below, []).append(key)
 
     def in_order(key: str) -> Iterator[str]:
         for other in below.get(key, ()):
             yield other
             yield from in_order(other)
 
-    part["__annotations__"] = {key: annotations.pop(key) for key in in_order("")}
+    return {key: found[key] for key in in_order("")}
 
 
-def _made_of(attribute: Attribute) -> tuple[Any, Any]:
-    """The type of a key and its field, made from a row."""
+@cache
+def _names() -> dict[str, Any]:
+    """The names that forms are written with."""
+    return {**vars(schema_values), **globals()}
+
+
+def _made_of(attribute: Attribute) -> Key:
+    """The key that is made from a row."""
     said, usual = attribute.row, attribute.default
     name = said.form or _form_of(attribute)
-    form = eval(name, {**vars(schema_values), **globals()})
+    form = eval(name, _names())
     if said.absent is not ...:
         usual = said.absent
     elif usual in (None, (), {}):
@@ -155,8 +160,8 @@ def _made_of(attribute: Attribute) -> tuple[Any, Any]:
     if name == "Whole":
         least = next((note.least for note in _pieces(attribute.type) if isinstance(note, AtLeast)), None)
         limits = {"ge": least if said.least is None else said.least, "le": said.most}
-    field = row(said.meaning, usual, attribute.name, said.use, said.xml, said.below, **limits)
-    return (form if usual is not None else form | None), field
+    form = form if usual is not None else form | None
+    return Key(form, said.meaning, usual, attribute.name, said.use, said.xml, said.below, limits)
 
 
 _FORMS: Final[Mapping[Any, str]] = {
@@ -188,7 +193,7 @@ _ABOVE_0: Final = {"exclusiveMinimum": 0}
 _IS_TRUE: Final = {"const": True}
 
 
-def _either(*forms: Mapping[str, Any]) -> ConfigDict:
+def _either(*forms: Mapping[str, Any]) -> Mapping[str, Any]:
     """The JSON Schema of keys that go together or do not, in any of some forms; readers check it in words."""
     of_forms: list[Any] = [
         {
@@ -197,24 +202,81 @@ def _either(*forms: Mapping[str, Any]) -> ConfigDict:
         }
         for form in forms
     ]
-    return ConfigDict(json_schema_extra={"anyOf": of_forms})
+    return {"anyOf": of_forms}
 
 
-class Part(BaseModel):
-    """A mapping in the file, and its fields."""
+class Part:
+    """A mapping in the file: its values by key, as attributes; absent keys have their defaults.
 
-    model_config = ConfigDict(extra="forbid", strict=True, defer_build=True)
+    A part is made of the rows `of` a domain's value, after the keys that its class writes down. `schema` has more keys
+    for its JSON Schema, `title` names it there.
+    """
 
-    if TYPE_CHECKING:  # keys that the domain's rows say are made when the class is
+    domain: ClassVar[type[Any] | None] = None
+    schema: ClassVar[Mapping[str, Any] | None] = None
+    title: ClassVar[str | None] = None
+    own_rows: ClassVar[Mapping[str, Key]] = {}
+    own_forms: ClassVar[Mapping[str, str]] = {}
 
-        def __getattr__(self, key: str) -> Any: ...
+    def __init_subclass__(
+        cls, of: type[Any] | None = None, schema: Mapping[str, Any] | None = None, title: str | None = None
+    ) -> None:
+        cls.domain, cls.schema, cls.title = of, schema, title
+        cls.own_rows = {name: each for name, each in vars(cls).items() if isinstance(each, Key)}
+        cls.own_forms = vars(cls).get("__annotations__", {})
+        for name in cls.own_rows:
+            delattr(cls, name)
+
+    def __init__(self, **said: Any) -> None:
+        self.all_keys()
+        vars(self).update(said)
+
+    def __getattr__(self, key: str) -> Any:
+        """Return the default of an absent key."""
+        try:
+            return type(self).all_keys()[key].default
+        except KeyError:
+            raise AttributeError(key) from None
+
+    @classmethod
+    @cache
+    def all_keys(cls) -> Mapping[str, Key]:
+        """The keys in the order in which they are written. They are found at first use: few files have every part."""
+        found = _keys_of(cls)
+        for key, each in found.items():
+            setattr(cls, key, each.default)
+        return found
+
+    @classmethod
+    @cache
+    def reader(cls) -> Reader:
+        """The function that makes a part of plain data. It raises RefusedError without saying why; see `models`."""
+        readers = {
+            key: reader_of(Annotated[each.form, Limits(**each.limits)] if each.limits else each.form, _reader_in)
+            for key, each in cls.all_keys().items()
+        }
+        needed = frozenset(key for key, each in cls.all_keys().items() if each.default is ...)
+        reader_by_key = readers.get
+
+        def read(data: Any) -> Any:
+            if type(data) is not dict or not needed <= data.keys():
+                raise RefusedError
+            part = object.__new__(cls)
+            values = part.__dict__
+            for key, value in data.items():
+                reader = reader_by_key(key)
+                if reader is None:
+                    raise RefusedError
+                values[key] = reader(value)
+            return part
+
+        return read
 
     @classmethod
     @cache
     def rows(cls) -> Mapping[str, FieldRow]:
         """The rows by key, in the order in which they are written."""
-        hints = get_type_hints(cls, include_extras=True)
-        return {key: _row(cls, key, [*_pieces(hints[key])], selects=_selects(hints[key])) for key in cls.model_fields}
+        return {key: _row(key, each) for key, each in cls.all_keys().items()}
 
     @classmethod
     @cache
@@ -240,32 +302,51 @@ class Part(BaseModel):
         found = ((key, said[key] if key in said else cls.plain(key, value)) for key in cls.rows())
         return {key: plain for key, plain in found if plain is not None and plain not in ([], {})}
 
+    @classmethod
+    @cache
+    def selecting(cls) -> tuple[str, ...]:
+        """The keys whose values choose hosts by their labels."""
+        return tuple(key for key, row in cls.rows().items() if row.selects)
+
+    @classmethod
+    @cache
+    def domain_names(cls) -> Mapping[str, str]:
+        """The attribute of the domain's value for each key."""
+        return {key: row.to for key, row in cls.rows().items()}
+
     def values(self) -> dict[str, Any]:
-        """The file's values, under the domain's names."""
-        rows = self.rows()
-        said = ((rows[key].to, getattr(self, key)) for key in self.model_fields_set)
-        return {to: _frozen(value) for to, value in said if value is not None}
+        """The file's values, under the domain's names; tuples for lists.
+
+        Template variables may have made two entries of a list one.
+        """
+        name_of = self.domain_names()
+        return {
+            name_of[key]: tuple(dict.fromkeys(value)) if type(value) is list else value
+            for key, value in vars(self).items()
+            if value is not None
+        }
 
 
-def _frozen(value: Any) -> Any:
-    """A tuple for a list. Template variables may have made two of its entries one."""
-    return tuple(dict.fromkeys(value)) if isinstance(value, list) else value
-
-
-def _row(part: type[Part], key: str, pieces: list[Any], *, selects: bool) -> FieldRow:
-    field = part.model_fields[key]
-    said = next((each for each in field.metadata if isinstance(each, _Said)), _Said())
+def _row(key: str, each: Key) -> FieldRow:
+    pieces = [*_pieces(each.form)]
     holds_more = any(piece in (list, dict) or (isinstance(piece, type) and issubclass(piece, Part)) for piece in pieces)
     return FieldRow(
-        to=said.to or key,
-        use=said.use,
-        xml=key if said.xml is None and not holds_more else said.xml,
-        default=field.default,
+        to=each.to or key,
+        use=each.use,
+        xml=key if each.xml is None and not holds_more else each.xml,
+        default=each.default,
         is_text=any(piece is str or isinstance(piece, str) for piece in pieces)
         and not any(piece is bool or piece == 0 for piece in pieces),
         plain=_plain_of(pieces),
-        selects=selects,
+        selects=_selects(each.form),
     )
+
+
+def _reader_in(form: Any) -> Reader:
+    """Return the reader of a part that is a value of another. Raises TypeError for a class that is none."""
+    if not (isinstance(form, type) and issubclass(form, Part)):
+        raise TypeError(f"{form} has no reader")
+    return form.reader()
 
 
 def _selects(hint: Any) -> bool:
@@ -288,18 +369,15 @@ def _pieces(hint: Any) -> Iterator[Any]:
         yield hint
 
 
-class InputPart(Part):
+class InputPart(Part, of=InputPort, schema=_either({"worth": _ZERO}, {"optional": _IS_TRUE})):
     """An input port that needs more than a tag."""
-
-    model_config = _either({"worth": _ZERO}, {"optional": _IS_TRUE})
-    take_rows(InputPort, locals())
 
 
 class CurvePart(Part):
     """A value that follows a fact of the world: straight lines between points, level beyond the ends."""
 
     by: Name = row("the fact, a number", ...)
-    points: list[Annotated[list[Micro], Field(min_length=2, max_length=2)]] = row(
+    points: list[Annotated[list[Micro], Limits(min_length=2, max_length=2)]] = row(
         "two or more pairs of a value of the fact and the resulting value, by rising value of the fact",
         ...,
         min_length=2,
@@ -310,26 +388,25 @@ MicroGiven = Annotated[Annotated[Micro, _SHORT] | Annotated[CurvePart, _FULL], _
 PositiveGiven = Annotated[Annotated[PositiveMicro, _SHORT] | Annotated[CurvePart, _FULL], _CHOICE]
 
 
-class ContributionPart(Part):
+class ContributionPart(
+    Part,
+    of=Contribution,
+    schema=_either(*(dict.fromkeys(QualityRule, _IS_UNSAID) | {rule: _IS_SAID} for rule in QualityRule)),
+):
     """The contribution of an output to a quality attribute: exactly one of `add`, `limit`, `scale` and `set`."""
-
-    model_config = _either(*(dict.fromkeys(QualityRule, _IS_UNSAID) | {rule: _IS_SAID} for rule in QualityRule))
 
     add: MicroGiven | None = row("added to the value of the inputs")
     limit: PositiveGiven | None = row("the value is no better than this")
     scale: PositiveGiven | None = row("a factor on the value of the inputs")
     set: PositiveGiven | None = row("the value, whatever the inputs are")
     of: Literal["worst", "best", "mean", "sum"] = row("how several inputs count", "worst")
-    take_rows(Contribution, locals())
 
 
 QualityGiven = Annotated[Annotated[Micro, _SHORT] | Annotated[ContributionPart, _FULL], _CHOICE]
 
 
-class OutputPart(Part):
+class OutputPart(Part, of=OutputPort):
     """An output port that says more than a tag."""
-
-    take_rows(OutputPort, locals())
 
 
 InputGiven = Annotated[Annotated[TagText, _SHORT] | Annotated[InputPart, _FULL], _CHOICE]
@@ -337,15 +414,13 @@ OutputGiven = Annotated[Annotated[TagText, _SHORT] | Annotated[OutputPart, _FULL
 OneOrMoreNames = Annotated[Annotated[Name, _SHORT] | Annotated[Names, _FULL], _CHOICE]
 OneOrMoreStreams = Annotated[Annotated[StreamName, _SHORT] | Annotated[StreamNames, _FULL], _CHOICE]
 _AT_MOST: Final = {"type": "integer", "minimum": 0, "maximum": LARGEST_AMOUNT}
-AtMost = Annotated[Whole, Field(ge=0, le=LARGEST_AMOUNT), WithJsonSchema(_AT_MOST)]
+AtMost = Annotated[Whole, Limits(ge=0, le=LARGEST_AMOUNT), Schema(_AT_MOST)]
 FileNames = Annotated[Annotated[FileName, _SHORT] | Annotated[FileList, _FULL], _CHOICE]
 Imports = Annotated[Annotated[Literal["ignore"], _SHORT] | Annotated[dict[Name, FileName], _FULL], _CHOICE]
 
 
-class RunPart(Part):
+class RunPart(Part, of=RunOptions):
     """How the units of a transformation run."""
-
-    take_rows(RunOptions, locals())
 
 
 class ConflictsPart(Part):
@@ -357,7 +432,7 @@ class ConflictsPart(Part):
     )
 
 
-ConflictsGiven = Annotated[Annotated[Names, _SHORT] | Annotated[ConflictsPart, _FULL], Discriminator(list_or_mapping)]
+ConflictsGiven = Annotated[Annotated[Names, _SHORT] | Annotated[ConflictsPart, _FULL], Choice(list_or_mapping)]
 
 
 _RATE_OR_INPUTS: Final[Any] = [
@@ -367,44 +442,37 @@ _RATE_OR_INPUTS: Final[Any] = [
 """Only a source has a rate; readers check it in words."""
 
 
-class TransformationPart(Part):
+class TransformationPart(Part, of=Transformation, schema={"anyOf": _RATE_OR_INPUTS}):
     """A streaming function that can be instantiated; `${Class}` in it stands for each individual of a class."""
 
-    model_config = ConfigDict(json_schema_extra={"anyOf": _RATE_OR_INPUTS})
-    take_rows(Transformation, locals())
 
-
-class UnitPart(Part):
+class UnitPart(Part, of=ComputationUnit):
     """A running computation unit."""
 
-    take_rows(ComputationUnit, locals())
 
-
-class WishPart(Part):
+class WishPart(Part, of=Wish, schema=_either({"at_least": _IS_SAID}, {"at_most": _IS_SAID}, {"weight": _ABOVE_0})):
     """A target's demand on a quality attribute."""
-
-    model_config = _either({"at_least": _IS_SAID}, {"at_most": _IS_SAID}, {"weight": _ABOVE_0})
 
     at_least: PositiveMicro | None = row("where higher is better: a bound", to="bound")
     at_most: PositiveMicro | None = row("where lower is better: a bound", to="bound")
-    take_rows(Wish, locals())
 
 
 OF_A_STREAM = ("topic", "tag", "type", "quality", "host", "silent")
 """The keys by which a target describes the stream that it wants."""
 
 
-class TargetPart(Part):
-    """Information that is wanted on a topic, or a unit that is wanted though it gives nothing."""
-
-    model_config = _either(
+class TargetPart(
+    Part,
+    of=Target,
+    schema=_either(
         {"topic": _IS_SAID, "tag": _IS_SAID, "run": _IS_UNSAID},
         {"run": _IS_SAID, **dict.fromkeys(OF_A_STREAM, _IS_UNSAID)},
-    )
-    take_rows(Target, locals())
+    ),
+):
+    """Information that is wanted on a topic, or a unit that is wanted though it gives nothing."""
 
 
-class HostPart(Part):
+class HostPart(Part, of=Host):
     """A computer that units run on."""
 
     copies: Whole = row(
@@ -415,26 +483,22 @@ class HostPart(Part):
         ge=1,
         le=MOST_COPIES,
     )
-    take_rows(Host, locals())
 
 
-class LinkPart(Part):
+class LinkPart(
+    Part, of=Link, schema=_either({"latency": _ZERO, "adds": _IS_UNSAID}, {"latency": _ABOVE_0, "adds": _IS_SAID})
+):
     """A link that carries streams between hosts."""
 
-    model_config = _either({"latency": _ZERO, "adds": _IS_UNSAID}, {"latency": _ABOVE_0, "adds": _IS_SAID})
-    take_rows(Link, locals())
 
-
-class AttributePart(Part):
+class AttributePart(Part, of=QualityAttribute):
     """A quality attribute of streams."""
 
-    take_rows(QualityAttribute, locals())
 
-
-class FactPart(Part):
-    """A fact of the world that transformations may require."""
-
-    model_config = _either(
+class FactPart(
+    Part,
+    of=FactOfTheWorld,
+    schema=_either(
         *(
             {**form, **owner, **{key: observed for key in ("by", "topic") if form[key] is _IS_SAID}}
             for form in (
@@ -448,8 +512,9 @@ class FactPart(Part):
                 ({"of": _IS_SAID}, {"type": "string", "pattern": re.escape(HOST_MARK)}),
             )
         )
-    )
-    take_rows(FactOfTheWorld, locals())
+    ),
+):
+    """A fact of the world that transformations may require."""
 
 
 class DefaultsPart(Part):
@@ -469,10 +534,8 @@ class IncludedPart(Part):
     targets: list[TargetPart] | None = row("the streams and units that are wanted", xml=ELEMENT)
 
 
-class EnvironmentPart(Part):
+class EnvironmentPart(Part, title="cfgplan environment"):
     """An environment: the library of transformations, the running units, and the targets."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, title="cfgplan environment")
 
     format: Literal["cfgplan/1"] = row("the format of the file: cfgplan/1", ...)
     ontology: FileNames | None = row("ontology file or files, relative to this file", xml=ELEMENT)
@@ -505,21 +568,3 @@ class EnvironmentPart(Part):
     )
     units: list[UnitPart] | None = row("the running units", xml=ELEMENT)
     targets: list[TargetPart] | None = row("the streams and units that are wanted", xml=ELEMENT)
-
-
-def json_schema(part: type[BaseModel]) -> dict[str, Any]:
-    """The JSON Schema (draft 2020-12) of a definition, strict about the names of ports too."""
-    schema = part.model_json_schema()
-    _bar_other_names(schema)
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
-
-
-def _bar_other_names(schema: Any) -> None:
-    if isinstance(schema, dict):
-        if "patternProperties" in schema:
-            schema["additionalProperties"] = False
-        for inner in schema.values():
-            _bar_other_names(inner)
-    elif isinstance(schema, list):
-        for inner in schema:
-            _bar_other_names(inner)

@@ -154,19 +154,18 @@ class FleetReader:
 
     def are_selectors(self, entry: Passage, part: Part) -> bool:
         """Whether each expression over labels that a part says can be read."""
-        said = ((key, getattr(part, key)) for key, row in part.rows().items() if row.selects)
+        said = [(key, value) for key in part.selecting() if (value := getattr(part, key)) is not None]
+        if not said:
+            return True
         places = [
             (entry.at(key, text) if isinstance(value, dict) else entry.at(key), text, isinstance(value, dict))
             for key, value in said
-            if value is not None
             for text in (value if isinstance(value, dict) else [value])
         ]
         return sum(self.is_selector(at, text, at_key=at_key) for at, text, at_key in places) == len(places)
 
-    def is_requirement(self, entry: Passage, text: str | None) -> bool:
-        """Whether an expression over facts can be read and asks about declared facts; None does."""
-        if text is None:
-            return True
+    def is_requirement(self, entry: Passage, text: str) -> bool:
+        """Whether an expression over facts can be read and asks about declared facts."""
         try:
             asked = requirement(text)
         except TagError as error:

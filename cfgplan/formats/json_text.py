@@ -12,7 +12,7 @@ from typing import Any
 
 from cfgplan.canonical import normal
 from cfgplan.errors import Fault, InputError
-from cfgplan.formats.places import DEEPEST_NESTING, Path, Source, Spot
+from cfgplan.formats.places import DEEPEST_NESTING, Path, Source, Spot, has_no_dollar
 from cfgplan.formats.scalars import resolve
 
 _JSON_TOKEN = re.compile(r'\s*("(?:[^"\\]|\\.)*"|[^\s"\[\]{},:]+|[\[\]{},:])')
@@ -59,7 +59,7 @@ def read_json(text: str, file: str) -> Source:
         Fault(f"the key `{key}` occurs twice", file, spot.line, spot.column, mend="remove one of the two")
         for key, spot in (locator.repeated_keys() if repeats else ())
     ]
-    return Source(file, data, locator, tuple(faults))
+    return Source(file, data, locator, tuple(faults), has_no_dollar(text))
 
 
 def _too_deep(file: str) -> InputError:

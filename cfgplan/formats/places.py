@@ -45,13 +45,14 @@ Locate: TypeAlias = Callable[[Path, bool], Spot]
 class Source:
     """A file that was read: plain data, syntax faults, and a way back to its text.
 
-    Positions are computed only on demand, for an error message.
+    Positions are computed only on demand, for an error message. If it `is_plain`, no text in it has a `$`.
     """
 
     file: str
     data: object
     locate: Locate
     faults: tuple[Fault, ...] = ()
+    is_plain: bool = False
 
     def fault(
         self, path: Path, message: str, mend: str | None = None, *, at_key: bool = False, text_column: int | None = None
@@ -86,6 +87,11 @@ class Passage(NamedTuple):
         """Where the value begins."""
         spot = self.source.locate(self.path, False)
         return Place(self.source.file, spot.line, spot.column)
+
+
+def has_no_dollar(text: str) -> bool:
+    """Whether no value of a file's text can have a `$`, not even by an escape."""
+    return "$" not in text and "\\" not in text
 
 
 def key_text(path: Path) -> str:

@@ -12,7 +12,8 @@ from pydantic import BaseModel
 
 from cfgplan.costs import meant_s
 from cfgplan.errors import Fault, close_names
-from cfgplan.formats.fields import FORMAT, EnvironmentPart, IncludedPart
+from cfgplan.formats.fields import FORMAT, EnvironmentPart, IncludedPart, Part
+from cfgplan.formats.models import model_of
 from cfgplan.formats.places import Path, Source
 from cfgplan.formats.scalars import resolve
 from cfgplan.formats.schema_values import FULL_FORM, PORT, SHORT_FORM
@@ -57,8 +58,11 @@ _KINDS_OF_VALUE = {
 }
 
 
-def schema_faults(source: Source, root: Path, errors: Sequence[Any], part: type[BaseModel]) -> Iterator[Fault]:
-    """The faults of pydantic's errors for the value at `root` of a source."""
+def schema_faults(
+    source: Source, root: Path, errors: Sequence[Any], part: type[Part] | type[BaseModel]
+) -> Iterator[Fault]:
+    """The faults of pydantic's errors for the value at `root` of a source, which is no `part`."""
+    part = model_of(part) if issubclass(part, Part) else part
     nominals = {error["loc"][:-1] for error in errors if _is_nominal(error)}
     meant = {(*error["loc"][:-1], key) for error in errors for key in _meant_keys(error, root, part)}
     for error in errors:
@@ -147,7 +151,7 @@ def _unknown_key(source: Source, path: Path, part: type[BaseModel]) -> Fault:
     inner = next((key for key in known if name in _keys_within(fields[key])), None)
     first, _, rest = name.partition(":")
     meant = _keys_like(name, known)
-    if part is IncludedPart and len(path) == 1 and name in EnvironmentPart.model_fields:
+    if part is model_of(IncludedPart) and len(path) == 1 and name in EnvironmentPart.all_keys():
         mend = "an included file has only transformations and targets: move this key to the main file"
     elif first in known and rest:
         mend = f"put a space after the colon: `{first}: {rest}`"

@@ -10,14 +10,12 @@ from enum import Enum
 from functools import lru_cache
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, PlainValidator, WithJsonSchema
-from pydantic_core import PydanticCustomError
-
 from cfgplan.canonical import normal
 from cfgplan.costs import LARGEST_COST_US, LONGEST_HORIZON_S, MICROSECONDS, SPAN, microseconds, seconds, span_s
 from cfgplan.domain import Objective
 from cfgplan.errors import InvalidValueError
 from cfgplan.facts import FactValue
+from cfgplan.formats.forms import After, Before, Described, Instead, Limits, MoreSchema, RefusedError, Schema
 from cfgplan.noise import Noise
 from cfgplan.qualities import LARGEST_QUALITY, MICRO, Better, QualityRule, micro_units, units
 from cfgplan.rows import LARGEST_AMOUNT
@@ -45,27 +43,23 @@ FULL_FORM = "(full)"
 T = TypeVar("T")
 
 
-def _refusal(text: str, mend: str) -> PydanticCustomError:
-    return PydanticCustomError("value", "{text}", {"text": text, "mend": mend})
-
-
-def _member(kind: type[Enum]) -> AfterValidator:
+def _member(kind: type[Enum]) -> After:
     """Turn a checked text into the member of an enumeration.
 
     The class itself can't be the validator: since Python 3.12 its signature takes any number of values.
     """
-    return AfterValidator(lambda value: kind(value))
+    return After(lambda value: kind(value))
 
 
 def _taken(convert: Callable[[Any], T], value: object) -> T:
-    """Return the converted value; the domain's error becomes pydantic's, with the same words."""
+    """Return the converted value; the domain's error becomes a refusal with the same words."""
     try:
         return convert(value)
     except InvalidValueError as error:
         message, _, mend = str(error).partition(": ")
-        raise _refusal(message, mend or "write a number") from None
+        raise RefusedError(message, mend or "write a number") from None
     except DecimalException:
-        raise _refusal("the number is too large", "write a smaller one") from None
+        raise RefusedError("the number is too large", "write a smaller one") from None
 
 
 @lru_cache(maxsize=65536)
@@ -73,10 +67,10 @@ def _microseconds(value: Decimal | int) -> int:
     return _taken(microseconds, value)
 
 
-def _number(value: object, is_what: str, error: str = "number_type") -> Decimal | int:
+def _number(value: object, is_what: str, kind: str = "number_type") -> Decimal | int:
     if type(value) is int or type(value) is Decimal:
         return value
-    raise PydanticCustomError(error, is_what)
+    raise RefusedError(is_what, kind=kind)
 
 
 def _cost(value: object) -> int:
@@ -99,10 +93,10 @@ def _span(value: object) -> int:
     mend = "write a number of seconds above 0, or 500ms, 5s, 2m or 1h"
     number = span_s(value) if type(value) is str else value
     if type(number) is not int and type(number) is not Decimal:
-        raise _refusal("this is no span of time", mend)
+        raise RefusedError("this is no span of time", mend)
     span_us = _microseconds(number)
     if not span_us:
-        raise _refusal("the span of time is 0", mend)
+        raise RefusedError("the span of time is 0", mend)
     return span_us
 
 
@@ -121,14 +115,16 @@ def _whole_span(value: object) -> object:
 def _no_flag(value: object) -> object:
     """A number or a name; Python takes `true` for 1."""
     if type(value) is bool:
-        raise _refusal(f"this must be 0, 1, units or hosts, but is {str(value).lower()}", "write one of these")
+        raise RefusedError(f"this must be 0, 1, units or hosts, but is {str(value).lower()}", "write one of these")
     return value
 
 
 def _rate(value: object) -> float:
     number = _finite_number(_number(value, "a rate is a number"))
     if number is None or not 0 < number <= LARGEST_RATE_HZ:
-        raise _refusal(f"a rate of {value} is out of range", f"write a number above 0 and up to {LARGEST_RATE_HZ:,}")
+        raise RefusedError(
+            f"a rate of {value} is out of range", f"write a number above 0 and up to {LARGEST_RATE_HZ:,}"
+        )
     return float(number)
 
 
@@ -144,7 +140,7 @@ def _fact_value(value: object) -> FactValue:
         return normal(value)
     if type(value) is int or type(value) is Decimal:
         return _micro(value)
-    raise _refusal("this is no value of a fact", "write a number, true, false or a word")
+    raise RefusedError("this is no value of a fact", "write a number, true, false or a word")
 
 
 def _state(value: object) -> bool | str:
@@ -154,7 +150,7 @@ def _state(value: object) -> bool | str:
     if type(value) is str and re.fullmatch(STATE_NAME, value):
         return value
     mend = "write true, false or a name of letters, digits and underscores"
-    raise _refusal("this says of no state that it is kept", mend)
+    raise RefusedError("this says of no state that it is kept", mend)
 
 
 def _plain_fact(value: FactValue) -> object:
@@ -169,13 +165,13 @@ def _noise(value: object) -> Noise:
         micro = _micro(value)
         if micro > 0:
             return Noise(micro)
-    raise _refusal("this is no noise", "write a standard deviation above 0, or a percentage such as 20 %")
+    raise RefusedError("this is no noise", "write a standard deviation above 0, or a percentage such as 20 %")
 
 
 def _positive_micro(value: object) -> int:
     micro = _micro(value)
     if micro < 0:
-        raise _refusal(f"{value} is negative", "write a number of 0 or more")
+        raise RefusedError(f"{value} is negative", "write a number of 0 or more")
     return micro
 
 
@@ -184,7 +180,7 @@ def _finite(value: object) -> object:
     if type(value) is Decimal:
         number = float(value)
         if number - number != 0:
-            raise _refusal(f"{value} is not a finite number", "quote it")
+            raise RefusedError(f"{value} is not a finite number", "quote it")
         return number
     if type(value) is dict:
         return {key: _finite(item) for key, item in value.items()}
@@ -197,7 +193,7 @@ def _params(value: object) -> object:
     if value is None:
         return {}
     if type(value) is not dict:
-        raise PydanticCustomError("dict_type", "params must be a mapping")
+        raise RefusedError("params must be a mapping", kind="dict_type")
     return _finite(value)
 
 
@@ -212,7 +208,7 @@ def _amount(value: object) -> Decimal | int:
     number = _finite_number(value)
     if number is None or not 0 <= number <= LARGEST_AMOUNT:
         shown = repr(value) if type(value) is str else str(value)
-        raise _refusal(f"{shown} is no amount of a resource", f"write a whole number from 0 to {LARGEST_AMOUNT:,}")
+        raise RefusedError(f"{shown} is no amount of a resource", f"write a whole number from 0 to {LARGEST_AMOUNT:,}")
     return number
 
 
@@ -221,7 +217,7 @@ def _speed(value: object) -> int:
     micro = _taken(micro_units, _number(value, "a speed is a number"))
     if not SPEEDS[0] * MICRO <= micro <= SPEEDS[1] * MICRO:
         mend = f"write a number from {SPEEDS[0]} to {SPEEDS[1]}; 1 is where costs were measured"
-        raise _refusal(f"{value} is no speed of a host", mend)
+        raise RefusedError(f"{value} is no speed of a host", mend)
     return micro
 
 
@@ -230,7 +226,7 @@ def _resources(amounts: dict[str, Decimal | int]) -> dict[str, int]:
     found = {name: _microseconds(amount) if name == CPU else _whole(amount) for name, amount in amounts.items()}
     parts = next((f"{amount} of `{name}`" for name, amount in found.items() if type(amount) is not int), None)
     if parts is not None:
-        raise _refusal(f"there can't be {parts}", "write a whole number; only cpu has parts")
+        raise RefusedError(f"there can't be {parts}", "write a whole number; only cpu has parts")
     return {name: amount for name, amount in found.items() if type(amount) is int}
 
 
@@ -240,7 +236,7 @@ def _count(value: object) -> int:
         return ALL
     value = _whole(value)
     if type(value) is not int or not 1 <= value <= MOST_COUNTED:
-        raise _refusal(f"{value} is no number of streams", f"write a whole number from 1 to {MOST_COUNTED}, or all")
+        raise RefusedError(f"{value} is no number of streams", f"write a whole number from 1 to {MOST_COUNTED}, or all")
     return value
 
 
@@ -249,23 +245,23 @@ def _once_each(values: list[T]) -> list[T]:
     seen = set[T]()
     for value in values:
         if value in seen:
-            raise _refusal(f"`{value}` is written twice in this list", "remove one of the two")
+            raise RefusedError(f"`{value}` is written twice in this list", "remove one of the two")
         seen.add(value)
     return values
 
 
-_UNIQUE = Field(json_schema_extra={"uniqueItems": True})
-_ONCE_EACH = AfterValidator(_once_each), _UNIQUE
+_UNIQUE = MoreSchema({"uniqueItems": True})
+_ONCE_EACH = After(_once_each), _UNIQUE
 
 
 def form_of(value: object) -> str:
     """The form that an author chose among two, so that errors are about that one only."""
-    return FULL_FORM if isinstance(value, dict | list | BaseModel) else SHORT_FORM
+    return FULL_FORM if isinstance(value, dict | list) else SHORT_FORM
 
 
 def list_or_mapping(value: object) -> str:
     """The same where the short form is a list, and the full one a mapping."""
-    return FULL_FORM if isinstance(value, dict | BaseModel) else SHORT_FORM
+    return FULL_FORM if isinstance(value, dict) else SHORT_FORM
 
 
 @dataclass(frozen=True, slots=True)
@@ -294,70 +290,70 @@ def _whole_if_it_is(value: Decimal) -> Decimal | int:
     return int(value) if value == value.to_integral_value() else value
 
 
-FileName = Annotated[str, Field(pattern=NAME_PATTERN)]
+FileName = Annotated[str, Limits(pattern=NAME_PATTERN)]
 """A file's name, kept as written; all other names are normalised."""
 FileList = Annotated[list[FileName], *_ONCE_EACH]
-Name = Annotated[FileName, AfterValidator(normal)]
+Name = Annotated[FileName, After(normal)]
 Names = Annotated[list[Name], *_ONCE_EACH]
-PortName = Annotated[str, Field(pattern=PORT), AfterValidator(normal)]
-StreamName = Annotated[Name, WithJsonSchema({"type": "string", "pattern": rf"^(?=.+/[^/]+$){NAME_PATTERN[1:]}"})]
+PortName = Annotated[str, Limits(pattern=PORT), After(normal)]
+StreamName = Annotated[Name, Schema({"type": "string", "pattern": rf"^(?=.+/[^/]+$){NAME_PATTERN[1:]}"})]
 """UNIT/PORT; a missing slash has an error message of its own."""
 StreamNames = Annotated[list[StreamName], _UNIQUE]
 """Streams that feed an input; a repeated stream has an error message of its own."""
 TagText = Annotated[
-    str, Field(min_length=1, description="a concept in description logic, or the paper's P(a)"), AfterValidator(normal)
+    str, Limits(min_length=1), Described("a concept in description logic, or the paper's P(a)"), After(normal)
 ]
 SelectorText = Annotated[
-    str, Field(min_length=1, description="labels joined by and, or and not"), AfterValidator(normal), Selects()
+    str, Limits(min_length=1), Described("labels joined by and, or and not"), After(normal), Selects()
 ]
 RequirementText = Annotated[
-    str, Field(min_length=1, description="comparisons of facts joined by and, or and not"), AfterValidator(normal)
+    str, Limits(min_length=1), Described("comparisons of facts joined by and, or and not"), After(normal)
 ]
-TwoSelectors = Annotated[list[SelectorText], Field(min_length=2, max_length=2)]
+TwoSelectors = Annotated[list[SelectorText], Limits(min_length=2, max_length=2)]
 """The two ends of a link."""
-QosText = Annotated[str, Field(pattern=QOS, description="words of a quality of service in ROS 2")]
-Whole = Annotated[int, BeforeValidator(_whole)]
+QosText = Annotated[str, Limits(pattern=QOS), Described("words of a quality of service in ROS 2")]
+Whole = Annotated[int, Before(_whole)]
 _SECONDS = {"type": "number", "minimum": 0, "maximum": LARGEST_COST_US / MICROSECONDS}
 _QUALITY = {"type": "number", "minimum": 0, "maximum": LARGEST_QUALITY // MICRO}
 _AMOUNT = {"minimum": 0, "maximum": LARGEST_AMOUNT}
-Cost = Annotated[int, PlainValidator(_cost), WithJsonSchema(_SECONDS), Written(plain_cost)]
-Seconds = Annotated[int, PlainValidator(_seconds), WithJsonSchema(_SECONDS), Written(plain_cost)]
+Cost = Annotated[int, Instead(_cost), Schema(_SECONDS), Written(plain_cost)]
+Seconds = Annotated[int, Instead(_seconds), Schema(_SECONDS), Written(plain_cost)]
 HangTime = Annotated[
     int,
-    PlainValidator(_silence),
-    WithJsonSchema({"anyOf": [{"const": 0}, {**_SECONDS, "minimum": LEAST_HANG_S}]}),
+    Instead(_silence),
+    Schema({"anyOf": [{"const": 0}, {**_SECONDS, "minimum": LEAST_HANG_S}]}),
     Written(plain_cost),
 ]
 TimeSpan = Annotated[
     int,
-    PlainValidator(_span),
-    WithJsonSchema({"anyOf": [{**_SECONDS, "exclusiveMinimum": 0}, {"type": "string", "pattern": SPAN}]}),
+    Instead(_span),
+    Schema({"anyOf": [{**_SECONDS, "exclusiveMinimum": 0}, {"type": "string", "pattern": SPAN}]}),
     Written(plain_cost),
 ]
 _HORIZON = {"type": "integer", "minimum": 0, "maximum": LONGEST_HORIZON_S}
 Horizon = Annotated[
     int,
-    Field(ge=0, le=LONGEST_HORIZON_S),
-    BeforeValidator(_whole_span),
-    WithJsonSchema({"anyOf": [_HORIZON, {"type": "string", "pattern": SPAN}]}),
+    Limits(ge=0, le=LONGEST_HORIZON_S),
+    Before(_whole_span),
+    Schema({"anyOf": [_HORIZON, {"type": "string", "pattern": SPAN}]}),
 ]
 Rate = Annotated[
     float,
-    PlainValidator(_rate),
-    WithJsonSchema({"type": "number", "exclusiveMinimum": 0, "maximum": LARGEST_RATE_HZ}),
+    Instead(_rate),
+    Schema({"type": "number", "exclusiveMinimum": 0, "maximum": LARGEST_RATE_HZ}),
     Written(lambda rate_hz: Decimal(repr(rate_hz))),
 ]
 Micro = Annotated[
     int,
-    PlainValidator(_micro),
-    WithJsonSchema({**_QUALITY, "minimum": -LARGEST_QUALITY // MICRO}),
+    Instead(_micro),
+    Schema({**_QUALITY, "minimum": -LARGEST_QUALITY // MICRO}),
     Written(plain_quality),
 ]
-PositiveMicro = Annotated[int, PlainValidator(_positive_micro), WithJsonSchema(_QUALITY), Written(plain_quality)]
+PositiveMicro = Annotated[int, Instead(_positive_micro), Schema(_QUALITY), Written(plain_quality)]
 Fact = Annotated[
     bool | int | str,
-    PlainValidator(_fact_value),
-    WithJsonSchema(
+    Instead(_fact_value),
+    Schema(
         {
             "anyOf": [
                 {"type": "boolean"},
@@ -371,32 +367,32 @@ Fact = Annotated[
 """The value of a fact."""
 StateName = Annotated[
     bool | str,
-    PlainValidator(_state),
-    WithJsonSchema({"anyOf": [{"type": "boolean"}, {"type": "string", "pattern": f"^{STATE_NAME}$"}]}),
+    Instead(_state),
+    Schema({"anyOf": [{"type": "boolean"}, {"type": "string", "pattern": f"^{STATE_NAME}$"}]}),
 ]
 """Whether a state is kept, or its name."""
 NoiseText = Annotated[
     Noise,
-    PlainValidator(_noise),
-    WithJsonSchema({"anyOf": [{**_QUALITY, "exclusiveMinimum": 0}, {"type": "string", "pattern": f"^{PERCENT}$"}]}),
+    Instead(_noise),
+    Schema({"anyOf": [{**_QUALITY, "exclusiveMinimum": 0}, {"type": "string", "pattern": f"^{PERCENT}$"}]}),
     Written(lambda noise: str(noise) if noise.is_share else plain_quality(noise.amount)),
 ]
 Speed = Annotated[
     int,
-    PlainValidator(_speed),
-    WithJsonSchema({"type": "number", "minimum": float(SPEEDS[0]), "maximum": SPEEDS[1]}),
+    Instead(_speed),
+    Schema({"type": "number", "minimum": float(SPEEDS[0]), "maximum": SPEEDS[1]}),
     Written(plain_quality),
 ]
 Count = Annotated[
     int,
-    PlainValidator(_count),
-    WithJsonSchema({"anyOf": [{"const": "all"}, {"type": "integer", "minimum": 1, "maximum": MOST_COUNTED}]}),
+    Instead(_count),
+    Schema({"anyOf": [{"const": "all"}, {"type": "integer", "minimum": 1, "maximum": MOST_COUNTED}]}),
     Written(lambda count: "all" if count == ALL else count),
 ]
 Resources = Annotated[
-    dict[Name, Annotated[Decimal | int, PlainValidator(_amount)]],
-    AfterValidator(_resources),
-    WithJsonSchema(
+    dict[Name, Annotated[Decimal | int, Instead(_amount)]],
+    After(_resources),
+    Schema(
         {
             "type": "object",
             "patternProperties": {
@@ -406,20 +402,20 @@ Resources = Annotated[
         }
     ),
 ]
-Survived = Annotated[Literal[0, 1, "units", "hosts"], BeforeValidator(_whole), BeforeValidator(_no_flag)]
-Params = Annotated[dict[str, Any], PlainValidator(_params), WithJsonSchema({"type": ["object", "null"]})]
+Survived = Annotated[Literal[0, 1, "units", "hosts"], Before(_whole), Before(_no_flag)]
+Params = Annotated[dict[str, Any], Instead(_params), Schema({"type": ["object", "null"]})]
 ObjectiveName = Annotated[Literal["rent", "cost", "units", "hosts", "rewired", "started"], _member(Objective)]
 Objectives = Annotated[list[ObjectiveName], *_ONCE_EACH, Written(lambda named: [one.value for one in named])]
 BetterName = Annotated[Literal["lower", "higher"], _member(Better), Written(str)]
 RuleName = Annotated[Literal["add", "limit", "scale", "set"], _member(QualityRule), Written(str)]
 InputKind = Annotated[
     Literal["stream", "service"],
-    AfterValidator(lambda kind: kind == "service"),
+    After(lambda kind: kind == "service"),
     Written(lambda is_service: "service" if is_service else "stream"),
 ]
 WhenFull = Annotated[
     Literal["drop_oldest", "block"],
-    AfterValidator(lambda how: how == "block"),
+    After(lambda how: how == "block"),
     Written(lambda blocks: "block" if blocks else "drop_oldest"),
 ]
 """Whether a producer waits (True) or the oldest element is dropped."""

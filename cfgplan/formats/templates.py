@@ -7,9 +7,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from itertools import product
 from typing import Any
 
-from pydantic import BaseModel
-
 from cfgplan.canonical import normal
+from cfgplan.formats.fields import Part
 from cfgplan.formats.places import Path
 
 _MARK = re.compile(r"\$(\$\{)|\$\{([^\s${}:]+)(?::([^\s${}:]+))?\}|(\$\{)")
@@ -56,9 +55,8 @@ def substitute_all(value: Any, values: Mapping[Variable, str]) -> Any:
         return {substitute(key, values): substitute_all(item, values) for key, item in value.items()}
     if isinstance(value, list):
         return [substitute_all(item, values) for item in value]
-    if isinstance(value, BaseModel):
-        update = {key: substitute_all(getattr(value, key), values) for key in value.model_fields_set}
-        return value.model_copy(update=update)
+    if isinstance(value, Part):
+        return type(value)(**{key: substitute_all(item, values) for key, item in vars(value).items()})
     return value
 
 
@@ -73,9 +71,9 @@ def texts(value: object, path: Path) -> Iterator[tuple[Path, str]]:
     elif isinstance(value, list):
         for index, item in enumerate(value):
             yield from texts(item, (*path, index))
-    elif isinstance(value, BaseModel):
-        for key, item in value.__dict__.items():
-            if item is not None:
+    elif isinstance(value, Part):
+        for key in value.all_keys():
+            if (item := getattr(value, key)) is not None:
                 yield from texts(item, (*path, key))
 
 

@@ -13,6 +13,7 @@ from cfgplan.errors import UnknownNameError as UnknownNameError
 from cfgplan.exports import exports
 
 if TYPE_CHECKING:
+    from cfgplan.matching.answer import Matching as Matching
     from cfgplan.matching.explanation import MatchExplanation as MatchExplanation
     from cfgplan.matching.explanation import Nearest as Nearest
     from cfgplan.matching.explanation import explain_match as explain_match
@@ -29,19 +30,19 @@ if TYPE_CHECKING:
     from cfgplan.matching.ontology_files import read_owlready as read_owlready
     from cfgplan.matching.reference import REASONERS as REASONERS
     from cfgplan.matching.session import Matcher as Matcher
-    from cfgplan.matching.session import Matching as Matching
     from cfgplan.matching.suggestions import Suggestion as Suggestion
 
 __all__, __getattr__, __dir__ = exports(
     __name__,
     {
+        "answer": "Matching",
         "explanation": "MatchExplanation Nearest explain_match near_offers",
         "faults": "InconsistentOntologyError ReasonerError ReasonerTimeoutError",
         "ontology_files": "load_ontology read_owlready",
         "matrix": "Matches check_tag instances match",
         "ontology": "Ontology",
         "reference": "REASONERS",
-        "session": "Matcher Matching",
+        "session": "Matcher",
         "suggestions": "Suggestion",
     },
 )

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Final
 
 from cfgplan.domain import Similarity
+from cfgplan.matching.answer import Matching
 from cfgplan.matching.ontology import Ontology
-from cfgplan.matching.session import Matching
 
 _FOLDER: Final = "matching"
 _KEPT_FORMAT: Final = "cfgplan-matching/5"

@@ -9,11 +9,13 @@ from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import Final
+from typing import TYPE_CHECKING, Final
 from urllib.parse import unquote, urljoin, urlsplit
-from xml.etree.ElementTree import Element, ParseError, fromstring
 
 from cfgplan.errors import Fault, InputError
+
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
 
 CATALOG: Final = "catalog-v001.xml"
 _CATALOG_NAMESPACE: Final = "{urn:oasis:names:tc:entity:xmlns:xml:catalog}"
@@ -34,6 +36,8 @@ def catalogued(folder: Path) -> Mapping[str, Path]:
 
 @lru_cache(maxsize=64)
 def _read(path: Path, _changed: int) -> Mapping[str, Path]:
+    from xml.etree.ElementTree import ParseError, fromstring
+
     found: dict[str, Path] = {}
     read: set[Path] = set()
     waiting = [path]

@@ -10,17 +10,20 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from cfgplan.canonical import normal
 from cfgplan.domain import Similarity
 from cfgplan.errors import UnknownNameError
+from cfgplan.matching.answer import Matching
 from cfgplan.matching.cache import key_of, load, store
 from cfgplan.matching.faults import ReasonerTimeoutError
 from cfgplan.matching.ontology import Ontology
-from cfgplan.matching.session import Matcher, Matching
 from cfgplan.matching.syntax import parse_tag
 from cfgplan.planning import Pair
+
+if TYPE_CHECKING:
+    from cfgplan.matching.session import Matcher
 
 T = TypeVar("T")
 
@@ -67,6 +70,8 @@ class Matches:
         if known is not None:
             self.matching = known
             return
+        from cfgplan.matching.session import Matcher
+
         self._matcher = matcher = Matcher(ontology, reasoner=reasoner)
         matcher.add(offered=sorted({*offered}), demanded=sorted({*demanded}))
         found = None if most is None else self._undecided(matcher)
@@ -126,18 +131,21 @@ def check_tag(text: str, ontology: Ontology) -> None:
     parse_tag(text, ontology)
 
 
-def instances(ontology: Ontology, class_or_tag: str, *, time_limit_s: float | None = None) -> tuple[str, ...]:
+def instances(
+    ontology: Ontology, class_or_tag: str, *, time_limit_s: float | None = None, cache: Path | None = None
+) -> tuple[str, ...]:
     """Return the sorted names of the individuals that belong to a class or tag, asserted or inferred.
 
-    Raises UnknownNameError for a name that is no class, TagError for a tag that can't be read, InputError for an
-    ontology that can't be reasoned with, ReasonerTimeoutError if the time limit is too short.
+    `cache` is a folder for answers that are kept between runs. Raises UnknownNameError for a name that
+    is no class, TagError for a tag that can't be read, InputError for an ontology that can't be reasoned with,
+    ReasonerTimeoutError if the time limit is too short.
     """
     name = normal(class_or_tag.strip())
     if name in ontology.individuals and name not in ontology.classes:
         raise UnknownNameError(f"{name!r} is an individual, but a class is wanted here")
     parse_tag(name, ontology)
     tags = {f"{{{ontology.in_tag(iri)}}}": individual for individual, iri in ontology.individuals.items()}
-    found = match(tags, [name], ontology, time_limit_s=time_limit_s)
+    found = match(tags, [name], ontology, time_limit_s=time_limit_s, cache=cache)
     if found.similarity.open:
         message = f"it could not be decided in {time_limit_s} s which individuals belong to {name!r}"
         raise ReasonerTimeoutError(message, "simplify the ontology, or name the individuals")

@@ -10,6 +10,7 @@ operand  = ¬ operand | (∃|∀) role . operand | (≥|≤|=) number role . ope
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from types import MappingProxyType
 from typing import Final
@@ -40,12 +41,26 @@ from cfgplan.selectors import KEYWORDS, QUANTIFYING, RESTRICTIONS, ExpressionRea
 SOURCE_ROLE: Final = "hasSource"
 """The property that the paper's form `P(a)` means: P ⊓ ∃hasSource.{a}."""
 
+_BARE_NAME: Final = re.compile(r"(?!(?:Thing|Nothing)$)[A-Za-z][A-Za-z0-9_]*")
 _BETWEEN_NAMES: Final = (*sorted(RESTRICTIONS), "and", "or")
 
 
 def parse_tag(text: str, ontology: Ontology) -> Concept:
     """The concept that a tag means. Raises TagError."""
-    return _TagReader(text, ontology).whole()
+    return _bare_name(text, ontology) or _TagReader(text, ontology).whole()
+
+
+def _bare_name(text: str, ontology: Ontology) -> Concept | None:
+    """The concept of a tag that is one name, as most are; None for any other text, and if the name means nothing."""
+    if not _BARE_NAME.fullmatch(text) or text in KEYWORDS:
+        return None
+    try:
+        found = ontology.find(text, (ontology.class_names, ontology.individual_names))
+    except UnknownNameError:
+        return None
+    if found is None:
+        return Named(ontology.free_iri(text))
+    return Nominal(found[1]) if found[0] is ontology.individual_names else Named(found[1])
 
 
 class _TagReader(ExpressionReader[Concept]):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -137,6 +138,30 @@ def test_neither_solver_nor_what_only_others_need_is_imported_where_the_bounds_m
         "assert not {'ortools', 'msgspec', 'numpy.ma', 'cfgplan.formats.xml_text'} & sys.modules.keys()"
     )
     subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
+
+
+MOST_MODULES = 400
+"""`solve` of the README's case may import so many modules; it imports 383, of which 87 are numpy's."""
+
+
+def test_a_small_plan_is_printed_to_a_file_without_pydantic_rich_and_reasoners(tmp_path: Path) -> None:
+    """The second time, when answers about tags are kept; told by the modules rather than by a clock."""
+    code = (
+        "import sys\nfrom cfgplan.cli import main\n"
+        f"assert main(['solve', {str(LOST)!r}]) == 0\n"
+        "print(*sys.modules, sep='\\n', file=sys.stderr)"
+    )
+    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path)}
+    for _ in range(2):
+        found = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment
+        )
+    assert found.stdout.startswith("  + start   segmenter(piff).1")
+    modules = found.stderr.splitlines()[1:]
+    tops = {name.partition(".")[0] for name in modules}
+    assert not tops & {"pydantic", "pydantic_core", "rich", "ortools", "owlready2", "aiohttp", "starlette", "asyncio"}
+    assert not {"cfgplan.matching.session", "cfgplan.formats.models", "cfgplan.explaining"} & {*modules}
+    assert len(modules) <= MOST_MODULES
 
 
 def test_an_ontology_that_is_not_there_is_told_with_the_key_that_names_it(

@@ -12,7 +12,8 @@ from loading import faults_of, load, only_fault, place_of
 from cfgplan.errors import InputError
 from cfgplan.formats import files
 from cfgplan.formats.document import read_document
-from cfgplan.formats.fields import EnvironmentPart, json_schema
+from cfgplan.formats.fields import EnvironmentPart
+from cfgplan.formats.models import json_schema
 
 HEAD = "format: cfgplan/1\n"
 A = "transformations:\n  - {label: a, inputs: {i: T}, outputs: {o: T, p: T}}\n"

@@ -23,7 +23,8 @@ from cfgplan.domain import (
     Transformation,
 )
 from cfgplan.errors import InputError
-from cfgplan.formats.fields import EnvironmentPart, json_schema
+from cfgplan.formats.fields import EnvironmentPart
+from cfgplan.formats.models import json_schema
 
 WHOLE = """\
 format: cfgplan/1

@@ -123,7 +123,8 @@ from cfgplan.domain import Similarity
 from cfgplan.explaining.limits import limits_of
 from cfgplan.formats import fields
 from cfgplan.formats.dump import dump_yaml, plain_environment
-from cfgplan.formats.fields import EnvironmentPart, json_schema
+from cfgplan.formats.fields import EnvironmentPart
+from cfgplan.formats.models import json_schema
 from cfgplan.formats.xml_dump import dump_xml
 from cfgplan.planning import Problem
 from cfgplan.rows import Feature

@@ -17,7 +17,8 @@ import cfgplan
 from cfgplan.errors import InputError, InvalidValueError
 from cfgplan.formats.document import read_document
 from cfgplan.formats.dump import as_yaml, dump_yaml, plain_document, plain_environment
-from cfgplan.formats.fields import EnvironmentPart, json_schema
+from cfgplan.formats.fields import EnvironmentPart
+from cfgplan.formats.models import json_schema
 from cfgplan.formats.xml_dump import dump_xml
 
 HERE = Path(__file__).parent

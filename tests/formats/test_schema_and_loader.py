@@ -13,7 +13,8 @@ from jsonschema import Draft202012Validator
 from loading import faults_of, load_text
 
 from cfgplan.errors import InputError
-from cfgplan.formats.fields import EnvironmentPart, json_schema
+from cfgplan.formats.fields import EnvironmentPart
+from cfgplan.formats.models import json_schema
 from cfgplan.formats.yaml_text import read_yaml
 
 Way: TypeAlias = tuple[str | int, ...]

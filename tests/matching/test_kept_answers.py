@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from cfgplan.matching import Matching, Ontology, cache, match, matrix
+from cfgplan.matching import Matching, Ontology, cache, match, session
 
 OFFERED = ["Undistorted ⊓ ∃hasSource.{cam1}", "Undistorted", "RawRGB ⊓ Camera"]
 DEMANDED = ["Undistorted ⊓ ∃hasSource.Camera", "Image"]
@@ -19,7 +19,7 @@ def test_the_second_answer_comes_from_the_cache_and_is_the_same(
     streams: Ontology, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     first = match(OFFERED, DEMANDED, streams, cache=tmp_path)
-    monkeypatch.delattr(matrix, "Matcher")
+    monkeypatch.delattr(session, "Matcher")
     assert match(list(reversed(OFFERED)), DEMANDED, streams, cache=tmp_path) == first
     assert first.warnings
 
