@@ -58,8 +58,8 @@ class Row:
 
     A value other than the default asks for a `feature`. If it `is_limit`, it can only forbid plans. A field that
     `limits_units` says how many units of its transformation may be there: a number, or a number for each selector of
-    hosts. A field that `is_by_host` may be kept by several hosts where one could not keep it. One that `is_of_hosts`
-    says nothing where no hosts are declared. `shown` gives lines for a picture of a unit.
+    hosts. If a field `is_by_host`, several hosts may satisfy it where one can't. If it `is_of_hosts`, it has no effect
+    without declared hosts. `shown` gives lines for a picture of a unit.
     """
 
     meaning: str = ""

@@ -108,9 +108,7 @@ def add_planning(parser: argparse.ArgumentParser, what_if: str | None = None) ->
 
 def add_observed(parser: argparse._ActionsContainer) -> None:
     """`--observed`: plan with the facts and qualities of a run in place of the declared ones."""
-    means = (
-        "plan with the facts and qualities that a run has observed; `cfgplan ctl observed --out FILE` writes the file"
-    )
+    means = "use the facts and qualities that a run has observed; `cfgplan ctl observed --out FILE` writes the file"
     parser.add_argument("--observed", metavar="FILE", help=means)
 
 

@@ -66,7 +66,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--strict", action="store_true", help="start nothing unless every target can be met")
     named = "name of the run, for `cfgplan ctl --name NAME` and `listen --run NAME`"
     parser.add_argument("--name", type=shared.run_name, metavar="NAME", help=named)
-    yes = "stop units that an earlier run has left without asking"
+    yes = "without asking, stop units that an earlier run has left"
     parser.add_argument("--yes", action="store_true", help=yes)
     parser.add_argument("--plain", action="store_true", help="print lines instead of the live view, as when piped")
     parser.add_argument("--log", metavar="FILE", help="add every event to FILE, one JSON line each")

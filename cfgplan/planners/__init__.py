@@ -4,8 +4,8 @@
 * `exhaustive`: the oracle, which tries every set of units and every wiring; about ten transformations.
 * `branch-and-bound`: the paper's Algorithms 1 and 2 with the merging of section IV-D; not optimal.
 
-None of them looks at open pairs of tags: problems that have some come to them through `undecided`. Any other function
-comes by `planner_of`.
+None of them gets open pairs of tags: `undecided` calls them with each pair as matching or not. `planner_of` finds
+a planner of the user's own.
 """
 
 from __future__ import annotations

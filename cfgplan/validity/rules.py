@@ -1,4 +1,4 @@
-"""The rules that are judged, and a broken one in words."""
+"""The names of the judge's rules, and a violation."""
 
 from __future__ import annotations
 

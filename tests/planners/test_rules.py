@@ -1,4 +1,4 @@
-"""Each rule of what the paper asks by itself, in every model that knows it: what it allows, and what it forbids."""
+"""Each rule of the paper by itself, in every model that knows it: allowed and forbidden solutions."""
 
 from __future__ import annotations
 

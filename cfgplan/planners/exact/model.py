@@ -210,7 +210,7 @@ class Model:
         return [*self.has_on[unit].items(), *self.waits_on[unit].items()]
 
     def hosts_in_use(self, host: HostName) -> LinearExprT:
-        """How many hosts of a kind bear units; 1 where units are named, whatever is there."""
+        """How many hosts of a kind have units; 1 if each candidate is a single unit."""
         return self.uses.get(host, 1) if self.is_grouped else 1
 
     def running(self, label: str) -> list[int]:

@@ -128,7 +128,7 @@ class Rule:
     about units on hosts says instead what a host `lacks` for one more unit, beside those that are placed already:
     first plans heed it, checks follow from it, and explanations quote it.
 
-    Hosts are interchangeable only if they have the same `trait`. A rule that `is_placed` holds for any
+    Hosts are interchangeable only if they have the same `trait`. An `is_placed` rule ignores the
     wiring. A rule that `keeps_units` may need units that feed no other and meet no target.
     """
 

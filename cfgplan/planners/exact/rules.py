@@ -1,8 +1,8 @@
-"""The rules of an update, each a function named by its content in the file of its subject, and what breaks them.
+"""The rules of an update, each a `Rule` in the file of its subject, and the flaws of a configuration.
 
-Adding a rule is a row in one of these files. A rule that a problem does not ask for adds nothing. Each configuration is
-checked before it becomes the incumbent, because an invalid incumbent makes proofs false. The judge checks the answer
-again, and shares no code with this room.
+`RULES` lists each `Rule`, or the tuple that has it. A rule that a problem does not ask for adds nothing. Each
+configuration is checked before it becomes the incumbent, because an invalid incumbent makes proofs false. The judge
+checks the answer again, and shares no code with this room.
 """
 
 from __future__ import annotations

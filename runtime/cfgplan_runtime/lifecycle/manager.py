@@ -154,7 +154,10 @@ class Manager:
         self._put(FactSeen(name, value))
 
     def tell_quality(self, statement: Statement, value: float) -> None:
-        """Pass on the quality of an output that a topic tells, in units of the attribute. Thread-safe."""
+        """Pass on the quality of an output that a topic tells. Thread-safe.
+
+        The `statement` is about one attribute of the output; `value` is in units of this attribute.
+        """
         self._put(QualityTold(statement, value))
 
     def refuse(self, by: str, faults: tuple[Fault, ...]) -> None:
