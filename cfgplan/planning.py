@@ -314,7 +314,14 @@ class PlannerFaultError(CfgplanError):
 
 
 class OwnPlannerError(CfgplanError):
-    """A user's planner raised an exception that it must not, which is the cause, or returned no `Plan`."""
+    """A user's planner raised an exception that it must not, which is the cause, or returned no `Plan`.
+
+    `mend` says how to correct it.
+    """
+
+    def __init__(self, text: str, *, mend: str = "CFGPLAN_TRACEBACK=1 shows where") -> None:
+        super().__init__(text)
+        self.mend = mend
 
 
 @dataclass(frozen=True, slots=True)

@@ -131,10 +131,10 @@ def _tell(error: CfgplanError | ModuleNotFoundError, screen: Screen, env: str | 
             screen.faults(faults)
         case ModuleNotFoundError():
             screen.faults([Fault(f"the package {error.name} is not installed", mend=install(error.name or ""))])
+        case OwnPlannerError(mend=mend):
+            screen.faults([Fault(str(error), mend=mend)])
         case _:
-            is_own = isinstance(error, OwnPlannerError)
-            mend = "CFGPLAN_TRACEBACK=1 shows where" if is_own else None
-            screen.faults([Fault(str(error), file=None if is_own else env, mend=mend)])
+            screen.faults([Fault(str(error), file=env)])
 
 
 def _interrupted(ending: Ending) -> Exit:

@@ -39,7 +39,7 @@ def _registered(name: str) -> Entrant:
     module = f"cfgplan.planners.{name.replace('-', '_')}"
     if name == "cpsat":
         parts = (f"cfgplan.planners.exact.{part}" for part in ("fleet", "search", "deployment"))
-        return Entrant(name, engines=("ortools.linear_solver.pywraplp", module, *parts))
+        return Entrant(name, engines=("networkx", "ortools.linear_solver.pywraplp", module, *parts))
     return Entrant(name, engines=(module,) if find_spec(module) else ())
 
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from decimal import Decimal
 from math import ceil
-from typing import Any, get_args, get_origin
+from typing import Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel
 
@@ -112,7 +112,7 @@ def _fault(source: Source, path: Path, at_key: bool, error: Any, part: type[Base
         if _is_nominal(error):
             mend = "write it in quotes: a text that begins with { is read as a mapping"
             return source.fault(path[:-1], "this must be a tag or a mapping with the key `tag`", mend)
-        mend = f"add `format: {FORMAT}` here" if path == ("format",) else f"add `{path[-1]}:` here"
+        mend = f"add `format: {FORMAT}` here" if path == ("format",) else _added(path, part)
         return source.fault(path[:-1], f"the key `{path[-1]}` is missing", mend)
     if kind == "literal_error":
         wanted = str(error["ctx"]["expected"]).replace("'", "")
@@ -163,9 +163,19 @@ def _unknown_key(source: Source, path: Path, part: type[BaseModel]) -> Fault:
         mend = f"write {' or '.join(f'`{key}` ({_EACH_MEANS[key]})' for key in meant)}"
     elif name == "type" and "kind" in known:
         mend = "a message type belongs to a port: `image: {tag: Image, type: sensor_msgs/Image}`; `kind` is free text"
+    elif not meant and (holders := [key for key in known if name in _keys_of_each(fields[key])]):
+        mend = f"it is a key of each entry of `{'` or `'.join(holders[:3])}`: write it there"
     else:
         mend = f"did you mean `{meant[0]}`?" if meant else f"the keys here are {', '.join(known)}"
     return source.fault(path, f"unknown key `{name}`", mend, at_key=True)
+
+
+def _added(path: Path, part: type[BaseModel]) -> str:
+    """The mend of a missing key: to add it, with the values that it may have if they are few words."""
+    field = _keys_at(part, path[:-1]).get(str(path[-1]))
+    values = get_args(field.annotation) if field is not None and get_origin(field.annotation) is Literal else ()
+    forms = [f"`{path[-1]}: {value}`" for value in values] or [f"`{path[-1]}:`"]
+    return f"add {' or '.join(forms)} here"
 
 
 def _has_inputs(source: Source, path: Path) -> bool:
@@ -179,6 +189,12 @@ def _has_inputs(source: Source, path: Path) -> bool:
 def _keys_within(field: Any) -> Collection[str]:
     """The keys of the one mapping that a field may hold."""
     inner = None if _holds_several(field.annotation) else _part_in(field.annotation)
+    return () if inner is None else inner.model_fields
+
+
+def _keys_of_each(field: Any) -> Collection[str]:
+    """The keys of each of the mappings that a field may hold several of."""
+    inner = _part_in(field.annotation) if _holds_several(field.annotation) else None
     return () if inner is None else inner.model_fields
 
 
@@ -272,7 +288,9 @@ def _as_mapping(path: Path, value: object, part: type[BaseModel]) -> str:
         first = "..." if value is None else value
         rest = "".join(f", {key}: ..." for key in needed[1:])
         return f"write {{{needed[0]}: {str(first).lower() if isinstance(value, bool) else first}{rest}}}"
-    return f"write a mapping of {', '.join(keys[:6])} here" if keys else "write a mapping of keys to values here"
+    if not keys:
+        return "write a mapping of keys to values here"
+    return f"write a mapping here, such as {{{keys[0]}: ...}}; its keys are {', '.join(keys[:6])}"
 
 
 def _plain(number: Decimal) -> str:

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from importlib import import_module
+from inspect import signature
 from types import MappingProxyType
 from typing import Any
 
@@ -80,13 +81,21 @@ def _own(name: str, function: Planner) -> Planner:
 
     def planner(problem: Problem, **how: Any) -> Plan:
         try:
+            signature(function).bind(problem, **how)
+        except TypeError as error:
+            mend = "write it as `def plan(problem, *, time_limit_s=None, report=None)`"
+            raise OwnPlannerError(f"the planner {name} can't be called: {error}", mend=mend) from error
+        except ValueError:  # a function of C that has no signature
+            pass
+        try:
             found = deciding(problem, **how)
         except CfgplanError:
             raise
         except Exception as error:
             raise OwnPlannerError(f"the planner {name} failed: {type(error).__name__}: {error}") from error
         if not isinstance(found, Plan):
-            raise OwnPlannerError(f"the planner {name} gave no cfgplan.Plan, but {found!r:.60}")
+            mend = "return a cfgplan.Plan, with the status UNKNOWN if none is found"
+            raise OwnPlannerError(f"the planner {name} gave no cfgplan.Plan, but {found!r:.60}", mend=mend)
         return replace(found, planner=name) if name else found
 
     return planner

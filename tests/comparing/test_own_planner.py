@@ -36,6 +36,10 @@ def answers_with_a_number(_: Problem, **__: object) -> int:
     return 42
 
 
+def asks_for_less(_: Problem) -> Plan:
+    raise AssertionError("it can't be called")
+
+
 def boasts(problem: Problem, **_: object) -> Plan:
     return replace(PLANNERS["cpsat"](problem), cost_us=1, bound_us=1)
 
@@ -57,19 +61,25 @@ def test_run_takes_it(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("planner", "says"),
+    ("planner", "says", "mend"),
     [
-        (breaks, "failed: ZeroDivisionError: 6 transformations are too many for me"),
-        (answers_with_a_number, "gave no cfgplan.Plan, but 42"),
+        (breaks, "failed: ZeroDivisionError: 6 transformations are too many for me", "CFGPLAN_TRACEBACK=1 shows where"),
+        (answers_with_a_number, "gave no cfgplan.Plan, but 42", "return a cfgplan.Plan, with the status UNKNOWN"),
+        (asks_for_less, "can't be called: got an unexpected keyword argument", "write it as `def plan(problem, *,"),
     ],
 )
 def test_a_fault_of_its_own_is_told_as_such(
-    planner: Callable[..., object], says: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    planner: Callable[..., object],
+    says: str,
+    mend: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.delenv("CFGPLAN_TRACEBACK", raising=False)
     assert main(["solve", LOST, "--planner", named(planner)]) == Exit.BAD_INPUT
     said = capsys.readouterr().err
     assert says in said
+    assert mend in said
     assert "bug in cfgplan" not in said
     monkeypatch.setenv("CFGPLAN_TRACEBACK", "1")
     with pytest.raises(OwnPlannerError):
