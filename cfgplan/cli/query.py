@@ -190,7 +190,8 @@ def as_text(screen: Screen, formula: str, *, verbose: bool) -> Callable[[QueryRe
         match report:
             case queries.SetUp(topics, seconds):
                 streams = ", ".join(f"{name} on {topic}" for name, topic in topics.items())
-                screen.note(f"Set up in {span(seconds)}: {streams or 'no streams are needed'}.")
+                since = span(screen.seconds.get("set up", 0.0) + seconds)
+                screen.note(f"Set up in {since}: {streams or 'no streams are needed'}.")
             case queries.Noted(text):
                 screen.note(text, style="yellow" if verbose or "unknown" in text else "dim")
             case queries.Progressed():
