@@ -139,8 +139,18 @@ def test_what_the_page_on_trouble_quotes_is_said_somewhere() -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_links_of_the_manual_lead_somewhere(page: Path) -> None:
-    for link in re.findall(r"\]\(([^)#]+)", TEXT[page.stem]):
-        assert "://" in link or (MANUAL / link).exists(), link
+    for link, heading in re.findall(r"\]\(([^)#]*)#?([^)]*)\)", TEXT[page.stem]):
+        if "://" in link:
+            continue
+        target = (MANUAL / link) if link else page
+        assert target.exists(), link
+        assert not heading or heading in anchors(target.read_text(encoding="utf-8")), f"{link}#{heading}"
+
+
+def anchors(text: str) -> set[str]:
+    """The ids that headings get: small letters, dashes for spaces, no other marks."""
+    headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading).lower().replace(" ", "-") for heading in headings}
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if page.stem != "index"], ids=lambda page: page.stem)
@@ -191,7 +201,8 @@ def kinds_of(*families: type[object]) -> str:
 
 def made_anew() -> dict[str, str]:
     """The pages with tables, these made from the code."""
-    environment = TEXT["environment"].partition("\n###")[0] + tables()
+    before, _, _ = TEXT["environment"].partition(f"\n### {next(iter(PARTS))}\n")
+    environment = before + tables()
     commands = re.sub(r"(?<=\| verb \| does \|\n\|---\|---\|\n)(\|.*\n)*", verbs(), TEXT["commands"])
     rows = r"(?<=\| {} \| level \| fields \| meaning \|\n\|---\|---\|---\|---\|\n)(\|.*\n)*"
     events = TEXT["events"]

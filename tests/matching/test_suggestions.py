@@ -20,7 +20,8 @@ from cfgplan.domain import (
     Transformation,
 )
 from cfgplan.errors import CfgplanError
-from cfgplan.matching import Ontology
+from cfgplan.matching import Ontology, load_ontology
+from cfgplan.matching import match as match_tags
 from cfgplan.matching.suggestions import PortWords, Proposer, words_of
 from cfgplan.matching.taxonomy import taxonomy
 
@@ -127,11 +128,11 @@ def test_a_taxonomy_of_names_in_use_reads_as_the_tags_did_and_finds_more(tmp_pat
     text, left_out = taxonomy(["YUVImage ⊓ ∃hasSource.{cam1}", "Image", "Position", "∃hasSource.⊤"])
     assert not left_out
     (tmp_path / "o.ttl").write_text(text)
-    ontology = api.load_ontology([tmp_path / "o.ttl"])
+    ontology = load_ontology([tmp_path / "o.ttl"])
     assert set(ontology.classes) == {"YUVImage", "Image", "Position"}
     assert set(ontology.individuals) == {"cam1"}  # it stands in { }
     assert set(ontology.property_names.by_short_name) == {"hasSource"}
-    found_too = api.match_tags(["YUVImage ⊓ ∃hasSource.{cam1}", "Position"], ["Image", "∃hasSource.⊤"], ontology)
+    found_too = match_tags(["YUVImage ⊓ ∃hasSource.{cam1}", "Position"], ["Image", "∃hasSource.⊤"], ontology)
     assert found_too.similarity.offers["Image"] == {"YUVImage ⊓ ∃hasSource.{cam1}"}
     assert found_too.similarity.offers["∃hasSource.⊤"] == {"YUVImage ⊓ ∃hasSource.{cam1}"}
 
