@@ -169,7 +169,8 @@ def test_a_node_that_wants_another_message_type_is_told_of(runtime: Runtime) -> 
     told = heard_by(runtime)
     started = (unit("clock.1"), unit("shouter.1", (Subscription("quiet", Stream("clock.1", "ticks")),)))
     runtime.apply(ChangeSet(started, added_transformations=(CLOCK, SHOUTER)))
-    assert "shouter_1 wants std_msgs/msg/String, and what comes there is geometry_msgs/msg/PointStamped" in next(told)
+    wanted = "shouter_1 wants std_msgs/msg/String, and what comes there is geometry_msgs/msg/PointStamped"
+    assert next(text for text in told if wanted in text)
 
 
 def test_a_reliable_listener_hears_a_best_effort_source_and_that_is_told(runtime: Runtime, observer: Observer) -> None:
@@ -178,7 +179,7 @@ def test_a_reliable_listener_hears_a_best_effort_source_and_that_is_told(runtime
     started = (unit("whisperer.1"), shouter("whisperer.1"))
     runtime.apply(ChangeSet(started, added_transformations=library, added_targets=(SHOUT,)))
     assert next(observer.listen("/shout")).endswith("!")
-    assert "asks for reliable messages and is given best effort" in next(told)
+    assert next(text for text in told if "asks for reliable messages and is given best effort" in text)
 
 
 def test_a_listener_that_asks_for_earlier_messages_hears_a_source_that_keeps_none(
@@ -189,7 +190,7 @@ def test_a_listener_that_asks_for_earlier_messages_hears_a_source_that_keeps_non
     started = (unit("first.1"), shouter("first.1"))
     runtime.apply(ChangeSet(started, added_transformations=(talker("first", 0), eager), added_targets=(SHOUT,)))
     assert next(observer.listen("/shout")).endswith("!")
-    assert "asks for messages from before it came" in next(told)
+    assert next(text for text in told if "asks for messages from before it came" in text)
 
 
 def test_simulated_time_is_led_by_its_own_stamps(runtime: Runtime, observer: Observer) -> None:
