@@ -31,7 +31,7 @@ def env(write: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch) -> Path:
         ("solve ENV --alternatives 1e9999999", "'1e9999999' is too large", "cfgplan solve --help"),
         ("solve ENV --horizon 999999999h", "is too long: write at most 1000000000 seconds", "cfgplan solve --help"),
         ("solve ENV --set t.priority=1e9999999", "'1e9999999' is not a whole number", "write one from -1000000000 to"),
-        ("solve ENV --planner os:getcwd", "error: the planner os:getcwd can't be called", "write it as `def plan(problem, *,"),
+        ("solve ENV --planner os:getcwd", "error: the planner os:getcwd can't be called", "write it as `def plan("),
         ("explain ENV --stream o", "there is no output `o`", "write a/o"),
         ("graph ENV --out picture", "no ending says the format of the picture", "end it in one of .svg"),
         ("export schema ENV", "the schema is the same for all files", "leave the file out"),
