@@ -27,8 +27,6 @@ from cfgplan_runtime.streams.element import Element, Outgoing
 from cfgplan_runtime.streams.ends import Ends
 from cfgplan_runtime.streams.inlet import InputQueue
 
-_MOST_SAID = 1 << 16
-
 
 def _nothing() -> None:
     pass
@@ -285,19 +283,8 @@ class Ports:
         receiver.close()
 
     def _peer_spoke(self, output: UnitOutput, sender: Sender) -> None:
-        """A receiver's socket is ready: discard its data, then send waiting elements. If it is gone, close
-        the sender.
-        """
-        try:
-            gone = not sender.socket.recv(_MOST_SAID, socket.MSG_DONTWAIT)
-        except BlockingIOError:
-            gone = False
-        except OSError:
-            gone = True
-        if gone:
-            sender.give_up()
-        elif sender.depth:
-            sender.flush()
+        """A receiver's socket is ready. If the receiver is gone, close the sender."""
+        sender.attend()
         self._after_sending(output, sender)
 
     def _after_sending(self, output: UnitOutput, sender: Sender) -> None:

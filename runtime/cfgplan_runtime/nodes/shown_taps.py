@@ -14,7 +14,6 @@ from cfgplan_runtime.streams.run_folder import RunFolder
 
 _QUEUE = 4
 """The most messages that wait for a slow observer."""
-_MOST_HEARD = 1 << 12
 
 
 class ShownTaps:
@@ -74,15 +73,7 @@ class ShownTaps:
 
     def _hear(self, topic: str, observer: Sender) -> None:
         """An observer has gone, or can take more."""
-        try:
-            is_gone = not observer.socket.recv(_MOST_HEARD, socket.MSG_DONTWAIT)
-        except BlockingIOError:
-            is_gone = False
-        except OSError:
-            is_gone = True
-        if is_gone:
-            observer.give_up()
-        observer.flush()
+        observer.attend()
         self._look_at(topic, observer)
 
     def _look_at(self, topic: str, observer: Sender) -> None:

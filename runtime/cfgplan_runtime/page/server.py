@@ -49,6 +49,7 @@ METHODS = (
 )
 """The methods of the control socket that the page may call."""
 _NEEDS_TOKEN = "looking needs the token of the page's address"
+_LONGEST_NUMBER = 15
 _ALIVE_S = 5.0
 _LARGEST_REQUEST = 1_000_000
 _FILES = Path(__file__).parent
@@ -162,7 +163,7 @@ class PageServer:
         if not self._may_look(request):
             return JSONResponse({"message": _NEEDS_TOKEN}, 403, headers=_HEADERS)
         asked = request.query_params.get("review", "")
-        if not asked.isdecimal():
+        if not asked.isdecimal() or len(asked) > _LONGEST_NUMBER:
             return JSONResponse({"message": "this is no request"}, 400, headers=_HEADERS)
         try:
             return JSONResponse(await asyncio.to_thread(self.watched.moment, int(asked)), headers=_HEADERS)

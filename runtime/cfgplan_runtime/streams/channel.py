@@ -18,6 +18,8 @@ MOST_WAITING_BYTES = 32 << 20
 SOCKET_BUFFER = 1 << 20
 _CHUNK = 1 << 16
 _MOST_PER_READ = 4 << 20
+_MOST_SAID = 1 << 16
+"""Bytes from a receiver, which has nothing to say, that are discarded at once."""
 
 
 def socket_pair() -> tuple[socket.socket, socket.socket]:
@@ -94,6 +96,19 @@ class Sender:
                 self._waiting_bytes -= element.size
                 self._send(number, element)
         return self.is_closed or not self.depth
+
+    def attend(self) -> None:
+        """The socket is ready: discard what the receiver says, then send waiting elements; give up if it is gone."""
+        try:
+            is_gone = not self.socket.recv(_MOST_SAID, socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            is_gone = False
+        except OSError:
+            is_gone = True
+        if is_gone:
+            self.give_up()
+        else:
+            self.flush()
 
     def give_up(self) -> None:
         """Stop sending. The owner closes the socket once it has stopped watching it."""
