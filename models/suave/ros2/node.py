@@ -25,6 +25,8 @@ DEPTH = 8
 RATES_HZ = {"Water": 5, "Thrusters": 20}
 SEARCH = "/search"
 """The target's topic: a new altitude continues from what was searched there."""
+LISTENS_S = 1.0
+"""So long a new altitude waits for what was searched before it: at the first start there is nothing."""
 
 
 class WaterNode(Node):
@@ -82,12 +84,17 @@ class SpiralNode(MovedNode):
         super().__init__("spiral")
         self._spiral = Spiral(_number(self, "altitude", 1.0), _number(self, "period_s", 80.0))
         self._path = self.create_publisher(Point, "path", DEPTH)
+        self._listens_s = LISTENS_S
         self.create_subscription(Point, SEARCH, self._hear, DEPTH)
 
     def _hear(self, path: Point) -> None:
+        self._listens_s = 0
         self._spiral.set_state(max(self._spiral.get_state(), path.y))
 
     def moved(self, motion: Motion) -> None:
+        if self._listens_s > 0:
+            self._listens_s -= motion["for_s"]
+            return
         value: dict[str, Any] = self._spiral(motion)
         self._path.publish(Point(x=float(value["altitude"]), y=float(value["searched_m2"]), z=float(value["found"])))
 
