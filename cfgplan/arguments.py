@@ -198,7 +198,7 @@ class _Later(Mapping[str, Any]):
         self._module = module
 
     def __getitem__(self, name: str) -> Any:
-        if name in self._module or hasattr(builtins, name):
+        if name.startswith("__") or name in self._module or hasattr(builtins, name):
             raise KeyError(name)
         return _Named(name)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
@@ -17,9 +17,7 @@ from cfgplan.domain import (
     ChangeSet,
     ComputationUnit,
     Environment,
-    InputPort,
     Objective,
-    OutputPort,
     Similarity,
     Target,
     Transformation,
@@ -82,19 +80,12 @@ class Problem:
     def features(self) -> frozenset[Feature]:
         """The features of the problem beyond the paper; quality counts only if a target asks for it."""
         environment = self.environment
-        parts: tuple[tuple[type[Any], Iterable[object]], ...] = (
-            (Problem, [self]),
-            (Environment, [environment]),
-            (Transformation, environment.library),
-            (InputPort, [port for t in environment.library for port in t.inputs]),
-            (OutputPort, [port for t in environment.library for port in t.outputs]),
-            (ComputationUnit, environment.units),
-            (Target, environment.targets),
-        )
-        asked = {feature for kind, values in parts for feature in features(kind, values)}
+        asked = features(Problem, [self]) | features(Environment, [environment])
+        asked |= features(ComputationUnit, environment.units) | features(Target, environment.targets)
+        asked = asked.union(*{transformation.features for transformation in environment.library})
         wished = {wish.attribute for target in environment.targets for wish in target.quality}
         late = [Feature.LATENCY] if any(link.adds in wished for link in environment.links) else []
-        return frozenset(asked.union(late))
+        return asked.union(late)
 
     @property
     def is_plain(self) -> bool:

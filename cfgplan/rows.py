@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from enum import Flag, StrEnum
 from functools import cache
-from operator import attrgetter
 from typing import Any, Final, get_args
 
 from cfgplan.arguments import noted
@@ -161,14 +160,19 @@ def running(value: object) -> tuple[object, ...]:
     return tuple(getattr(value, each.name) for each in attributes(type(value)) if Use.RUNNING in each.row.use)
 
 
-def features(kind: type[Any], values: Iterable[object]) -> set[Feature]:
-    """The features that some values of a dataclass ask for."""
-    parts = list(values)
-    return {
-        each.row.feature
-        for each in attributes(kind)
-        if each.row.feature is not None and any(value != each.default for value in map(attrgetter(each.name), parts))
-    }
+def features(kind: Any, values: Iterable[object]) -> frozenset[Feature]:
+    """The features that some values of a dataclass ask for by themselves, without their parts."""
+    asked = {one for value in values for name, usual, one in _featured(kind) if getattr(value, name) != usual}
+    return frozenset(asked) if asked else _NO_FEATURES
+
+
+_NO_FEATURES: Final = frozenset[Feature]()
+
+
+@cache
+def _featured(kind: Any) -> list[tuple[str, Any, Feature]]:
+    """The attributes of a dataclass that ask for a feature unless they have their defaults, with these."""
+    return [(each.name, each.default, each.row.feature) for each in attributes(kind) if each.row.feature is not None]
 
 
 def limits(kind: type[Any]) -> Mapping[str, Attribute]:

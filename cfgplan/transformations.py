@@ -15,7 +15,7 @@ from cfgplan.canonical import fields_of, refuse_duplicates, store_resources, sto
 from cfgplan.errors import InvalidValueError
 from cfgplan.facts import check_requirement
 from cfgplan.qualities import Contribution, units
-from cfgplan.rows import ELEMENT, MOST_IN_A_QUEUE, QOS, UNSAID, Feature, Row, Use, running
+from cfgplan.rows import ELEMENT, MOST_IN_A_QUEUE, QOS, UNSAID, Feature, Row, Use, features, running
 from cfgplan.selectors import check_selector
 
 ALL = 0
@@ -472,6 +472,12 @@ class Transformation:
         """The name of the state that a new unit continues with; None if units keep none."""
         state = self.run.state
         return state if isinstance(state, str) else self.label if state else None
+
+    @cached_property
+    def features(self) -> frozenset[Feature]:
+        """The features that it and its ports ask for."""
+        of_ports = features(InputPort, self.inputs) | features(OutputPort, self.outputs)
+        return features(Transformation, [self]) | of_ports
 
     @cached_property
     def takes(self) -> Mapping[str, int]:

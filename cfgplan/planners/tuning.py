@@ -44,6 +44,7 @@ class Decide:
     """The planner's own search of small problems."""
 
     labels: int = said(600, "labels", "Networks of up to this size are searched before all else.", LIBRARIES)
+    left: int = said(200, "labels", "So many that bounds leave are searched in a replan.", "`benchmark.py replan`")
     chained: int = said(
         16, "labels", "Above this size, dearest chains are charged before the search.", "NAO, 20 robots"
     )
@@ -154,7 +155,8 @@ class Near:
     in_vain: float = said(30.0, "the engine's us/label^1.5", "They end so long after the last cheaper plan.", LIBRARIES)
     times: int = said(8, "times", "Needs are chosen so often where one choice gives no missed landmark.", LIBRARIES)
     share: float = said(0.5, "share", "They take at most this part of the time that is left.", LIBRARIES)
-    hopeless: float = said(0.08, "share of the cost", "With a larger gap the solver has little hope.", LIBRARIES)
+    hopeless: float = said(0.08, "share of the cost", "From this gap on the solver has little hope.", LIBRARIES)
+    many: int = said(600, "labels", "With fewer labels left the solver has hope at any gap.", LIBRARIES)
     hopeless_share: float = said(0.9, "share", "They then take this part of the time.", LIBRARIES)
 
 

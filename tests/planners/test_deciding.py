@@ -182,7 +182,7 @@ def test_a_small_problem_is_decided_without_the_solver_and_with_too_few_steps_by
     assert "rounds" not in quick.counts
     structure = Structure.of(problem, None, Clock())
     hasty, patient = (SolveState(problem, Clock(tuning=Tuning(Decide(steps=steps))), None) for steps in (1, 100))
-    assert not decide(SolveRun(hasty, Memory(structure)))
+    assert not decide(SolveRun(hasty, Memory(structure)), structure.network.core)
     assert not hasty.is_over
-    assert decide(SolveRun(patient, Memory(structure)))
+    assert decide(SolveRun(patient, Memory(structure)), structure.network.core)
     assert patient.is_over

@@ -38,6 +38,7 @@ from cfgplan.planners import PLANNERS
 from cfgplan.planners.cpsat import PlannerSession, plan
 from cfgplan.planners.exact.first_plans import FirstPlans
 from cfgplan.planners.exact.memory import Structure
+from cfgplan.planners.exact.solve_run import SolveRun
 from cfgplan.planning import Problem, Progress, Status
 from cfgplan.validity import plan_violations
 from experiments.families.random_library import random_library
@@ -214,6 +215,32 @@ def test_a_session_plans_again_after_each_failure_without_a_change_where_none_is
     assert again.change_set is not None
     assert [unit.id for unit in again.change_set.started] == ["s0.2"]
     assert [unit.id for unit in again.change_set.rewired] == ["f.1"]
+
+
+def test_the_last_plan_is_wired_as_it_was_after_each_failure_and_neither_grounded_nor_given_to_the_solver() -> None:
+    problem = random_library(3, transformations=60, targets=4)
+    session = PlannerSession()
+    first = session.plan(problem)
+    assert first.change_set is not None
+    running = replace(problem, environment=problem.environment.update(first.change_set))
+    assert not session.plan(running).change_set
+    with (
+        patch("cfgplan.planners.exact.solve_run.wire", side_effect=AssertionError),
+        patch.object(SolveRun, "search", side_effect=AssertionError),
+    ):
+        for unit in running.environment.units:
+            failed = replace(running, environment=running.environment.without_unit(unit.id))
+            again = session.plan(failed)
+            assert (again.status, again.ties_proven) == (Status.OPTIMAL, True)
+            assert not plan_violations(failed, again)
+            assert again.change_set is not None
+            assert [started.transformation for started in again.change_set.started] == [unit.transformation]
+            readers = {other.id for other in running.environment.units if unit.id in _feeders(other)}
+            assert {rewired.id for rewired in again.change_set.rewired} == readers
+
+
+def _feeders(unit: ComputationUnit) -> set[str]:
+    return {subscription.stream.unit for subscription in unit.subscriptions}
 
 
 @pytest.mark.parametrize(

@@ -106,8 +106,8 @@ class GapClosing:
 
     @property
     def _is_hopeless(self) -> bool:
-        """Whether the gap is so large that the solver has little hope of closing it."""
-        return self._gap >= self._near.hopeless
+        """Whether the gap is so large, and so many labels are left, that the solver has little hope of closing it."""
+        return self._gap >= self._near.hopeless and self._left >= self._near.many
 
     def _neighbourhoods(self, share: float) -> Neighbourhoods:
         """Neighbourhoods of the plan among its labels and those of plans in the lower part of the gap."""

@@ -6,12 +6,12 @@ enough.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from functools import partial
 
 import numpy as np
 
-from cfgplan.domain import ComputationUnit, Target
+from cfgplan.domain import ComputationUnit, Stream, Subscription, Target
 from cfgplan.planners.exact.candidates import Candidate, Candidates, HostName, Site
 from cfgplan.planners.exact.grounded import Grounded
 from cfgplan.planners.exact.places import Places
@@ -52,6 +52,31 @@ def wire(candidates: Candidates, chosen: Collection[int]) -> list[ComputationUni
     roots = [u for u in units if u.publications or candidates.is_pinned(candidates.index_of[u.id])]
     needed = needed_units(candidates.environment, units, roots)
     return [unit for unit in units if unit.id in needed]
+
+
+def wired_as_before(
+    candidates: Candidates, chosen: Collection[int], before: Mapping[str, ComputationUnit]
+) -> list[ComputationUnit] | None:
+    """The chosen candidates, each wired as the unit of its transformation was before; running ones that may stay stay.
+
+    None if some transformation had no unit `before`, or has two now. Whether the wiring is valid has to be checked.
+    """
+    all_of = candidates.all
+    id_of = {all_of[i].transformation.label: all_of[i].id for i in chosen}
+    if len(id_of) < len(chosen) or not before.keys() >= id_of.keys():
+        return None
+    now = {before[label].id: id_ for label, id_ in id_of.items()}
+    units = []
+    for i in sorted(chosen):
+        running, was = all_of[i].running, before[all_of[i].transformation.label]
+        if running is not None and candidates.may_stay(i):
+            units.append(running)
+            continue
+        if any(s.stream.unit not in now for s in was.subscriptions):
+            return None
+        fed = tuple(Subscription(s.port, Stream(now[s.stream.unit], s.stream.port)) for s in was.subscriptions)
+        units.append(ComputationUnit(all_of[i].id, was.transformation, fed, was.publications))
+    return units
 
 
 class Configuration:

@@ -4,14 +4,14 @@ running plan.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
 from operator import attrgetter
 
 import numpy as np
 
-from cfgplan.domain import Environment, Similarity, Transformation
+from cfgplan.domain import ComputationUnit, Environment, Similarity, Transformation
 from cfgplan.planners.bounding.bounds import Bound, tightened
 from cfgplan.planners.bounding.landmarks import Landmark
 from cfgplan.planners.exact.candidates import Candidates
@@ -87,12 +87,14 @@ class Structure:
 class Memory:
     """The memory of all problems with one matching. Each stage of a plan may add to it."""
 
-    def __init__(self, structure: Structure, last: frozenset[str] = frozenset(), aside: Memory | None = None) -> None:
-        """`last` are the transformations of the last plan. `aside` is the memory of another matching.
+    def __init__(
+        self, structure: Structure, last: Mapping[str, ComputationUnit] | None = None, aside: Memory | None = None
+    ) -> None:
+        """`last` has a unit of each transformation in the last plan. `aside` is the memory of another matching.
 
         Where pairs are open, problems come by turns: as if none, and as if all of them matched.
         """
-        self.structure, self.last, self._aside = structure, last, aside
+        self.structure, self.last, self._aside = structure, last or {}, aside
         self.warm_start: WarmStart | None = None
         self._landmarks: list[Landmark] = []
         self._weights: list[int] = []
@@ -101,7 +103,7 @@ class Memory:
     @classmethod
     def of(cls, problem: Problem, known: Memory | None, clock: Clock) -> Memory:
         """The memory for a problem, with the parts of `known` that still hold. Raises OutOfTimeError."""
-        last, aside = (frozenset[str](), None) if known is None else (known.last, known._aside)
+        last, aside = (None, None) if known is None else (known.last, known._aside)
         if known is not None and known.structure.similarity != problem.similarity:
             known._aside = None
             if aside is None or aside.structure.similarity != problem.similarity:
@@ -113,9 +115,9 @@ class Memory:
         return cls(Structure.of(problem, None if known is None else known.structure, clock), last, aside)
 
     def keep_plan(self, state: SolveState) -> None:
-        """Keep the transformations of the best plan so far."""
+        """Keep the best plan so far: a unit of each transformation that runs."""
         if state.best is not None:
-            self.last = frozenset(unit.transformation for unit in state.best.units if not unit.standby)
+            self.last = {unit.transformation: unit for unit in state.best.units if not unit.standby}
 
     def keep_landmarks(self, bound: Callable[[], Bound], scale: int) -> None:
         """Keep the charged landmarks of a bound, which is computed once they are needed.

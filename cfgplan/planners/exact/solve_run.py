@@ -12,7 +12,7 @@ import numpy as np
 from cfgplan.planners.closing.gap import GapClosing
 from cfgplan.planners.closing.separation import Separator
 from cfgplan.planners.exact.candidates import Candidates
-from cfgplan.planners.exact.configuration import wire
+from cfgplan.planners.exact.configuration import wire, wired_as_before
 from cfgplan.planners.exact.memory import Memory
 from cfgplan.planners.exact.remaining import Remaining
 from cfgplan.planners.exact.solve_state import SolveState
@@ -38,12 +38,31 @@ class SolveRun:
         self.state, self.memory, self.structure = state, memory, memory.structure
         self.problem, self.clock = state.problem, state.clock
         self.closing: GapClosing | None = None
+        self._offered: tuple[frozenset[str], Candidates] | None = None
 
     def offer(self, plan: Collection[int]) -> None:
         """Offer a plan of labels, by their numbers. Raises OutOfTimeError."""
-        labels = [self.structure.network.labels[i] for i in sorted(plan)]
-        candidates = self.structure.candidates(self.problem, labels, self.clock)
-        units = wire(candidates, candidates.first_of_each(labels))
+        labels = frozenset(self.structure.network.labels[i] for i in plan)
+        candidates = self._candidates_of(labels, self.clock)
+        self._offer(candidates, candidates.first_of_each(labels))
+        self._offered = labels, candidates
+
+    def _candidates_of(self, labels: frozenset[str], clock: Clock) -> Candidates:
+        """The candidates of some labels: those of the last offer, if it had the same labels."""
+        offered, candidates = self._offered or (None, None)
+        if candidates is None or labels != offered:
+            return self.structure.candidates(self.problem, labels, clock)
+        candidates.clock = clock
+        return candidates
+
+    def _offer(self, candidates: Candidates, chosen: set[int]) -> None:
+        """Offer a choice of candidates: wired as in the last plan if that rewires no unit which might stay."""
+        if self.memory.warm_start is not None:
+            units = wired_as_before(candidates, chosen, self.memory.last)
+            key = None if units is None else self.state.offer(candidates, units)
+            if key is not None and key.rewired == _forced_changes(candidates, chosen):
+                return
+        units = wire(candidates, chosen)
         if units is not None:
             self.state.offer(candidates, units)
 
@@ -61,18 +80,18 @@ class SolveRun:
         if remaining.holds_for != state.holds_for:
             state.holds_for, state.bound_us = remaining.holds_for, 0
         state.raise_bound(weighing.cost_us(remaining.value))
-        clock = self.clock if plan is None else None  # a plan that is known is offered whatever the time
+        clock = self.clock if plan is None else Clock()  # a plan that is known is offered whatever the time
         self.remaining, self.network, self.weighing = remaining, network, weighing
-        self.candidates = self.structure.candidates(self.problem, remaining.names(network), clock)
+        self.candidates = self._candidates_of(frozenset(remaining.names(network)), clock)
         if plan is None:
             return
         cost_us = weighing.cost_us(weighing.of_plan(plan))
         if state.best is not None and state.best.key.cost_us == cost_us and self.clock.is_over():
             return
-        chosen = self.candidates.first_of_each(network.labels[i] for i in plan.tolist())
-        units = wire(self.candidates, chosen)
-        if units is not None:
-            state.offer(self.candidates, units)
+        labels = frozenset(network.labels[i] for i in plan.tolist())
+        chosen = self.candidates.first_of_each(labels)
+        if self._offered is None or labels != self._offered[0]:
+            self._offer(self.candidates, chosen)
         if self._proves_all(chosen):
             state.prove_all()
 

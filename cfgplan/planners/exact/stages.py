@@ -17,7 +17,7 @@ from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.remaining import Remaining
 from cfgplan.planners.exact.required import take_with_all
 from cfgplan.planners.exact.solve_run import SolveRun, numbers
-from cfgplan.planners.networks.core import Ints
+from cfgplan.planners.networks.core import Core, Ints
 from cfgplan.planners.networks.greedy import FREE, cost_of, first_plan, is_plan, plan_at, with_less
 from cfgplan.planners.networks.network import LexicographicWeights, Network, costs
 from cfgplan.reasons import unmet_reasons
@@ -71,8 +71,18 @@ def use_all_required(work: SolveRun) -> bool:
 
 def decide_all(work: SolveRun) -> bool:
     """Search without the solver where no landmarks are known yet."""
-    is_new = not work.memory.has_landmarks
-    return is_new and (decide(work) or (work.clock.is_over() and work.state.best is not None))
+    network, is_new = work.structure.network, not work.memory.has_landmarks
+    if not is_new or len(network.labels) > work.clock.tuning.decide.labels:
+        return False
+    return decide(work, network.core) or (work.clock.is_over() and work.state.best is not None)
+
+
+def decide_remaining(work: SolveRun) -> bool:
+    """Search what bounds leave without the solver, if a proven plan is known: a model takes longer than a replan."""
+    labels, core = work.remaining.labels, work.structure.network.core
+    if work.memory.warm_start is None or work.state.is_over or len(labels) > work.clock.tuning.decide.left:
+        return False
+    return decide(work, core.restricted(np.isin(core.labels, labels)))
 
 
 def raise_bound(work: SolveRun) -> bool:
@@ -169,21 +179,22 @@ STAGES: Final[tuple[Stage, ...]] = (
     prove_by_answer_sets,
     decide_all,
     raise_bound,
+    decide_remaining,
     close_gap,
     solve,
 )
 """The stages that follow once what runs is offered and the closure of the library is known."""
 
 
-def decide(work: SolveRun) -> bool:
-    """Have the planner's own search look for the best plan for some steps.
+def decide(work: SolveRun, core: Core) -> bool:
+    """Have the planner's own search look among the labels of a core for the best plan, for some steps.
 
     For a small problem, to build a model and call the solver takes longer than to search. True if that proves the
-    cost; the solver has then broken ties if it had to. Nothing is done if the network is large, or if distinct or
-    feedback inputs make a plan more than its labels.
+    cost; the solver has then broken ties if it had to. No other label may be in a better plan. Nothing is done if
+    distinct or feedback inputs make a plan more than its labels.
     """
-    state, network, tuning = work.state, work.structure.network, work.clock.tuning.decide
-    if not tuning.steps or len(network.labels) > tuning.labels or network.special:
+    state, network = work.state, work.structure.network
+    if not work.clock.tuning.decide.steps or network.special:
         return False
     weighing = LexicographicWeights.with_changes(work.problem, network)
     if weighing is None:
@@ -191,11 +202,12 @@ def decide(work: SolveRun) -> bool:
     plans: list[set[int]] = []
     if state.best is not None:
         plans.append({network.number[unit.transformation] for unit in state.best.units}.union(network.pinned))
-    first = first_plan(network, weighing.weight, 0, work.clock)
-    plans += [] if first is None else [first]
+    if core is network.core:
+        first = first_plan(network, weighing.weight, 0, work.clock)
+        plans += [] if first is None else [first]
     if not plans:
         return False
-    is_proven = _proves(work, weighing, min(plans, key=lambda one: weighing.of_plan(numbers(one))))
+    is_proven = _proves(work, core, weighing, min(plans, key=lambda one: weighing.of_plan(numbers(one))))
     work.clock.end("bounds")
     if is_proven and not state.is_over:
         work.search().run()
@@ -203,41 +215,48 @@ def decide(work: SolveRun) -> bool:
     return is_proven
 
 
-def _proves(work: SolveRun, weighing: LexicographicWeights, plan: set[int]) -> bool:
+def _proves(work: SolveRun, core: Core, weighing: LexicographicWeights, plan: set[int]) -> bool:
     """Search for cheaper plans. True if the cost is proven; other plans can then differ only in their changes."""
     network, tuning = work.structure.network, work.clock.tuning.decide
     limit = least = weighing.of_plan(numbers(plan))
     is_proven = False
-    if network.core.goal > tuning.chained:
-        chained = chained_bound(network.core, weighing.weight, network.pinned, work.clock.is_over)
+    if core is network.core and core.goal > tuning.chained:
+        chained = chained_bound(core, weighing.weight, network.pinned, work.clock.is_over)
         is_proven = weighing.least(chained) >= limit
     work.state.counts["nodes"] = 0
     if not is_proven:
-        search = Branching(network.core, weighing.weight, limit, weighing.step, work.clock.is_over)
+        search = _search(work, core, weighing, limit)
         first, more = min(tuning.steps, tuning.first), max(0, tuning.steps - tuning.first)
         is_proven = search.run(first) or (search.done >= tuning.soon and search.run(more))
         work.state.counts["nodes"], least = search.nodes, search.least
-        work.memory.keep_landmarks(search.bound, weighing.scale)
+        if core is network.core:
+            work.memory.keep_landmarks(search.bound, weighing.scale)
         if search.best is not None:
-            plan = search.best.union(network.pinned)
+            plan = set(core.labels[sorted(search.best)].tolist()).union(network.pinned)
     labels = numbers(plan)
     value = weighing.of_plan(labels) if is_proven else weighing.least(least)
     work.take(Remaining(labels, value, is_complete=False), network, weighing, labels)
-    return is_proven and (work.state.is_over or _takes_others(work, plan))
+    return is_proven and (work.state.is_over or _takes_others(work, core, plan))
 
 
-def _takes_others(work: SolveRun, plan: set[int]) -> bool:
+def _search(work: SolveRun, core: Core, weighing: LexicographicWeights, limit: int) -> Branching:
+    """A search for plans of a core that weigh less than `limit`."""
+    return Branching(core, weighing.weight[core.labels], limit, weighing.step, work.clock.is_over)
+
+
+def _takes_others(work: SolveRun, core: Core, plan: set[int]) -> bool:
     """Go on with the labels of all plans that cost as little as the incumbent, the least, and may change less.
 
     False if the search for them takes too many steps.
     """
-    best, clock, weighing = work.state.best, work.clock, work.weighing
+    best, weighing = work.state.best, work.weighing
     if best is None:
         return False
-    limit = weighing.of_key(best.key)
-    search = Branching(work.network.core, weighing.weight, limit, weighing.step, clock.is_over)
-    others = search.others(plan, clock.tuning.decide.steps)
+    search = _search(work, core, weighing, weighing.of_key(best.key))
+    known = np.flatnonzero(np.isin(core.labels, numbers(plan))).tolist()
+    others = search.others(known, work.clock.tuning.decide.steps)
     if others is not None:
-        left = replace(work.remaining, labels=numbers(plan | others), is_complete=True)
+        labels = plan.union(core.labels[sorted(others)].tolist())
+        left = replace(work.remaining, labels=numbers(labels), is_complete=True)
         work.take(left, work.network, weighing, numbers(plan))
     return others is not None
