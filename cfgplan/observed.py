@@ -1,4 +1,4 @@
-"""How good the own parts of outputs are, learned from streams that say how good they are.
+"""Learn how much quality each output itself adds or takes (its own part), from streams that say how good they are.
 
 An output's own part deviates from the stated value by a normally distributed amount: its mean is 0 and its standard
 deviation TRUST of the stated value (of its logarithm where the rule is `scale`). If a stream deviates from its
@@ -212,7 +212,7 @@ def told(
 
 
 def own_part(stated: Contribution, known: Estimate, at_s: float) -> tuple[float, float]:
-    """The own part of an output as it is known, and its standard error; in micro-units, a factor in millionths."""
+    """Return the estimate of an output's own part, and its standard error; in micro-units, a factor in millionths."""
     estimate = known.at(at_s, usual_variance(stated))
     if stated.rule is QualityRule.SCALE:
         value = stated.stated * exp(estimate.deviation)
@@ -250,7 +250,7 @@ def hidden(environment: Environment, similarity: Similarity) -> Iterator[str]:
 
 
 def usual_variance(stated: Contribution) -> float:
-    """The variance of a part that was never observed, in its own terms."""
+    """The variance of a part that was never observed, in squared micro-units; for `scale`, of the logarithm."""
     return TRUST**2 if stated.rule is QualityRule.SCALE else (TRUST * max(abs(stated.stated), 1)) ** 2
 
 

@@ -42,9 +42,10 @@ def observed_tag(environment: Environment, fact: Fact) -> str | None:
 
 
 def observers(environment: Environment, similarity: Similarity, fact: Fact) -> dict[str, str]:
-    """The transformations that may observe a fact, and all that those can't run without, each with one it runs for.
+    """Return the transformations that may observe a fact, and all that may feed them, directly or through others.
 
-    Inputs that may stay unfed, or close a cycle, are not followed.
+    Each label is mapped to that of an observer that it may feed. Companions (`beside`) count as feeders; inputs that
+    may stay unfed or close a cycle are not followed.
     """
     tag = observed_tag(environment, fact)
     if tag is None:
@@ -75,9 +76,10 @@ def circles(environment: Environment, similarity: Similarity) -> Iterator[Circle
 
 
 def blurred(environment: Environment, similarity: Similarity) -> Iterator[str]:
-    """The bounds that noisy values can't tell apart in time: their bands are most of the way from one to the other.
+    """Yield a warning for each two neighbouring bounds that noisy values can't distinguish in time.
 
-    The rate of the values is that of the slowest source that they may come from.
+    Their bands of uncertainty cover most of the interval between them, at the rate of the slowest source that the
+    values may come from.
     """
     for fact in environment.variable.values():
         bounds = environment.bounds.get(fact.name, ())

@@ -1,5 +1,6 @@
-"""Ctrl-C, SIGTERM and a closed terminal: the first ends the command cleanly, the second stops units at once, the
-third kills the process.
+"""Signals that end a command: the first one ends it cleanly, the second stops units at once, the third kills it.
+
+They are Ctrl-C, SIGTERM, and the SIGHUP of a closed terminal.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Consequences of literals for the individuals that have them, and the part of these that reasoners accept.
+"""Literals in axioms: the facts that follow from them, and the axioms rewritten so that reasoners accept them.
 
 Reasoners know the datatypes of OWL 2 except base64Binary: HermiT holds that it has no literals, and so finds
 contradictions.

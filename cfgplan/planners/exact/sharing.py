@@ -1,4 +1,4 @@
-"""Whether given units can be rewired to meet targets while they share streams: the model, of their wiring alone.
+"""A model of wiring alone: can given units be rewired to meet the targets although outputs limit their consumers?
 
 Outputs with a limit on consumers, and inputs that take all streams, make the choice of units and wires matter.
 """

@@ -1,4 +1,4 @@
-"""Expressions of C++ source: the names that they spell, and the handles that they are, by their tokens."""
+"""Evaluate expressions of C++ source from their tokens: strings that name ports, and node handles with a namespace."""
 
 from __future__ import annotations
 
