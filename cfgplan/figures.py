@@ -91,7 +91,7 @@ def used_hosts(environment: Environment, units: Iterable[ComputationUnit]) -> li
     return [host for host in environment.hosts if host.name in used]
 
 
-def links_bear(problem: Problem, units: Collection[ComputationUnit]) -> bool:
+def links_suffice(problem: Problem, units: Collection[ComputationUnit]) -> bool:
     """Return whether no link carries more bytes per second than its bandwidth."""
     return all(link.bandwidth is None or load <= link.bandwidth for link, load in link_loads(problem, units).items())
 

@@ -235,9 +235,9 @@ def hidden(environment: Environment, similarity: Similarity) -> Iterator[str]:
                 ):
                     continue
                 silent = [
-                    f"{giver.label}/{given.name}"
-                    for giver in environment.library
-                    for given in giver.outputs
+                    f"{provider.label}/{given.name}"
+                    for provider in environment.library
+                    for given in provider.outputs
                     if any(similarity.holds(given.tag, one.tag) for one in ordinary)
                     and not any(one.attribute == stated.attribute and one.observe for one in given.quality)
                 ]
@@ -406,18 +406,18 @@ class _Parts:
         environment, found = self._environment, []
         ordinary = [port.name for port in environment.transformation[unit.transformation].inputs if not port.feedback]
         for stream in (stream for name in ordinary for stream in unit.feeds.get(name, ())):
-            giver = environment.unit.get(stream.unit)
-            if giver is None or giver.transformation not in environment.transformation or stream in self._trail:
+            provider = environment.unit.get(stream.unit)
+            if provider is None or provider.transformation not in environment.transformation or stream in self._trail:
                 return None
             sample = self._samples.get((stream, attribute.name))
             known = (
-                self._predicted(giver, stream, attribute)
+                self._predicted(provider, stream, attribute)
                 if sample is None
                 else _Predicted(sample.mean, {}, sample.variance)
             )
             if known is None:
                 return None
-            journey = environment.latency(attribute.name, giver.host, unit.host)
+            journey = environment.latency(attribute.name, provider.host, unit.host)
             found.append(known.plus(_Predicted(float(journey))) if journey else known)
         return found
 

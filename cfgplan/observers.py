@@ -58,7 +58,7 @@ def observers(environment: Environment, similarity: Similarity, fact: Fact) -> d
         more = [other for other in needed.beside if other in environment.transformation]
         for port in needed.inputs:
             if not (port.optional or port.feedback):
-                more += [giver.label for giver in _giving(environment, similarity, port.tag)]
+                more += [provider.label for provider in _giving(environment, similarity, port.tag)]
         for other in more:
             if other not in found:
                 found[other] = found[label]

@@ -101,7 +101,7 @@ class InputPort:
         return self.optional and not self.worth_us
 
     @property
-    def is_told_apart(self) -> bool:
+    def is_explicit(self) -> bool:
         """Whether two units may differ in how many streams they take there, or from which transformations."""
         return self.optional or self.distinct is not None or self.count == ALL
 
@@ -513,7 +513,7 @@ def transformation_of(said: Mapping[str, object]) -> Transformation:
     return unchecked(Transformation, said) if said.keys() <= _UNBOUND else Transformation(**said)  # type: ignore[arg-type]
 
 
-def what_runs(transformation: Transformation) -> tuple[object, ...]:
+def running_fields(transformation: Transformation) -> tuple[object, ...]:
     """Return the ports and all fields that affect a running unit: if they are equal, so is how the units run."""
     ports = [(port.name, *running(port)) for port in transformation.inputs]
     ports += [(port.name, *running(port)) for port in transformation.outputs]

@@ -167,11 +167,11 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     world = replace(loaded, environment=replace(loaded.environment, units=()))
     settings = _settings(options, screen)
     planned = _first_plan(options, world, settings, screen)
-    thought, found = planned.preview.thought, planned.found
+    findings, found = planned.preview.findings, planned.found
     code = None if found is None else exit_of(found.plan.status, is_exact=found.exact, is_unmet=bool(found.unmet))
     if options.dry_run or (options.strict and code is not Exit.OK):
         if found is None or code is None:
-            raise thought.error or RuntimeError(thought.cause)
+            raise findings.error or RuntimeError(findings.cause)
         screen.write(planned.document()) if screen.json else planned.show(screen, _differing(said))
         return code
     if found is not None:
@@ -200,9 +200,9 @@ def _first_plan(options: argparse.Namespace, world: World, settings: Settings, s
         running = Environment() if left is None else left.running
         of_code = {"warn_of_code": screen.warn} if options.dry_run else {}  # a run reports it by itself
         preview = first_review(adjusted, settings, matches, _folder(options), running, screen.warn, **of_code)
-    found = preview.thought.found
+    found = preview.findings.found
     reasons = () if found is None else found.plan.reasons.values()
-    for warning in preview.thought.warnings:
+    for warning in preview.findings.warnings:
         if (options.dry_run or options.strict) and warning not in (*known, *reasons):
             screen.warn(warning)
     return FirstPlan(adjusted, preview, () if left is None else left.ended)

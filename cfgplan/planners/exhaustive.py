@@ -169,9 +169,9 @@ def _answer(problem: Problem, best: tuple[OracleRank, Environment] | None, steps
 
 def _reasons(problem: Problem) -> dict[str, str]:
     possible = startable(problem.environment, problem.similarity)
-    givers = givers_by_tag(problem.environment, problem.similarity)
+    providers = givers_by_tag(problem.environment, problem.similarity)
     targets = problem.environment.targets
-    alone = [target.label for target in targets if possible.isdisjoint(givers.get(target.tag, ()))]
+    alone = [target.label for target in targets if possible.isdisjoint(providers.get(target.tag, ()))]
     if alone:
         return dict.fromkeys(alone, "no wiring of any set of units meets it")
     return {target.label: "no configuration meets all that is asked" for target in targets}

@@ -45,7 +45,7 @@ class Decide:
 
     labels: int = said(600, "labels", "Networks of up to this size are searched before all else.", LIBRARIES)
     chained: int = said(
-        16, "labels", "Above this size, dearest chains are charged before the search.", "NAO, 20 robots"
+        16, "labels", "Above this size, most expensive chains are charged before the search.", "NAO, 20 robots"
     )
     first: int = said(300, "landmarks and nodes", "The first part of the search may take this many.", LIBRARIES)
     steps: int = said(1500, "landmarks and nodes", "The whole search may take this many; 0: there is none.", LIBRARIES)
@@ -87,9 +87,9 @@ class Replan:
 
     cases: int = said(4, "labels", "If more of them changed their cost, all plans are bounded together.", AT_REST)
     room: float = said(
-        1.05, "times", "Plans up to this multiple of the cost after the dearest failure are bounded.", AT_REST
+        1.05, "times", "Plans up to this multiple of the cost after the max_need failure are bounded.", AT_REST
     )
-    rival: float = said(1.0, "s", "The solver may look so long for another plan at the same cost.", AT_REST)
+    ties: float = said(1.0, "s", "The solver may look so long for another plan at the same cost.", AT_REST)
 
 
 @dataclass(frozen=True)
@@ -223,7 +223,7 @@ class Tuning:
     decide: Decide = Decide()
     begin: Begin = Begin()
     rise: Rise = Rise()
-    rest: Replan = Replan()
+    replan: Replan = Replan()
     close: Close = Close()
     near: Near = Near()
     solve: Solve = Solve()

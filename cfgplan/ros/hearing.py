@@ -54,9 +54,9 @@ def _kept_apart(environment: Environment) -> Iterator[WiringFault]:
     for unit in environment.units:
         taker = library[unit.id]
         for subscription in unit.subscriptions:
-            giver = library.get(subscription.stream.unit)
+            provider = library.get(subscription.stream.unit)
             asked = taker.input.get(subscription.port) if taker else None
-            offered = giver.output.get(subscription.stream.port) if giver else None
+            offered = provider.output.get(subscription.stream.port) if provider else None
             if asked is None or offered is None or asked.qos is None or offered.qos is None:
                 continue
             found = list(obstacles(ServiceQuality.read(offered.qos), ServiceQuality.read(asked.qos)))

@@ -110,7 +110,7 @@ class TopicNames:
     def _feeds(self) -> Mapping[PortEnd, frozenset[PortEnd]]:
         """The outputs that feed each input."""
         return {
-            end: frozenset(map(_giver, each.unit.feeds.get(end.port, ())))
+            end: frozenset(map(_provider, each.unit.feeds.get(end.port, ())))
             for each in self._units.values()
             for end in each.ends
             if not end.gives
@@ -153,7 +153,7 @@ class TopicNames:
         """Name the inputs, and yield the relays."""
         of_feeds: dict[frozenset[PortEnd], str] = {}
         for end, feeds in self._feeds.items():
-            sources = {self.name[giver] for giver in feeds}
+            sources = {self.name[provider] for provider in feeds}
             if self._units[end.unit].is_foreign:
                 name = self._fixed(end)
             elif len(sources) == 1:
@@ -213,7 +213,7 @@ def word(text: str) -> str:
     return found if found[:1].isalpha() else f"n{found}"
 
 
-def _giver(stream: Stream) -> PortEnd:
+def _provider(stream: Stream) -> PortEnd:
     return PortEnd(stream.unit, stream.port, gives=True)
 
 

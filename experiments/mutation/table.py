@@ -447,7 +447,7 @@ SURVIVAL = _room(
     (
         "a needless unit is a spare",
         "survival.py",
-        "if can_do_without(self.candidates, units, unit)]",
+        "if survive_without(self.candidates, units, unit)]",
         "if False]",
     ),
 )
@@ -456,7 +456,7 @@ BOUNDS = _room(
     "cfgplan/planners/bounding",
     ("tests/planners/test_preprocessing.py::test_bounds_do_not_exceed_the_optimum_and_fixing_keeps_optimal_plans",),
     (
-        "a landmark is charged what its dearest member costs",
+        "a landmark is charged what its most expensive member costs",
         "bounds.py",
         "weight = min(int(self.residual[members].min()), at_most)",
         "weight = min(int(self.residual[members].max()), at_most)",
@@ -477,7 +477,7 @@ BOUNDS = _room(
 
 CLOSING = _room(
     "cfgplan/planners",
-    ("tests/planners/test_support.py", "tests/planners/test_alike.py", "tests/planners/test_closing.py"),
+    ("tests/planners/test_support.py", "tests/planners/test_label_kinds.py", "tests/planners/test_closing.py"),
     (
         "distinct inputs are fed by those alike",
         "closing/program.py",

@@ -118,10 +118,10 @@ class Inline:
         """Seconds on the backend's clock."""
         return self._supervisor.backend.now()
 
-    def wait(self, bell: threading.Event, timeout_s: float) -> None:
-        """Handle due events until the bell rings, or `timeout_s` seconds have passed."""
+    def wait(self, waker: threading.Event, timeout_s: float) -> None:
+        """Handle due events until `waker` is set, or `timeout_s` seconds have passed."""
         end = self.now() + timeout_s
-        while not bell.is_set() and self.now() < end:
+        while not waker.is_set() and self.now() < end:
             self._supervisor.pump(end - self.now())
 
 

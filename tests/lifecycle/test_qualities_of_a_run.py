@@ -20,7 +20,7 @@ from cfgplan_runtime.lifecycle.reports import Decision
 from cfgplan_runtime.lifecycle.state import Entry
 from cfgplan_runtime.supervision.events import UnitStatus
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
-from living import Life, started
+from simulated_life import Life, started
 
 from cfgplan import api
 from cfgplan.domain import Environment, Host, InputPort, OutputPort, RunOptions, Target, Transformation

@@ -13,8 +13,8 @@ from cfgplan.planners.tuning import USUAL
 ROOM = Path(cfgplan.planners.__file__).parent
 README = Path(__file__).parents[2] / "experiments" / "planning" / "README.md"
 NOT_TUNED = {
-    "networks/core.py": {"NEVER", "MOST_PASSES", "MOST_CROWDS"},
-    "networks/greedy.py": {"DEAREST", "FREE"},
+    "networks/core.py": {"NEVER", "MOST_PASSES", "MOST_DEMANDS"},
+    "networks/greedy.py": {"COST_CAP", "FREE"},
     "closing/program.py": {"FROM_THE_LAST_BASIS", "FINEST", "LARGEST_CHARGES"},
     "closing/separation.py": {"WHOLE", "CREEP"},
     "exact/answer_sets.py": {"LARGEST_WEIGHT"},

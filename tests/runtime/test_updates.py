@@ -11,7 +11,6 @@ from cfgplan_runtime.errors import AbandonedError
 from cfgplan_runtime.supervision.backend import Inlet
 from cfgplan_runtime.supervision.updates import (
     AskState,
-    Believe,
     CarriedOut,
     CloseTopic,
     Command,
@@ -23,6 +22,7 @@ from cfgplan_runtime.supervision.updates import (
     GiveState,
     GoOver,
     OpenTopic,
+    SetEnvironment,
     StartUnit,
     StopAgain,
     StopUnit,
@@ -125,7 +125,7 @@ class Scene:
                 del self.feeds[inlet]
             case GoOver(inlet):
                 self.said.append(f"go over {inlet}")
-            case Believe(environment):
+            case SetEnvironment(environment):
                 self.environment = environment
             case WaitUntil(holds):
                 self.said.append("wait" if holds() else "wait in vain")

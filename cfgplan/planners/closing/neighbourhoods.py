@@ -139,7 +139,7 @@ class Neighbourhoods:
         starts = np.append(core.needs.starts[:-1], needs + len(free))
         rows = Rows(starts, np.append(core.needs.items[:needs], sorted(free)))
         needed = [i for i, one in enumerate(known.landmarks) if not free.isdisjoint(one.zone.tolist())]
-        part = Core(rows, core.givers, core.labels, core.facts)
+        part = Core(rows, core.providers, core.labels, core.facts)
         bound = Bound(part, cost, [known.landmarks[i] for i in needed])
         bound.recharge([known.weights[i] for i in needed])
         return bound
@@ -189,7 +189,7 @@ class Neighbourhoods:
         """The labels that the linear program uses, as far as they may feed a target."""
         core, seen, ahead, found = self._core, {target}, [target], set[int]()
         for fact in ahead:
-            for label in core.givers.lists[fact]:
+            for label in core.providers.lists[fact]:
                 if label not in found and fractions[label] > self._tuning.used:
                     found.add(label)
                     new = [one for one in core.needs.lists[label] if one not in seen]
@@ -220,7 +220,7 @@ def _first_givers(core: Core, labels: Iterable[int]) -> dict[int, int]:
 
 
 def _support(core: Core, first: Mapping[int, int], facts: Iterable[int]) -> Labels:
-    """The labels that feed these facts, directly or through others, each fact by its first giver."""
+    """The labels that feed these facts, directly or through others, each fact by its first provider."""
     ahead, found = [*facts], set[int]()
     for fact in ahead:
         if first[fact] not in found:

@@ -12,11 +12,11 @@ from functools import partial
 import numpy as np
 
 from cfgplan.domain import ComputationUnit, Target
-from cfgplan.planners.exact.candidates import Candidate, Candidates, HostName, Site
+from cfgplan.planners.exact.candidates import Candidate, Candidates, HostName, Placement
 from cfgplan.planners.exact.grounded import Grounded
 from cfgplan.planners.exact.places import Places
 from cfgplan.planners.exact.pruning import lean, needed_units
-from cfgplan.planners.exact.survivors import Failure, site_of, unmet
+from cfgplan.planners.exact.survivors import Failure, placement_of, unmet
 from cfgplan.planners.exact.wiring import named
 from cfgplan.planners.networks.core import Floats
 from cfgplan.planners.networks.greedy import FREE, plan_at
@@ -119,10 +119,12 @@ class Configuration:
     def _labels(self, units: Collection[int]) -> frozenset[str]:
         return frozenset(self.candidates.all[i].transformation.label for i in units)
 
-    def _sites(self, units: Collection[int]) -> frozenset[Site]:
+    def _sites(self, units: Collection[int]) -> frozenset[Placement]:
         all_of, host_of = self.candidates.all, self._places.host_of
         labels = {i: all_of[i].transformation.label for i in units}
-        return frozenset(site_of(self.candidates.environment, label, host_of.get(i)) for i, label in labels.items())
+        return frozenset(
+            placement_of(self.candidates.environment, label, host_of.get(i)) for i, label in labels.items()
+        )
 
     def _bears(self, host: str | None, left: Collection[int], targets: tuple[Target, ...]) -> bool:
         """Add spares that meet the targets together with the units `left` after a failure. False if there are none."""

@@ -114,9 +114,9 @@ class FirstPlans:
         ahead = sorted(found.difference(labels))
         for label in ahead:
             for port in environment.transformation[label].inputs:
-                givers = [giver for giver in self.candidates.givers.of(port.tag) if giver in number]
-                if givers and found.isdisjoint(givers):
-                    cheapest = min(givers, key=lambda giver: (price[number[giver]], giver))
+                providers = [provider for provider in self.candidates.providers.of(port.tag) if provider in number]
+                if providers and found.isdisjoint(providers):
+                    cheapest = min(providers, key=lambda provider: (price[number[provider]], provider))
                     new = [one for one in with_companions(environment, [cheapest]) if one not in found]
                     found.update(new)
                     ahead += new

@@ -59,7 +59,7 @@ def _told_apart(candidates: Candidates) -> set[str]:
     found = set(apart)
     for label, kind in candidates.kinds.items():
         for port in kind.inputs:
-            if port.is_told_apart or label in apart:
+            if port.is_explicit or label in apart:
                 found.add(label)
                 if port.count != 1:
                     found.update(all_of[i].transformation.label for i in candidates.feeders(port.tag))

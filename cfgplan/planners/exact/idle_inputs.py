@@ -33,7 +33,7 @@ def _taking(model: Model, stream: Stream) -> list[IntVar]:
 
 
 def an_input_that_starts_nothing_is_fed_by_what_is_needed_anyway(model: Model) -> None:
-    """Nothing else takes a stream that serves only so many, since there would be room for the input without it."""
+    """Feeders of such an input are needed by others. They don't spend limited streams on units that are not needed."""
     if not model.idle_feeders:
         return
     candidates, needed = model.candidates, who_is_needed(model)

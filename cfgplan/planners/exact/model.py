@@ -32,9 +32,9 @@ class Model:
     which stream if that matters; `connects` say which streams feed an explicit input, and `publishes` which meet a
     target. With `is_apart`, every input and target is explicit.
 
-    A candidate may be a group of several units, and a host a kind of several (`Candidates.alike`). A group `runs` if
-    some of its units do, `number` and `numbers_on` say how many, and `has_on` on how many hosts of a kind; of one unit
-    these are the booleans that it runs. The model relaxes kinds of several hosts: it bounds their load in all.
+    A candidate may be a group of several units, and a host a kind of several (`Candidates.aggregated`). A group `runs`
+    if some of its units do, `number` and `numbers_on` say how many, and `has_on` on how many hosts of a kind; of one
+    unit these are the booleans that it runs. The model relaxes kinds of several hosts: it bounds their load in all.
     """
 
     def __init__(
@@ -163,7 +163,7 @@ class Model:
         return found
 
     def hint(self, units: Iterable[ComputationUnit]) -> None:
-        """Have the solver begin with these units where they are, in place of earlier hints; with none, give no hint."""
+        """Hint these units on their hosts to the solver, in place of earlier hints; without units, give no hint."""
         self.cp.clear_hints()  # type: ignore[no-untyped-call]
         there = Counter((self.candidates.index_of.get(unit.id), unit.host, unit.standby) for unit in units)
         for places, is_standby in ((self.numbers_on, False), (self.waits_on, True)) if there else ():
@@ -224,7 +224,7 @@ class Model:
     def unit_of(self, stream: Stream) -> int:
         return self.candidates.index_of[stream.unit]
 
-    def is_told_apart(self, unit: int, port: InputPort) -> bool:
+    def is_explicit(self, unit: int, port: InputPort) -> bool:
         """Whether it matters who feeds it: for quality, if it is distinct or not usual, or tracked ones may feed it."""
         return (
             self.is_apart
@@ -237,7 +237,7 @@ class Model:
 
     def is_counted(self, port: InputPort) -> bool:
         """Whether it matters how many streams an input takes, but not which: units of a group take them together."""
-        return self.is_grouped and not port.is_told_apart and self._takes_several_or_limited(port)
+        return self.is_grouped and not port.is_explicit and self._takes_several_or_limited(port)
 
     def _takes_several_or_limited(self, port: InputPort) -> bool:
         """Whether an input is not usual, or some of the streams that may feed it serve only so many."""

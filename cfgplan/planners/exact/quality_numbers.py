@@ -159,7 +159,7 @@ class _Values:
         least, alone = best + making.least, best + making.alone
         return _Maker(making.inputs, making.gain, add, least, alone, max(times, 1), most > 1)
 
-    def _givers(self, tag: str) -> dict[Output, None]:
+    def _providers(self, tag: str) -> dict[Output, None]:
         streams = self.candidates.streams(tag)
         return dict.fromkeys((self.candidates.label_of(stream), stream.port) for stream in streams)
 
@@ -172,7 +172,7 @@ class _Values:
         for label, transformation in self.candidates.clock.each(self.candidates.kinds.items()):
             for tag in {port.tag for port in transformation.inputs if not port.feedback}:
                 if (1, tag) not in graph:
-                    graph.add_edges_from(((0, giver), (1, tag)) for giver, _ in self._givers(tag))
+                    graph.add_edges_from(((0, provider), (1, tag)) for provider, _ in self._providers(tag))
                 graph.add_edge((1, tag), (0, label))
         rings = condensation(graph)
         for ring in topological_sort(rings):
@@ -219,8 +219,8 @@ class _Values:
 
     def _fed(self, maker: _Maker) -> tuple[Span, ...]:
         """The known values of the streams that may feed the inputs that count for an output."""
-        givers = {giver for port in maker.inputs for giver in self._givers(port.tag)}
-        return _joined(span for giver in givers for span in self.of.get(giver, ()))
+        providers = {provider for port in maker.inputs for provider in self._providers(port.tag)}
+        return _joined(span for provider in providers for span in self.of.get(provider, ()))
 
     def _together(self, maker: _Maker) -> tuple[Span, ...]:
         """The values that the inputs which count for an output may have together."""

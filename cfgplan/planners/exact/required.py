@@ -40,9 +40,9 @@ def take_with_all(work: SolveRun) -> None:
     limit = best.key.cost_us - fixed_us if best is not None and is_with_all else int(cost.sum())
     part = Remaining.by(tightened(Bound(network.core, cost), limit, limit, clock), limit)
     labels = np.union1d(part.labels, np.array(network.pinned, np.int64))
-    weighing = LexicographicWeights(cost, 1, 1, fixed_us)
+    weights = LexicographicWeights(cost, 1, 1, fixed_us)
     left = Remaining(labels, part.value, part.bound, holds_for=structure.unusable_required)
-    work.take(left, network, weighing)
+    work.take(left, network, weights)
 
 
 def _few(work: SolveRun, required: frozenset[str], shunned: set[int]) -> list[str] | None:

@@ -25,8 +25,8 @@ def a_target_is_published_by_one_unit(model: Model) -> None:
         for stream in model.choices(target.tag):
             feeder = model.unit_of(stream)
             running = model.candidates.all[feeder].running
-            is_told_apart = model.is_apart or model.is_grouped or target.quality or stream in model.serves
-            if not is_told_apart and feeder not in model.tracked and running is None:
+            is_explicit = model.is_apart or model.is_grouped or target.quality or stream in model.serves
+            if not is_explicit and feeder not in model.tracked and running is None:
                 others += model.ways(stream, target.host)
                 continue
             publishes = choices[stream] = model.boolean()
@@ -54,7 +54,7 @@ def _unmet_targets(checked: CheckedUnits) -> Iterator[str]:
 
 
 def a_unit_runs_that_a_target_wants(model: Model) -> None:
-    """The first running unit has a boolean where feeders matter, as a unit that publishes has."""
+    """Some unit of each wanted transformation runs. If feeders matter, the first running one gets a boolean."""
     for target, label in model.environment.wanted_to_run.items():
         running = [(i, model.runs[i]) for i in model.to_run(label)]
         met = model.boolean()

@@ -34,8 +34,8 @@ def in_rings(candidates: Candidates) -> frozenset[int]:
 
     kinds = candidates.kinds
     tags = {(label, port.tag) for label, kind in kinds.items() for port in kind.inputs if not port.feedback}
-    givers = {tag: {candidates.all[i].transformation.label for i in candidates.feeders(tag)} for _, tag in tags}
-    graph = DiGraph((giver, label) for label, tag in sorted(tags) for giver in givers[tag])
+    providers = {tag: {candidates.all[i].transformation.label for i in candidates.feeders(tag)} for _, tag in tags}
+    graph = DiGraph((provider, label) for label, tag in sorted(tags) for provider in providers[tag])
     rings = (ring for ring in strongly_connected_components(graph) if len(ring) > 1 or graph.has_edge(*ring, *ring))
     return frozenset(i for ring in rings for label in ring for i in candidates.units_of(label))
 
@@ -64,9 +64,9 @@ def _keeping_each_other(candidates: Candidates) -> frozenset[int]:
     feeds: set[tuple[str, str]] = set()
     for label, kind in kinds.items():
         for port in kind.inputs:
-            givers = {candidates.all[i].transformation.label for i in candidates.feeders(port.tag)}
-            feeds.update((giver, label) for giver in givers if not port.starts_nothing)
-            closing.update((giver, label) for giver in givers if port.feedback and not port.starts_nothing)
+            providers = {candidates.all[i].transformation.label for i in candidates.feeders(port.tag)}
+            feeds.update((provider, label) for provider in providers if not port.starts_nothing)
+            closing.update((provider, label) for provider in providers if port.feedback and not port.starts_nothing)
     graph.add_edges_from(feeds)
     for number, ring in enumerate(strongly_connected_components(graph)):
         ring_of.update(dict.fromkeys(ring, number))

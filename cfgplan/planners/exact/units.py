@@ -118,7 +118,7 @@ def new_units_come_in_order(model: Model) -> None:
             model.cp.add_implication(model.is_there[i], model.is_there[i - 1])
 
 
-def one_of_new_units_alike_is_enough(model: Model) -> None:
+def one_of_interchangeable_new_units_is_enough(model: Model) -> None:
     """At most one of several interchangeable new units that meet the same demands runs, and its consumers share it.
 
     This shortens the proof of problems without features; `closing.program` says why it holds. It is left out if
@@ -145,7 +145,7 @@ def one_of_new_units_alike_is_enough(model: Model) -> None:
 def _needs_are_shared(model: Model, units: list[int]) -> None:
     def hubs(unit: int) -> list[int]:
         ports = model.candidates.all[unit].transformation.inputs
-        together = [port for port in ports if not port.feedback and not model.is_told_apart(unit, port)]
+        together = [port for port in ports if not port.feedback and not model.is_explicit(unit, port)]
         return sorted({model.hub(port.tag, None).index for port in together})
 
     for hub, sharing in grouped((hub, unit) for unit in units for hub in hubs(unit)).items():
@@ -160,4 +160,4 @@ STATES: Final = (
     Rule(a_kept_unit_stays_or_is_wired_anew),
 )
 PINNED: Final = Rule(pinned_units_run, flaws=_missing_pinned)
-ORDER: Final = (Rule(new_units_come_in_order), Rule(one_of_new_units_alike_is_enough))
+ORDER: Final = (Rule(new_units_come_in_order), Rule(one_of_interchangeable_new_units_is_enough))

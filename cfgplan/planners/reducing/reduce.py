@@ -30,7 +30,7 @@ from cfgplan.onward import reached
 from cfgplan.planners.reducing.closure import relevant
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Feature, Measured, OnProgress, Plan, Problem, Progress, Status
-from cfgplan.reasons import Each, Givers, startable
+from cfgplan.reasons import Each, Providers, startable
 from cfgplan.rows import attributes, least_limit
 
 GONE = "\0"
@@ -46,7 +46,7 @@ OF_HOSTS = (Objective.HOSTS, Objective.RENT)
 
 @dataclass(frozen=True)
 class Numbered(Problem):
-    """A part of a problem. A plan starts `most` units of each transformation, as many as in the whole problem."""
+    """A part of a problem. A plan starts at most `most` units of each transformation, as in the whole problem."""
 
     most: Mapping[str, int] = field(default_factory=dict, hash=False)
 
@@ -163,13 +163,13 @@ class _Use:
 
     startable: int
     labels: frozenset[str]
-    givers: Givers
+    providers: Providers
     units: Mapping[str, int]
     running: Mapping[str, int]
 
 
 def reduce(problem: Problem, clock: Clock, *, is_certain: bool = False) -> Reduced:
-    """Return the problem without all that can't matter, or the same one if it asks for nothing beyond the paper.
+    """Return the problem without parts that can't affect its plans; a problem of the paper's kind stays as it is.
 
     With `is_certain`, each plan of it gives a plan of the whole problem that is as good in ties. Raises OutOfTimeError.
     """
@@ -190,7 +190,7 @@ def reduce(problem: Problem, clock: Clock, *, is_certain: bool = False) -> Reduc
 
 
 def may_go_on(problem: Problem, unit: ComputationUnit) -> bool:
-    """Whether a unit is where it may be. A cold spare may go on only if failures have to be survived."""
+    """Whether a unit may stay on its host. A cold spare may stay only if failures have to be survived."""
     environment, transformation = problem.environment, problem.environment.transformation[unit.transformation]
     if environment.hosts and unit.host not in environment.hosts_for(transformation):
         return False
@@ -201,24 +201,24 @@ def _use(problem: Problem, each: Each) -> _Use | None:
     """Return the transformations that plans may use; None if a target or pin can't be met, which needs all reasons."""
     environment, similarity = problem.environment, problem.similarity
     library = environment.library
-    hopeful = possible = startable(environment, Givers(library, similarity), each)
+    optimistic = possible = startable(environment, Providers(library, similarity), each)
     while True:
         library = tuple(t for t in library if t.label in possible and _may_be_somewhere(environment, t, possible))
         if len(library) == len(possible):
             break
-        possible = startable(Environment((), library), Givers(library, similarity), each)
-    givers = Givers(library, similarity)
+        possible = startable(Environment((), library), Providers(library, similarity), each)
+    providers = Providers(library, similarity)
     going_on = [
         u for u in environment.units if u.transformation in environment.transformation and may_go_on(problem, u)
     ]
     kept = {u.transformation for u in going_on if environment.transformation[u.transformation].pinned and not u.standby}
-    asked = kept & hopeful | {t.label for t in environment.library if t.min_instances}
-    if not asked <= possible or any(possible.isdisjoint(givers.of(target.tag)) for target in environment.targets):
+    asked = kept & optimistic | {t.label for t in environment.library if t.min_instances}
+    if not asked <= possible or any(possible.isdisjoint(providers.of(target.tag)) for target in environment.targets):
         return None
-    labels = relevant(replace(environment, library=library), givers, possible, each)
+    labels = relevant(replace(environment, library=library), providers, possible, each)
     running = Counter(unit.transformation for unit in going_on if unit.transformation in labels)
     units = {label: running[label] + problem.most_new(environment.transformation[label]) for label in sorted(labels)}
-    return _Use(len(hopeful), labels, givers.among(labels), units, running)
+    return _Use(len(optimistic), labels, providers.among(labels), units, running)
 
 
 def _may_be_somewhere(environment: Environment, t: Transformation, possible: Collection[str]) -> bool:
@@ -298,7 +298,7 @@ def _takers(problem: Problem, use: _Use) -> Counter[str]:
         for port in t.inputs:
             demanded[port.tag] += _most(t, use)
     for tag, number in demanded.items():
-        for offered in use.givers.accepted(tag):
+        for offered in use.providers.accepted(tag):
             takers[offered] += number
     return takers
 
@@ -319,10 +319,12 @@ def _without_lone_streams(problem: Problem, use: _Use) -> Problem:
     def one_for(t: Transformation, port: InputPort) -> InputPort:
         if port.count != ALL or port.optional:
             return port
-        givers = [library[label] for label in use.givers.of(port.tag)]
-        accepted = use.givers.accepted(port.tag)
-        streams = sum(_most(giver, use) * sum(out.tag in accepted for out in giver.outputs) for giver in givers)
-        return replace(port, count=1) if streams == 1 and t not in givers else port
+        providers = [library[label] for label in use.providers.of(port.tag)]
+        accepted = use.providers.accepted(port.tag)
+        streams = sum(
+            _most(provider, use) * sum(out.tag in accepted for out in provider.outputs) for provider in providers
+        )
+        return replace(port, count=1) if streams == 1 and t not in providers else port
 
     return _with_inputs(problem, one_for)
 
@@ -430,7 +432,7 @@ def _without_inputs_that_start_nothing(problem: Problem, use: _Use, *, is_certai
     def kept(t: Transformation, port: InputPort) -> InputPort | None:
         if not port.starts_nothing:
             return port
-        feeding = use.givers.accepted(port.tag) & offered
+        feeding = use.providers.accepted(port.tag) & offered
         is_kept = feeding and (
             port.count == ALL
             or (counts_for_quality and not port.feedback)

@@ -83,7 +83,7 @@ class Agent:
         """The id of this process, by which managers tell it from another agent of its name."""
         self._tell_user = say
         self._arrived: deque[tuple[str, bytes, bytes]] = deque()
-        self._talk: orders.Talk[orders.Order] | None = None
+        self._channel: orders.ReliableChannel[orders.Order] | None = None
         self._held = orders.Held()
         self._stopping: dict[str, tuple[str, ...]] = {}
         """Units that stop once each of these crossings that still exists has delivered a mark for them."""
@@ -163,8 +163,8 @@ class Agent:
 
     def _topics_told(self) -> bytes:
         """Called by threads of the link."""
-        talk, held = self._talk, self._held
-        run = "" if talk is None else talk.session.manager
+        channel, held = self._channel, self._held
+        run = "" if channel is None else channel.session.manager
         return msgspec.json.encode(orders.TopicsTold(run, list(held.topics), held.ahead_ns or 0))
 
     def _note_manager(self, key: str, is_alive: bool) -> None:
@@ -216,41 +216,41 @@ class Agent:
         if now_s >= self._usage_due_s:
             self._usage_due_s = now_s + USAGE_PERIOD_S
             self._tell_usage([*self._held.units, *self._held.spares])
-        if self._talk is not None:
-            self._talk.pump(now_s)
+        if self._channel is not None:
+            self._channel.pump(now_s)
 
     def _patience_s(self) -> float:
         due_s = self._usage_due_s
-        if self._talk is not None:
-            due_s = min(due_s, self._talk.due_s())
+        if self._channel is not None:
+            due_s = min(due_s, self._channel.due_s())
         return max(0.0, due_s - time.monotonic())
 
     def _say(self, message: orders.FromAgent) -> None:
-        if self._talk is not None and not self._ending:
-            self._talk.say(message)
+        if self._channel is not None and not self._ending:
+            self._channel.say(message)
 
     def _hear(self, key: str, head: bytes, payload: bytes) -> None:
         *_, kind, _, name = key.split("/")
         session = orders.read_session(name)
         if session is None or session.life != self._life:
             return
-        talk = self._talk
-        if talk is None or session != talk.session:
+        channel = self._channel
+        if channel is None or session != channel.session:
             if kind == orders.HEARD:
                 return
-            if talk is not None and not _supersedes(session, talk.session):
-                self._refuse(session, talk.session, is_obeyed=self._has_living_manager)
+            if channel is not None and not _supersedes(session, channel.session):
+                self._refuse(session, channel.session, is_obeyed=self._has_living_manager)
                 return
-            if talk is not None and session.manager != talk.session.manager:
-                self._superseded[talk.session.manager] = time.monotonic() + LEASE_S, talk.session
+            if channel is not None and session.manager != channel.session.manager:
+                self._superseded[channel.session.manager] = time.monotonic() + LEASE_S, channel.session
                 if len(self._superseded) > _MOST_SUPERSEDED:
                     del self._superseded[next(iter(self._superseded))]
-                self._held.term = talk.session.term
-            talk = self._talk = orders.Talk(self._link, self.name, MANAGER, session, orders.Order)
+                self._held.term = channel.session.term
+            channel = self._channel = orders.ReliableChannel(self._link, self.name, MANAGER, session, orders.Order)
             self._orders.clear()
             self._is_left = False
         try:
-            heard = talk.hear(kind, head, payload, time.monotonic())
+            heard = channel.hear(kind, head, payload, time.monotonic())
             self._orders += heard
             self._is_left = self._is_left or any(isinstance(order, orders.LeaveOrder) for order in heard)
         except msgspec.MsgspecError as error:
@@ -261,18 +261,18 @@ class Agent:
 
     @property
     def _has_living_manager(self) -> bool:
-        """Whether the manager of this talk is alive, and its run not over."""
-        return self._talk is not None and not self._is_left and self._is_alive(self._talk.session.manager)
+        """Whether the manager of this channel is alive, and its run not over."""
+        return self._channel is not None and not self._is_left and self._is_alive(self._channel.session.manager)
 
     def _tell_superseded(self, now_s: float) -> None:
         """Tell earlier managers that are alive, repeatedly, that a later one is obeyed while that one is alive."""
-        if self._talk is None:
+        if self._channel is None:
             return
         for manager, (due_s, session) in self._superseded.items():
-            if now_s >= due_s and manager != self._talk.session.manager:
+            if now_s >= due_s and manager != self._channel.session.manager:
                 self._superseded[manager] = now_s + LEASE_S / 2, session
                 if self._is_alive(manager) and self._has_living_manager:
-                    self._refuse(session, self._talk.session, is_obeyed=True)
+                    self._refuse(session, self._channel.session, is_obeyed=True)
 
     def _refuse(self, session: orders.Session, later: orders.Session, *, is_obeyed: bool) -> None:
         """Tell a manager that a later one is obeyed, and whether that one is alive (`is_obeyed`)."""
@@ -284,8 +284,8 @@ class Agent:
         match order:
             case orders.GreetOrder(adopts, secret):
                 self._owes_welcome = True
-                if self._talk is not None:
-                    self._heartbeats.obey(self._talk.session.manager, secret)
+                if self._channel is not None:
+                    self._heartbeats.obey(self._channel.session.manager, secret)
                 if self._validity is not None:
                     self._validity.tell_again()
                 if not adopts:

@@ -290,8 +290,8 @@ def event_of(message: EventTold) -> events.Event:
     return event
 
 
-class Talk(Generic[Spoken]):
-    """One end of a session. No method blocks. `pump` sends all messages since its last call as one piece, and repeats
+class ReliableChannel(Generic[Spoken]):
+    """One end of a session. No method blocks. `pump` sends all messages since its last call as one segment, and repeats
     it until it has arrived.
     """
 
@@ -314,14 +314,14 @@ class Talk(Generic[Spoken]):
 
         Raises msgspec.MsgspecError for a message of another version.
         """
-        pieces = self._both.take(kind == HEARD, head, payload, now_s)
+        segments = self._both.take(kind == HEARD, head, payload, now_s)
         self.is_broken = self.is_broken or self._both.receiving.dropped > 0
-        return [message for piece in pieces for message in self._decoder.decode(piece.payload)]
+        return [message for segment in segments for message in self._decoder.decode(segment.payload)]
 
     def pump(self, now_s: float) -> None:
         """Send the orders that are due."""
         if self._unsent:
-            self._both.sending.offer(crossing.Piece(0, 0, msgspec.msgpack.encode(self._unsent)))
+            self._both.sending.offer(crossing.Segment(0, 0, msgspec.msgpack.encode(self._unsent)))
             self._unsent.clear()
         self._both.pump(self._put, self._put_credit, now_s)
 

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from cfgplan.api import World
 from cfgplan.domain import Transformation
-from cfgplan.transformations import what_runs
+from cfgplan.transformations import running_fields
 from cfgplan_runtime.lifecycle.perturbations import Difference
 
 T = TypeVar("T")
@@ -16,7 +16,7 @@ T = TypeVar("T")
 
 def runs_alike(one: Transformation, other: Transformation) -> bool:
     """Whether a unit of `one` can keep running as a unit of `other`: same code, params and ports."""
-    return one is other or what_runs(one) == what_runs(other)
+    return one is other or running_fields(one) == running_fields(other)
 
 
 def difference(before: World, after: World) -> Difference:

@@ -22,11 +22,11 @@ def losing_streams(running: Environment, library: Environment) -> Losing:
     for statement in library.losing:
         for unit in running.units:
             for port, streams in unit.feeds.items():
-                giver = running.unit.get(streams[0].unit)
+                provider = running.unit.get(streams[0].unit)
                 if (
                     len(streams) == 1
-                    and giver is not None
-                    and (giver.transformation, streams[0].port) == (statement.transformation, statement.output)
+                    and provider is not None
+                    and (provider.transformation, streams[0].port) == (statement.transformation, statement.output)
                 ):
                     found[unit.id, port] = streams[0], statement.attribute
     return found

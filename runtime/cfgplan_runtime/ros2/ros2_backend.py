@@ -39,7 +39,7 @@ from cfgplan_runtime.ros2.ros2_unit import SIM_TIME, Ros2Unit, message_of, node_
 from cfgplan_runtime.ros2.ros_python import RosPython, ros_python
 from cfgplan_runtime.ros2.tapped_values import TappedValues
 from cfgplan_runtime.ros2.warm_nodes import WarmNode, WarmNodes
-from cfgplan_runtime.streams.ends import Bell, Ends
+from cfgplan_runtime.streams.ends import Ends, Waker
 from cfgplan_runtime.streams.run_folder import RunFolder
 from cfgplan_runtime.supervision import events
 from cfgplan_runtime.supervision.backend import Inlet, Usage
@@ -86,8 +86,8 @@ class Ros2Backend:
         self.run_folder = RunFolder()
         self._folder = (folder or Path.cwd()).resolve()
         self._profiles = FastDdsProfiles(self.run_folder.path, self._python.environment)
-        self._ends, self._bell = Ends(), Bell()
-        self._ends.watch(self._bell.socket, self._bell.hear)
+        self._ends, self._waker = Ends(), Waker()
+        self._ends.watch(self._waker.socket, self._waker.hear)
         self._events: list[events.Event] = []
         self._nodes: dict[str, _UnitNode] = {}
         self._warm = WarmNodes(self._start_warm, self._events, self.now(), keeps_one=warm)
@@ -121,7 +121,7 @@ class Ros2Backend:
         return time.monotonic()
 
     def wake(self) -> None:
-        self._bell.ring()
+        self._waker.ring()
 
     def wait(self, timeout_s: float | None) -> Sequence[events.Event]:
         left_s = max(0.0, self._sign_due_s - self.now())
@@ -276,7 +276,7 @@ class Ros2Backend:
         self._wires.close()
         clean_memory()
         self._ends.close()
-        self._bell.close()
+        self._waker.close()
         self.run_folder.close()
 
     # The helper.

@@ -118,8 +118,8 @@ class RosTopics:
         self._orders: deque[msgspec.Struct] = deque()
         self._lock = threading.Lock()
         self._is_over = False
-        self._bell, self._heard_bell = socket.socketpair()
-        for end in (self._bell, self._heard_bell):
+        self._waker, self._heard_bell = socket.socketpair()
+        for end in (self._waker, self._heard_bell):
             end.setblocking(False)
         self._thread = threading.Thread(target=self._work, name="cfgplan-ros2", daemon=True)
         self._thread.start()
@@ -161,7 +161,7 @@ class RosTopics:
         self._is_over = True
         self._ring()
         self._thread.join()
-        self._bell.close()
+        self._waker.close()
         self._heard_bell.close()
 
     def _begin(
@@ -184,7 +184,7 @@ class RosTopics:
 
     def _ring(self) -> None:
         with suppress(OSError):  # it rings already, or is closed
-            self._bell.send(b"\0")
+            self._waker.send(b"\0")
 
     def _work(self) -> None:
         while not self._is_over:

@@ -286,7 +286,7 @@ class Supervisor:
                 self.wiring.disconnect(inlet)
             case updates.GoOver(inlet):
                 self.backend.switch_now(inlet)
-            case updates.Believe(environment):
+            case updates.SetEnvironment(environment):
                 self.environment = environment
             case updates.WaitUntil():
                 self._wait(command)

@@ -164,7 +164,7 @@ class GoOver(Command, frozen=True):
     inlet: Inlet
 
 
-class Believe(Command, frozen=True):
+class SetEnvironment(Command, frozen=True):
     """Take this environment as the running configuration."""
 
     environment: Environment
@@ -378,7 +378,7 @@ class _Update:
         """
         actual, wanted = self.actual, self.wanted
         kept = actual.alive & set(self.started) - set(failed) if keeps_new else set[str]()
-        yield Believe(self.with_unconnected(kept))
+        yield SetEnvironment(self.with_unconnected(kept))
         back = {inlet: old for inlet, old in reversed(self.rewired.items()) if inlet.unit not in self.started}
         self.rewired.clear()
         for inlet, old in back.items():
@@ -395,7 +395,7 @@ class _Update:
             yield Disconnect(inlet)
         yield from self.stop_units(sorted({*self.started, *failed} - kept))
         for unit in failed:
-            yield Believe(actual.environment.without_unit(unit))
+            yield SetEnvironment(actual.environment.without_unit(unit))
         yield from self.close_topics(self.opened)
 
     def stop_units(self, units: Iterable[str]) -> Commands:
@@ -424,7 +424,7 @@ class _Update:
         outlet = Inlet("", topic)
         if outlet in self.actual.feeds:
             yield Disconnect(outlet)
-            yield Believe(wiring.without_feed(self.actual.environment, outlet))
+            yield SetEnvironment(wiring.without_feed(self.actual.environment, outlet))
         yield CloseTopic(topic)
 
     def close_topics(self, topics: Iterable[str]) -> Commands:
