@@ -131,9 +131,9 @@ def _subjects(options: argparse.Namespace, problem: Problem, plan: Plan) -> list
     before, after = problem.environment, problem.after(plan)
     name = options.subject or options.unit or options.transformation or options.stream
     if name is None:
-        from cfgplan.cli.plan_text import with_the_stream
+        from cfgplan.cli.plan_text import in_stream_order
 
-        used = dict.fromkeys(unit.transformation for unit in with_the_stream(after))
+        used = dict.fromkeys(unit.transformation for unit in in_stream_order(after))
         return [("transformation", label) for label in used]
     units = {*before.unit, *after.unit}
     if options.unit or (options.subject and name in units):

@@ -1,4 +1,4 @@
-"""The first plan of a run: made as its first review makes it, shown, and confirmed where units would be stopped."""
+"""The first plan of a run: made as the first review makes it, shown, and confirmed by the user if it stops units."""
 
 from __future__ import annotations
 

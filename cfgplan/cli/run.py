@@ -380,13 +380,13 @@ def difference_text(said: Environment, running: Environment) -> str:
     """Return the differences of the running units from the file's, ignoring ids."""
     from cfgplan.cli.plan_text import changes_text
 
-    changes = said.change_to(named_alike(said, running))
+    changes = said.change_to(with_declared_ids(said, running))
     if not changes:
         return "What runs is what `units:` says."
     return f"From `units:` to what runs:\n{changes_text(said, changes).plain.rstrip()}"
 
 
-def named_alike(said: Environment, running: Environment) -> tuple[ComputationUnit, ...]:
+def with_declared_ids(said: Environment, running: Environment) -> tuple[ComputationUnit, ...]:
     """Return the running units, each with the id of a declared unit of its transformation and host, if one is left."""
     left = dict(said.unit)
     names: dict[str, str] = {}

@@ -222,7 +222,7 @@ class _Ranking:
         A unit that runs anyway but is `exempt` does not count as a target.
         """
         restricted = _restricted(self._keeping.with_own_targets(exempt), without, required)
-        return self._keeping.really(self._planner(restricted, time_limit_s=limit_s), restricted)
+        return self._keeping.without_artificial_targets(self._planner(restricted, time_limit_s=limit_s), restricted)
 
     def _unused(self, plan: Plan) -> tuple[str, ...]:
         return unused_required(self._problem.after(plan))

@@ -54,8 +54,10 @@ class Kept:
             ),
         )
 
-    def really(self, plan: Plan, planned: Problem) -> Plan:
-        """Take the artificial targets out of a plan that was made with them. Returns a plan of the problem itself."""
+    def without_artificial_targets(self, plan: Plan, planned: Problem) -> Plan:
+        """Remove the artificial targets from a plan that was made with them: the result is a plan of the problem
+        itself.
+        """
         if plan.change_set is None:
             return plan
         units = [_without(unit) for unit in planned.after(plan).units]

@@ -17,7 +17,7 @@ MOST_CYCLES_SHOWN = 10
 
 
 class UnitChecker:
-    """Makes units from `parts`, each with its place, by id, and notes faults at their places.
+    """Makes units from `parts` (by id: each unit as written, with its place) and notes faults at their places.
 
     A reference is no fault if it may name a part that was left out for its own faults.
     """

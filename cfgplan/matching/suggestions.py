@@ -97,9 +97,10 @@ def _humps(chunk: str) -> Iterator[str]:
 
 @dataclass(frozen=True)
 class PortWords:
-    """The words about a port: texts, by how much their words count.
+    """The words about a port: `texts` by the weight of their words, such as its name.
 
-    `peers` are tags of ports that it is wired to, or that are called as it is: they are proposed first.
+    `meant` are message types and units of measure, which stand for further words. `peers` are the tags of ports that it
+    is wired to, or that have its name: they are proposed first.
     """
 
     texts: Mapping[float, Collection[str]]
@@ -132,7 +133,7 @@ class PortWords:
         return origins
 
     def origins(self, words: Iterable[str]) -> str:
-        """The texts that speak of some words."""
+        """The texts that contain some words or stand for them, joined by commas."""
         known = self._origins
         stems = ((word, next((own for own in known if _is_one_stem(own, word)), "")) for word in words)
         of_words = (known.get(word, known.get(stem)) for word, stem in stems)

@@ -52,7 +52,7 @@ class LaunchRelay(NamedTuple):
 
 @dataclass(frozen=True)
 class NodeUnit:
-    """A unit that is a node, by the full `name` of that."""
+    """A unit that is a ROS node; `name` is the full name of the node."""
 
     unit: ComputationUnit
     transformation: Transformation
@@ -182,7 +182,7 @@ class TopicNames:
 
 
 def node_units(environment: Environment) -> Iterator[NodeUnit]:
-    """The running units as nodes. Raises InputError with all that can't be one of ROS 2."""
+    """The running units as nodes. Raises InputError with all units that can't be nodes of ROS 2."""
     faults, taken = list[Fault](), dict[str, str]()
     for unit in sorted(environment.units, key=lambda unit: unit.id):
         if unit.standby:

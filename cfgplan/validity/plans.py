@@ -14,7 +14,7 @@ from cfgplan.validity.facts import known_units, meeting_targets, needed_by
 from cfgplan.validity.hosts import carried_us, costs_there, rents_us
 from cfgplan.validity.quality import priced_us
 from cfgplan.validity.rules import Rule, Violation
-from cfgplan.validity.startable import givers_by_tag, startable
+from cfgplan.validity.startable import providers_by_tag, startable
 
 
 def plan_violations(problem: Problem, plan: Plan) -> list[Violation]:
@@ -47,7 +47,7 @@ def plan_violations(problem: Problem, plan: Plan) -> list[Violation]:
 
 def _bad_refusal(problem: Problem, plan: Plan) -> Iterator[Violation]:
     possible = startable(problem.environment, problem.similarity.optimistic)
-    providers = givers_by_tag(problem.environment, problem.similarity.optimistic)
+    providers = providers_by_tag(problem.environment, problem.similarity.optimistic)
     impossible = {
         target.label for target in problem.environment.targets if possible.isdisjoint(providers.get(target.tag, set()))
     }

@@ -15,7 +15,7 @@ def startable(environment: Environment, similarity: Similarity, units: Mapping[s
     inputs are fed by earlier members and feedback inputs by any member. `units` limits the number of units of each; the
     `serves` limits of outputs are ignored.
     """
-    providers = givers_by_tag(environment, similarity)
+    providers = providers_by_tag(environment, similarity)
     candidates = set(environment.transformation)
     while True:
         grounded = _grounded(environment, providers, candidates, units)
@@ -73,7 +73,7 @@ def _can_be_fed(
     return all(different_choices_exist(group) for group in choices.values())
 
 
-def givers_by_tag(environment: Environment, similarity: Similarity) -> dict[str, set[str]]:
+def providers_by_tag(environment: Environment, similarity: Similarity) -> dict[str, set[str]]:
     """Return, for each demanded tag, the transformations with a matching output, or those that a target wants
     to run.
     """

@@ -1,4 +1,5 @@
-"""A deployment as numbers: how many units of each transformation are on each host; and who takes whose streams then.
+"""A deployment as numbers: how many units of each transformation are on each host; and which unit then takes which
+stream.
 
 Where streams are carried for nothing, and providers come before takers, that is all there is to decide.
 """

@@ -1,4 +1,4 @@
-"""The units a plan may have, and what follows from choosing some of them: are they grounded, how are they wired.
+"""The units that a plan may choose from, and the results of a choice: whether it is grounded, and its wiring.
 
 For planners that search for a set of units and leave the wiring for last; it knows no solver.
 """

@@ -12,7 +12,7 @@ from cfgplan_runtime.children.messages import ImportUnused
 from cfgplan_runtime.fleet.agent import Agent
 from cfgplan_runtime.fleet.orders import (
     SAY,
-    EventTold,
+    EventReport,
     FromAgent,
     Order,
     ReliableChannel,
@@ -61,12 +61,12 @@ def test_a_message_of_another_version_is_no_traceback_but_an_error() -> None:
     with pytest.raises(msgspec.MsgspecError):
         manager.hear(*wire.put[0], 0.0)
     with pytest.raises(msgspec.MsgspecError):
-        event_of(EventTold("UnitSang", msgspec.Raw(b"")))
+        event_of(EventReport("UnitSang", msgspec.Raw(b"")))
 
 
 def test_an_event_is_read_as_it_was_told() -> None:
     died = UnitDied("a.1", "killed by SIGKILL")
-    sent = msgspec.msgpack.decode(msgspec.msgpack.encode(told(died)), type=EventTold)
+    sent = msgspec.msgpack.decode(msgspec.msgpack.encode(told(died)), type=EventReport)
     assert event_of(sent) == died
 
 

@@ -10,7 +10,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
-from cfgplan.cli.plan_text import with_the_stream
+from cfgplan.cli.plan_text import in_stream_order
 from cfgplan.domain import (
     ComputationUnit,
     Environment,
@@ -98,7 +98,7 @@ def test_five_thousand_units_are_planned_with_one_look_at_each_event(
 
 def test_units_are_told_with_the_stream_however_deep_they_are() -> None:
     environment = chain(3_000, dead=0).environment
-    assert [unit.id for unit in with_the_stream(environment)] == [f"t{i:05}.1" for i in range(1, 3_000)]
+    assert [unit.id for unit in in_stream_order(environment)] == [f"t{i:05}.1" for i in range(1, 3_000)]
 
 
 @pytest.mark.parametrize("most", [1, 60])

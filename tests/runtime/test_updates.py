@@ -20,12 +20,12 @@ from cfgplan_runtime.supervision.updates import (
     Dump,
     EndUnit,
     GiveState,
-    GoOver,
     OpenTopic,
     SetEnvironment,
     StartUnit,
     StopAgain,
     StopUnit,
+    SwitchNow,
     WaitUntil,
     carry_out,
     environment_after,
@@ -123,7 +123,7 @@ class Scene:
             case Disconnect(inlet):
                 self.said.append(f"cut {inlet}")
                 del self.feeds[inlet]
-            case GoOver(inlet):
+            case SwitchNow(inlet):
                 self.said.append(f"go over {inlet}")
             case SetEnvironment(environment):
                 self.environment = environment

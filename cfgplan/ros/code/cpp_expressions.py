@@ -47,7 +47,7 @@ class CppExpressions:
         return self.namespace(file, places, 0) is not None or self.transport(file, places) is not None
 
     def transport(self, file: CppFile, places: range) -> tuple[str | None] | None:
-        """The namespace of an image transport, None in it if computed; None if the expression is none."""
+        """The namespace of an image transport, as a tuple of one (None if computed); None if it is no transport."""
         places = bare(file, places)
         words = [file.word(at) for at in places]
         if "ImageTransport" in words:

@@ -27,7 +27,7 @@ from cfgplan_runtime.fleet.links import LEASE_S, PRIVATE, Lives, config, sign_pe
 from cfgplan_runtime.fleet.relay import Relay
 from cfgplan_runtime.fleet.tunnels import TunnelServer
 from cfgplan_runtime.fleet.twins import Twins
-from cfgplan_runtime.fleet.ways import Way, alive_key, reach
+from cfgplan_runtime.fleet.ways import RouteWatch, alive_key, reach
 from cfgplan_runtime.processes.cpu_group import CpuGroup
 from cfgplan_runtime.processes.process_backend import RELAY, ProcessBackend
 from cfgplan_runtime.streams.crossing import crossing_key
@@ -128,7 +128,7 @@ class Agent:
             self._link.live(key)
             self._link.give_signs(key, sign_period_s(), twins.sign)
             self._link.hear(f"{alive_key(name)}/*", lambda key, _, payload: twins.hear(key.rpartition("/")[2], payload))
-            stack.callback(Way(self._link, key, listen, connect, certificates, self._note_failure, say).close)
+            stack.callback(RouteWatch(self._link, key, listen, connect, certificates, self._note_failure, say).close)
             self._stack = stack.pop_all()
 
     def run(self) -> None:
@@ -165,7 +165,7 @@ class Agent:
         """Called by threads of the link."""
         channel, held = self._channel, self._held
         run = "" if channel is None else channel.session.manager
-        return msgspec.json.encode(orders.TopicsTold(run, list(held.topics), held.ahead_ns or 0))
+        return msgspec.json.encode(orders.TopicsReport(run, list(held.topics), held.ahead_ns or 0))
 
     def _note_manager(self, key: str, is_alive: bool) -> None:
         """Called by threads of the link, as `_take` is."""
@@ -451,7 +451,7 @@ class Agent:
         usage = {unit: used for unit in units if (used := self._backend.usage(unit)) is not None}
         crossings = self._relay.counts()
         if usage or crossings:
-            self._say(orders.UsageTold(usage, crossings))
+            self._say(orders.UsageReport(usage, crossings))
 
 
 def _supersedes(session: orders.Session, other: orders.Session) -> bool:

@@ -99,7 +99,7 @@ class Answering:
     def close(self) -> None:
         """End the thread."""
         self._is_closed = True
-        self._waker.ring()
+        self._waker.wake()
         self._thread.join()
         for end in self._sockets:
             end.close()
@@ -178,7 +178,7 @@ class Asking:
             self._agents.pop(name, None)
             if addresses:
                 self._agents[name] = _Asked(name, secret, addresses, now_s, now_s)
-        self._waker.ring()
+        self._waker.wake()
 
     def forget(self, name: str) -> None:
         """Ask an agent no more. Thread-safe."""
@@ -188,7 +188,7 @@ class Asking:
     def close(self) -> None:
         """End the thread."""
         self._is_closed = True
-        self._waker.ring()
+        self._waker.wake()
         self._thread.join()
         for end in self._sockets.values():
             end.close()

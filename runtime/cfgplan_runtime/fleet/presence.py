@@ -81,7 +81,7 @@ class AgentGone(AgentNews, frozen=True):
     cause: str
 
 
-class AgentSaid(AgentNews, frozen=True):
+class AgentMessage(AgentNews, frozen=True):
     """An agent has sent a message."""
 
     message: orders.FromAgent
@@ -369,7 +369,7 @@ class Presence:
                 if isinstance(message, orders.Welcome):
                     self._welcome(host, message)
                 else:
-                    self._happened.append(AgentSaid(host, message))
+                    self._happened.append(AgentMessage(host, message))
         except msgspec.MsgspecError as error:
             self.leave_alone(host, f"its agent is of another version of cfgplan: {error}")
 

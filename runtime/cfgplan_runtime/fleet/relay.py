@@ -97,7 +97,7 @@ class Relay:
     def close(self) -> None:
         """End the thread and those of all exports."""
         self._is_closing = True
-        self._waker.ring()
+        self._waker.wake()
         self._thread.join()
 
     def _run(self) -> None:
@@ -129,7 +129,7 @@ class Relay:
         self._arrived.append((key, head, payload))
         if not self._has_rung:
             self._has_rung = True
-            self._waker.ring()
+            self._waker.wake()
 
     def _due_s(self) -> float:
         sent = [one.sending.due_s for one in self._exports.values()]

@@ -53,7 +53,7 @@ class _Tunnel:
     ) -> None:
         self._declare, self._ended, self._find = declare, ended, find
         self._end: socket.socket | None = None
-        self._both = crossing.Conversation(
+        self._both = crossing.DuplexChannel(
             crossing.Sending(blocks=True, most=_MOST_TUNNEL_CHUNKS, granted=crossing.FRAMES_UNDER_WAY)
         )
         self._arrived: deque[tuple[bool, bytes, bytes]] = deque()
@@ -75,12 +75,12 @@ class _Tunnel:
     def take(self, is_credit: bool, head: bytes, payload: bytes) -> None:
         """Queue data from the other end. Thread-safe."""
         self._arrived.append((is_credit, head, payload))
-        self._waker.ring()
+        self._waker.wake()
 
     def close(self) -> None:
         """End at once, since the other end is gone. Thread-safe."""
         self._is_closing = True
-        self._waker.ring()
+        self._waker.wake()
 
     def _run(self) -> None:
         try:

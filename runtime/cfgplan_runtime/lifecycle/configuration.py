@@ -87,7 +87,7 @@ class Situation:
         return self.code_faults.get(label) or self.back_offs.why_not(label, host)
 
     def as_it_is(self, world: World) -> World:
-        """The world with the facts as they have been set, and outputs as good as streams have said."""
+        """The world with its present facts, learned qualities and measured rates of links."""
         if not (self.facts or self.qualities or self.link_rates):
             return world
         environment = world.environment.with_facts(self.facts).with_qualities(self.qualities)
@@ -203,7 +203,7 @@ def avoided_now(plan_input: PlanInput) -> dict[str, str]:
 
 
 def may_start(plan_input: PlanInput, transformation: Transformation) -> tuple[str | None, ...]:
-    """The hosts where units of a transformation may be now: nothing speaks against them, or a good one runs there.
+    """The hosts where units of a transformation may run now: nothing rules them out, or a unit of it runs well there.
 
     None stands for the only place of a world without hosts.
     """

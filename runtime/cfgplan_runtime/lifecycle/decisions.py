@@ -95,7 +95,7 @@ def breaks_in(doing: Doing, item: Item) -> BreakIn:
 
 
 def first_state(world: World, policy: Policy) -> State:
-    """Nothing has happened yet."""
+    """Return the state of a manager that has got no input yet."""
     situation = Situation(BackOffs(policy.back_off), awaits_hosts=policy.hosts_s is not None)
     return State(policy, WorldVersion(world, refuses_hosts=policy.refuses_hosts), situation)
 
@@ -103,8 +103,8 @@ def first_state(world: World, policy: Policy) -> State:
 def decide(state: State, happened: TimedInput) -> tuple[State, tuple[Effect, ...]]:
     """The state after something has happened, and the effects to carry out, in this order.
 
-    At most one of them is MakePlan, ApplyUpdate or StopAll, as the last, and none before the one before is answered.
-    Match and Observe are answered, by Matched and Seen, before anything else happens.
+    At most one effect is MakePlan, ApplyUpdate or StopAll. It is the last, and the next one of these follows only after
+    its answer. Match and Observe are answered, by Matched and Seen, before any other input.
     """
     if state.running is not happened.running:
         state = replace(state, running=happened.running)
@@ -168,7 +168,7 @@ def _tick(transition: Transition, time_s: float) -> Transition:
     match transition.state.doing:
         case Gathering(until_s) if until_s <= at_s:
             return _begun(transition, time_s)
-        case None if state.has_plans_to_see_to:
+        case None if state.has_waiting_plans:
             return _seen_to(transition, time_s)
         case None if state.observe_at_s <= at_s:
             return transition.also(Observe())

@@ -23,7 +23,7 @@ NEWS: Final = Fraction(1, 20)
 
 
 def fact_set(transition: Transition, name: str, value: str, request: Asked) -> Transition:
-    """A fact has a value by request, until a stream says another. A review is due only if other units may run now."""
+    """Set a fact by request, until a stream says another value. A review is due only if other units may run now."""
     state, facts = transition.state, transition.state.plan_input.world.environment.variable
     known(name, facts, "fact")
     try:
@@ -35,7 +35,7 @@ def fact_set(transition: Transition, name: str, value: str, request: Asked) -> T
 
 
 def fact_seen(transition: Transition, name: str, value: FactValue) -> Transition:
-    """A stream says the value of a fact. Values of facts that are gone, or of another kind now, are ignored."""
+    """Take in a fact's value from a stream. Values of facts that are gone, or of another kind now, are ignored."""
     state, world = transition.state, transition.state.version.world.environment
     fact = world.variable.get(name)
     if fact is None or fact.observed_on is None or kind_of(value) != kind_of(fact.declared):
@@ -54,7 +54,7 @@ def fact_seen(transition: Transition, name: str, value: FactValue) -> Transition
 
 
 def facts_fallen_silent(transition: Transition) -> Transition:
-    """Let the declared values count again of the facts that have been silent for too long."""
+    """Return facts that have been silent for too long to their declared values."""
     state = transition.state
     gone = [name for name, at_s in state.silences_of_facts.items() if at_s <= transition.at_s]
     if not gone:

@@ -92,8 +92,9 @@ def heard(transition: Transition, event: events.Event) -> Transition:
 
 
 def died(transition: Transition, gone: UnitGone, lived_s: float | None) -> Transition:
-    """A unit has ended without being told to: blame it unless `lived_s` is None. The review answers requests that wait
-    for its end.
+    """Handle the end of a unit that was not told to end: blame its transformation unless `lived_s` is None.
+
+    The review answers requests that wait for the unit's end.
     """
     if lived_s is not None:
         transition = transition.blamed(Place(gone.transformation, gone.host), lived_s, gone.cause)
@@ -154,7 +155,7 @@ def _code_looked_at(
 
 
 def matched(transition: Transition, result: Matched) -> Transition:
-    """The world after a change is known, or the change is bad."""
+    """Handle the answer to Match: the world after a change, or the error of a bad change."""
     change, outcome, found = result.asked.change, result.asked.outcome, result.found
     if isinstance(found, InputError):
         if isinstance(change, ReplaceWorld):

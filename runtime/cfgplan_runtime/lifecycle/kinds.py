@@ -68,7 +68,7 @@ def _nothing(_: object) -> None:
 
 
 def always(_: object) -> bool:
-    """Whether a thing of a kind is always as grave as the kind's level says."""
+    """Return True, for kinds whose things are all as grave as the kind's level says."""
     return True
 
 
@@ -404,7 +404,7 @@ def kind_of(what: object) -> Kind[Any]:
 
 
 def kind_named(name: str) -> Kind[Any]:
-    """The same for the name of a kind, as records say it."""
+    """The row of the kind with a name, as in records."""
     return _NAMED.get(name, _UNKNOWN)
 
 

@@ -85,7 +85,7 @@ class SeenQualities:
         return replace(self, counts=counts, windows=windows, is_new=is_new)
 
     def after_lesson(self, lesson: Lesson, fresh: Collection[Said], at_s: float) -> SeenQualities:
-        """Keep the learned estimates. Clear the windows of streams with news: their means then follow it."""
+        """Keep the learned estimates. Clear the windows of streams with news, so that old values no longer count."""
         windows = {said: window for said, window in self.windows.items() if said not in lesson.news}
         taught_s = {**self.taught_s, **dict.fromkeys(fresh, at_s)}
         return replace(self, windows=windows, taught_s=taught_s, is_new=False, estimates=lesson.estimates)

@@ -104,7 +104,7 @@ Doing: TypeAlias = Gathering | Planning | Updating | None
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """All that decides what a manager does next; a value. Times are in seconds on the manager's clock."""
+    """Everything that the next decision of a manager depends on; a value. Times: seconds on the manager's clock."""
 
     policy: Policy
     version: WorldVersion
@@ -206,7 +206,7 @@ class State:
         """The time at which the manager has to act if no item comes in."""
         if isinstance(self.doing, Gathering):
             return self.doing.until_s
-        if self.has_plans_to_see_to:
+        if self.has_waiting_plans:
             return min(self.due_s, 0.0)
         return min(
             self.due_s,
@@ -219,7 +219,7 @@ class State:
         )
 
     @property
-    def has_plans_to_see_to(self) -> bool:
+    def has_waiting_plans(self) -> bool:
         """Whether a plan was requested or given, and no change of the configuration is imminent."""
         return self.doing is None and not self.waiting and bool(self.previews or self.given)
 

@@ -90,7 +90,7 @@ def qualities_faded(transition: Transition) -> Transition:
 
 
 def qualities_restated(transition: Transition, before: Environment) -> Transition:
-    """Forget what was learned of outputs that the world states otherwise than before: it was measured with that."""
+    """Forget the deviations of outputs whose stated quality has changed: they were learned relative to the old one."""
     state, now = transition.state, transition.state.version.world.environment
 
     def is_as_before(one: Statement) -> bool:

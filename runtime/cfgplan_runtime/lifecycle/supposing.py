@@ -57,7 +57,7 @@ class Supposing:
         """Return the findings of an optimising review after a change. Raises InputError for a change that is bad, or
         that can't be supposed.
         """
-        plan_input = supposed_scene(state, change)
+        plan_input = supposed_input(state, change)
         with self._lock:
             if self._matching is None or self._deliberation is None:
                 self._matching = WarmMatching(self._policy.reasoner, self._policy.match_limit_s)
@@ -68,7 +68,7 @@ class Supposing:
             return self._deliberation.think(plan_input, optimises=True, stop=threading.Event())
 
 
-def supposed_scene(state: State, change: changes.Change) -> PlanInput:
+def supposed_input(state: State, change: changes.Change) -> PlanInput:
     """Return the input of a plan after a change of the world, or of the hosts in service. Raises InputError."""
     situation = state.situation
     match change:

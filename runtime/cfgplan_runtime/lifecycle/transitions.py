@@ -23,7 +23,7 @@ from cfgplan_runtime.lifecycle.state import Entry, State
 from cfgplan_runtime.lifecycle.worlds import WorldVersion
 from cfgplan_runtime.supervision.observation import Observation
 
-# What happens, besides what comes into the inbox.
+# Inputs, besides the items of the inbox.
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,14 +84,14 @@ Input: TypeAlias = Item | Started | Tick | Matched | Seen | Planned | GivenJudge
 
 @dataclass(frozen=True, slots=True)
 class TimedInput:
-    """A happening at a time on the manager's clock, and the units that run then."""
+    """An input, its time on the manager's clock, and the configuration that runs then."""
 
     at_s: float
     what: Input
     running: Environment
 
 
-# What is to be done about it.
+# Effects.
 
 
 class Effect(msgspec.Struct, frozen=True):

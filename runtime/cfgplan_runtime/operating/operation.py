@@ -320,7 +320,7 @@ class Operation(Closable):
                 self.show(f"{target.label} is met by {target.stream}, but nothing comes on {target.topic}")
 
     def show(self, news: News) -> None:
-        """Have something shown."""
+        """Queue a report or a warning for showing."""
         while True:
             try:
                 self.news.put_nowait(news)
@@ -369,7 +369,7 @@ class Operation(Closable):
 
 
 class Spinning:
-    """Since when sources without a rate spin, by unit; infinite once that was told."""
+    """Finds sources that spin: they have no rate, and give elements without a pause."""
 
     def __init__(self) -> None:
         self._since_s: dict[str, float] = {}

@@ -123,7 +123,7 @@ class ProcessBackend:
         return time.monotonic()
 
     def wake(self) -> None:
-        self._waker.ring()
+        self._waker.wake()
 
     def wait(self, timeout_s: float | None) -> Sequence[events.Event]:
         if self._outlets_due_s is not None:

@@ -121,7 +121,7 @@ class Ros2Backend:
         return time.monotonic()
 
     def wake(self) -> None:
-        self._waker.ring()
+        self._waker.wake()
 
     def wait(self, timeout_s: float | None) -> Sequence[events.Event]:
         left_s = max(0.0, self._sign_due_s - self.now())

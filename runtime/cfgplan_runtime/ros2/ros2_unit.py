@@ -111,7 +111,7 @@ class Ros2Unit:
 
 
 def message_of(port: InputPort | OutputPort) -> str | None:
-    """The message type of a port as ROS 2 writes it, if the file says it and it is a topic's."""
+    """The message type of a port as ROS 2 writes it; None for a service, and if the file does not say the type."""
     if port.type is None:
         return None
     kind = MessageType.read(port.type, "srv" if isinstance(port, InputPort) and port.service else "msg")
@@ -138,7 +138,7 @@ def node_source(transformation: Transformation) -> NodeSource:
 
 
 def check_start(transformation: Transformation, folder: Path) -> None:
-    """Raises InputError if what starts a node can't be found; files are relative to `folder`."""
+    """Raise InputError if the program of a node can't be found; files are relative to `folder`."""
     source = node_source(transformation)
     if source.kind != "external":
         Ros2Unit("/name", source, transformation).program(folder)

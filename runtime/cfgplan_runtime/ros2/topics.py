@@ -129,7 +129,8 @@ class RosTopics:
         return RosPublisher(self, self._begin(Publish, topic, form, quality, depth, None))
 
     def read(self, topic: str, form: MessageForm, quality: ServiceQuality, depth: int, take: Take) -> int:
-        """Call `take` with each message of a topic from now on, with transient local also with the last ones before.
+        """Call `take` with each message of a topic; if `quality` is transient local, first with those kept by
+        publishers.
 
         Returns the number by which `end` ends it. Raises InputError.
         """
@@ -288,7 +289,7 @@ def check_installed() -> None:
 
 
 def checked_name(name: str, what: str) -> str:
-    """A name with its namespace, from the root. Raises InputError if ROS 2 allows none such."""
+    """Return a name with its namespace, from the root. Raises InputError if ROS 2 does not allow it."""
     parts = name.removeprefix("/").split("/")
     if not all(map(_ROS_NAME.fullmatch, parts)):
         mend = "it is made of letters, digits and underscores, each part after a `/`, none with a digit first"
@@ -297,7 +298,7 @@ def checked_name(name: str, what: str) -> str:
 
 
 def checked_domain(domain: int | None = None) -> int:
-    """A domain, ROS_DOMAIN_ID if it is None. Raises InputError for one that there is not."""
+    """Return a domain; for None, that of ROS_DOMAIN_ID. Raises InputError for a number that is no domain."""
     said = str(domain) if domain is not None else os.environ.get("ROS_DOMAIN_ID") or "0"
     if not said.isdecimal() or int(said) > LARGEST_DOMAIN:
         raise InputError.of(f"`{said}` is no domain of ROS 2", mend=f"write a number from 0 to {LARGEST_DOMAIN}")

@@ -2,7 +2,7 @@
 frames.
 
 The sender cuts segments into numbered frames, and keeps each frame until the receiver has acknowledged it. The number
-of unacknowledged frames is limited, also by the receiver's room. Pieces that wait meanwhile are bounded, too: beyond
+of unacknowledged frames is limited, also by the receiver's room. Segments that wait meanwhile are bounded, too: beyond
 the bound they are dropped, or the producer waits. So a cut, a full link and a slow receiver have the same effect, and
 each crossing is independent of the others. The bytes in flight follow the measured rate of the link, since data that
 waits in a slow link delays all other streams of the link.
@@ -509,7 +509,7 @@ class Receiving:
         return self._tell_s
 
 
-class Conversation:
+class DuplexChannel:
     """One end of a two-way channel: offered segments are sent until they have arrived, and received ones are
     acknowledged.
     """

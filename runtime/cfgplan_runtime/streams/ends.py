@@ -53,7 +53,7 @@ class Waker:
         for end in (self.socket, self._rope):
             end.setblocking(False)
 
-    def ring(self) -> None:
+    def wake(self) -> None:
         """Wake the waiting thread. Thread-safe."""
         with suppress(OSError):  # it rings already, or is closed
             self._rope.send(b"!")
@@ -85,7 +85,7 @@ class Posted:
         self.wake()
 
     def wake(self) -> None:
-        self._waker.ring()
+        self._waker.wake()
 
     def do(self) -> None:
         """Make all posted calls, in order."""

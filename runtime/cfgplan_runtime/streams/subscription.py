@@ -39,7 +39,7 @@ class Received:
 
 
 class TopicPlace(Protocol):
-    """The place of topics. A topic may move to another host meanwhile."""
+    """Connects to topics of a run, wherever they are. A topic may move to another host between two connections."""
 
     @property
     def name(self) -> str: ...

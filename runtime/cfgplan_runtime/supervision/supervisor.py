@@ -284,7 +284,7 @@ class Supervisor:
                 self.wiring.connect(stream, inlet, self._library.get(inlet.unit))
             case updates.Disconnect(inlet):
                 self.wiring.disconnect(inlet)
-            case updates.GoOver(inlet):
+            case updates.SwitchNow(inlet):
                 self.backend.switch_now(inlet)
             case updates.SetEnvironment(environment):
                 self.environment = environment

@@ -158,7 +158,7 @@ class Disconnect(Command, frozen=True):
     inlet: Inlet
 
 
-class GoOver(Command, frozen=True):
+class SwitchNow(Command, frozen=True):
     """Switch an inlet to its new source without waiting for the old one."""
 
     inlet: Inlet
@@ -171,7 +171,7 @@ class SetEnvironment(Command, frozen=True):
 
 
 class Commit(Command, frozen=True):
-    """All new units are ready and connected: nothing is undone from here on."""
+    """Note that all new units are ready and connected: from here on nothing is undone."""
 
 
 class WaitUntil(Command, frozen=True):
@@ -367,7 +367,7 @@ class _Update:
         stopped = set(self.change_set.stopped)
         for inlet in self.switching():
             if self.rewired[inlet] is not None and not self.replaces_one_of(stopped, inlet):
-                yield GoOver(inlet)
+                yield SwitchNow(inlet)
         yield from self.stop_units(self.change_set.stopped)
 
     def undo(self, failed: list[str], *, keeps_new: bool) -> Commands:
@@ -390,7 +390,7 @@ class _Update:
                 yield Disconnect(inlet)
         yield WaitUntil(self.may_end, self.patience.switch_s)
         for inlet in self.switching():
-            yield GoOver(inlet)
+            yield SwitchNow(inlet)
         for inlet in [inlet for inlet in actual.feeds if inlet.unit in kept]:
             yield Disconnect(inlet)
         yield from self.stop_units(sorted({*self.started, *failed} - kept))

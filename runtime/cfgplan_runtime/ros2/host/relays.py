@@ -28,7 +28,7 @@ _SAME_CLOCK_S = 60.0
 
 
 class LedInlet:
-    """An inlet with the topic that it comes out on; `told` is the wire that was last told as its source.
+    """An inlet with the topic on which its messages are published; `told` is the last wire reported as its source.
 
     The moment of a message is decided once for the inlet: its own stamp, if the first messages of all sources have
     one, else when it was sent. `by_stamp` is None until the first message.
@@ -121,7 +121,7 @@ class Relays:
     # For those who attend nodes.
 
     def hold_source(self, unit: str, topic: str, key: str, kind: str | None) -> Source:
-        """Listen to a topic that a unit is about to publish on, until it is let go."""
+        """Listen to a topic that a unit is about to publish on, until `let_go`."""
         source = self._source(topic, key, kind)
         source.holders.add(unit)
         self._look_at(source)
@@ -137,7 +137,7 @@ class Relays:
         return publication
 
     def let_go(self, unit: str, topic: str) -> None:
-        """Listen to a topic no longer for a unit's sake."""
+        """Undo `hold_source` for a unit: the topic is still listened to if something else needs it."""
         source = self._sources.get(topic)
         if source is not None:
             source.holders.discard(unit)
@@ -148,7 +148,7 @@ class Relays:
         return topic in self._publications or topic in self._meters
 
     def rename_holder(self, old: str, new: str) -> None:
-        """A spare is a unit from now on."""
+        """Note that the spare `old` is the unit `new` from now on."""
         self.outside.rename(old, new)
         ends: list[Source | Publication] = [*self._sources.values(), *self._publications.values()]
         for end in ends:
