@@ -32,7 +32,7 @@ _MEANT_SECONDS = {**_SECONDS_OF, "d": Decimal(86_400), "%": Decimal("0.01")}
 _WORDS_OF_TIME = r"(ms|msecs?|milliseconds?|s|secs?|seconds?|m|mins?|minutes?|h|hrs?|hours?|d|days?|%)"
 
 
-def meant_s(text: str) -> Decimal | None:
+def guessed_s(text: str) -> Decimal | None:
     """Guess the seconds, or the share of a core, meant by a text like 0,2, 500 ms, 10 min, 20 % or 1d; else None.
 
     A comma before exactly three digits is ambiguous (it may separate thousands): None.

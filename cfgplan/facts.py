@@ -39,7 +39,7 @@ _SIGNS: Final[Mapping[str, Callable[[int, int], bool]]] = MappingProxyType(
 """The comparisons of numbers alone."""
 
 
-def said(value: FactValue) -> str:
+def value_text(value: FactValue) -> str:
     """A fact's value as files and people write it."""
     if isinstance(value, bool):
         return str(value).lower()
@@ -163,7 +163,7 @@ class Fact:
 
     def __str__(self) -> str:
         there = "" if self.host is None else f" on {self.host}"
-        return f"{self.name} is {said(self.value)}{f' {self.unit}' if self.unit else ''}{there}"
+        return f"{self.name} is {value_text(self.value)}{f' {self.unit}' if self.unit else ''}{there}"
 
     def value_in(self, element: object) -> FactValue | None:
         """Return the fact's value in an element of the observing stream.
@@ -257,7 +257,7 @@ class Comparison:
     value: FactValue
 
     def __str__(self) -> str:
-        return f"{self.fact} {self.sign} {said(self.value)}"
+        return f"{self.fact} {self.sign} {value_text(self.value)}"
 
     @property
     def bound(self) -> int | None:
@@ -283,7 +283,7 @@ class Comparison:
                 return None
             return f"fact `{self.fact}` is noisy, and equals no number for long", f"write `{self.fact} >= 1`"
         example = {"a number": f"{self.fact} >= 1", "a word": f"{self.fact} == WORD"}.get(kind, self.fact)
-        return f"fact `{self.fact}` is {kind}, but is compared with {said(self.value)}", f"write `{example}`"
+        return f"fact `{self.fact}` is {kind}, but is compared with {value_text(self.value)}", f"write `{example}`"
 
 
 Blamed: TypeAlias = tuple[str, ...] | None

@@ -53,7 +53,7 @@ class NoisyMean:
         variance = (1 - share) ** 2 * self.variance + share**2
         return NoisyMean(self.mean + share * (value - self.mean), at_s, variance, values)
 
-    def told(self, noise: Noise, before: int, bounds: Iterable[int]) -> int:
+    def planned_value(self, noise: Noise, before: int, bounds: Iterable[int]) -> int:
         """Return the value to plan with, in millionths: the mean, moved to the certain side of each bound.
 
         A mean that is not certain keeps the side of the last value, `before`. A value is on the upper side of a bound

@@ -182,7 +182,7 @@ def learned(
     return Lesson(MappingProxyType(found.estimates), frozenset(news))
 
 
-def told(
+def planned_deviations(
     environment: Environment,
     estimates: Estimates,
     before: Mapping[Statement, int],

@@ -13,7 +13,7 @@ from itertools import pairwise
 from typing import Final
 
 from cfgplan.domain import Environment, Similarity, Transformation
-from cfgplan.facts import Fact, requirement, said
+from cfgplan.facts import Fact, requirement, value_text
 from cfgplan.noise import settled_variance
 from cfgplan.qualities import MICRO
 
@@ -93,9 +93,9 @@ def blurred(environment: Environment, similarity: Similarity) -> Iterator[str]:
             bands = [fact.noise.band(bound, variance) for bound in (low, high)]
             if sum(bands) > 2 * (high - low) * MOST_OF_THE_WAY:
                 yield (
-                    f"{fact.key} does not tell {said(low)} from {said(high)} in time: a noise of {fact.noise} at "
-                    f"{_rate_text(rate_hz)} takes {max(bands) / MICRO:.2g} beyond a bound to be sure; "
-                    "observe it more often, or compare it with numbers further apart"
+                    f"{fact.key} does not tell {value_text(low)} from {value_text(high)} in time: "
+                    f"a noise of {fact.noise} at {_rate_text(rate_hz)} takes {max(bands) / MICRO:.2g} beyond a bound "
+                    "to be sure; observe it more often, or compare it with numbers further apart"
                 )
 
 

@@ -35,7 +35,7 @@ from cfgplan.observed import (
     Sample,
     Window,
     learned,
-    told,
+    planned_deviations,
 )
 from cfgplan.qualities import MICRO, Better, Contribution, Over, QualityAttribute, QualityRule
 
@@ -87,7 +87,7 @@ def own(environment: Environment, label: str, samples: Mapping[tuple[Stream, str
 
 def taught(environment: Environment, samples: Mapping[tuple[Stream, str], Sample]) -> dict[Statement, int]:
     """What plans are to go by after samples that were the first."""
-    return told(environment, learned(environment, samples, {}, 0.0).estimates, {}, 0.0)
+    return planned_deviations(environment, learned(environment, samples, {}, 0.0).estimates, {}, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -206,7 +206,7 @@ def test_what_is_not_observed_any_more_fades_to_what_is_declared() -> None:
     environment = world((provider("g", 1.0), unit("g")))
     estimates = learned(environment, says(g=3.0), {}, 0.0).estimates
     values = [
-        told(environment, estimates, {}, at_s, fades=True)
+        planned_deviations(environment, estimates, {}, at_s, fades=True)
         for at_s in (0.0, MEMORY_S, MEMORY_S + FORGET_S, 20 * FORGET_S)
     ]
     statement = Statement("g", "out", "error")
@@ -217,14 +217,14 @@ def test_what_goes_on_being_observed_does_not_fade() -> None:
     environment, estimates = world((provider("g", 1.0), unit("g"))), dict[Statement, Estimate]()
     for second in range(0, 3600, 2):
         estimates = dict(learned(environment, says(g=3.0), estimates, float(second)).estimates)
-    assert told(environment, estimates, {}, 3600.0) == {
+    assert planned_deviations(environment, estimates, {}, 3600.0) == {
         Statement("g", "out", "error"): pytest.approx(2 * MICRO, rel=0.01)
     }
 
 
 def test_statements_that_are_gone_teach_nothing() -> None:
     estimates = {Statement("gone", "out", "error"): Estimate(1e6, 1.0, 0.0)}
-    assert told(world((provider("g", 1.0), unit("g"))), estimates, {}, 0.0) == {}
+    assert planned_deviations(world((provider("g", 1.0), unit("g"))), estimates, {}, 0.0) == {}
 
 
 VALUES = st.lists(st.floats(0.01, 100), min_size=5, max_size=40)
@@ -266,7 +266,7 @@ def test_a_slow_noisy_stream_is_no_news(every_s: float) -> None:
         lesson = learned(environment, {said: window.sample}, estimates, at_s, fresh=fresh)
         assert not lesson.news
         estimates = dict(lesson.estimates)
-        assert told(environment, estimates, {}, at_s, only_sure=True) == {}
+        assert planned_deviations(environment, estimates, {}, at_s, only_sure=True) == {}
 
 
 def test_few_elements_say_nothing() -> None:
@@ -299,7 +299,7 @@ def test_where_all_streams_speak_the_truth_is_found_and_predicted(
         }[rule]
         said[f"s{number}"] = truth
     estimates = learned(environment, says(**said), {}, 0.0).estimates
-    seen = told(environment, estimates, {}, 0.0)
+    seen = planned_deviations(environment, estimates, {}, 0.0)
     assert not learned(environment, says(**said), estimates, 1.0).news
     known = environment.with_qualities(seen)
     value = known.transformation["s0"].output["out"].quality[0].value / MICRO

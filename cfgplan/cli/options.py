@@ -309,9 +309,9 @@ def _decimal(text: str, *, is_count: bool = False) -> Decimal:
     try:
         value = Decimal(text)
     except InvalidOperation:
-        from cfgplan.costs import meant_s
+        from cfgplan.costs import guessed_s
 
-        meant = None if is_count else meant_s(text)
+        meant = None if is_count else guessed_s(text)
         such = "such as 10" if meant is None else f"{meant.normalize():f}"
         raise argparse.ArgumentTypeError(f"{text!r} is not a number: write a plain one, {such}") from None
     if not value.is_finite():

@@ -88,7 +88,7 @@ _RESTRICTING: Final = (
 )
 
 
-def told(axioms: Collection[str]) -> tuple[frozenset[str], dict[str, str]]:
+def accepted_by_reasoners(axioms: Collection[str]) -> tuple[frozenset[str], dict[str, str]]:
     """Return the axioms as reasoners accept them, and the axioms lost by that, each with the reason.
 
     Malformed literals and those of unknown datatypes become texts if only ranges of their own datatype restrict them.

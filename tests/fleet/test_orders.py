@@ -19,7 +19,7 @@ from cfgplan_runtime.fleet.orders import (
     Session,
     StopOrder,
     event_of,
-    told,
+    report_of,
 )
 from cfgplan_runtime.streams.crossing import crossing_key
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
@@ -66,7 +66,7 @@ def test_a_message_of_another_version_is_no_traceback_but_an_error() -> None:
 
 def test_an_event_is_read_as_it_was_told() -> None:
     died = UnitDied("a.1", "killed by SIGKILL")
-    sent = msgspec.msgpack.decode(msgspec.msgpack.encode(told(died)), type=EventReport)
+    sent = msgspec.msgpack.decode(msgspec.msgpack.encode(report_of(died)), type=EventReport)
     assert event_of(sent) == died
 
 

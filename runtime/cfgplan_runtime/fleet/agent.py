@@ -153,7 +153,7 @@ class Agent:
 
     def _answer(self) -> None:
         offset_ns = self._backend.clock_offset_ns
-        self._link.answer(clock_key(self.name, self._life), HostClock(lambda: time.monotonic_ns() + offset_ns).told)
+        self._link.answer(clock_key(self.name, self._life), HostClock(lambda: time.monotonic_ns() + offset_ns).answer)
         self._link.answer(orders.topics_key(self.name), self._topics_told)
         self._link.answer(orders.held_key(self.name), lambda: msgspec.json.encode(self._held))
         self._link.watch(f"{alive_key(MANAGER)}/*", self._note_manager)
@@ -203,7 +203,7 @@ class Agent:
                 run = str(self._backend.run_folder.path)
                 self._say(orders.Welcome(run, self._held, self._heartbeats.places))
                 if self._lost:
-                    self._say(orders.told(events.ElementsLost(self.name, self._lost)))
+                    self._say(orders.report_of(events.ElementsLost(self.name, self._lost)))
                     self._lost = 0
             else:
                 self._obey(self._orders.popleft())
@@ -212,7 +212,7 @@ class Agent:
         self._tell_superseded(now_s)
         if self._validity is not None and (ends := self._validity.warning()) is not None:
             self._tell_user(ending(ends))
-            self._say(orders.told(ends))
+            self._say(orders.report_of(ends))
         if now_s >= self._usage_due_s:
             self._usage_due_s = now_s + USAGE_PERIOD_S
             self._tell_usage([*self._held.units, *self._held.spares])
@@ -391,7 +391,7 @@ class Agent:
         fault = self._fault_of_code(start)
         if fault:
             self._backend.discard(start.spare or "")
-            self._say(orders.told(events.UnitDied(unit, fault)))
+            self._say(orders.report_of(events.UnitDied(unit, fault)))
             return
         self._held.units[unit] = orders.HeldUnit(start.label, msgspec.structs.replace(start.order, state=None))
         self._backend.start_unit(start.order, start.spare)
@@ -399,7 +399,7 @@ class Agent:
     def _prepare(self, prepare: orders.PrepareOrder) -> None:
         spare, fault = prepare.order.unit, self._fault_of_code(prepare)
         if fault:
-            self._say(orders.told(events.SpareLost(spare, fault)))
+            self._say(orders.report_of(events.SpareLost(spare, fault)))
             return
         self._held.spares[spare] = orders.HeldUnit(prepare.label, prepare.order)
         self._backend.prepare_unit(prepare.order)
@@ -445,7 +445,7 @@ class Agent:
                 held.spares[spare].labor_us = labor_us
             case events.SpareLost(spare):
                 held.spares.pop(spare, None)
-        self._say(orders.told(event))
+        self._say(orders.report_of(event))
 
     def _tell_usage(self, units: Iterable[str]) -> None:
         usage = {unit: used for unit in units if (used := self._backend.usage(unit)) is not None}

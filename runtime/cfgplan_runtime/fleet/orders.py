@@ -277,7 +277,7 @@ FromAgent: TypeAlias = Welcome | EventReport | UsageReport | ImportUnused
 _EVENTS = {kind.__name__: kind for kind in events.Event.__subclasses__()}
 
 
-def told(event: events.Event) -> EventReport:
+def report_of(event: events.Event) -> EventReport:
     """An event as a message."""
     return EventReport(type(event).__name__, msgspec.Raw(msgspec.msgpack.encode(event)))
 

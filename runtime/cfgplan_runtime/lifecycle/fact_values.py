@@ -9,7 +9,7 @@ from typing import Final
 
 from cfgplan.domain import Environment
 from cfgplan.errors import InputError, InvalidValueError, known
-from cfgplan.facts import Fact, FactValue, kind_of, said
+from cfgplan.facts import Fact, FactValue, kind_of, value_text
 from cfgplan.noise import NoisyMean
 from cfgplan_runtime.lifecycle.inbox import Asked, Outcome
 from cfgplan_runtime.lifecycle.perturbations import FactsChanged
@@ -45,7 +45,7 @@ def fact_seen(transition: Transition, name: str, value: FactValue) -> Transition
         known_mean = state.heard[name].mean if name in state.heard else None
         mean = NoisyMean(value, transition.at_s) if known_mean is None else known_mean.after(value, transition.at_s)
         assert isinstance(known_value, int)
-        value = mean.told(fact.noise, known_value, world.bounds.get(fact.name, ()))
+        value = mean.planned_value(fact.noise, known_value, world.bounds.get(fact.name, ()))
         band = fact.noise.band(value, mean.variance)
     if fact.name in world.curves and not _is_news(world, fact, known_value, value, band):
         value = known_value
@@ -60,10 +60,12 @@ def facts_fallen_silent(transition: Transition) -> Transition:
     if not gone:
         return transition
     facts = state.version.world.environment.variable
-    told = [FactSilent(name, transition.at_s - state.heard[name].at_s, said(facts[name].declared)) for name in gone]
+    reports = [
+        FactSilent(name, transition.at_s - state.heard[name].at_s, value_text(facts[name].declared)) for name in gone
+    ]
     heard = {name: last for name, last in state.heard.items() if name not in gone}
     values = {name: value for name, value in state.situation.facts.items() if name not in gone}
-    return _with_facts(transition.to(replace(state, heard=heard)).also(*map(Tell, told)), values)
+    return _with_facts(transition.to(replace(state, heard=heard)).also(*map(Tell, reports)), values)
 
 
 def _with_facts(

@@ -8,7 +8,7 @@ from math import inf
 from typing import Final
 
 from cfgplan.domain import Environment, Statement
-from cfgplan.observed import TEACHES_S, learned, own_part, told
+from cfgplan.observed import TEACHES_S, learned, own_part, planned_deviations
 from cfgplan.validity.quality import quality_violations
 from cfgplan_runtime.lifecycle.perturbations import QualitiesObserved
 from cfgplan_runtime.lifecycle.reports import Decision, QualityView
@@ -47,7 +47,7 @@ def qualities_learned(transition: Transition) -> Transition:
     lesson = learned(running, samples, seen.estimates, at_s, fresh=fresh)
     transition = transition.to(replace(state, seen=seen.after_lesson(lesson, fresh, at_s)))
     before = situation.qualities  # a slow drift is never news: it is confirmed little by little
-    now = told(world, lesson.estimates, before, at_s, only_sure=not lesson.news)
+    now = planned_deviations(world, lesson.estimates, before, at_s, only_sure=not lesson.news)
     if now == before or (at_s < _calm_until_s(state) and not _bounds_are_crossed(transition, running, now)):
         return transition
     transition = transition.situated(replace(situation, qualities=now))
@@ -85,7 +85,7 @@ def qualities_faded(transition: Transition) -> Transition:
     if not state.seen.estimates:
         return transition
     world = state.version.world.environment.with_facts(situation.facts)
-    now = told(world, state.seen.estimates, situation.qualities, transition.at_s, fades=True)
+    now = planned_deviations(world, state.seen.estimates, situation.qualities, transition.at_s, fades=True)
     return transition.situated(replace(situation, qualities=now))
 
 

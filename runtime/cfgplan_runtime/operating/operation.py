@@ -286,9 +286,9 @@ class Operation(Closable):
                 self._silent = self.manager.silent
                 self._tell_of_silence()
                 library = self.manager.world.environment.transformation
-                for warning in self._spinning.told(observations, library, time.monotonic()):
+                for warning in self._spinning.warnings(observations, library, time.monotonic()):
                     self.show(warning)
-                for warning in self._crowded.told(self.flows.crossings, time.monotonic()):
+                for warning in self._crowded.warnings(self.flows.crossings, time.monotonic()):
                     self.show(warning)
                 return
             case Ended(cause):
@@ -374,7 +374,7 @@ class Spinning:
     def __init__(self) -> None:
         self._since_s: dict[str, float] = {}
 
-    def told(
+    def warnings(
         self, observations: Iterable[Observation], library: Mapping[str, Transformation], now_s: float
     ) -> Iterator[str]:
         """Take in observations. Returns a warning for each unit that has spun for long enough, once."""
