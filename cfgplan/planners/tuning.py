@@ -85,7 +85,7 @@ class Replan:
 
     cases: int = row(4, "labels", "If more of them changed their cost, all plans are bounded together.", AT_REST)
     room: float = row(
-        1.05, "times", "Plans up to this multiple of the cost after the max_need failure are bounded.", AT_REST
+        1.05, "times", "Plans up to this multiple of the cost after the most expensive failure are bounded.", AT_REST
     )
     ties: float = row(1.0, "s", "The solver may look so long for another plan at the same cost.", AT_REST)
 

@@ -707,7 +707,7 @@ LIFECYCLE = _room(
     (
         "the first review waits for no host",
         "decisions.py",
-        "(turn.state.policy.hosts_s or 0.0) if is_short",
+        "(transition.state.policy.hosts_s or 0.0) if is_short",
         "0.0 if True",
     ),
     ("who asked for the end is not told", "decisions.py", "for outcome in state.stops))", "for outcome in ()))"),
@@ -723,7 +723,7 @@ LIFECYCLE = _room(
     (
         "a new unit's death is forgotten",
         "decisions.py",
-        "        turn = intake.died(turn, gone, lived_s)\n",
+        "        transition = intake.died(transition, gone, lived_s)\n",
         "        pass\n",
     ),
     (
@@ -735,15 +735,15 @@ LIFECYCLE = _room(
     (
         "units of a failed update are believed to run",
         "decisions.py",
-        "turn.state.situation.without(*gone)), failed",
-        "turn.state.situation), failed",
+        "transition.state.situation.without(*gone)), failed",
+        "transition.state.situation), failed",
     ),
     ("a killed unit is blamed", "intake.py", "lived_s = None if is_killed or", "lived_s = None if"),
     (
         "what a unit has done counts for the next of its id",
         "intake.py",
-        "        case events.UnitReady(unit):\n            return _unnoted(turn, unit)",
-        "        case events.UnitReady(unit):\n            return turn",
+        "        case events.UnitReady(unit):\n            return _unnoted(transition, unit)",
+        "        case events.UnitReady(unit):\n            return transition",
     ),
     (
         "one good step does not count",
@@ -772,7 +772,7 @@ LIFECYCLE = _room(
     (
         "a plan outlives the end",
         "decisions.py",
-        "    if state.is_closing or state.stops:\n        return _ended(turn)\n    if not _is_last",
+        "    if state.is_closing or state.stops:\n        return _ended(transition)\n    if not _is_last",
         "    if not _is_last",
     ),
 )
