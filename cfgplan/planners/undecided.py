@@ -221,7 +221,7 @@ def _most_wanted(problem: Problem, uses: tuple[Pair, ...], batch: int) -> Iterat
     """The pairs used, then others of the same demands, those first that are offered most cheaply."""
     yield from uses
     environment, similarity = problem.environment, problem.similarity
-    dear_us = _dear_us(problem, startable(environment, Providers(environment.library, similarity.optimistic)))
+    dear_us = _cost_us(problem, startable(environment, Providers(environment.library, similarity.optimistic)))
     others = {
         (offered, demanded)
         for demanded in {demanded for _, demanded in uses}
@@ -232,7 +232,7 @@ def _most_wanted(problem: Problem, uses: tuple[Pair, ...], batch: int) -> Iterat
     yield from wanted[: max(0, batch - len(uses))]
 
 
-def _dear_us(problem: Problem, possible: Iterable[str]) -> Mapping[str, int]:
+def _cost_us(problem: Problem, possible: Iterable[str]) -> Mapping[str, int]:
     """For each tag the cost of the cheapest transformation that offers it, by itself."""
     environment = problem.environment
     running = {unit.transformation for unit in environment.units}

@@ -69,7 +69,7 @@ class OwnThread:
         self._supervisor.backend.wake()
         if self._supervisor.is_ending:  # perhaps nobody looks any more
             self._thread.join()
-            self._do_what_waits()
+            self._run_pending_calls()
         return future.result()
 
     def close(self) -> None:
@@ -86,13 +86,13 @@ class OwnThread:
         try:
             while not supervisor.is_ending:
                 supervisor.pump(1.0)
-                self._do_what_waits()
+                self._run_pending_calls()
         finally:
             supervisor.is_ending = True
             supervisor.backend.close()
-            self._do_what_waits()
+            self._run_pending_calls()
 
-    def _do_what_waits(self) -> None:
+    def _run_pending_calls(self) -> None:
         with contextlib.suppress(queue.Empty):
             while True:
                 self._work.get_nowait()()

@@ -35,7 +35,7 @@ def _is_much_smaller(candidates: Candidates) -> bool:
     firsts = {kind.first for kind in host_kinds(candidates)}
     grouped_places = sum(len(firsts & candidates.all[group[0]].places.keys()) for group in groups_of(candidates))
     places = sum(len(candidate.places) for candidate in candidates.all)
-    if _told_apart(candidates):
+    if _explicit_units(candidates):
         return places >= candidates.clock.tuning.fleet.shared * grouped_places
     return places > grouped_places
 
@@ -45,14 +45,14 @@ def groups_of(candidates: Candidates) -> list[tuple[int, ...]]:
 
     New units are alone too if it matters who feeds them.
     """
-    apart = _told_apart(candidates)
+    apart = _explicit_units(candidates)
     running = [(i,) for i, candidate in enumerate(candidates.all) if candidate.running is not None]
     new = [(i, c.transformation.label) for i, c in enumerate(candidates.all) if c.running is None]
     together = grouped((i if label in apart else label, i) for i, label in new)
     return [*running, *map(tuple, together.values())]
 
 
-def _told_apart(candidates: Candidates) -> set[str]:
+def _explicit_units(candidates: Candidates) -> set[str]:
     """The transformations whose units are no group: the model says for each unit who feeds it, or whom it feeds."""
     all_of, rings = candidates.all, in_rings(candidates)
     apart = {all_of[i].transformation.label for i in Tracking.of(candidates).units | rings}

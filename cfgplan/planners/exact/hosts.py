@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from cfgplan.planners.exact.model import Model
 
 
-def what_is_made_on_a_host_is_not_carried_there(model: Model) -> None:
+def a_stream_made_on_a_host_is_not_carried_there(model: Model) -> None:
     for (stream, host), carried in model.carried.items():
         here = model.runs_on[model.unit_of(stream)].get(host)
         if here is not None:
@@ -104,7 +104,7 @@ def interchangeable_hosts_are_used_in_order(model: Model) -> None:
 
 
 CARRYING: Final = (
-    Rule(what_is_made_on_a_host_is_not_carried_there),
+    Rule(a_stream_made_on_a_host_is_not_carried_there),
     Rule(links_keep_their_bandwidth_and_have_their_prices, Feature.HOSTS, _overloaded_links),
 )
 ROOM: Final = (

@@ -37,7 +37,7 @@ def a_wired_unit_is_fed(model: Model) -> None:
     for i in model.candidates.clock.each(model.runs):
         inputs = model.candidates.all[i].transformation.inputs
         explicit = [port for port in inputs if model.is_explicit(i, port)]
-        apart = {port.name: an_input_told_apart_has_its_feeders(model, i, port) for port in explicit}
+        apart = {port.name: an_explicit_input_has_its_feeders(model, i, port) for port in explicit}
         for port in inputs:
             if port.name not in apart and model.is_counted(port):
                 a_counted_input_has_its_number(model, i, port)
@@ -55,7 +55,7 @@ def a_wired_unit_is_fed(model: Model) -> None:
             model.rests_on_all(wired, parts)
 
 
-def an_input_told_apart_has_its_feeders(model: Model, unit: int, port: InputPort) -> list[IntVar]:
+def an_explicit_input_has_its_feeders(model: Model, unit: int, port: InputPort) -> list[IntVar]:
     """Add a boolean for each stream that may feed an input. Returns the literals that the unit's wiring rests on."""
     may_be_own = port.feedback and port.count != ALL
     streams = [s for s in model.choices(port.tag) if model.unit_of(s) != unit or may_be_own]

@@ -94,9 +94,9 @@ class PlannerSession:
             self._go_through_stages(state)
         except ContradictionError as error:
             state.begin_again(str(error))
-            from cfgplan.planners.exact.fleet import solve_apart
+            from cfgplan.planners.exact.fleet import solve_by_full_model
 
-            solve_apart(Candidates(state.problem, clock=state.clock), state)
+            solve_by_full_model(Candidates(state.problem, clock=state.clock), state)
 
     def _go_through_stages(self, state: SolveState) -> None:
         if not self._tuning.is_solver_only:

@@ -21,7 +21,7 @@ _WIRED: Final[tuple[ModelRule, ...]] = (
     *inputs.FEEDING,
     *targets.MET,
     idle_inputs.a_stream_serves_no_more_than_it_may,
-    company.beside_a_running_unit_run_those_that_it_runs_with,
+    company.companions_run_beside_a_running_unit,
 )
 
 

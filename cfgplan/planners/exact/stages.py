@@ -25,7 +25,7 @@ from cfgplan.reasons import unmet_reasons
 Stage = Callable[[SolveRun], bool]
 
 
-def see_what_can_be_met(work: SolveRun) -> bool:
+def check_reachable_targets(work: SolveRun) -> bool:
     """Finish with reasons if some target can't be met, whatever runs."""
     state, structure = work.state, work.structure
     if len(structure.network.targets) == len(structure.environment.targets):
@@ -127,7 +127,7 @@ def _bounded(work: SolveRun, weights: LexicographicWeights, plan: Ints | None) -
     bound = work.memory.bound(weights.weight, weights.scale)
     bound = tightened(bound, limit - weights.step + 1, limit, clock, greedily=plan is not None and not is_crowded)
     if plan is not None and bound.value <= limit - weights.step and is_crowded and not clock.is_over():
-        plan = _at_what_is_left(network, weights, bound, plan)
+        plan = _on_remaining_labels(network, weights, bound, plan)
         limit = weights.of_plan(plan)
     work.memory.keep_landmarks(lambda: bound, weights.scale)
     if plan is not None and weights.least(bound.value) < limit and not clock.is_over():
@@ -135,7 +135,7 @@ def _bounded(work: SolveRun, weights: LexicographicWeights, plan: Ints | None) -
     return plan, Remaining.by(bound, limit)
 
 
-def _at_what_is_left(network: Network, weights: LexicographicWeights, bound: Bound, plan: Ints) -> Ints:
+def _on_remaining_labels(network: Network, weights: LexicographicWeights, bound: Bound, plan: Ints) -> Ints:
     """The plan, or a cheaper one that is made at residual costs."""
     price = np.full(len(weights.weight), np.inf)
     price[bound.core.labels] = bound.residual + FREE
@@ -163,7 +163,7 @@ def solve(work: SolveRun) -> bool:
 
 
 STAGES: Final[tuple[Stage, ...]] = (
-    see_what_can_be_met,
+    check_reachable_targets,
     plan_fleet,
     use_all_required,
     prove_by_answer_sets,

@@ -82,7 +82,7 @@ def _any_of(model: Model, literals: list[IntVar]) -> IntVar:
     return found
 
 
-def a_kept_unit_stays_or_is_wired_anew(model: Model) -> None:
+def a_kept_unit_stays_or_is_rewired(model: Model) -> None:
     for i, runs in model.runs.items():
         model.is_wired[i] = runs
         if model.candidates.may_stay(i):
@@ -157,7 +157,7 @@ def _needs_are_shared(model: Model, units: list[int]) -> None:
 STATES: Final = (
     Rule(a_unit_runs_or_waits_in_one_place, flaws=_misplaced, is_placed=True),
     Rule(a_group_runs_if_some_of_its_units_do),
-    Rule(a_kept_unit_stays_or_is_wired_anew),
+    Rule(a_kept_unit_stays_or_is_rewired),
 )
 PINNED: Final = Rule(pinned_units_run, flaws=_missing_pinned)
 ORDER: Final = (Rule(new_units_come_in_order), Rule(one_of_interchangeable_new_units_is_enough))

@@ -125,7 +125,7 @@ class Reduced:
     def _fit(self, units: Collection[ComputationUnit]) -> bool:
         if self.home is None or self.is_roomy:
             return True
-        return _bears(self.whole, self.home, Counter([unit.transformation for unit in units]))
+        return _has_room(self.whole, self.home, Counter([unit.transformation for unit in units]))
 
     def _told(self, found: Plan, units: Sequence[ComputationUnit]) -> Plan:
         """The plan with its change set, objectives and unused transformations as they are of the whole problem."""
@@ -176,15 +176,15 @@ def reduce(problem: Problem, clock: Clock, *, is_certain: bool = False) -> Reduc
     use = None if problem.is_plain else _use(problem, clock.each)
     if use is None:
         return Reduced(problem, problem)
-    left = _without_easy_wishes(_with_what_is_used(problem, use))
+    left = _without_easy_wishes(_with_used_parts(problem, use))
     left = _without_lone_streams(_without_wide_limits(left, use), use)
     home = _home(left)
-    is_roomy = home is not None and _bears(left, home, {t.label: _most(t, use) for t in left.environment.library})
+    is_roomy = home is not None and _has_room(left, home, {t.label: _most(t, use) for t in left.environment.library})
     if home is not None and (is_roomy or not is_certain):
         left = _at_home(left, home)
     else:
         home, is_roomy = None, True
-    left = _without_inputs_that_start_nothing(left, use, is_certain=is_certain)
+    left = _without_idle_inputs(left, use, is_certain=is_certain)
     left = _without_numbers(_without_what_all_have(left), use)
     return Reduced(problem, left, home, is_roomy, use.startable)
 
@@ -226,12 +226,12 @@ def _may_be_somewhere(environment: Environment, t: Transformation, possible: Col
     return is_allowed and bool(environment.hosts_for(t))
 
 
-def _with_what_is_used(problem: Problem, use: _Use) -> Problem:
+def _with_used_parts(problem: Problem, use: _Use) -> Problem:
     """Leave out transformations, conflicts with them, and what units say that no plan keeps."""
     environment = problem.environment
     library = tuple(_without_conflicts_but(use, t) for t in environment.library if t.label in use.labels)
     if not environment.hosts:
-        library = tuple(map(_without_what_is_of_hosts, library))
+        library = tuple(map(_without_host_fields, library))
     units = tuple(
         unit
         if unit.transformation in use.labels and may_go_on(problem, unit)
@@ -252,7 +252,7 @@ def _without_conflicts_but(use: _Use, t: Transformation) -> Transformation:
     return replace(t, conflicts=left, conflicts_on_host=on_host)
 
 
-def _without_what_is_of_hosts(t: Transformation) -> Transformation:
+def _without_host_fields(t: Transformation) -> Transformation:
     """The transformation less the limits that say nothing where no hosts are declared."""
     said = {name: usual for name, usual in _limits_of_units(t) if name in _ONLY_WITH_HOSTS}
     return with_fields(t, **said) if said else t
@@ -390,7 +390,7 @@ def _least(t: Transformation, name: str) -> int:
     return least
 
 
-def _bears(problem: Problem, host: Host, units: Mapping[str, int]) -> bool:
+def _has_room(problem: Problem, host: Host, units: Mapping[str, int]) -> bool:
     """Whether a host has room for so many units of each transformation."""
     library, loads = problem.environment.transformation, Counter[str]()
     for label, number in units.items():
@@ -411,7 +411,7 @@ def _at_home(problem: Problem, home: Host) -> Problem:
     return problem.with_parts(library=library, units=units, targets=targets, hosts=(), links=(), transfer_us=0)
 
 
-def _without_inputs_that_start_nothing(problem: Problem, use: _Use, *, is_certain: bool) -> Problem:
+def _without_idle_inputs(problem: Problem, use: _Use, *, is_certain: bool) -> Problem:
     """Leave out optional inputs without worth, but for those that make a stream worse, dear to carry, or forbid it.
 
     A unit that runs is rewired when such an input is fed: if it `is_certain` that ties count, it keeps them.

@@ -114,7 +114,7 @@ class Relay:
             due_s = min(look_s if self._imports else inf, self._due_s())
             self._ports.ends.wait(None if due_s == inf else max(0.0, due_s - time.monotonic()))
             now_s = time.monotonic()
-            self._take_what_came(now_s)
+            self._take_arrivals(now_s)
             for name, export in self._exports.items():
                 self._send(name, export, now_s)
             for name, one in self._imports.items():
@@ -174,7 +174,7 @@ class Relay:
             self._ports.close_output(name)
             one.put_credit.close()
 
-    def _take_what_came(self, now_s: float) -> None:
+    def _take_arrivals(self, now_s: float) -> None:
         self._has_rung = False
         while self._arrived:
             key, head, payload = self._arrived.popleft()

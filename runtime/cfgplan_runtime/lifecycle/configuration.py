@@ -17,7 +17,7 @@ from cfgplan.facts import FactValue
 from cfgplan.planning import fresh_units
 from cfgplan.ros.sources import NodeSource
 from cfgplan_runtime.lifecycle.back_off import BackOffs, Place
-from cfgplan_runtime.lifecycle.differences import runs_alike
+from cfgplan_runtime.lifecycle.differences import can_run_as
 from cfgplan_runtime.lifecycle.seams import Estimator
 from cfgplan_runtime.lifecycle.silence import Silence
 
@@ -269,7 +269,7 @@ def _as_planned(
     is_old = (
         now is not None
         and known is not None
-        and not runs_alike(known.transformation, now)
+        and not can_run_as(known.transformation, now)
         and situation.why_not(now.label, unit.host) is None
     )
     is_there = unit.host in [host.name for host in hosts] if hosts else unit.host is None

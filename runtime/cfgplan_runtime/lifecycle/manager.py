@@ -276,7 +276,7 @@ class Manager:
         while self._state.doing is not None:  # a review that gathers what comes
             self._wait(inf)
             self._take_in()
-        self._come_to_rest()
+        self._settle()
 
     def _wait(self, until_s: float) -> None:
         """Wait until something comes in or is due, or until `until_s`."""
@@ -400,9 +400,9 @@ class Manager:
 
     def _finish(self, cause: str) -> None:
         self._decide(transitions.Finished(cause))
-        self._come_to_rest()
+        self._settle()
 
-    def _come_to_rest(self) -> None:
+    def _settle(self) -> None:
         """Wake the threads that wait until the manager is settled or has ended."""
         self._is_busy = False
         if self._state.is_over:
