@@ -306,7 +306,7 @@ def requirement(text: str) -> Requirement:
 
 
 def check_requirement(text: str) -> None:
-    """Raises InvalidValueError if an expression over facts can't be read."""
+    """Raise InvalidValueError if an expression over facts can't be read."""
     try:
         requirement(text)
     except TagError as error:

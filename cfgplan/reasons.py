@@ -16,7 +16,7 @@ Item = TypeVar("Item")
 
 
 class Each(Protocol):
-    """Goes through items; it may raise an exception to end work that takes too long."""
+    """A function that passes items on one by one, and may raise an exception to end work that takes too long."""
 
     def __call__(self, items: Iterable[Item], /) -> Iterable[Item]: ...
 
@@ -293,5 +293,5 @@ def _reason(who: str, tag: str, environment: Environment, providers: Providers, 
             groups = distinct_groups(environment.transformation[label])
             names = " and ".join(port.name for group in groups for port in group)
             return f"{wanted}, but inputs {names} of {label} need different transformations, and too few can be fed"
-    ring = ", ".join(ahead[:4]) + (" ..." if len(ahead) > 4 else "")
-    return f"{wanted}, but what could give it is fed only by itself: {ring}"
+    cycle = ", ".join(ahead[:4]) + (" ..." if len(ahead) > 4 else "")
+    return f"{wanted}, but what could give it is fed only by itself: {cycle}"

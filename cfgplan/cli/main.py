@@ -281,7 +281,7 @@ _WRITTEN = ("out", "plot", "log", "record")
 
 
 def refuse_overwriting(options: argparse.Namespace) -> None:
-    """Raises InputError if a file to write is one of those to read."""
+    """Raise InputError if a file to write is one of those to read."""
     read = list(_files(options, _READ))
     for written in _files(options, _WRITTEN):
         if any(_is_same(written, each) for each in read):

@@ -50,7 +50,7 @@ def add_allow_code(parser: argparse.ArgumentParser) -> None:
 
 
 def needed_for_pages() -> None:
-    """Raises InputError if what pages need is not installed."""
+    """Raise InputError if what pages need is not installed."""
     needed("pages", "starlette", "uvicorn")
 
 

@@ -237,7 +237,7 @@ def _check_places(options: argparse.Namespace) -> None:
 
 
 def _check_can_start(options: argparse.Namespace, world: World) -> None:
-    """Raises InputError where no transformation of the library could be started."""
+    """Raise InputError where no transformation of the library could be started."""
     library = world.environment.library
     if not (world.environment.targets and library):
         return
@@ -316,7 +316,7 @@ def _check_ros2(options: argparse.Namespace, world: World) -> None:
 
 
 def _tell_faults(checks: list[Callable[[], object]], file: str) -> None:
-    """Raises InputError with all the faults that checks raise, those without a file in this one."""
+    """Raise InputError with all the faults that checks raise, those without a file in this one."""
     faults = list[Fault]()
     for check in checks:
         try:

@@ -301,12 +301,12 @@ class _Making:
             return graph
 
         def on_cycles(graph: networkx.MultiDiGraph) -> list[_End]:
-            rings = {
+            cycles = {
                 name: number
-                for number, ring in enumerate(networkx.strongly_connected_components(graph))
-                for name in ring
+                for number, cycle in enumerate(networkx.strongly_connected_components(graph))
+                for name in cycle
             }
-            return sorted({end for one, other, end in graph.edges(keys=True) if rings[one] == rings[other]})
+            return sorted({end for one, other, end in graph.edges(keys=True) if cycles[one] == cycles[other]})
 
         while left := on_cycles(graph := wires()):
             rows = {end: self._table.says(*named(end), "feedback") for end in left}

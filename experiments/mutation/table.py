@@ -836,7 +836,7 @@ COUNTING = _room(
         "Tracking.of(candidates).units | rings",
         "Tracking.of(candidates).units",
     ),
-    ("a ring beside counted units holds itself up", "model.py", "is_optional or bool(self.in_rings)", "is_optional"),
+    ("a ring beside counted units holds itself up", "model.py", "is_optional or bool(self.in_cycles)", "is_optional"),
     (
         "hosts of any room are alike",
         "groups.py",

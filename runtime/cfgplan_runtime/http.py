@@ -104,7 +104,7 @@ def _checked(url: str) -> str:
 
 
 def _opener(ca: str | None) -> OpenerDirector:
-    """Raises InputError."""
+    """Raise InputError."""
     try:
         return build_opener(HTTPSHandler(context=ssl.create_default_context(cafile=ca)))
     except OSError as error:

@@ -655,10 +655,10 @@ def test_only_inputs_whose_stream_counts_for_two_attributes_are_told_apart() -> 
     ],
 )
 def test_only_inputs_in_a_ring_that_makes_streams_better_are_told_apart(stated: OutputPort, apart: set[str]) -> None:
-    ring = (kind("there", "A", "B", output=states(1, QualityRule.ADD)), kind("back", "B", "A", output=stated))
+    cycle = (kind("there", "A", "B", output=states(1, QualityRule.ADD)), kind("back", "B", "A", output=stated))
     after = (kind("s", gives="A", output=states(9)), kind("out", "A", "C"), kind("last", "C", "D"))
     target = Target("D", "D", "/D", quality=(Wish("q", 60),))
-    assert explicit(world((target,), *ring, *after, qualities=(LOW,))) == apart
+    assert explicit(world((target,), *cycle, *after, qualities=(LOW,))) == apart
 
 
 def test_what_is_distinct_required_or_a_feedback_input_tells_no_other_input_apart() -> None:

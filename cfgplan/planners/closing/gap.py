@@ -75,8 +75,7 @@ class GapClosing:
             took += (1 + own.repairs) * these
 
     def look_near(self, clock: Clock) -> None:
-        """Plan related targets anew and look for missed landmarks in turns, if targets are many and the gap is far from
-        closed.
+        """Replan related targets and look for missed landmarks in turns, if targets are many and the gap is large.
 
         Both get the same work, and most of the time, while the gap is so large that the solver has little hope. Below
         that, no more landmarks are looked for. Nothing is done if distinct or feedback inputs make a plan more than its

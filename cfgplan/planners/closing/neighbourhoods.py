@@ -1,4 +1,4 @@
-"""Large neighbourhood search over related targets (Shaw 1998): some targets are planned anew, beside all others.
+"""Large neighbourhood search over related targets (Shaw 1998): some targets are replanned, all others stay fixed.
 
 In a plan for many targets, the labels that only a few of them need are given up, and the solver looks for cheaper ones;
 all other labels are there for nothing. Targets that share little seldom gain together, so they are drawn by the cost

@@ -55,7 +55,7 @@ def wire(candidates: Candidates, chosen: Collection[int]) -> list[ComputationUni
 
 
 class Configuration:
-    """Chosen units on their way to a valid configuration: `hot` ones run, `cold` ones wait."""
+    """Makes a valid configuration of chosen units: `hot` ones run, `cold` ones wait as spares."""
 
     def __init__(
         self,

@@ -9,7 +9,7 @@ from typing import Final
 from cfgplan.onward import grouped
 from cfgplan.planners.exact.candidates import Candidates, HostKind
 from cfgplan.planners.exact.rules import RULES
-from cfgplan.planners.exact.tracking import Tracking, in_rings
+from cfgplan.planners.exact.tracking import Tracking, in_cycles
 from cfgplan.planning import Feature
 
 NAMED: Final = frozenset({Feature.QUALITY, Feature.LATENCY, Feature.SURVIVAL})
@@ -54,8 +54,8 @@ def groups_of(candidates: Candidates) -> list[tuple[int, ...]]:
 
 def _explicit_units(candidates: Candidates) -> set[str]:
     """The transformations whose units are no group: the model says for each unit who feeds it, or whom it feeds."""
-    all_of, rings = candidates.all, in_rings(candidates)
-    apart = {all_of[i].transformation.label for i in Tracking.of(candidates).units | rings}
+    all_of, cycles = candidates.all, in_cycles(candidates)
+    apart = {all_of[i].transformation.label for i in Tracking.of(candidates).units | cycles}
     found = set(apart)
     for label, kind in candidates.kinds.items():
         for port in kind.inputs:

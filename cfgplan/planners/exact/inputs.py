@@ -164,7 +164,7 @@ def inputs_of_a_group_are_fed_by_different_transformations(model: Model) -> None
 
 
 def units_that_feed_each_other_come_one_after_the_other(model: Model) -> None:
-    """An implied rule: inputs that may stay unfed allow too many rings to cut each of them lazily.
+    """An implied rule: inputs that may stay unfed allow too many cycles to cut each of them lazily.
 
     In small problems there are as many where streams are counted, limited or compared.
     """
@@ -179,11 +179,11 @@ def units_that_feed_each_other_come_one_after_the_other(model: Model) -> None:
         for stream, connected in connects.items()
         if not candidates.all[unit].transformation.input[name].feedback
     ]
-    rings = strongly_connected_components(DiGraph([(feeder, unit) for feeder, unit, _ in feeds]))
-    for ring in (ring for ring in rings if len(ring) > 1):
-        place = {unit: model.cp.new_int_var(1, len(ring), "") for unit in sorted(ring)}
+    cycles = strongly_connected_components(DiGraph([(feeder, unit) for feeder, unit, _ in feeds]))
+    for cycle in (cycle for cycle in cycles if len(cycle) > 1):
+        place = {unit: model.cp.new_int_var(1, len(cycle), "") for unit in sorted(cycle)}
         for feeder, unit, connected in feeds:
-            if feeder in ring and unit in ring:
+            if feeder in cycle and unit in cycle:
                 model.cp.add(place[feeder] < place[unit]).only_enforce_if(connected)
 
 

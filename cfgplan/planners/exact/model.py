@@ -16,7 +16,7 @@ from cfgplan.costs import transfer_cost_us
 from cfgplan.domain import ALL, ComputationUnit, InputPort, Objective, Stream
 from cfgplan.planners.exact.best_case import demands_of_quality
 from cfgplan.planners.exact.candidates import ONLY_IN_THE_MODEL, Candidates, HostName
-from cfgplan.planners.exact.tracking import Tracking, in_rings
+from cfgplan.planners.exact.tracking import Tracking, in_cycles
 from cfgplan.planners.solving.engine import ExactModel, at_least
 from cfgplan.planners.solving.support import Support
 from cfgplan.planning import Feature
@@ -54,10 +54,10 @@ class Model:
         by_stream = {Feature.LATENCY, *ONLY_IN_THE_MODEL} if self.asks_for_quality else {Feature.LATENCY}
         self.is_apart = is_apart or not by_stream.isdisjoint(self.problem.features)
         self.is_grouped = candidates.groups is not None
-        self.in_rings = in_rings(candidates) if self.is_grouped else frozenset[int]()
-        """The candidates beside counted ones that might feed each other in a ring: who feeds them is told apart."""
+        self.in_cycles = in_cycles(candidates) if self.is_grouped else frozenset[int]()
+        """The candidates beside counted ones that might feed each other in a cycle: who feeds them is told apart."""
         is_optional = Feature.OPTIONAL in self.problem.features
-        self.orders_rings = orders_rings or self.is_small or is_optional or bool(self.in_rings)
+        self.orders_rings = orders_rings or self.is_small or is_optional or bool(self.in_cycles)
         self.cp = ExactModel()
         self.support = Support()
         self.anywhere = Support()
@@ -232,7 +232,7 @@ class Model:
             or (not self.is_counted(port) and self._takes_several_or_limited(port))
             or (not port.feedback and self.is_apart_for_quality.get(self.demand(port.tag), False))
             or (unit in self.tracked and not self.tracked.isdisjoint(self.candidates.feeders(port.tag)))
-            or (unit in self.in_rings and not self.in_rings.isdisjoint(self.candidates.feeders(port.tag)))
+            or (unit in self.in_cycles and not self.in_cycles.isdisjoint(self.candidates.feeders(port.tag)))
         )
 
     def is_counted(self, port: InputPort) -> bool:

@@ -84,7 +84,7 @@ class _Pruning:
         return problem.survive is None or survive_without(self._candidates, units.values(), units[unit_id])
 
     def _goes_with_its_users(self, unit_id: str) -> bool:
-        """Remove a unit of a ring, and the units that can't run without it. False if a needed unit is among them."""
+        """Remove a unit of a cycle, and the units that can't run without it. False if a needed unit is among them."""
         going = {*reached([unit_id], self._breaking_without)}
         others = [unit for unit in self._units.values() if unit.id not in going]
         running = Counter(unit.transformation for unit in others if not unit.standby)

@@ -174,9 +174,9 @@ class _Values:
                 if (1, tag) not in graph:
                     graph.add_edges_from(((0, provider), (1, tag)) for provider, _ in self._providers(tag))
                 graph.add_edge((1, tag), (0, label))
-        rings = condensation(graph)
-        for ring in topological_sort(rings):
-            labels = [name for kind, name in rings.nodes[ring]["members"] if kind == 0]
+        cycles = condensation(graph)
+        for cycle in topological_sort(cycles):
+            labels = [name for kind, name in cycles.nodes[cycle]["members"] if kind == 0]
             if labels:
                 yield sorted(labels)
 

@@ -312,7 +312,7 @@ def _most(t: Transformation, use: _Use) -> int:
 def _without_lone_streams(problem: Problem, use: _Use) -> Problem:
     """An input that takes all streams takes one where no more than one can be there for it.
 
-    An optional one stays: it must take that stream even if this closes a ring.
+    An optional one stays: it must take that stream even if this closes a cycle.
     """
     library = problem.environment.transformation
 

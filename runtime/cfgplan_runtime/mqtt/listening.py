@@ -72,7 +72,7 @@ class Listening:
         return any(topic_matches_sub(asked, topic) for asked in self._asked)
 
     def _refuse(self) -> None:
-        """Raises InputError if this client can't listen."""
+        """Raise InputError if this client can't listen."""
         name, away, refusal = self._connection.name, self._connection.away, self._connection.refusal
         if refusal:
             mend = "name it by --username, with --password-env or --password-file; certificates by --certificate, --key"

@@ -83,7 +83,7 @@ class MqttTargets:
 
 
 def check_targets(environment: Environment) -> None:
-    """Raises InputError for targets whose topics MQTT does not allow."""
+    """Raise InputError for targets whose topics MQTT does not allow."""
     faults = list[Fault]()
     for target in environment.stream_targets:
         try:

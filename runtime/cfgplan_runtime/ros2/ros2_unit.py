@@ -145,7 +145,7 @@ def check_start(transformation: Transformation, folder: Path) -> None:
 
 
 def _check_component(label: str, source: NodeSource) -> None:
-    """Raises InputError for what no container can load."""
+    """Raise InputError for what no container can load."""
     other = next((each for each in source.arguments if REMAPS not in each), None)
     if other is not None:
         what = f"{label}: a component takes no argument `{other}`, only remappings"
@@ -192,7 +192,7 @@ def _own_name(port: InputPort | OutputPort) -> str:
 
 
 def _check_parameter(place: str, value: object) -> None:
-    """Raises InputError for a value that no parameter of ROS 2 can have."""
+    """Raise InputError for a value that no parameter of ROS 2 can have."""
     if isinstance(value, Mapping):
         for name, part in value.items():
             _check_parameter(f"{place}.{name}", part)

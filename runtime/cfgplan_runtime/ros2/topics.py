@@ -184,7 +184,7 @@ class RosTopics:
         return number
 
     def _ring(self) -> None:
-        with suppress(OSError):  # it rings already, or is closed
+        with suppress(OSError):  # it is set already, or closed
             self._waker.send(b"\0")
 
     def _work(self) -> None:
@@ -284,7 +284,7 @@ class RosPublisher:
 
 
 def check_installed() -> None:
-    """Raises InputError, which names the extra, if what ROS 2 topics need is not installed."""
+    """Raise InputError, which names the extra, if what ROS 2 topics need is not installed."""
     needed("ROS 2 topics", "rosbags")
 
 

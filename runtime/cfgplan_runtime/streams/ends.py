@@ -55,7 +55,7 @@ class Waker:
 
     def wake(self) -> None:
         """Wake the waiting thread. Thread-safe."""
-        with suppress(OSError):  # it rings already, or is closed
+        with suppress(OSError):  # it is set already, or closed
             self._rope.send(b"!")
 
     def hear(self) -> None:
