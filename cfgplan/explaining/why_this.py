@@ -37,7 +37,7 @@ class Choice(StrEnum):
 
 
 def _why_summary(why: Why) -> Summary:
-    dearer = "" if why.difference_us is None else f"; the next best plan costs {cpu(why.difference_us)} more"
+    difference = "" if why.difference_us is None else f"; the next best plan costs {cpu(why.difference_us)} more"
     rows = [
         ("units", ", ".join(why.units)),
         ("serve", ", ".join(why.targets)),
@@ -45,7 +45,7 @@ def _why_summary(why: Why) -> Summary:
         ("else would run", ", ".join(why.more)),
         ("else would not", ", ".join(why.less)),
     ]
-    return summary(f"{why.subject} is {why.choice}{dearer}", ("", "which"), [row for row in rows if row[1]])
+    return summary(f"{why.subject} is {why.choice}{difference}", ("", "which"), [row for row in rows if row[1]])
 
 
 @summarised(_why_summary)

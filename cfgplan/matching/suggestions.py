@@ -317,12 +317,12 @@ def words_of_ports(environment: Environment, ontology: Ontology) -> dict[str, Po
     for unit in environment.units:
         for wire in unit.subscriptions:
             if wire.stream.unit in kind_of:
-                taker, provider = (
+                consumer, provider = (
                     f"{unit.transformation}/{wire.port}",
                     f"{kind_of[wire.stream.unit]}/{wire.stream.port}",
                 )
-                wired.setdefault(taker, set()).add(provider)
-                wired.setdefault(provider, set()).add(taker)
+                wired.setdefault(consumer, set()).add(provider)
+                wired.setdefault(provider, set()).add(consumer)
         for told in unit.publications:
             topics.setdefault(f"{unit.transformation}/{told.port}", set()).add(told.topic)
     named: dict[str, set[str]] = {}

@@ -200,7 +200,7 @@ def _hangs_on(problem: Problem, best: Plan, budget: _Budget) -> tuple[tuple[Pair
     if best.change_set is not None:
         after = problem.environment.update(best.change_set)
         pairs = {*used_pairs(after, problem.similarity)}
-        if problem.survive is not None:  # what survives a failure may be wired anew
+        if problem.survive is not None:  # units that survive a failure may be rewired
             pairs.update(_pairs_among(after, problem.similarity))
         return tuple(sorted(pairs)), not pairs
     if best.status is Status.INFEASIBLE and not problem.is_plain and not _is_monotone(problem):

@@ -94,7 +94,7 @@ class Neighbourhoods:
         return {self._wanted[i] for i in free}
 
     def _near(self, free: set[int], clock: Clock) -> None:
-        """Plan these targets anew.
+        """Replan these targets.
 
         The next neighbourhoods are larger if this one was searched soon, smaller if the solver could not finish.
         """

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from ortools.linear_solver import pywraplp  # type: ignore[import-untyped]
 
 FROM_THE_LAST_BASIS = "use_preprocessing: false use_dual_simplex: true initial_condition_number_threshold: 1e300"
-"""With preprocessing, or doubts about the last basis, the engine would begin anew each time."""
+"""With preprocessing, or doubts about the last basis, the engine would start over each time."""
 
 FINEST, LARGEST_CHARGES = 1024, 2**58
 """Charges are integers in 1/FINEST of a cost unit, or in coarser parts if their sum would exceed LARGEST."""

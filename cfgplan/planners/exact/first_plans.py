@@ -100,11 +100,11 @@ class FirstPlans:
             if support is None:
                 return False
             labels = {self.network.labels[n] for n in support}
-            dearer = self._dearer_in_conflict(labels)
-            if dearer is None:
+            more_expensive = self._more_expensive_in_conflict(labels)
+            if more_expensive is None:
                 return self.offer(self.units_of(self._with_companions(labels, price)))
             price = price.copy()
-            price[dearer] = np.inf
+            price[more_expensive] = np.inf
         return False
 
     def _with_companions(self, labels: Collection[str], price: Floats) -> Collection[str]:
@@ -122,7 +122,7 @@ class FirstPlans:
                     ahead += new
         return found & number.keys()
 
-    def _dearer_in_conflict(self, labels: Collection[str]) -> int | None:
+    def _more_expensive_in_conflict(self, labels: Collection[str]) -> int | None:
         number, library = self.network.number, self.candidates.environment.transformation
         for label in sorted(labels):
             for other in library[label].conflicts:

@@ -45,13 +45,13 @@ class _Pruning:
         self._number = Counter(unit.transformation for unit in units if not unit.standby)
         self._users: dict[str, set[str]] = defaultdict(set)
         """By unit: those that take its streams and are a reason for it to run."""
-        self._takers: dict[str, set[str]] = defaultdict(set)
+        self._consumers: dict[str, set[str]] = defaultdict(set)
         """By unit: all that take its streams."""
         for unit in units:
             for feeder in needed_feeders(self._environment, unit) - {unit.id}:
                 self._users[feeder].add(unit.id)
             for s in unit.subscriptions:
-                self._takers[s.stream.unit].add(unit.id)
+                self._consumers[s.stream.unit].add(unit.id)
         self._beside = grouped((other, t.label) for t in self._environment.library for other in t.beside)
         """By transformation: those that run with it."""
         self._needed: set[str] = set()
@@ -164,7 +164,7 @@ class _Pruning:
 
     def _forget(self, gone: ComputationUnit) -> None:
         """Let the units that are left take no stream of one that is gone."""
-        for unit in (self._units[taker] for taker in sorted(self._takers[gone.id]) if taker in self._units):
+        for unit in (self._units[consumer] for consumer in sorted(self._consumers[gone.id]) if consumer in self._units):
             kept = tuple(s for s in unit.subscriptions if s.stream.unit != gone.id)
             self._units[unit.id] = replace(unit, subscriptions=kept)
 

@@ -124,8 +124,8 @@ def _missing_places(problem: Problem) -> str | None:
         most = sum(number * (serves or 0) for number, _, serves in offered)
         if all(serves for _, _, serves in offered) and sum(wanted for _, wanted in demanded) > most:
             offers = " and ".join(f"{number} x {provider} (serves {serves})" for number, provider, serves in offered)
-            takers = " and ".join(who for who, _ in demanded)
-            return f": {takers}, but {offers} give {most} at most; max_instances may allow more"
+            consumers = " and ".join(who for who, _ in demanded)
+            return f": {consumers}, but {offers} give {most} at most; max_instances may allow more"
     return None
 
 

@@ -66,12 +66,12 @@ class WarmStart:
         if limit > self.limit_at(cost):
             return None
         bound = self._bound_at(cost)
-        dearer = self.plan[cost[self.plan] > self.cost[self.plan]]
+        more_expensive = self.plan[cost[self.plan] > self.cost[self.plan]]
         others = np.setdiff1d(bound.core.labels, self.plan)
         cheaper = others[cost[others] < self.cost[others]]
-        if len(dearer) + len(cheaper) > clock.tuning.replan.cases:
+        if len(more_expensive) + len(cheaper) > clock.tuning.replan.cases:
             return Remaining.by(tightened(bound, limit - step + 1, limit, clock), limit)
-        lefts = [_without(label, bound, limit, clock) for label in dearer.tolist()]
+        lefts = [_without(label, bound, limit, clock) for label in more_expensive.tolist()]
         lefts += [_with(label, bound, limit, clock) for label in cheaper.tolist()]
         value = int(cost[self.plan].sum())
         if value <= limit:

@@ -275,11 +275,11 @@ def _without_easy_wishes(problem: Problem) -> Problem:
 
 def _without_wide_limits(problem: Problem, use: _Use) -> Problem:
     """Leave out limits on instances and on who takes a stream that no configuration can reach."""
-    takers = _takers(problem, use)
+    consumers = _consumers(problem, use)
 
     def freed(t: Transformation) -> Transformation:
         outputs = tuple(
-            port if port.serves is None or takers[port.tag] > port.serves else with_fields(port, serves=None)
+            port if port.serves is None or consumers[port.tag] > port.serves else with_fields(port, serves=None)
             for port in t.outputs
         )
         wide = {name: usual for name, usual in _limits_of_units(t) if use.units[t.label] <= _least(t, name)}
@@ -288,19 +288,19 @@ def _without_wide_limits(problem: Problem, use: _Use) -> Problem:
     return problem.with_parts(library=tuple(map(freed, problem.environment.library)))
 
 
-def _takers(problem: Problem, use: _Use) -> Counter[str]:
+def _consumers(problem: Problem, use: _Use) -> Counter[str]:
     """How many inputs and topics may take a stream, by its tag, where some stream serves only so many."""
-    environment, takers = problem.environment, Counter[str]()
+    environment, consumers = problem.environment, Counter[str]()
     if Feature.LIMITS not in problem.features:
-        return takers
+        return consumers
     demanded = Counter(target.tag for target in environment.stream_targets)
     for t in environment.library:
         for port in t.inputs:
             demanded[port.tag] += _most(t, use)
     for tag, number in demanded.items():
         for offered in use.providers.accepted(tag):
-            takers[offered] += number
-    return takers
+            consumers[offered] += number
+    return consumers
 
 
 def _most(t: Transformation, use: _Use) -> int:

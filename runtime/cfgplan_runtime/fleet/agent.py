@@ -102,7 +102,7 @@ class Agent:
         """Whether the present manager has ended its run. Its key may stay alive for a moment."""
         self._superseded: dict[str, tuple[float, orders.Session]] = {}
         """For each manager that was obeyed before: when it is told next that its session is over, and the session. Told
-        at once, it would plan anew with the hosts that have not heard of the new one yet. Told once, it might be
+        at once, it would replan with the hosts that have not heard of the new one yet. Told once, it might be
         suspended.
         """
         self._usage_due_s = 0.0

@@ -398,10 +398,10 @@ class ProcessBackend:
                         self._cpu.take(pid)
                     self._tell_ready(child)
                 case messages.Gone(_, status) if child is not None:
-                    self._bury(child, status)
+                    self._remove_dead(child, status)
                 case messages.NotForked(_, cause) if child is not None:
                     child.trouble = cause
-                    self._bury(child, 0)
+                    self._remove_dead(child, 0)
         if self._nursery.has_died:
             self._lose_nursery()
 
@@ -414,9 +414,9 @@ class ProcessBackend:
             if child.pid is not None:
                 kill_group(child.pid)  # the child is dead, but what it has started may live
             child.trouble = child.trouble or "killed together with the nursery"
-            self._bury(child, 0)
+            self._remove_dead(child, 0)
 
-    def _bury(self, child: ChildProcess, status: int) -> None:
+    def _remove_dead(self, child: ChildProcess, status: int) -> None:
         """Read the last messages of a dead child, then report its death."""
         for message, _ in child.control.receive():
             self._understand(child, message)

@@ -326,7 +326,7 @@ class Supervisor:
                 unit.id, transformation, self._states.get(transformation.state_name or ""), unit.host, spare
             )
         except Exception:
-            self._bury(unit.id)
+            self._remove_dead(unit.id)
             raise
 
     def _hear(self, timeout_s: float) -> None:
@@ -348,10 +348,10 @@ class Supervisor:
                 record.labor_us, record.sign_s = labor_us, self.now()
             case events.UnitDied(unit, cause):
                 self.cause_of_death[unit] = cause
-                self._bury(unit)
+                self._remove_dead(unit)
                 self.environment = self.environment.without_unit(unit)
             case events.UnitStopped(unit):
-                self._bury(unit)
+                self._remove_dead(unit)
             case events.SparePrepared():
                 return self.spares.note_prepared(event, self.now())
             case events.SpareLost(unit):
@@ -394,7 +394,7 @@ class Supervisor:
         if status.state is not None and name is not None:
             self._states[name] = status.state
 
-    def _bury(self, unit: str) -> None:
+    def _remove_dead(self, unit: str) -> None:
         self.alive.discard(unit)
         self.ready.discard(unit)
         self._stopping.pop(unit, None)
@@ -411,9 +411,9 @@ class Supervisor:
         """Forget the units and cold spares on a lost host, and close the wires to its topics."""
         for unit in [unit for unit, record in self._records.items() if record.host == host]:
             self.cause_of_death[unit] = f"host {host} is gone: {cause}"
-            self._bury(unit)
+            self._remove_dead(unit)
         for unit in [unit for unit, (at, _) in self._stopping.items() if at == host]:
-            self._bury(unit)
+            self._remove_dead(unit)
         self.spares.lose_host(host)
         self.taps.lose_host(host)
         for unit_there in [unit for unit in self.environment.units if unit.host == host]:
