@@ -29,7 +29,7 @@ WATCH_PERIOD_S = 0.25
 _HOSTS_S = 5.0
 """Seconds that an update waits until the backend has told of each host that it adds."""
 _LONGEST_ROUND_S = 1.0
-"""A longer round is a gap: this process was suspended, and has seen nothing meanwhile."""
+"""After a longer round, this process was suspended, and has noticed nothing meanwhile."""
 _DRY_S = 2.5
 _MOST_REMEMBERED = 1000
 """The number of change sets that are remembered by their ids."""
@@ -69,15 +69,15 @@ class Supervisor:
         self._patience: dict[str, tuple[float, float]] = {}
         """By helper process of the backend: when it gave its last sign of life, and how long it may be silent."""
         self._round_s = backend.now()
-        self._gaps_s = 0.0
+        self._suspended_s = 0.0
         self._watched_s = self.now()
         found = backend.found()
         if found is not None:
             self._adopt(found)
 
     def now(self) -> float:
-        """The backend's clock without the gaps in which this process was suspended, so that these make no unit late."""
-        return self.backend.now() - self._gaps_s
+        """The backend's clock without the times in which this process was suspended, so that they make no unit late."""
+        return self.backend.now() - self._suspended_s
 
     def apply(
         self,
@@ -333,7 +333,7 @@ class Supervisor:
         happened = self.backend.wait(timeout_s)
         now = self.backend.now()
         if now - self._round_s > _LONGEST_ROUND_S:
-            self._gaps_s += now - self._round_s
+            self._suspended_s += now - self._round_s
         self._round_s = now
         for event in happened:
             if self._understand(event):
