@@ -54,7 +54,7 @@ MODEL = _room(
         "pass",
     ),
     (
-        "ring of staying units is grounded",
+        "cycle of staying units is grounded",
         "inputs.py",
         "model.rests_on_all(stays, [model.present(stream, host) for port, stream in kept if not port.feedback])",
         "[model.cp.add_implication(stays, model.present(s, host)) for port, s in kept if not port.feedback]",
@@ -377,7 +377,7 @@ JUDGE = _room(
         "elif False:",
     ),
     ("a target may have two streams", "environments.py", "if len(streams) != 1:", "if not streams:"),
-    ("feedback inputs close no ring", "environments.py", "and not transformation.input[s.port].feedback", ""),
+    ("feedback inputs close no cycle", "environments.py", "and not transformation.input[s.port].feedback", ""),
     (
         "distinct inputs may share a feeder",
         "environments.py",
@@ -831,12 +831,12 @@ COUNTING = _room(
         "                if False:\n",
     ),
     (
-        "units of a ring are counted together",
+        "units of a cycle are counted together",
         "groups.py",
-        "Tracking.of(candidates).units | rings",
+        "Tracking.of(candidates).units | cycles",
         "Tracking.of(candidates).units",
     ),
-    ("a ring beside counted units holds itself up", "model.py", "is_optional or bool(self.in_cycles)", "is_optional"),
+    ("a cycle beside counted units holds itself up", "model.py", "is_optional or bool(self.in_cycles)", "is_optional"),
     (
         "hosts of any room are alike",
         "groups.py",
