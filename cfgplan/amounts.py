@@ -1,4 +1,4 @@
-"""Figures in everyday units, for every output: times, rates, shares of a core, sizes, hours of the day."""
+"""Figures in everyday units, for every output: times, rates, shares of a core, data rates, times of day."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def span(seconds: float) -> str:
 
 
 def rate(hertz: float) -> str:
-    """How often something comes: `100 Hz`, `2.5 Hz`, `every 8 s`; `never` for 0."""
+    """A rate, by its period if that is longer: `100 Hz`, `2.5 Hz`, `every 8 s`; `never` for 0."""
     if hertz <= 0:
         return "never"
     return f"{_short(hertz)} Hz" if hertz >= 0.95 else f"every {span(1 / hertz)}"

@@ -94,7 +94,8 @@ class World:
 def load(path: str | os.PathLike[str], *, also: Sequence[str | os.PathLike[str]] = (), use_cache: bool = True) -> World:
     """Read the environment file at `path` (YAML, JSON, or the paper's XML) and the ontologies it names.
 
-    Files named `also` count as included. With `use_cache`, the individuals of templates' classes are kept between runs.
+    The files `also` are read as if that file included them. With `use_cache`, the individuals of the classes that
+    templates name are cached between runs.
     Raises InputError with every fault that was found.
     """
     from cfgplan.formats.document import read_document
@@ -130,8 +131,8 @@ def ontology_of(document: Document) -> Ontology:
 def world_of(document: Document, ontology: Ontology, *, use_cache: bool = False) -> World:
     """The world that a document describes, with its templates expanded by an ontology.
 
-    With `use_cache`, the individuals of the templates' classes are kept between runs. Raises InputError with every
-    fault of the document too.
+    With `use_cache`, the individuals of the classes that templates name are cached between runs. Raises InputError with
+    every fault, also those of the document.
     """
     from cfgplan.formats.assembly import build
 
@@ -152,7 +153,7 @@ def what_if(
 
     Settings are `horizon`, `max_cost`, `facts.NAME`, `T.labor`, `T.upkeep`, `T.pinned`, `T.required` and `T.priority`,
     with values as they are written in files. `observed` is a file with the facts and qualities that a run has observed
-    (`cfgplan ctl observed --out`); settings count more. Raises InputError.
+    (`cfgplan ctl observed --out`); where both have a value, `settings` wins. Raises InputError.
     """
     from cfgplan.explaining import what_if as supposing
 
@@ -335,8 +336,8 @@ def match(
     max_cost_us: Natural | None = None,
     survive: Failures | Literal[0] | None = None,
 ) -> Problem:
-    """Match a world's tags and state its planning problem. Raises InputError for tags that do not parse, and what
-    `problem` does.
+    """Match a world's tags, and return its planning problem. Raises InputError for tags that do not parse; else as
+    `problem`.
     """
     similarity = match_ports(world).similarity
     return problem(world, similarity, horizon_s=horizon_s, max_cost_us=max_cost_us, survive=survive)
@@ -352,7 +353,7 @@ def plan(
 ) -> Plan:
     """Return the optimal update, accepted by the judge. `report` is called with the planner's progress.
 
-    Raises InputError for an unknown planner, OwnPlannerError for one of your own that fails, and what `accepted` does.
+    Raises InputError for an unknown planner, OwnPlannerError for one of your own that fails; else as `accepted`.
     """
     return accepted(problem, planner_of(planner)(problem, time_limit_s=time_limit_s, report=report))
 
@@ -401,7 +402,10 @@ def solved(
     time_limit_s: Seconds | None = None,
     report: Callable[[Progress], None] | None = None,
 ) -> Solved:
-    """The answer to a problem, and the problem with the pairs that the decider was asked about. Raises as `plan`."""
+    """Plan a problem; the decider decides the open pairs of tags that matter to the plan. Raises as `plan`.
+
+    The result has the plan, and the problem with the decided pairs.
+    """
     stop = Event()
     deciding = Deciding(interruptible(planner, stop), decider, stop.is_set)
     answer = deciding(problem, time_limit_s=time_limit_s, report=report)
@@ -418,9 +422,9 @@ def interruptible(planner: str | Planner, stop: Event) -> Planner:
 
 
 def accepted(problem: Problem, answer: Plan) -> Plan:
-    """A planner's answer, if the judge accepts it, with a reason for each pinned unit that it can't keep.
+    """Let the judge check a planner's answer, and return it with a reason for each pinned unit that it can't keep.
 
-    Raises UntruthfulPlanError if not, and PlannerFaultError if the judge fails; both have the plan.
+    Raises UntruthfulPlanError if the judge refuses it, PlannerFaultError if the judge fails; both have the plan.
     """
     if answer.change_set is not None:
         answer = replace(answer, reasons=with_pinned_reasons({}, problem))
@@ -446,9 +450,9 @@ def load_plan(world: World, problem: Problem, path: str | os.PathLike[str]) -> P
     carried out.
 
     Change set, cost, status and bound are checked against `problem`; the proof that no plan is cheaper is not repeated.
-    If an ontology changes that neither `ontology:` nor `imports:` names, but an import led to, the plan does not become
-    stale; the judge checks it against the present matches all the same. Raises InputError for a file that is broken,
-    stale or has been changed.
+    A plan becomes stale if an ontology changes that the environment file names under `ontology:` or `imports:`, not if
+    one changes that only other ontologies import; the judge uses the present matches in any case. Raises InputError for
+    a file that is broken, stale or has been changed.
     """
     from cfgplan.formats.plan_file import load_plan as read_plan
 

@@ -94,7 +94,7 @@ def _checked_class(cls: type[Any]) -> type[Any]:
 
 
 def noted(cls: type[Any]) -> Mapping[str, Any]:
-    """The annotations of a checked class with their notes, by attribute."""
+    """The annotations of a checked class by attribute, each with its metadata (such as AtLeast or Row)."""
     names = dict(vars(sys.modules[cls.__module__]))
     return {name: eval(text, names, _Later(names)) for name, text in cls.__noted__.items()}
 

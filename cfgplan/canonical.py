@@ -25,7 +25,10 @@ def store_sorted(holder: object, name: str, values: Iterable[T], key: Callable[[
 
 
 def store_resources(holder: object, name: str, fields: Mapping[str, str]) -> None:
-    """Put amounts of resources in order, and those with a field of their own there. Raises InvalidValueError."""
+    """Sort amounts of resources by name, and move those that have a field of their own into it.
+
+    `fields` maps such a resource to its field. Raises InvalidValueError if both have an amount.
+    """
     amounts = dict(sorted(getattr(holder, name).items()))
     for resource, field in fields.items():
         if resource in amounts:
@@ -41,7 +44,7 @@ def fields_of(value: Any) -> dict[str, Any]:
 
 
 def with_fields(value: T, **changed: object) -> T:
-    """Return a copy of a frozen dataclass with other fields, which are not checked: they must be allowed."""
+    """Return a copy of a frozen dataclass with other values of some fields. They must be valid: nothing checks them."""
     copy, put = object.__new__(type(value)), object.__setattr__
     for name in _names_of(type(value)):  # type: ignore[arg-type]
         put(copy, name, changed[name] if name in changed else getattr(value, name))
@@ -49,9 +52,9 @@ def with_fields(value: T, **changed: object) -> T:
 
 
 def unchecked(kind: type[T], said: Mapping[str, object]) -> T:
-    """Return a frozen dataclass with these fields, which are not checked: they must be allowed, and as they are kept.
+    """Return a frozen dataclass with these fields. They must be valid and in canonical form: nothing checks them.
 
-    Other fields have their defaults; mappings of several values that are empty by default may be one object.
+    Other fields have their defaults; values may share one object as their default, such as an empty mapping.
     """
     value, put = object.__new__(kind), object.__setattr__
     for name, usual in _stored_defaults(kind):  # type: ignore[arg-type]

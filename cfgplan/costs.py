@@ -32,10 +32,10 @@ _MEANT_SECONDS = {**_SECONDS_OF, "d": Decimal(86_400), "%": Decimal("0.01")}
 _WORDS_OF_TIME = r"(ms|msecs?|milliseconds?|s|secs?|seconds?|m|mins?|minutes?|h|hrs?|hours?|d|days?|%)"
 
 
-def meant_s(text: str) -> Decimal | None:
-    """The seconds, or the part of a core, that 0,2 or 500 ms, 10 min, 20 % or 1d mean; None for any other text.
+def guessed_s(text: str) -> Decimal | None:
+    """Guess the seconds, or the share of a core, meant by a text like 0,2, 500 ms, 10 min, 20 % or 1d; else None.
 
-    A comma before three digits may stand between thousands, and decides nothing.
+    A comma before exactly three digits is ambiguous (it may separate thousands): None.
     """
     found = re.fullmatch(rf"(\d{{1,12}}(?:[.,]\d{{1,12}})?) ?{_WORDS_OF_TIME}?", text.strip(), re.IGNORECASE)
     if found is None or re.fullmatch(r"\d+,\d{3}", found[1]):

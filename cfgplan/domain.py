@@ -440,9 +440,9 @@ class Environment:
 
     @cached_property
     def left_out(self) -> Mapping[str, str]:
-        """Why transformations may not run as the facts are, by label: `visibility is 1 m`.
+        """Why the present facts forbid transformations, by label: `visibility is 1 m`.
 
-        Raises InvalidValueError where one requires what the facts can't say.
+        Raises InvalidValueError if a requirement compares an unknown fact, or a fact with a value of another kind.
         """
         asked = {t.label: t.requires for t in self.library if t.requires is not None}
         for label, requires in asked.items():
@@ -477,7 +477,7 @@ class Environment:
 
     @cached_property
     def barred(self) -> Mapping[str, Mapping[str, str]]:
-        """Why transformations may not run on some of their hosts as the facts of these are, by label and host:
+        """Why the present facts of hosts forbid transformations on some of their hosts, by label and host:
         `needs battery > 20, battery is 15 % on r1`.
 
         Transformations that are left out, or may run on all of their hosts, are missing.
@@ -507,7 +507,7 @@ class Environment:
     def with_qualities(self, seen: Mapping[Statement, int]) -> Environment:
         """The environment with the learned qualities of outputs; an output without any keeps its stated one.
 
-        `seen` says by how much the own part of an output differs from the stated one, in micro-units.
+        `seen` is by how much each output's own contribution differs from the stated one, in micro-units.
         """
         touched = {one.transformation for one in seen} | self.taught.keys()
         changed = {t.label: as_taught(t, seen) for t in self.library if t.label in touched}
@@ -545,7 +545,7 @@ class Environment:
 
     @cached_property
     def taught(self) -> Mapping[str, tuple[Statement, ...]]:
-        """The statements that observed streams have changed, by the labels of the transformations that have any."""
+        """The statements with a value learned from streams, by their transformation; other statements are missing."""
         found = {
             t.label: tuple(
                 Statement(t.label, port.name, each.attribute)
@@ -565,7 +565,7 @@ class Environment:
 
     @property
     def sides(self) -> Mapping[str, bool]:
-        """Whether each comparison that transformations require is true as the facts are, by its text."""
+        """Whether each comparison that some transformation requires holds for the present facts, by its text."""
         found = (
             (replace(each, fact=fact.key), fact)
             for fact in self.variable.values()
@@ -596,7 +596,7 @@ class Environment:
         )
 
     def shown(self, contribution: Contribution, value: int) -> str:
-        """Return a `value` (micro-units) of what an output states, its `contribution`, for people: `0.3 m`, or a
+        """Format a `value` (micro-units) of the `contribution` that an output states, for people: `0.3 m`, or a
         factor.
         """
         attribute = self.quality.get(contribution.attribute)
@@ -645,13 +645,13 @@ class Environment:
 
     @property
     def possible(self) -> Environment:
-        """The environment without the transformations that may not run as the facts are."""
+        """The environment whose library omits the transformations that the present facts forbid."""
         if not self.left_out:
             return self
         return replace(self, library=tuple(t for t in self.library if t.label not in self.left_out))
 
     def hosts_for(self, transformation: Transformation) -> tuple[str | None, ...]:
-        """Return the hosts where units of a transformation may run as the facts are, by name, in order; (None,)
+        """Return the names of the hosts where the present facts let units of a transformation run, in order; (None,)
         without hosts.
         """
         if not self.hosts:
@@ -733,7 +733,7 @@ class Environment:
         return replace(self, units=left)
 
     def change_to(self, units: Iterable[ComputationUnit]) -> ChangeSet:
-        """The change set over units whose update makes `units` the computation graph."""
+        """Return the change set that turns the running units into `units`."""
         after = {unit.id: unit for unit in units}
         return ChangeSet(
             started=tuple(unit for unit in after.values() if unit.id not in self.unit),

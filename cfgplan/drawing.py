@@ -63,7 +63,7 @@ class Node:
 class Arrow:
     """A stream from a unit to a unit's input or to a target; a target's arrow has no input.
 
-    `notes` say what limits it; a service's goes there and back.
+    `notes` say what limits it; the arrow of a service points both ways.
     """
 
     tail: str

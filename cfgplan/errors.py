@@ -88,7 +88,7 @@ class InputError(CfgplanError):
 
 
 def known(name: str, names: Iterable[str], what: str, hint: str | None = None) -> str:
-    """A name, if it is one of these; else raises InputError with the nearest one, or a hint."""
+    """Return `name` if it is one of `names`; else raise InputError with the closest of them, or with the hint."""
     names = sorted(names)
     if name in names:
         return name
@@ -98,7 +98,7 @@ def known(name: str, names: Iterable[str], what: str, hint: str | None = None) -
 
 
 def did_you_mean(name: str, names: Collection[str], otherwise: str | None = None) -> str | None:
-    """A mend for an unknown name: the known one that is close to it, or else a hint.
+    """Return the mend of an unknown name: the closest known name, or `otherwise` if none is close.
 
     Among many names only those that differ by one letter are found: comparing with all of them takes seconds.
     """

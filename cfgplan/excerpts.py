@@ -22,7 +22,7 @@ _MISSING = "the following arguments are required"
 
 
 class Excerpt(NamedTuple):
-    """A line of a text; the place in it begins at `column`, counted from 0, and is so many characters long."""
+    """A line of a text, and a place in it: `length` characters from `column` on, counted from 0."""
 
     line: str
     column: int

@@ -39,7 +39,7 @@ def install(package: str) -> str:
 
 
 def needed(who: str, *packages: str) -> None:
-    """Raises InputError if `who` (in the plural) can't work since one of these packages is not installed."""
+    """Raise InputError if one of these packages is not installed; `who` is the plural subject of its message."""
     for package in packages:
         if not is_there(package):
             raise InputError.of(f"{who} need the package {package}, which is not installed", mend=install(package))

@@ -39,7 +39,7 @@ _SIGNS: Final[Mapping[str, Callable[[int, int], bool]]] = MappingProxyType(
 """The comparisons of numbers alone."""
 
 
-def said(value: FactValue) -> str:
+def value_text(value: FactValue) -> str:
     """A fact's value as files and people write it."""
     if isinstance(value, bool):
         return str(value).lower()
@@ -137,7 +137,7 @@ class Fact:
         return self.declared if self.now is None else self.now
 
     def being(self, value: FactValue | None) -> Fact:
-        """The fact with a value; None, or one of another kind, changes nothing."""
+        """Return the fact with this present value; None and values of another kind change nothing."""
         return self if value is None or kind_of(value) != kind_of(self.declared) else replace(self, now=value)
 
     def on(self, host: str) -> Fact:
@@ -147,7 +147,7 @@ class Fact:
         return replace(self, declared=declared, by=by, topic=topic, now=now, hosts={}, now_on={}, host=host)
 
     def being_on(self, values: Mapping[str, FactValue]) -> Fact:
-        """The fact of hosts with values on some of them, by host; one of another kind changes nothing."""
+        """Return the fact of hosts with these present values, by host; values of another kind change nothing."""
         fitting = {host: value for host, value in values.items() if kind_of(value) == kind_of(self.declared)}
         return replace(self, now_on={**self.now_on, **fitting}) if fitting else self
 
@@ -163,11 +163,13 @@ class Fact:
 
     def __str__(self) -> str:
         there = "" if self.host is None else f" on {self.host}"
-        return f"{self.name} is {said(self.value)}{f' {self.unit}' if self.unit else ''}{there}"
+        return f"{self.name} is {value_text(self.value)}{f' {self.unit}' if self.unit else ''}{there}"
 
     def value_in(self, element: object) -> FactValue | None:
-        """The value that an element of the observing stream says; None if a list in it lacks the part of that name, as
-        diagnostics of other devices do. Raises InvalidValueError.
+        """Return the fact's value in an element of the observing stream.
+
+        None if a list in it has no part of the name in `field`: it may be the diagnostics of another device. Raises
+        InvalidValueError if the element has no such field, or a value of another kind.
         """
         found = element
         for step in self.field.split(".") if self.field is not None else ():
@@ -193,7 +195,7 @@ class Fact:
         return value
 
     def read(self, text: str) -> FactValue:
-        """The value that a text says, of the kind of the declared one. Raises InvalidValueError."""
+        """Parse a text as a value of the declared one's kind. Raises InvalidValueError."""
         value = _value(text)
         if isinstance(self.declared, str):
             return text
@@ -255,7 +257,7 @@ class Comparison:
     value: FactValue
 
     def __str__(self) -> str:
-        return f"{self.fact} {self.sign} {said(self.value)}"
+        return f"{self.fact} {self.sign} {value_text(self.value)}"
 
     @property
     def bound(self) -> int | None:
@@ -271,7 +273,7 @@ class Comparison:
         return isinstance(value, int) and isinstance(self.value, int) and _SIGNS[self.sign](value, self.value)
 
     def misfit(self, facts: Mapping[str, Fact]) -> tuple[str, str | None] | None:
-        """Why it can't be asked of these facts, and the mend; None if it can."""
+        """Return why the comparison does not apply to these facts, and the mend; None if it does."""
         if self.fact not in facts:
             mend = did_you_mean(self.fact, facts, "declare it under `facts:` in the main file")
             return f"there is no fact `{self.fact}`", mend
@@ -281,7 +283,7 @@ class Comparison:
                 return None
             return f"fact `{self.fact}` is noisy, and equals no number for long", f"write `{self.fact} >= 1`"
         example = {"a number": f"{self.fact} >= 1", "a word": f"{self.fact} == WORD"}.get(kind, self.fact)
-        return f"fact `{self.fact}` is {kind}, but is compared with {said(self.value)}", f"write `{example}`"
+        return f"fact `{self.fact}` is {kind}, but is compared with {value_text(self.value)}", f"write `{example}`"
 
 
 Blamed: TypeAlias = tuple[str, ...] | None
@@ -304,7 +306,7 @@ def requirement(text: str) -> Requirement:
 
 
 def check_requirement(text: str) -> None:
-    """Raises InvalidValueError if an expression over facts can't be read."""
+    """Raise InvalidValueError if an expression over facts can't be read."""
     try:
         requirement(text)
     except TagError as error:

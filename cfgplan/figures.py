@@ -91,7 +91,7 @@ def used_hosts(environment: Environment, units: Iterable[ComputationUnit]) -> li
     return [host for host in environment.hosts if host.name in used]
 
 
-def links_bear(problem: Problem, units: Collection[ComputationUnit]) -> bool:
+def links_suffice(problem: Problem, units: Collection[ComputationUnit]) -> bool:
     """Return whether no link carries more bytes per second than its bandwidth."""
     return all(link.bandwidth is None or load <= link.bandwidth for link, load in link_loads(problem, units).items())
 
@@ -165,10 +165,10 @@ def qualities_of_targets(environment: Environment, units: Collection[Computation
 
 
 def told_qualities(environment: Environment, units: Collection[ComputationUnit]) -> dict[str, dict[str, int]]:
-    """The qualities of targets as texts and pictures tell them.
+    """The qualities of targets, by label and attribute, formatted for texts and pictures.
 
-    Left out are targets that only observe a fact, and a worst value that no target asks about: a stream that states
-    nothing of an attribute has it.
+    Targets that only observe a fact are left out. So is an attribute's worst value if no target has a demand on the
+    attribute: it only means that the stream states nothing.
     """
     observed = {fact.observed_on for fact in environment.variable.values() if fact.by is not None}
     return {

@@ -1,4 +1,4 @@
-"""Noisy values: their mean, and the side of each bound that they are on for sure.
+"""Noisy values: their mean, and on which side of a bound the true value certainly is.
 
 A mean of half-life HALF_LIFE_S is compared, and changes sides of a bound only BAND_ERRORS standard errors beyond it, in
 both directions. With 20 % noise at 5 values a second this follows each of 24 crossings in 480 s, 6 s late, and changes
@@ -33,7 +33,7 @@ class Noise:
         return abs(value) * self.amount / MICRO if self.is_share else float(self.amount)
 
     def band(self, bound: int, variance: float) -> float:
-        """How far beyond a bound a mean has to be; `variance` is that of the mean, as a share of a single value's."""
+        """How far a mean must be beyond a bound to be sure; `variance` is the mean's, as a share of one value's."""
         return BAND_ERRORS * self.at(bound) * sqrt(variance)
 
 
@@ -53,10 +53,11 @@ class NoisyMean:
         variance = (1 - share) ** 2 * self.variance + share**2
         return NoisyMean(self.mean + share * (value - self.mean), at_s, variance, values)
 
-    def told(self, noise: Noise, before: int, bounds: Iterable[int]) -> int:
-        """The value to go by, in millionths, after `before`: the mean, on the sides of all bounds that are sure.
+    def planned_value(self, noise: Noise, before: int, bounds: Iterable[int]) -> int:
+        """Return the value to plan with, in millionths: the mean, moved to the certain side of each bound.
 
-        A value is on the upper side of a bound if it is at least that.
+        A mean that is not certain keeps the side of the last value, `before`. A value is on the upper side of a bound
+        if it is at least the bound.
         """
         upper: list[int] = []
         lower: list[int] = []

@@ -1,4 +1,4 @@
-"""How good the own parts of outputs are, learned from streams that say how good they are.
+"""Learn how much quality each output itself adds or takes (its own part), from streams that say how good they are.
 
 An output's own part deviates from the stated value by a normally distributed amount: its mean is 0 and its standard
 deviation TRUST of the stated value (of its logarithm where the rule is `scale`). If a stream deviates from its
@@ -182,7 +182,7 @@ def learned(
     return Lesson(MappingProxyType(found.estimates), frozenset(news))
 
 
-def told(
+def planned_deviations(
     environment: Environment,
     estimates: Estimates,
     before: Mapping[Statement, int],
@@ -212,7 +212,7 @@ def told(
 
 
 def own_part(stated: Contribution, known: Estimate, at_s: float) -> tuple[float, float]:
-    """The own part of an output as it is known, and its standard error; in micro-units, a factor in millionths."""
+    """Return the estimate of an output's own part, and its standard error; in micro-units, a factor in millionths."""
     estimate = known.at(at_s, usual_variance(stated))
     if stated.rule is QualityRule.SCALE:
         value = stated.stated * exp(estimate.deviation)
@@ -235,9 +235,9 @@ def hidden(environment: Environment, similarity: Similarity) -> Iterator[str]:
                 ):
                     continue
                 silent = [
-                    f"{giver.label}/{given.name}"
-                    for giver in environment.library
-                    for given in giver.outputs
+                    f"{provider.label}/{given.name}"
+                    for provider in environment.library
+                    for given in provider.outputs
                     if any(similarity.holds(given.tag, one.tag) for one in ordinary)
                     and not any(one.attribute == stated.attribute and one.observe for one in given.quality)
                 ]
@@ -250,7 +250,7 @@ def hidden(environment: Environment, similarity: Similarity) -> Iterator[str]:
 
 
 def usual_variance(stated: Contribution) -> float:
-    """The variance of a part that was never observed, in its own terms."""
+    """The variance of a part that was never observed, in squared micro-units; for `scale`, of the logarithm."""
     return TRUST**2 if stated.rule is QualityRule.SCALE else (TRUST * max(abs(stated.stated), 1)) ** 2
 
 
@@ -406,18 +406,18 @@ class _Parts:
         environment, found = self._environment, []
         ordinary = [port.name for port in environment.transformation[unit.transformation].inputs if not port.feedback]
         for stream in (stream for name in ordinary for stream in unit.feeds.get(name, ())):
-            giver = environment.unit.get(stream.unit)
-            if giver is None or giver.transformation not in environment.transformation or stream in self._trail:
+            provider = environment.unit.get(stream.unit)
+            if provider is None or provider.transformation not in environment.transformation or stream in self._trail:
                 return None
             sample = self._samples.get((stream, attribute.name))
             known = (
-                self._predicted(giver, stream, attribute)
+                self._predicted(provider, stream, attribute)
                 if sample is None
                 else _Predicted(sample.mean, {}, sample.variance)
             )
             if known is None:
                 return None
-            journey = environment.latency(attribute.name, giver.host, unit.host)
+            journey = environment.latency(attribute.name, provider.host, unit.host)
             found.append(known.plus(_Predicted(float(journey))) if journey else known)
         return found
 

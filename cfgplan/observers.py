@@ -13,7 +13,7 @@ from itertools import pairwise
 from typing import Final
 
 from cfgplan.domain import Environment, Similarity, Transformation
-from cfgplan.facts import Fact, requirement, said
+from cfgplan.facts import Fact, requirement, value_text
 from cfgplan.noise import settled_variance
 from cfgplan.qualities import MICRO
 
@@ -42,9 +42,10 @@ def observed_tag(environment: Environment, fact: Fact) -> str | None:
 
 
 def observers(environment: Environment, similarity: Similarity, fact: Fact) -> dict[str, str]:
-    """The transformations that may observe a fact, and all that those can't run without, each with one it runs for.
+    """Return the transformations that may observe a fact, and all that may feed them, directly or through others.
 
-    Inputs that may stay unfed, or close a cycle, are not followed.
+    Each label is mapped to that of an observer that it may feed. Companions (`beside`) count as feeders; inputs that
+    may stay unfed or close a cycle are not followed.
     """
     tag = observed_tag(environment, fact)
     if tag is None:
@@ -57,7 +58,7 @@ def observers(environment: Environment, similarity: Similarity, fact: Fact) -> d
         more = [other for other in needed.beside if other in environment.transformation]
         for port in needed.inputs:
             if not (port.optional or port.feedback):
-                more += [giver.label for giver in _giving(environment, similarity, port.tag)]
+                more += [provider.label for provider in _giving(environment, similarity, port.tag)]
         for other in more:
             if other not in found:
                 found[other] = found[label]
@@ -75,9 +76,10 @@ def circles(environment: Environment, similarity: Similarity) -> Iterator[Circle
 
 
 def blurred(environment: Environment, similarity: Similarity) -> Iterator[str]:
-    """The bounds that noisy values can't tell apart in time: their bands are most of the way from one to the other.
+    """Yield a warning for each two neighbouring bounds that noisy values can't distinguish in time.
 
-    The rate of the values is that of the slowest source that they may come from.
+    Their bands of uncertainty cover most of the interval between them, at the rate of the slowest source that the
+    values may come from.
     """
     for fact in environment.variable.values():
         bounds = environment.bounds.get(fact.name, ())
@@ -91,9 +93,9 @@ def blurred(environment: Environment, similarity: Similarity) -> Iterator[str]:
             bands = [fact.noise.band(bound, variance) for bound in (low, high)]
             if sum(bands) > 2 * (high - low) * MOST_OF_THE_WAY:
                 yield (
-                    f"{fact.key} does not tell {said(low)} from {said(high)} in time: a noise of {fact.noise} at "
-                    f"{_rate_text(rate_hz)} takes {max(bands) / MICRO:.2g} beyond a bound to be sure; "
-                    "observe it more often, or compare it with numbers further apart"
+                    f"{fact.key} does not tell {value_text(low)} from {value_text(high)} in time: "
+                    f"a noise of {fact.noise} at {_rate_text(rate_hz)} takes {max(bands) / MICRO:.2g} beyond a bound "
+                    "to be sure; observe it more often, or compare it with numbers further apart"
                 )
 
 

@@ -30,10 +30,10 @@ def reached(starts: Iterable[Item], onward: Callable[[Item], Iterable[Item]]) ->
 
 
 def derived(missing: dict[Item, int], ahead: list[Item], above: Callable[[Item], Iterable[Item]]) -> Iterator[Item]:
-    """Yield the items `ahead`, then each item that misses no premise any more, in the order of derivation.
+    """Yield the items `ahead`, then each item whose premises were all yielded, in the order of derivation.
 
-    `missing` has the number of premises that each other item still needs; it is counted down, and `ahead` grows.
-    `above` gives the items that have an item as a premise. An item that any one of its premises is enough for misses 1.
+    `missing` has the number of premises that each other item still needs (1 if any one of them is enough); it is
+    counted down, and `ahead` grows. `above` gives the items that have an item as a premise.
     """
     for item in ahead:
         yield item

@@ -107,8 +107,8 @@ class Problem:
     def most_new(self, transformation: Transformation) -> int:
         """Return how many units of a transformation a plan may start: one, unless more are asked for or allowed.
 
-        If units of others run with it: one for each host. If its outputs may feed inputs that count streams: the
-        largest count. If failures have to be survived, one more.
+        If it is a companion of others (`beside`): one for each host. If its outputs may feed inputs that count streams:
+        the largest count. If failures have to be survived, one more.
         """
         tags = [output.tag for output in transformation.outputs]
         most = max((n for tag, n in self._counts.items() if any(self._may_feed(o, tag) for o in tags)), default=0)

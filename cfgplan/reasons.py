@@ -16,25 +16,25 @@ Item = TypeVar("Item")
 
 
 class Each(Protocol):
-    """Goes through items; it may raise an exception to end work that takes too long."""
+    """A function that passes items on one by one, and may raise an exception to end work that takes too long."""
 
     def __call__(self, items: Iterable[Item], /) -> Iterable[Item]: ...
 
 
 def unmet_reasons(
-    problem: Problem, givers: Givers | None = None, possible: frozenset[str] | None = None
+    problem: Problem, providers: Providers | None = None, possible: frozenset[str] | None = None
 ) -> dict[str, str]:
     """Return one short reason for each target, by its label, that no update can meet; empty if all may be met.
 
-    Pass `givers` and the `startable` labels as `possible` if they are known already.
+    Pass `providers` and the `startable` labels as `possible` if they are known already.
     """
     environment = problem.environment
-    givers = Givers(environment.library, problem.similarity.optimistic) if givers is None else givers
-    possible = startable(environment, givers) if possible is None else possible
+    providers = Providers(environment.library, problem.similarity.optimistic) if providers is None else providers
+    possible = startable(environment, providers) if possible is None else possible
     return {
-        target.label: _reason(f"target {target.label}", target.tag, environment, givers, possible)
+        target.label: _reason(f"target {target.label}", target.tag, environment, providers, possible)
         for target in environment.targets
-        if possible.isdisjoint(givers.of(target.tag))
+        if possible.isdisjoint(providers.of(target.tag))
     }
 
 
@@ -44,19 +44,19 @@ def pinned_reasons(problem: Problem) -> dict[str, str]:
     pinned = [u for u in environment.units if u.transformation in library and library[u.transformation].pinned]
     if not pinned:
         return {}
-    givers = Givers(environment.library, problem.similarity)
-    possible = startable(environment, givers)
-    hopeful = startable(environment, Givers(environment.library, problem.similarity.optimistic))
+    providers = Providers(environment.library, problem.similarity)
+    possible = startable(environment, providers)
+    optimistic = startable(environment, Providers(environment.library, problem.similarity.optimistic))
     found = {}
     for unit in pinned:
         if unit.transformation not in possible and not unit.standby:
             ports = library[unit.transformation].needed_inputs
-            unfed = [port for port in ports if possible.isdisjoint(givers.of(port.tag))]
+            unfed = [port for port in ports if possible.isdisjoint(providers.of(port.tag))]
             why = "its inputs need different transformations, and there are too few"
-            if unit.transformation in hopeful:
+            if unit.transformation in optimistic:
                 why = "it is not decided yet whether its possible feeders match"
             elif unfed:
-                why = _reason(f"its input {unfed[0].name}", unfed[0].tag, environment, givers, possible)
+                why = _reason(f"its input {unfed[0].name}", unfed[0].tag, environment, providers, possible)
             found[unit.id] = f"pinned unit {unit.id} can't be fed: {why}"
     return found
 
@@ -71,7 +71,7 @@ def with_pinned_reasons(given_up: Mapping[str, str], problem: Problem) -> dict[s
     return reasons
 
 
-class Givers:
+class Providers:
     """The transformations that meet each demanded tag: one of their outputs may feed it (the validity matrix by rows),
     or the demand is for a unit of them.
     """
@@ -81,9 +81,9 @@ class Givers:
         self._similarity = similarity
         self._rows: dict[str, tuple[str, ...]] = {}
 
-    def among(self, labels: Collection[str]) -> Givers:
+    def among(self, labels: Collection[str]) -> Providers:
         """The same for a part of the library."""
-        return Givers([t for t in self._library if t.label in labels], self._similarity)
+        return Providers([t for t in self._library if t.label in labels], self._similarity)
 
     @cached_property
     def _offering(self) -> Mapping[str, list[str]]:
@@ -105,7 +105,7 @@ class Givers:
 
 
 def startable(
-    environment: Environment, givers: Givers, each: Each = iter, units: Mapping[str, int] | None = None
+    environment: Environment, providers: Providers, each: Each = iter, units: Mapping[str, int] | None = None
 ) -> frozenset[str]:
     """Return the labels of all transformations that have a fed unit in some valid, grounded wiring.
 
@@ -115,15 +115,15 @@ def startable(
     """
     alive = frozenset(environment.transformation)
     while True:
-        reached = forward_closure(environment, givers, alive, each, units)
+        reached = forward_closure(environment, providers, alive, each, units)
         if reached == alive or not any(
             p.feedback and not p.optional for t in environment.library if t.label in reached for p in t.inputs
         ):
             return reached
-        alive = _offered_all(environment, givers, reached)
+        alive = _offered_all(environment, providers, reached)
 
 
-def _offered_all(environment: Environment, givers: Givers, labels: frozenset[str]) -> frozenset[str]:
+def _offered_all(environment: Environment, providers: Providers, labels: frozenset[str]) -> frozenset[str]:
     """Remove labels with an input that none of the others offers, until nothing changes."""
     left = set(labels)
     inputs = ((label, environment.transformation[label].needed_inputs) for label in sorted(labels))
@@ -131,7 +131,7 @@ def _offered_all(environment: Environment, givers: Givers, labels: frozenset[str
     offers: dict[str, list[str]] = defaultdict(list)
     count: dict[str, int] = {}
     for tag in users:
-        offering = labels.intersection(givers.of(tag))
+        offering = labels.intersection(providers.of(tag))
         count[tag] = len(offering)
         for label in offering:
             offers[label].append(tag)
@@ -179,7 +179,7 @@ def assign_different(choices: Mapping[str, Collection[str]]) -> dict[str, str] |
 
 def forward_closure(
     environment: Environment,
-    givers: Givers,
+    providers: Providers,
     alive: frozenset[str],
     each: Each = iter,
     units: Mapping[str, int] | None = None,
@@ -204,13 +204,13 @@ def forward_closure(
             if port.optional:
                 continue
             if port.feedback:
-                if alive.isdisjoint(givers.of(tag)):
+                if alive.isdisjoint(providers.of(tag)):
                     return
             elif tag in waiting:
                 waiting[tag].append(transformation)
                 return
             elif tag not in fed:
-                accepted = givers.accepted(tag)
+                accepted = providers.accepted(tag)
                 if offered.isdisjoint(accepted):
                     waiting[tag] = [transformation]
                     for each in accepted:
@@ -233,8 +233,8 @@ def forward_closure(
                         fed.add(tag)
                         for consumer in waiting.pop(tag, ()):
                             go_on(consumer)
-        ahead = [t for t in crowded if _groups_can_be_fed(t, givers, reached, alive)]
-        ahead = ahead if units is None else [t for t in ahead if _is_fed_by(units, t, givers, reached, alive)]
+        ahead = [t for t in crowded if _groups_can_be_fed(t, providers, reached, alive)]
+        ahead = ahead if units is None else [t for t in ahead if _is_fed_by(units, t, providers, reached, alive)]
         if not ahead:
             break
         ready = {t.label for t in ahead}
@@ -243,11 +243,11 @@ def forward_closure(
 
 
 def _groups_can_be_fed(
-    transformation: Transformation, givers: Givers, before: Collection[str], alive: Collection[str]
+    transformation: Transformation, providers: Providers, before: Collection[str], alive: Collection[str]
 ) -> bool:
     return all(
         assign_different(
-            {p.name: [g for g in givers.of(p.tag) if g in (alive if p.feedback else before)] for p in group}
+            {p.name: [g for g in providers.of(p.tag) if g in (alive if p.feedback else before)] for p in group}
         )
         is not None
         for group in distinct_groups(transformation)
@@ -257,41 +257,41 @@ def _groups_can_be_fed(
 def _is_fed_by(
     units: Mapping[str, int],
     transformation: Transformation,
-    givers: Givers,
+    providers: Providers,
     before: Collection[str],
     alive: Collection[str],
 ) -> bool:
     """Return whether other transformations have as many units as the inputs take streams."""
     return all(
-        port.count <= sum(units[g] for g in givers.of(port.tag) if g in (alive if port.feedback else before))
+        port.count <= sum(units[g] for g in providers.of(port.tag) if g in (alive if port.feedback else before))
         for port in transformation.needed_inputs
     )
 
 
-def _reason(who: str, tag: str, environment: Environment, givers: Givers, possible: frozenset[str]) -> str:
+def _reason(who: str, tag: str, environment: Environment, providers: Providers, possible: frozenset[str]) -> str:
     """A sentence that names the nearest dead end: why nothing in `possible` can feed the demand of `who` for `tag`."""
     wanted = f"{who} wants {tag}"
-    if not givers.of(tag):
+    if not providers.of(tag):
         return f"{wanted}, but " + ("there is no such one" if tag.startswith(A_UNIT_OF) else "no output matches")
-    ahead, seen = list(givers.of(tag)), set(givers.of(tag))
+    ahead, seen = list(providers.of(tag)), set(providers.of(tag))
     for label in ahead:
         transformation = environment.transformation[label]
         for port in transformation.needed_inputs:
-            if not givers.of(port.tag):
+            if not providers.of(port.tag):
                 return f"{wanted}, but input {port.name} of {label} needs {port.tag}, and no output matches"
         for port in transformation.needed_inputs:
-            if possible.isdisjoint(givers.of(port.tag)):
-                new = [giver for giver in givers.of(port.tag) if giver not in seen]
+            if possible.isdisjoint(providers.of(port.tag)):
+                new = [provider for provider in providers.of(port.tag) if provider not in seen]
                 ahead += new
                 seen.update(new)
         for group in distinct_groups(transformation):
-            if assign_different({p.name: givers.of(p.tag) for p in group}) is None:
+            if assign_different({p.name: providers.of(p.tag) for p in group}) is None:
                 names = " and ".join(port.name for port in group)
                 return f"{wanted}, but inputs {names} of {label} need different transformations, and there are too few"
     for label in ahead:
-        if all(not possible.isdisjoint(givers.of(p.tag)) for p in environment.transformation[label].needed_inputs):
+        if all(not possible.isdisjoint(providers.of(p.tag)) for p in environment.transformation[label].needed_inputs):
             groups = distinct_groups(environment.transformation[label])
             names = " and ".join(port.name for group in groups for port in group)
             return f"{wanted}, but inputs {names} of {label} need different transformations, and too few can be fed"
-    ring = ", ".join(ahead[:4]) + (" ..." if len(ahead) > 4 else "")
-    return f"{wanted}, but what could give it is fed only by itself: {ring}"
+    cycle = ", ".join(ahead[:4]) + (" ..." if len(ahead) > 4 else "")
+    return f"{wanted}, but what could give it is fed only by itself: {cycle}"

@@ -78,7 +78,7 @@ class ExpressionReader(ABC, Generic[Meaning]):
         """Return the meaning of an operand that begins with the token just read."""
 
     def is_name(self, _word: str, _follows: str) -> bool:
-        """Whether a keyword that stands where an operand is wanted is a name, given the token that follows it."""
+        """Whether a keyword in the place of an operand is meant as a name, given the token that follows it."""
         return False
 
     def whole(self) -> Meaning:
@@ -228,7 +228,7 @@ def selector(text: str) -> Selector:
 
 
 def check_selector(text: str) -> None:
-    """Raises InvalidValueError if an expression over labels can't be read."""
+    """Raise InvalidValueError if an expression over labels can't be read."""
     try:
         selector(text)
     except TagError as error:

@@ -16,7 +16,7 @@ _NAME: Final = re.compile(r"[A-Za-z][\w-]*", re.ASCII)
 
 
 class SmallOntology:
-    """Concepts, made when they are first asked for, below roots that are told about, and the roles between them.
+    """An ontology of concepts below given roots, with roles between them; a concept is made at its first use.
 
     `names` is the IRI, ending in #, that begins those of the concepts without one of their own. `known` are the IRIs of
     the others, whose names in tags are their last parts, unless another concept has that name.
@@ -32,7 +32,10 @@ class SmallOntology:
         """By root: the name of each concept, and its line."""
 
     def concept(self, key: tuple[str, ...], word: str, above: str, label: str) -> str:
-        """The name of the concept of a key, which begins with its root. A new one is named by the word, or nearly."""
+        """Return the name of the concept of `key`, whose first item is its root.
+
+        A new concept is named `word`, changed if that is taken or no concept's name; it is a subclass of `above`.
+        """
         if key in self._words:
             return self._words[key]
         if word.casefold() in _NO_CONCEPTS or not word[:1].isalpha():

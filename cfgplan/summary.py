@@ -72,7 +72,7 @@ def counted(number: int, one: str, many: str | None = None) -> str:
 
 
 def some(names: Iterable[str], most: int = 6) -> str:
-    """The first names, and how many more there are."""
+    """Join the first `most` names, and say how many more there are."""
     first = list(names)
     more = f" and {len(first) - most} more" if len(first) > most else ""
     return ", ".join(first[:most]) + more

@@ -341,7 +341,7 @@ def _smaller(problem: Problem | None) -> Iterator[Problem]:
 
 
 def drawn_problem(random: Random, features: Collection[Feature] = (), without: Collection[str] = ()) -> Problem:
-    """A small problem that may have the features, with running units in any state of repair."""
+    """Return a small random problem that may use the features; its running units may be wired wrongly."""
     asked = frozenset(features) | ({Feature.HOSTS, Feature.QUALITY} if Feature.LATENCY in features else set())
     labels = [f"t{number}" for number in range(random.randint(1, 3 if asked else 5))]
     hosts = _hosts(random) if Feature.HOSTS in asked else ()

@@ -92,7 +92,7 @@ class InputPort:
 
     @property
     def is_usual(self) -> bool:
-        """Whether it takes one stream, always."""
+        """Whether it needs exactly one stream."""
         return self.count == 1 and not self.optional
 
     @property
@@ -101,7 +101,7 @@ class InputPort:
         return self.optional and not self.worth_us
 
     @property
-    def is_told_apart(self) -> bool:
+    def is_explicit(self) -> bool:
         """Whether two units may differ in how many streams they take there, or from which transformations."""
         return self.optional or self.distinct is not None or self.count == ALL
 
@@ -301,9 +301,9 @@ class Transformation:
     No unit, running or cold spare, may exist beside one of a transformation in `conflicts`, or on one host with one of
     a transformation in `conflicts_on_host`. On its host there runs a unit of each in `beside`. At least `min_instances`
     units run. There are at most `max_instances` units, and at most `per_host` on one host, cold spares included;
-    without hosts all are on one. All hosts together that a selector in `at_most` chooses have at most so many, cold
-    spares included. A cold spare takes `standby_us` each second; None: it has none. Units run only while facts meet the
-    expression `requires`, such as `visibility >= 2.25 and not night`.
+    without hosts all units count as on one. `at_most` limits the units, cold spares included, on all hosts together
+    that a selector chooses. A cold spare takes `standby_us` each second; None: it can't be one. Units run only while
+    facts meet the expression `requires`, such as `visibility >= 2.25 and not night`.
     """
 
     label: Annotated[
@@ -514,13 +514,13 @@ _UNBOUND = frozenset(
 def transformation_of(said: Mapping[str, object]) -> Transformation:
     """Return the transformation with these fields; `inputs` and `outputs` are in order, and their names differ.
 
-    Values are of the right types: a file's reader has seen to it. Fields that limit each other are checked.
+    The values must have the right types, as a file's reader makes sure. Fields that limit each other are checked.
     """
     return unchecked(Transformation, said) if said.keys() <= _UNBOUND else Transformation(**said)  # type: ignore[arg-type]
 
 
-def what_runs(transformation: Transformation) -> tuple[object, ...]:
-    """Return the ports, and the fields that running uses: units of two transformations with equal ones run equally."""
+def running_fields(transformation: Transformation) -> tuple[object, ...]:
+    """Return the ports and all fields that affect a running unit: if they are equal, so is how the units run."""
     ports = [(port.name, *running(port)) for port in transformation.inputs]
     ports += [(port.name, *running(port)) for port in transformation.outputs]
     observed = [

@@ -441,7 +441,7 @@ def test_the_picture_has_an_arrow_from_a_unit_to_the_target_that_wants_it() -> N
 
 
 def test_a_stream_that_ends_is_drawn_otherwise_where_both_its_units_run_on() -> None:
-    giver, user = (
+    provider, user = (
         Transformation("giver", (), (OutputPort("o", "Raw"),)),
         Transformation("user", (InputPort("i", "Raw"),)),
     )
@@ -449,16 +449,18 @@ def test_a_stream_that_ends_is_drawn_otherwise_where_both_its_units_run_on() -> 
     def fed(name: str) -> ComputationUnit:
         return ComputationUnit("user.1", "user", (Subscription("i", Stream(name, "o")),))
 
-    givers = [ComputationUnit(f"giver.{n}", "giver") for n in (1, 2)]
+    providers = [ComputationUnit(f"giver.{n}", "giver") for n in (1, 2)]
     change = ChangeSet(rewired=(fed("giver.2"),))
-    both_stay = picture(Environment((*givers, fed("giver.1")), (giver, user)), change)
+    both_stay = picture(Environment((*providers, fed("giver.1")), (provider, user)), change)
     assert {arrow.tail: arrow.mark for arrow in both_stay.arrows} == {"giver.1": Mark.CUT, "giver.2": Mark.STARTED}
-    one_goes = picture(Environment((*givers, fed("giver.1")), (giver, user)), replace(change, stopped=("giver.1",)))
+    one_goes = picture(
+        Environment((*providers, fed("giver.1")), (provider, user)), replace(change, stopped=("giver.1",))
+    )
     assert {arrow.tail: arrow.mark for arrow in one_goes.arrows}["giver.1"] is Mark.STOPPED
 
 
 def test_a_picture_says_what_is_not_fed_how_many_streams_an_input_takes_and_what_is_a_service() -> None:
-    giver = Transformation("giver", (), (OutputPort("o", "Raw", serves=2),))
+    provider = Transformation("giver", (), (OutputPort("o", "Raw", serves=2),))
     inputs = (
         InputPort("i", "Raw", count=2),
         InputPort("ask", "Raw", service=True),
@@ -471,7 +473,7 @@ def test_a_picture_says_what_is_not_fed_how_many_streams_an_input_takes_and_what
         ComputationUnit("user.1", "user", tuple(fed), host="h"),
     )
     hosts = (Host("h", labels=("gpu", "robot"), rent_us=500_000),)
-    drawn = picture(Environment(units, (giver, user), hosts=hosts))
+    drawn = picture(Environment(units, (provider, user), hosts=hosts))
     assert drawn.mermaid().splitlines()[1:8] == [
         '  subgraph h1["h (gpu, robot), rent 0.5 s/s"]',
         '  n0["giver.1"]:::kept',

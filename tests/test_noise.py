@@ -54,7 +54,7 @@ def test_a_value_changes_sides_only_beyond_the_band_whichever_way_it_goes() -> N
     band = BAND_ERRORS * 10_000
 
     def told(mean: int, before: int) -> int:
-        return NoisyMean(mean, 0.0, variance).told(noise, before, BOUNDS)
+        return NoisyMean(mean, 0.0, variance).planned_value(noise, before, BOUNDS)
 
     assert told(2_250_000 - band, before=2_250_000) == 2_250_000
     assert told(2_250_000 - band - 1, before=2_250_000) == 2_250_000 - band - 1
@@ -71,7 +71,7 @@ def test_a_value_is_on_one_side_of_each_bound_and_at_most_a_band_from_the_mean(
     mean, told = NoisyMean(values[0], 0.0), values[0]
     for number, value in enumerate(values):
         mean = mean if number == 0 else mean.after(value, number * 0.2)
-        before, told = told, mean.told(noise, told, bounds)
+        before, told = told, mean.planned_value(noise, told, bounds)
         for bound in bounds:
             band = noise.band(bound, mean.variance)
             if abs(mean.mean - bound) > band + 1:

@@ -35,7 +35,7 @@ from cfgplan.observed import (
     Sample,
     Window,
     learned,
-    told,
+    planned_deviations,
 )
 from cfgplan.qualities import MICRO, Better, Contribution, Over, QualityAttribute, QualityRule
 
@@ -48,7 +48,7 @@ def stating(rule: QualityRule, value: float, over: Over = Over.WORST) -> tuple[C
     return (Contribution("error", rule, round(value * MICRO), over, observe="error"),)
 
 
-def giver(label: str, value: float) -> Transformation:
+def provider(label: str, value: float) -> Transformation:
     return Transformation(label, (), (OutputPort("out", "S", stating(QualityRule.SET, value)),), 1, 1)
 
 
@@ -69,9 +69,9 @@ def world(*units: tuple[Transformation, ComputationUnit], attribute: QualityAttr
 
 
 def fan(rule: QualityRule, value: float, *inputs: float, over: Over = Over.WORST) -> Environment:
-    """Some givers, and a taker of all of their streams."""
-    givers = [(giver(f"g{number}", one), unit(f"g{number}")) for number, one in enumerate(inputs)]
-    return world(*givers, (taker("t", len(inputs), rule, value, over), unit("t", *(one.id for _, one in givers))))
+    """Some providers, and a consumer of all of their streams."""
+    providers = [(provider(f"g{number}", one), unit(f"g{number}")) for number, one in enumerate(inputs)]
+    return world(*providers, (taker("t", len(inputs), rule, value, over), unit("t", *(one.id for _, one in providers))))
 
 
 def says(error: float = SURE, **means: float) -> dict[tuple[Stream, str], Sample]:
@@ -87,7 +87,7 @@ def own(environment: Environment, label: str, samples: Mapping[tuple[Stream, str
 
 def taught(environment: Environment, samples: Mapping[tuple[Stream, str], Sample]) -> dict[Statement, int]:
     """What plans are to go by after samples that were the first."""
-    return told(environment, learned(environment, samples, {}, 0.0).estimates, {}, 0.0)
+    return planned_deviations(environment, learned(environment, samples, {}, 0.0).estimates, {}, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -113,7 +113,7 @@ def test_an_own_part_is_found_where_inputs_say_how_good_they_are(
 
 
 def test_a_source_is_as_good_as_it_says() -> None:
-    assert own(world((giver("g", 0.2), unit("g"))), "g", says(g=0.62)) == pytest.approx(0.62, rel=1e-3)
+    assert own(world((provider("g", 0.2), unit("g"))), "g", says(g=0.62)) == pytest.approx(0.62, rel=1e-3)
 
 
 def test_a_limit_that_does_not_bind_is_drawn_in_to_the_output_and_not_beyond() -> None:
@@ -124,14 +124,14 @@ def test_a_limit_that_does_not_bind_is_drawn_in_to_the_output_and_not_beyond() -
 
 
 def test_unobserved_parts_share_a_difference_by_their_variances() -> None:
-    environment = world((giver("g", 1.0), unit("g")), (taker("t", 1, QualityRule.ADD, 3.0), unit("t", "g")))
+    environment = world((provider("g", 1.0), unit("g")), (taker("t", 1, QualityRule.ADD, 3.0), unit("t", "g")))
     given, taken = own(environment, "g", says(t=5.0)), own(environment, "t", says(t=5.0))
     assert given + taken == pytest.approx(5.0, rel=1e-3)
     assert (given - 1.0) * 9 == pytest.approx(taken - 3.0, rel=1e-3)  # the variances are 1 to 9
 
 
 def test_a_stream_that_says_how_good_it_is_takes_the_blame_off_what_is_before_it() -> None:
-    environment = world((giver("g", 1.0), unit("g")), (taker("t", 1, QualityRule.ADD, 1.0), unit("t", "g")))
+    environment = world((provider("g", 1.0), unit("g")), (taker("t", 1, QualityRule.ADD, 1.0), unit("t", "g")))
     samples = says(g=1.0, t=5.0)
     assert (own(environment, "g", samples), own(environment, "t", samples)) == (1.0, pytest.approx(4.0, rel=1e-3))
 
@@ -150,9 +150,9 @@ def test_no_factor_is_learned_from_an_input_near_0() -> None:
 
 
 def test_at_the_end_of_the_scale_nothing_is_learned_but_that_it_is_reached() -> None:
-    environment = world((giver("g", 0.2), unit("g")), attribute=replace(ERROR, worst=MICRO))
+    environment = world((provider("g", 0.2), unit("g")), attribute=replace(ERROR, worst=MICRO))
     assert own(environment, "g", says(g=7.0)) == pytest.approx(1.0, rel=1e-3)
-    at_the_end = world((giver("g", 3.0), unit("g")), attribute=replace(ERROR, worst=MICRO))
+    at_the_end = world((provider("g", 3.0), unit("g")), attribute=replace(ERROR, worst=MICRO))
     assert own(at_the_end, "g", says(g=7.0)) == 3.0
 
 
@@ -164,7 +164,7 @@ def test_feedback_does_not_count() -> None:
         1,
         1,
     )
-    environment = world((giver("g", 1.0), unit("g")), (looped, unit("t", "g", "t")))
+    environment = world((provider("g", 1.0), unit("g")), (looped, unit("t", "g", "t")))
     assert own(environment, "t", says(g=1.0, t=4.0)) == pytest.approx(3.0, rel=1e-3)
 
 
@@ -176,7 +176,7 @@ def test_a_ring_without_feedback_teaches_nothing() -> None:
 
 
 def test_the_journey_between_hosts_is_not_the_unit_s() -> None:
-    g, t = giver("g", 1.0), taker("t", 1, QualityRule.ADD, 1.0)
+    g, t = provider("g", 1.0), taker("t", 1, QualityRule.ADD, 1.0)
     environment = Environment(
         (replace(unit("g"), host="a"), replace(unit("t", "g"), host="b")),
         (g, t),
@@ -189,24 +189,24 @@ def test_the_journey_between_hosts_is_not_the_unit_s() -> None:
 
 
 def test_noise_and_small_differences_are_no_news() -> None:
-    environment = world((giver("g", 1.0), unit("g")))
+    environment = world((provider("g", 1.0), unit("g")))
     assert taught(environment, says(0.2, g=1.7)) == {}
     assert taught(environment, says(g=1.04)) == {}
     assert taught(environment, says(0.2, g=1.9)).keys() == {Statement("g", "out", "error")}
 
 
 def test_what_is_confirmed_is_surer_than_before() -> None:
-    environment, samples = world((giver("g", 1.0), unit("g"))), says(0.01, g=1.0)
+    environment, samples = world((provider("g", 1.0), unit("g"))), says(0.01, g=1.0)
     (estimate,) = learned(environment, samples, {}, 0.0, fresh=frozenset(samples)).estimates.values()
     assert estimate.deviation == pytest.approx(0.0, abs=1.0)
     assert estimate.variance == pytest.approx((0.01 * MICRO) ** 2, rel=1e-2)
 
 
 def test_what_is_not_observed_any_more_fades_to_what_is_declared() -> None:
-    environment = world((giver("g", 1.0), unit("g")))
+    environment = world((provider("g", 1.0), unit("g")))
     estimates = learned(environment, says(g=3.0), {}, 0.0).estimates
     values = [
-        told(environment, estimates, {}, at_s, fades=True)
+        planned_deviations(environment, estimates, {}, at_s, fades=True)
         for at_s in (0.0, MEMORY_S, MEMORY_S + FORGET_S, 20 * FORGET_S)
     ]
     statement = Statement("g", "out", "error")
@@ -214,17 +214,17 @@ def test_what_is_not_observed_any_more_fades_to_what_is_declared() -> None:
 
 
 def test_what_goes_on_being_observed_does_not_fade() -> None:
-    environment, estimates = world((giver("g", 1.0), unit("g"))), dict[Statement, Estimate]()
+    environment, estimates = world((provider("g", 1.0), unit("g"))), dict[Statement, Estimate]()
     for second in range(0, 3600, 2):
         estimates = dict(learned(environment, says(g=3.0), estimates, float(second)).estimates)
-    assert told(environment, estimates, {}, 3600.0) == {
+    assert planned_deviations(environment, estimates, {}, 3600.0) == {
         Statement("g", "out", "error"): pytest.approx(2 * MICRO, rel=0.01)
     }
 
 
 def test_statements_that_are_gone_teach_nothing() -> None:
     estimates = {Statement("gone", "out", "error"): Estimate(1e6, 1.0, 0.0)}
-    assert told(world((giver("g", 1.0), unit("g"))), estimates, {}, 0.0) == {}
+    assert planned_deviations(world((provider("g", 1.0), unit("g"))), estimates, {}, 0.0) == {}
 
 
 VALUES = st.lists(st.floats(0.01, 100), min_size=5, max_size=40)
@@ -254,7 +254,7 @@ def test_a_window_halves_what_is_as_old_as_it_remembers() -> None:
 @pytest.mark.parametrize("every_s", [1.0, 10.0, 60.0])
 def test_a_slow_noisy_stream_is_no_news(every_s: float) -> None:
     """Its mean is of some values, however old they are: a spread that two values tell says nothing."""
-    environment, chance = world((giver("g", 0.2), unit("g"))), Random(1)
+    environment, chance = world((provider("g", 0.2), unit("g"))), Random(1)
     said = Stream("g", "out"), "error"
     window, estimates, at_s = Window(0.0), dict[Statement, Estimate](), 0.0
     for _ in range(1000):
@@ -266,7 +266,7 @@ def test_a_slow_noisy_stream_is_no_news(every_s: float) -> None:
         lesson = learned(environment, {said: window.sample}, estimates, at_s, fresh=fresh)
         assert not lesson.news
         estimates = dict(lesson.estimates)
-        assert told(environment, estimates, {}, at_s, only_sure=True) == {}
+        assert planned_deviations(environment, estimates, {}, at_s, only_sure=True) == {}
 
 
 def test_few_elements_say_nothing() -> None:
@@ -282,7 +282,7 @@ def test_where_all_streams_speak_the_truth_is_found_and_predicted(
 ) -> None:
     """A line of stages whose true parts are not the declared ones, and whose streams all say how good they are."""
     attribute = replace(ERROR, worst=100_000 * MICRO)
-    declared = [(giver("s0", 1.0), unit("s0"))]
+    declared = [(provider("s0", 1.0), unit("s0"))]
     declared += [
         (taker(f"s{n}", 1, rule, value), unit(f"s{n}", f"s{n - 1}")) for n, (rule, value, _) in enumerate(stages, 1)
     ]
@@ -299,7 +299,7 @@ def test_where_all_streams_speak_the_truth_is_found_and_predicted(
         }[rule]
         said[f"s{number}"] = truth
     estimates = learned(environment, says(**said), {}, 0.0).estimates
-    seen = told(environment, estimates, {}, 0.0)
+    seen = planned_deviations(environment, estimates, {}, 0.0)
     assert not learned(environment, says(**said), estimates, 1.0).news
     known = environment.with_qualities(seen)
     value = known.transformation["s0"].output["out"].quality[0].value / MICRO

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.planning import Problem
-from cfgplan.reasons import Givers, startable, unmet_reasons
+from cfgplan.reasons import Providers, startable, unmet_reasons
 
 
 def make(label: str, needs: str, gives: str, distinct: str | None = None) -> Transformation:
@@ -57,17 +57,17 @@ def test_a_feedback_input_may_be_fed_by_what_it_feeds_but_must_be_fed() -> None:
 def test_what_can_be_started_is_found_in_any_order_of_labels() -> None:
     chain = [make(label, needs, gives) for label, needs, gives in (("z", "", "A"), ("y", "A", "B"), ("x", "B", "C"))]
     environment = Environment(library=(*chain, make("w", "CD", "E")))
-    givers = Givers(environment.library, Similarity({tag: frozenset(tag) for tag in "ABCDE"}))
-    assert startable(environment, givers) == {"x", "y", "z"}
+    providers = Providers(environment.library, Similarity({tag: frozenset(tag) for tag in "ABCDE"}))
+    assert startable(environment, providers) == {"x", "y", "z"}
 
 
 def test_what_waits_for_several_inputs_is_started_when_the_last_of_them_is_fed() -> None:
     last = [make("a", "BCD", "E"), make("b", "DCA", "B"), make("c", "A", "C"), make("d", "AC", "D"), make("e", "", "A")]
     environment = Environment(library=tuple(last))
-    givers = Givers(environment.library, Similarity({tag: frozenset(tag) for tag in "ABCDE"}))
-    assert startable(environment, givers) == {"a", "b", "c", "d", "e"}
-    assert givers.among({"a", "c"}).of("E") == givers.of("E") == ("a",)
-    assert givers.among({"a", "c"}).of("A") == ()
+    providers = Providers(environment.library, Similarity({tag: frozenset(tag) for tag in "ABCDE"}))
+    assert startable(environment, providers) == {"a", "b", "c", "d", "e"}
+    assert providers.among({"a", "c"}).of("E") == providers.of("E") == ("a",)
+    assert providers.among({"a", "c"}).of("A") == ()
 
 
 def test_fusions_that_rest_on_each_other_are_started_when_both_feeders_of_one_are_there() -> None:
@@ -80,5 +80,5 @@ def test_fusions_that_rest_on_each_other_are_started_when_both_feeders_of_one_ar
         make("never", "CC", "D", distinct="g"),
     )
     environment = Environment(library=library)
-    givers = Givers(environment.library, Similarity({tag: frozenset(tag) for tag in "ABCDE"}))
-    assert startable(environment, givers) == {"one", "two", "near", "relay", "far"}
+    providers = Providers(environment.library, Similarity({tag: frozenset(tag) for tag in "ABCDE"}))
+    assert startable(environment, providers) == {"one", "two", "near", "relay", "far"}

@@ -28,7 +28,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
 
 def script(shell: str) -> str:
-    """The script that makes a shell complete every verb."""
+    """The script that makes a shell complete every command."""
     import shtab
 
     from cfgplan.cli.main import VERBS, parser_with

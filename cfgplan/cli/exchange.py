@@ -180,7 +180,7 @@ def _beside(out: str | None, message: str, ending: str) -> Path:
 
 
 def _refuse_ending(out: str | None, kind: str) -> None:
-    """Raises InputError for a file whose ending would have it read as something else than an environment in `kind`."""
+    """Raise InputError for a file whose ending would have it read as something else than an environment in `kind`."""
     ending = "" if out is None else Path(out).suffix.lower()
     if out is not None and (ending != ".xml" if kind == "xml" else ending in (".xml", ".json", ".ttl", ".ofn")):
         raise InputError.of(f"this name does not end as {kind.upper()} does", file=out, mend=f"end it in .{kind}")

@@ -131,9 +131,9 @@ def _subjects(options: argparse.Namespace, problem: Problem, plan: Plan) -> list
     before, after = problem.environment, problem.after(plan)
     name = options.subject or options.unit or options.transformation or options.stream
     if name is None:
-        from cfgplan.cli.plan_text import with_the_stream
+        from cfgplan.cli.plan_text import in_stream_order
 
-        used = dict.fromkeys(unit.transformation for unit in with_the_stream(after))
+        used = dict.fromkeys(unit.transformation for unit in in_stream_order(after))
         return [("transformation", label) for label in used]
     units = {*before.unit, *after.unit}
     if options.unit or (options.subject and name in units):
@@ -267,8 +267,8 @@ def _briefly(why: Why) -> str:
 
 def _tree(environment: Environment, reason: Unreachable, opening: str) -> Iterator[str]:
     yield from _demand(environment, reason.wanted, opening)
-    for giver in reason.wanted.givers:
-        yield from ("  " + line for line in _below(environment, reason, giver))
+    for provider in reason.wanted.providers:
+        yield from ("  " + line for line in _below(environment, reason, provider))
 
 
 def _below(environment: Environment, reason: Unreachable, root: str) -> Iterator[str]:
@@ -289,8 +289,8 @@ def _below(environment: Environment, reason: Unreachable, root: str) -> Iterator
         each = blocked[label]
         for line in _blocked(environment, each):
             yield indent + line
-        givers = [giver for unfed in each.inputs for giver in unfed.givers]
-        ahead += [(depth + 1, giver, (*above, label)) for giver in reversed(list(dict.fromkeys(givers)))]
+        providers = [provider for unfed in each.inputs for provider in unfed.providers]
+        ahead += [(depth + 1, provider, (*above, label)) for provider in reversed(list(dict.fromkeys(providers)))]
 
 
 def _blocked(environment: Environment, blocked: Blocked) -> Iterator[str]:
@@ -304,7 +304,7 @@ def _blocked(environment: Environment, blocked: Blocked) -> Iterator[str]:
 
 
 def _demand(environment: Environment, unfed: Unfed, opening: str) -> Iterator[str]:
-    if unfed.givers:
+    if unfed.providers:
         yield f"{opening} {unfed.tag}, but what would give it can't run"
         if unfed.undecided:
             yield f"    not decided yet whether {some(unfed.undecided)} matches"
@@ -314,5 +314,5 @@ def _demand(environment: Environment, unfed: Unfed, opening: str) -> Iterator[st
     for offer in unfed.nearest:
         if len(offer.missing) > fewest:
             continue
-        givers = some(name for name, tag in environment.outputs.items() if tag == offer.offered)
-        yield f"    nearest: {givers} gives {offer.offered}: {offer.verdict}"
+        providers = some(name for name, tag in environment.outputs.items() if tag == offer.offered)
+        yield f"    nearest: {providers} gives {offer.offered}: {offer.verdict}"

@@ -1,4 +1,4 @@
-"""The first plan of a run: made as its first review makes it, shown, and confirmed where units would be stopped."""
+"""The first plan of a run: made as the first review makes it, shown, and confirmed by the user if it stops units."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ class FirstPlan:
     @property
     def found(self) -> BestEffort | None:
         """The planner's answer; None if there is none that may be carried out."""
-        thought = self.preview.thought
-        found = thought.found
-        return None if found is None or (thought.change_set is None and found.plan.change_set is not None) else found
+        findings = self.preview.findings
+        found = findings.found
+        return None if found is None or (findings.change_set is None and found.plan.change_set is not None) else found
 
     @property
     def stopped(self) -> tuple[str, ...]:
         """The ids of the units of an earlier run that would be stopped."""
-        changes = self.preview.thought.change_set
+        changes = self.preview.findings.change_set
         return tuple(sorted({*self.ended, *(() if changes is None else changes.stopped)}))
 
     def document(self) -> str:
@@ -135,10 +135,10 @@ def first_review(
             warn(str(error))
     policy = replace(settings.policy, hosts_s=None, refuses_hosts=False)  # no host is asked whether it is there
     deliberation = Deliberation(settings.planner, GuardedEstimator(estimator), policy, matches)
-    scene = first_state(world, policy).scene
-    situation = scene.situation.with_started(running.units, running, time.monotonic())
+    plan_input = first_state(world, policy).plan_input
+    situation = plan_input.situation.with_started(running.units, running, time.monotonic())
     faults = faults_of(world.environment.library, folder, settings.check)
     for label, fault in faults.items():
         warn_of_code(left_out_text(label, fault))
-    scene = replace(scene, running=running, situation=replace(situation, code_faults=faults))
-    return preview_of(deliberation, scene, threading.Event())
+    plan_input = replace(plan_input, running=running, situation=replace(situation, code_faults=faults))
+    return preview_of(deliberation, plan_input, threading.Event())

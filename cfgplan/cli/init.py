@@ -1,4 +1,4 @@
-"""`cfgplan init`: a small environment of one's own, with its ontology and unit code."""
+"""`cfgplan init`: write a small environment to begin with, with its ontology and unit code."""
 
 from __future__ import annotations
 

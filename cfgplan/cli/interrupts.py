@@ -1,5 +1,6 @@
-"""Ctrl-C, SIGTERM and a closed terminal: the first ends the command cleanly, the second stops units at once, the
-third kills the process.
+"""Signals that end a command: the first one ends it cleanly, the second stops units at once, the third kills it.
+
+They are Ctrl-C, SIGTERM, and the SIGHUP of a closed terminal.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ class Ending:
         self._is_over = False
 
     def over(self) -> None:
-        """Nothing is left to clean up: from now on a signal ends the process at once."""
+        """Note that nothing is left to clean up: from now on a signal ends the process at once."""
         self._is_over = True
 
     def hear(self, number: int, _frame: FrameType | None) -> None:
@@ -43,7 +44,7 @@ class Ending:
 
 @contextmanager
 def ended_cleanly(*, for_good: bool = False) -> Iterator[Ending]:
-    """SIGTERM and a closed terminal end a command by an exception, so that its folders and processes are removed.
+    """Make SIGTERM and a closed terminal end a command by an exception, so that its folders and processes are removed.
 
     `for_good`: the process ends with the command, and the handlers stay. Otherwise the former handlers are restored.
     """
@@ -79,14 +80,14 @@ def end_below_threads(code: int) -> None:
 
 
 class Interrupts:
-    """Counts such signals while it is entered; until `only_count`, the first raises KeyboardInterrupt."""
+    """Counts signals that end a command while it is entered; until `only_count`, the first raises KeyboardInterrupt."""
 
     def __init__(self) -> None:
         self.count = 0
         self._raises = True
 
     def only_count(self) -> None:
-        """From now on signals are only counted: the caller looks at `count`."""
+        """Only count signals from now on: the caller looks at `count`."""
         self._raises = False
 
     def __enter__(self) -> Interrupts:

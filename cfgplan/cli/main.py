@@ -1,4 +1,4 @@
-"""The entry point: one parser for all verbs, and every error turned into a message and an exit code."""
+"""The entry point: one parser for all commands, and every error turned into a message and an exit code."""
 
 from __future__ import annotations
 
@@ -48,7 +48,9 @@ VERBS: Mapping[str, str] = MappingProxyType(
         "help": "show a page of the manual, or search all pages for words",
     }
 )
-"""The verbs and their help. A verb's module, or its function of `_OTHER_HOMES`, is imported only when it is called."""
+"""The commands and their help. A command's module, or its function of `_OTHER_HOMES`, is imported only when it is
+called.
+"""
 _OTHER_HOMES = {
     "certificates": "agent:add_certificates",
     "import": "exchange:add_import",
@@ -64,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with ended_cleanly(for_good=arguments is None) as ending:
             _stand_in_for_closed_streams()
             if arguments is None:
-                sys.stderr = cast("TextIO", Chatter(sys.stderr))
+                sys.stderr = cast("TextIO", LossyStream(sys.stderr))
             code = _main(sys.argv[1:] if arguments is None else arguments, ending)
     except KeyboardInterrupt:  # before or after all there is to do
         pass
@@ -168,7 +170,7 @@ def _say_no_more() -> None:
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser that raises its errors as InputError. A verb's parser refuses unknown arguments itself, so that its
+    """A parser that raises its errors as InputError. A command's parser refuses unknown arguments itself, so that its
     own help is named.
     """
 
@@ -218,7 +220,7 @@ class _Version(argparse.Action):
 
 
 def parser_of(arguments: Sequence[str]) -> Parser:
-    """The parser of a command line: only the verb that it names knows its options. Raises InputError."""
+    """The parser of a command line: only the command that it names knows its options. Raises InputError."""
     asked = next((each for each in arguments if not each.startswith("-")), None)
     if asked is not None:
         known(asked, VERBS, "verb", "cfgplan --help lists the verbs")
@@ -226,7 +228,7 @@ def parser_of(arguments: Sequence[str]) -> Parser:
 
 
 def parser_with(filled: Collection[str | None]) -> Parser:
-    """Return a parser of all verbs; only those in `filled` have their options, which takes importing their modules."""
+    """Return a parser of all commands; only those in `filled` have their options, since these need their modules."""
     parser = Parser(
         prog="cfgplan",
         description="Wire stream-processing components by meaning: the cheapest update of a running system, "
@@ -248,7 +250,7 @@ def parser_with(filled: Collection[str | None]) -> Parser:
     return parser
 
 
-class Chatter:
+class LossyStream:
     """A stream that becomes /dev/null once a write fails: its reader has gone, or its disk is full."""
 
     def __init__(self, stream: TextIO) -> None:
@@ -279,7 +281,7 @@ _WRITTEN = ("out", "plot", "log", "record")
 
 
 def refuse_overwriting(options: argparse.Namespace) -> None:
-    """Raises InputError if a file to write is one of those to read."""
+    """Raise InputError if a file to write is one of those to read."""
     read = list(_files(options, _READ))
     for written in _files(options, _WRITTEN):
         if any(_is_same(written, each) for each in read):

@@ -1,4 +1,4 @@
-"""The search of the manual: its sections, and which of them tell most about some words."""
+"""The search of the manual: its sections, ranked by how well they match some words."""
 
 from __future__ import annotations
 

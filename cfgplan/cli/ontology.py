@@ -1,4 +1,4 @@
-"""`cfgplan ontology`: an ontology of one's own, from the names in use."""
+"""`cfgplan ontology`: write a first ontology, from the names that an environment's tags use."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Options that several verbs share, and the loading they steer."""
+"""Options that several commands share, and the loading of environments by these options."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def add_environment(parser: argparse.ArgumentParser) -> None:
 
 
 def add_page(parser: argparse.ArgumentParser, about: str) -> None:
-    """`--page`: serve a page while the verb works; None if it is not asked for."""
+    """`--page`: serve a page while the command works; None if it is not asked for."""
     means = f"serve a page about {about} on 127.0.0.1:N (0: any that is free)"
     parser.add_argument("--page", type=port, nargs="?", const=0, metavar="N", help=means)
 
@@ -50,7 +50,7 @@ def add_allow_code(parser: argparse.ArgumentParser) -> None:
 
 
 def needed_for_pages() -> None:
-    """Raises InputError if what pages need is not installed."""
+    """Raise InputError if what pages need is not installed."""
     needed("pages", "starlette", "uvicorn")
 
 
@@ -59,7 +59,7 @@ def add_json(parser: argparse.ArgumentParser) -> None:
 
 
 def add_matching(parser: argparse.ArgumentParser) -> None:
-    """Options of every verb that matches tags."""
+    """Options of every command that matches tags."""
     from cfgplan.api import REASONER_NAMES
 
     parser.add_argument(
@@ -76,7 +76,7 @@ def add_matching(parser: argparse.ArgumentParser) -> None:
 
 
 def add_planning(parser: argparse.ArgumentParser, what_if: str | None = None) -> None:
-    """Options of every verb that plans. `what_if` describes the group `--without`, `--with`, `--set` where it is
+    """Options of every command that plans. `what_if` describes the group `--without`, `--with`, `--set` where it is
     restricted.
     """
     from cfgplan.api import PLANNER_NAMES
@@ -132,7 +132,7 @@ def add_time(parser: argparse.ArgumentParser, name: str, default_s: float, means
 
 
 def add_span(parser: argparse._ActionsContainer, means: str = "stop after 30s, 5m, 1h") -> None:
-    """Add `--for`: how long a verb runs; None for no limit."""
+    """Add `--for`: how long a command runs; None for no limit."""
     parser.add_argument("--for", dest="span", type=duration, metavar="TIME", help=means)
 
 
@@ -193,7 +193,7 @@ def problem(options: argparse.Namespace, screen: Screen, world: api.World, known
 
 @dataclass(frozen=True)
 class Task:
-    """The task of a verb that plans: its world, problem, planner and reasoner."""
+    """The task of a command that plans: its world, problem, planner and reasoner."""
 
     world: api.World
     problem: Problem
@@ -309,9 +309,9 @@ def _decimal(text: str, *, is_count: bool = False) -> Decimal:
     try:
         value = Decimal(text)
     except InvalidOperation:
-        from cfgplan.costs import meant_s
+        from cfgplan.costs import guessed_s
 
-        meant = None if is_count else meant_s(text)
+        meant = None if is_count else guessed_s(text)
         such = "such as 10" if meant is None else f"{meant.normalize():f}"
         raise argparse.ArgumentTypeError(f"{text!r} is not a number: write a plain one, {such}") from None
     if not value.is_finite():

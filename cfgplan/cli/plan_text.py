@@ -73,7 +73,7 @@ def _changes(before: Environment, changes: ChangeSet) -> Iterator[Text]:
     started = {unit.id for unit in changes.started}
     rewired = {unit.id for unit in changes.rewired}
     width = max((len(unit.id) for unit in (*before.units, *after.units)), default=0)
-    units = with_the_stream(after)
+    units = in_stream_order(after)
     for unit in units:
         if unit.id in started:
             yield _headline("+", unit, width, before)
@@ -90,8 +90,8 @@ def _changes(before: Environment, changes: ChangeSet) -> Iterator[Text]:
     yield Text()
 
 
-def with_the_stream(environment: Environment) -> list[ComputationUnit]:
-    """Return the units from sources to targets, each after its feeders, except by feedback."""
+def in_stream_order(environment: Environment) -> list[ComputationUnit]:
+    """Return the units in the order of their streams: each after its feeders, except those of feedback inputs."""
     done: dict[str, ComputationUnit] = {}
     missing = {unit.id: {s.stream.unit for s in unit.subscriptions} for unit in environment.units}
     readers: dict[str, list[str]] = defaultdict(list)

@@ -144,7 +144,7 @@ def _read(options: argparse.Namespace, screen: Screen, known: DeclaredFeatures) 
 
 
 def _check_tags(asked: Query, world: World) -> None:
-    """Raises InputError for a tag that does not parse, or that the ontology has no words for."""
+    """Raise InputError for a tag that does not parse, or that the ontology has no words for."""
     from cfgplan.matching import TagError, check_tag
 
     faults = []

@@ -167,11 +167,11 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     world = replace(loaded, environment=replace(loaded.environment, units=()))
     settings = _settings(options, screen)
     planned = _first_plan(options, world, settings, screen)
-    thought, found = planned.preview.thought, planned.found
+    findings, found = planned.preview.findings, planned.found
     code = None if found is None else exit_of(found.plan.status, is_exact=found.exact, is_unmet=bool(found.unmet))
     if options.dry_run or (options.strict and code is not Exit.OK):
         if found is None or code is None:
-            raise thought.error or RuntimeError(thought.cause)
+            raise findings.error or RuntimeError(findings.cause)
         screen.write(planned.document()) if screen.json else planned.show(screen, _differing(said))
         return code
     if found is not None:
@@ -200,9 +200,9 @@ def _first_plan(options: argparse.Namespace, world: World, settings: Settings, s
         running = Environment() if left is None else left.running
         of_code = {"warn_of_code": screen.warn} if options.dry_run else {}  # a run reports it by itself
         preview = first_review(adjusted, settings, matches, _folder(options), running, screen.warn, **of_code)
-    found = preview.thought.found
+    found = preview.findings.found
     reasons = () if found is None else found.plan.reasons.values()
-    for warning in preview.thought.warnings:
+    for warning in preview.findings.warnings:
         if (options.dry_run or options.strict) and warning not in (*known, *reasons):
             screen.warn(warning)
     return FirstPlan(adjusted, preview, () if left is None else left.ended)
@@ -237,7 +237,7 @@ def _check_places(options: argparse.Namespace) -> None:
 
 
 def _check_can_start(options: argparse.Namespace, world: World) -> None:
-    """Raises InputError where no transformation of the library could be started."""
+    """Raise InputError where no transformation of the library could be started."""
     library = world.environment.library
     if not (world.environment.targets and library):
         return
@@ -316,7 +316,7 @@ def _check_ros2(options: argparse.Namespace, world: World) -> None:
 
 
 def _tell_faults(checks: list[Callable[[], object]], file: str) -> None:
-    """Raises InputError with all the faults that checks raise, those without a file in this one."""
+    """Raise InputError with all the faults that checks raise, those without a file in this one."""
     faults = list[Fault]()
     for check in checks:
         try:
@@ -380,13 +380,13 @@ def difference_text(said: Environment, running: Environment) -> str:
     """Return the differences of the running units from the file's, ignoring ids."""
     from cfgplan.cli.plan_text import changes_text
 
-    changes = said.change_to(named_alike(said, running))
+    changes = said.change_to(with_declared_ids(said, running))
     if not changes:
         return "What runs is what `units:` says."
     return f"From `units:` to what runs:\n{changes_text(said, changes).plain.rstrip()}"
 
 
-def named_alike(said: Environment, running: Environment) -> tuple[ComputationUnit, ...]:
+def with_declared_ids(said: Environment, running: Environment) -> tuple[ComputationUnit, ...]:
     """Return the running units, each with the id of a declared unit of its transformation and host, if one is left."""
     left = dict(said.unit)
     names: dict[str, str] = {}

@@ -30,10 +30,10 @@ class RunOutput(ABC):
 
     @abstractmethod
     def update(self, wait_s: float) -> None:
-        """Show the news; wait at most `wait_s` for the first."""
+        """Show the waiting events and reports; wait at most `wait_s` seconds for the first."""
 
     def note(self, text: str) -> None:
-        """Say something about the work."""
+        """Show a message about the work."""
         self._screen.note(text)
 
     @abstractmethod
@@ -122,7 +122,7 @@ class JsonLines(RunOutput):
 
 
 def fetched(operation: Operation, wait_s: float) -> Iterator[News]:
-    """The waiting news, at most one queue full; waits at most `wait_s` for the first."""
+    """Yield the waiting events and reports, at most one full queue; wait at most `wait_s` seconds for the first."""
     try:
         yield operation.news.get(timeout=wait_s) if wait_s > 0 else operation.news.get_nowait()
         for _ in range(operation.news.maxsize):
@@ -132,7 +132,7 @@ def fetched(operation: Operation, wait_s: float) -> Iterator[News]:
 
 
 def show_ledger(operation: Operation, screen: Screen) -> None:
-    """The steps and costs of each unit."""
+    """Print the steps and costs of each unit."""
     from rich.table import Table
 
     entries = operation.ledger.entries()
@@ -148,7 +148,7 @@ def show_ledger(operation: Operation, screen: Screen) -> None:
 
 
 def show_files(operation: Operation, screen: Screen) -> None:
-    """The files of the log and the recording, with their losses."""
+    """Print the names of the log and the recording, and how much each of them has lost."""
     log, recorder = operation.log, operation.recorder
     if log is not None:
         screen.note(f"Wrote {log.path}: {counted(log.written, 'line')}.")

@@ -20,7 +20,7 @@ from rich.table import Table
 from rich.text import Text
 
 from cfgplan.amounts import clock_time, core_share, rate, span
-from cfgplan.cli.plan_text import with_the_stream
+from cfgplan.cli.plan_text import in_stream_order
 from cfgplan.cli.run_output import RunOutput, fetched, show_files, show_ledger
 from cfgplan.cli.screen import Screen, counted, printable
 
@@ -387,7 +387,7 @@ class LiveView(RunOutput):
             environment=operation.environment,
             elapsed_s=time.monotonic() - self._since_s,
             state=snapshot_record(
-                replace(snapshot, units=_with_the_stream(snapshot)),
+                replace(snapshot, units=_in_stream_order(snapshot)),
                 operation.rates.of_topics(operation.flows, snapshot.targets),
             ),
             lines=tuple(self._lines),
@@ -400,7 +400,7 @@ class LiveView(RunOutput):
         self._draw_at_s = now_s + max(_REFRESH_S, (now_s - began_s) / _LARGEST_SHARE)
 
 
-def _with_the_stream(snapshot: Snapshot) -> tuple[UnitView, ...]:
+def _in_stream_order(snapshot: Snapshot) -> tuple[UnitView, ...]:
     """The units from sources to targets."""
     views = {view.unit.id: view for view in snapshot.units}
-    return tuple(views[unit.id] for unit in with_the_stream(snapshot.environment) if unit.id in views)
+    return tuple(views[unit.id] for unit in in_stream_order(snapshot.environment) if unit.id in views)

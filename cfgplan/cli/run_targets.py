@@ -37,7 +37,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 
 
 def check_options(options: argparse.Namespace) -> None:
-    """Raises InputError if options do not go together, or if a package is missing."""
+    """Raise InputError if options do not go together, or if a package is missing."""
     if options.ros2:
         from cfgplan_runtime.ros2.topics import check_installed
 

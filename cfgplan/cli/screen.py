@@ -97,7 +97,7 @@ class Screen:
 
     @contextmanager
     def phase(self, name: str) -> Iterator[ShownWork]:
-        """Time a part of the work for `times`; it is shown while it lasts, as far as it is known."""
+        """Time a part of the work for `times`, and show it with its progress while it lasts."""
         work, over = ShownWork(name), Event()
         shown = Thread(target=self._show_work, args=(work, over), name="cfgplan-work", daemon=True)
         shown.start()

@@ -1,4 +1,4 @@
-"""Text with styles, as plain characters until a terminal shows it: files and programs need no rich, nor its import."""
+"""Text with styles, independent of rich, which is imported only if a terminal shows the text."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _DROPPED = dict.fromkeys((7, 8, 11, 12, 13))
 
 
 class Text:
-    """Pieces of text, each with a style of rich on top of the whole text's."""
+    """A text in parts, each with a style of rich that is added to the style of the whole text."""
 
     def __init__(self, text: str = "", style: str = "") -> None:
         self._pieces: list[tuple[str | Text, str]] = [(text, "")] if text else []

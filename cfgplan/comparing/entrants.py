@@ -1,4 +1,4 @@
-"""Who takes part in a comparison: registered planners, and any planner that can be imported."""
+"""The planners of a comparison: registered ones by name, and any others that can be imported."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Each planner on each problem in a process of its own, and contradictions between their answers."""
+"""Run each planner on each problem in a process of its own, and find contradictions between their answers."""
 
 from __future__ import annotations
 

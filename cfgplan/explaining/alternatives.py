@@ -15,7 +15,7 @@ from cfgplan.explaining.kept import Kept, Labels
 from cfgplan.explaining.what_if import requiring, without_transformations
 from cfgplan.onward import reached
 from cfgplan.planning import REFUSED, Feature, Plan, Planner, Problem, Rank, Status, refuse_order
-from cfgplan.reasons import Givers, startable
+from cfgplan.reasons import Providers, startable
 from cfgplan.summary import Summary, counted, cpu, summarised, summary
 from cfgplan.validity import unused_required
 
@@ -222,7 +222,7 @@ class _Ranking:
         A unit that runs anyway but is `exempt` does not count as a target.
         """
         restricted = _restricted(self._keeping.with_own_targets(exempt), without, required)
-        return self._keeping.really(self._planner(restricted, time_limit_s=limit_s), restricted)
+        return self._keeping.without_artificial_targets(self._planner(restricted, time_limit_s=limit_s), restricted)
 
     def _unused(self, plan: Plan) -> tuple[str, ...]:
         return unused_required(self._problem.after(plan))
@@ -238,14 +238,14 @@ class _Ranking:
     def _relevant(self) -> Labels:
         """The transformations that a target or a pinned unit may need, directly or through others."""
         environment = self._problem.environment
-        givers = Givers(environment.library, self._problem.similarity.optimistic)
-        possible = startable(environment, givers)
+        providers = Providers(environment.library, self._problem.similarity.optimistic)
+        possible = startable(environment, providers)
 
         def feeding(label: str) -> Iterator[str]:
             for port in environment.transformation[label].inputs:
-                yield from possible.intersection(givers.of(port.tag))
+                yield from possible.intersection(providers.of(port.tag))
 
-        wanted = (possible.intersection(givers.of(target.tag)) for target in environment.targets)
+        wanted = (possible.intersection(providers.of(target.tag)) for target in environment.targets)
         return frozenset(reached(self._kept.union(*wanted), feeding)) - self._kept
 
 

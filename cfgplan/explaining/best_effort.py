@@ -70,7 +70,7 @@ def best_effort(
         search.end_s = time.monotonic() + time_limit_s
     search.run()
     if search.is_over:
-        search.look_at_what_runs()
+        search.consider_running_units()
     plan, given_up = search.best_plan(), impossible | search.why_given_up()
     reasons = given_up if plan.change_set is None else with_pinned_reasons(given_up, problem)
     met = only_targets(problem, {target.label for target in search.best})
@@ -117,7 +117,7 @@ class _Search:
         """Whether the time is over."""
         return self._left_s() == 0.0
 
-    def look_at_what_runs(self) -> None:
+    def consider_running_units(self) -> None:
         """After the time limit: take the targets, the most important first, that the planner can still meet together
         without search.
         """

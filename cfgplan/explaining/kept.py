@@ -8,7 +8,7 @@ from functools import cached_property
 
 from cfgplan.domain import ComputationUnit, OutputPort, Publication, Similarity, Target, Transformation
 from cfgplan.planning import Plan, Problem
-from cfgplan.reasons import Givers, startable
+from cfgplan.reasons import Providers, startable
 
 Labels = frozenset[str]
 
@@ -54,8 +54,10 @@ class Kept:
             ),
         )
 
-    def really(self, plan: Plan, planned: Problem) -> Plan:
-        """Take the artificial targets out of a plan that was made with them. Returns a plan of the problem itself."""
+    def without_artificial_targets(self, plan: Plan, planned: Problem) -> Plan:
+        """Remove the artificial targets from a plan that was made with them: the result is a plan of the problem
+        itself.
+        """
         if plan.change_set is None:
             return plan
         units = [_without(unit) for unit in planned.after(plan).units]
@@ -65,7 +67,7 @@ class Kept:
     def _stays(self) -> list[tuple[str, str]]:
         """Each unit that always runs: its transformation, and its id if it runs already, else a number."""
         environment = self.problem.environment
-        possible = startable(environment, Givers(environment.library, self.problem.similarity))
+        possible = startable(environment, Providers(environment.library, self.problem.similarity))
         found: list[tuple[str, str]] = []
         for transformation in environment.library:
             label, hosts = transformation.label, environment.hosts_for(transformation)

@@ -16,9 +16,9 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, order=True)
 class Limit:
-    """A word of the environment file that can only forbid plans: a `key` of a part, by its kind and name.
+    """A field of the environment file that can only rule out plans: the `key` of a part, given by its kind and name.
 
-    The environment itself has no name.
+    The name is empty for the environment itself.
     """
 
     kind: str

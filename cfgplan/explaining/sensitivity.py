@@ -85,7 +85,7 @@ class Sensitivity:
 
     @property
     def here(self) -> Span | None:
-        """Where the problem's own value lies."""
+        """The span with the problem's own value; None if no span has it."""
         return next((span for span in self.spans if span.holds(self.value)), None)
 
 

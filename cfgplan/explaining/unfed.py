@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from cfgplan.domain import A_UNIT_OF, Environment, InputPort, Transformation
 from cfgplan.matching import Nearest
 from cfgplan.planning import Problem
-from cfgplan.reasons import Givers, assign_different, distinct_groups, forward_closure, startable
+from cfgplan.reasons import Providers, assign_different, distinct_groups, forward_closure, startable
 
 NearestOffers = Callable[[str], tuple[Nearest, ...]]
 """The offered tags that come nearest to a demanded one."""
@@ -19,14 +19,14 @@ NearestOffers = Callable[[str], tuple[Nearest, ...]]
 class Unfed:
     """A demand for `tag` that can't be fed: the input `port` of a transformation, or a target if `port` is None.
 
-    The `givers` are the transformations that would match. All are blocked, except where there are too few of them for a
-    distinct group. `undecided` are the givers whose match is not decided yet. If `givers` is empty, `nearest` are the
-    offered tags most similar to `tag`.
+    The `providers` are the transformations that would match. All are blocked, except where there are too few of them
+    for a distinct group. `undecided` are the providers whose match is not decided yet. If `providers` is empty,
+    `nearest` are the offered tags most similar to `tag`.
     """
 
     tag: str
     port: str | None = None
-    givers: tuple[str, ...] = ()
+    providers: tuple[str, ...] = ()
     nearest: tuple[Nearest, ...] = ()
     undecided: tuple[str, ...] = ()
 
@@ -47,7 +47,7 @@ class Blocked:
 class Unreachable:
     """A minimal reason why no unit can meet `target`: a tree, or a graph if transformations only support each other.
 
-    Its root is `wanted`; `blocked` holds each transformation once, depth first from the root; the givers of an input
+    Its root is `wanted`; `blocked` holds each transformation once, depth first from the root; the providers of an input
     lead on. The named inputs alone rule out every plan for the target, even if all other inputs of all transformations
     are removed. If any one of the named inputs is removed as well, a plan exists.
     """
@@ -67,12 +67,12 @@ class Unreachable:
 def unreachable(problem: Problem, nearest: NearestOffers | None = None) -> tuple[Unreachable, ...]:
     """A minimal reason for each target that no wiring can reach, whatever it costs."""
     environment = problem.environment
-    givers = Givers(environment.library, problem.similarity.optimistic)
-    dead = DeadEnds(environment, givers, Givers(environment.library, problem.similarity), nearest)
+    providers = Providers(environment.library, problem.similarity.optimistic)
+    dead = DeadEnds(environment, providers, Providers(environment.library, problem.similarity), nearest)
     return tuple(
         dead.reason(target.label, target.tag)
         for target in environment.targets
-        if dead.possible.isdisjoint(givers.of(target.tag))
+        if dead.possible.isdisjoint(providers.of(target.tag))
     )
 
 
@@ -84,11 +84,11 @@ class DeadEnds:
     """
 
     def __init__(
-        self, environment: Environment, givers: Givers, decided: Givers, nearest: NearestOffers | None
+        self, environment: Environment, providers: Providers, decided: Providers, nearest: NearestOffers | None
     ) -> None:
-        self.possible = startable(environment, givers)
+        self.possible = startable(environment, providers)
         self._environment = environment
-        self._givers = givers
+        self._givers = providers
         self._decided = decided
         self._nearest = nearest
         self._cause: dict[str, tuple[InputPort, ...]] = {}
@@ -112,8 +112,8 @@ class DeadEnds:
         users: dict[str, set[str]] = defaultdict(set)
         for transformation in waiting.values():
             for port in transformation.needed_inputs:
-                for giver in self._givers.of(port.tag):
-                    users[giver].add(transformation.label)
+                for provider in self._givers.of(port.tag):
+                    users[provider].add(transformation.label)
         ahead = set(waiting)
         while ahead:
             ends = {}
@@ -166,7 +166,9 @@ class DeadEnds:
             label = ahead.pop()
             if label in cause and label not in blocked:
                 blocked[label] = cause[label]
-                ahead += [giver for port in reversed(cause[label]) for giver in reversed(self._givers.of(port.tag))]
+                ahead += [
+                    provider for port in reversed(cause[label]) for provider in reversed(self._givers.of(port.tag))
+                ]
         return blocked
 
     def _minimal(self, tag: str, kept: Mapping[str, tuple[InputPort, ...]]) -> dict[str, tuple[InputPort, ...]]:
@@ -188,12 +190,12 @@ class DeadEnds:
 
     def _told(self, label: str, ports: tuple[InputPort, ...], kept: Collection[str]) -> Blocked:
         inputs = tuple(self._unfed(port.tag, port.name) for port in ports)
-        available = {giver for unfed in inputs for giver in unfed.givers if giver not in kept}
+        available = {provider for unfed in inputs for provider in unfed.providers if provider not in kept}
         return Blocked(label, inputs, tuple(sorted(available)))
 
     def _unfed(self, tag: str, port: str | None) -> Unfed:
-        givers = self._givers.of(tag)
+        providers = self._givers.of(tag)
         is_tag = not tag.startswith(A_UNIT_OF)
-        nearest = self._nearest(tag) if is_tag and not givers and self._nearest is not None else ()
-        undecided = (giver for giver in givers if giver not in self._decided.of(tag))
-        return Unfed(tag, port, givers, nearest, tuple(undecided))
+        nearest = self._nearest(tag) if is_tag and not providers and self._nearest is not None else ()
+        undecided = (provider for provider in providers if provider not in self._decided.of(tag))
+        return Unfed(tag, port, providers, nearest, tuple(undecided))

@@ -37,7 +37,7 @@ class Choice(StrEnum):
 
 
 def _why_summary(why: Why) -> Summary:
-    dearer = "" if why.difference_us is None else f"; the next best plan costs {cpu(why.difference_us)} more"
+    difference = "" if why.difference_us is None else f"; the next best plan costs {cpu(why.difference_us)} more"
     rows = [
         ("units", ", ".join(why.units)),
         ("serve", ", ".join(why.targets)),
@@ -45,7 +45,7 @@ def _why_summary(why: Why) -> Summary:
         ("else would run", ", ".join(why.more)),
         ("else would not", ", ".join(why.less)),
     ]
-    return summary(f"{why.subject} is {why.choice}{dearer}", ("", "which"), [row for row in rows if row[1]])
+    return summary(f"{why.subject} is {why.choice}{difference}", ("", "which"), [row for row in rows if row[1]])
 
 
 @summarised(_why_summary)
@@ -77,7 +77,8 @@ class Why:
 def why_unit(problem: Problem, planner: Planner, plan: Plan, unit: str) -> Why:
     """Why a plan with a change set runs, or stops, the unit with this id.
 
-    To do without a running unit is to plan as if it had died; without a new one, as if its transformation were gone.
+    The alternative to a running unit is planned as if it had died, that to a new one as if its transformation did not
+    exist.
     """
     environment = problem.environment
     after = problem.after(plan)
@@ -100,7 +101,7 @@ def why_transformation(problem: Problem, planner: Planner, plan: Plan, label: st
 def why_stream(problem: Problem, planner: Planner, plan: Plan, label: str, port: str) -> Why:
     """The reason why an output port of a transformation is used, or not.
 
-    To do without is to plan as if the transformation had no such output.
+    The alternative is planned as if the transformation had no such output.
     """
     environment = problem.environment
     after = problem.after(plan)
@@ -165,7 +166,7 @@ def _feeding_what_stays(problem: Problem, planner: Planner, label: str) -> Plan 
     found = planner(wanted)
     if found.change_set is None or label in found.unused_required:
         return None
-    plan = kept.really(found, wanted)
+    plan = kept.without_artificial_targets(found, wanted)
     unused = unused_required(problem.after(plan))
     return replace(plan, unused_required=tuple(each for each in unused if each != label))
 

@@ -28,7 +28,7 @@ def why_lines(why: Why) -> Iterator[str]:
 
 
 def forced_by(why: Why) -> str:
-    """Return what can't be met without it."""
+    """Return, in words, the demands that can't be met without the subject."""
     if why.otherwise.reasons:
         return f"without it, {'; '.join(why.otherwise.reasons.values())}"
     demands = f"{named_labels('target', why.targets)} with the others" if why.targets else "all that has to run"
@@ -36,7 +36,7 @@ def forced_by(why: Why) -> str:
 
 
 def instead(why: Why) -> str:
-    """The change of the next best plan in its place."""
+    """Return, in words, what the next best plan runs instead of the subject."""
     less = f"without {some(why.less)}" if why.less else ""
     if why.more:
         return f"{some(why.more)} would run instead{', ' if less else ''}{less}"
@@ -44,7 +44,7 @@ def instead(why: Why) -> str:
 
 
 def choice_line(why: Why) -> str:
-    """Forced, cheaper or a tie, as a sentence."""
+    """Return a sentence on the planner's choice: it was forced, cheaper, or a tie."""
     how = "without it" if why.units else "that uses it"
     more = why.difference or 0
     match why.choice:

@@ -1,7 +1,6 @@
-"""The plain part of YAML in which programs write: a line for each key, without flows, anchors and blocks of text.
+"""A fast reader of the YAML that programs write: a line for each key; no flow style, anchors or block scalars.
 
-A third of the time of libyaml, whose events have two places each, is enough for it. A text that has anything else in
-it, a fault for example, is left to `yaml_text`.
+It needs a third of libyaml's time. Any other text, also a faulty one, is left to `yaml_text`.
 """
 
 from __future__ import annotations

@@ -108,7 +108,7 @@ class Document:
 def read_document(path: str | os.PathLike[str], also: Sequence[str | os.PathLike[str]] = ()) -> Document:
     """Read an environment file (YAML, JSON or XML) and its includes, or a folder of the paper's XML.
 
-    Files named `also` (relative to the working folder) count as included.
+    The files `also` (relative to the working folder) are read as its includes, too.
     Faults are collected in the document, for `build` to report together with those it finds;
     InputError is raised only where there is nothing to go on with: a file that can't be read or parsed.
     """

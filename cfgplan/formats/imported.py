@@ -1,4 +1,4 @@
-"""Environment files that imports write: what was found, with remarks above, for a person to go on with."""
+"""The environment file that an import writes: a draft for a person to complete, with remarks at its top."""
 
 from __future__ import annotations
 

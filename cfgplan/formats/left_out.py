@@ -1,4 +1,4 @@
-"""Parts left out for faults of their own, so that references to them are not reported as dangling."""
+"""The names of parts that were left out because of faults: references to them are not reported as dangling."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ MOST_CYCLES_SHOWN = 10
 
 
 class UnitChecker:
-    """Makes units from `parts`, each with its place, by id, and notes faults at their places.
+    """Makes units from `parts` (by id: each unit as written, with its place) and notes faults at their places.
 
     A reference is no fault if it may name a part that was left out for its own faults.
     """
@@ -126,19 +126,19 @@ class UnitChecker:
             try:
                 TopologicalSorter(feeders).prepare()
             except CycleError as error:
-                # graphlib's ring runs from a feeder to the unit that it feeds, beginning anywhere.
-                ring = error.args[1][1:]
-                start = ring.index(min(ring))
-                ring = [*ring[start:], *ring[: start + 1]]
-                feeder, fed = ring[-2:]
-                self._note_cycle(ring, fed, feeders[fed].pop(feeder))
+                # graphlib's cycle runs from a feeder to the unit that it feeds, beginning anywhere.
+                cycle = error.args[1][1:]
+                start = cycle.index(min(cycle))
+                cycle = [*cycle[start:], *cycle[: start + 1]]
+                feeder, fed = cycle[-2:]
+                self._note_cycle(cycle, fed, feeders[fed].pop(feeder))
             else:
                 return
 
-    def _note_cycle(self, ring: list[str], fed: str, port: str) -> None:
+    def _note_cycle(self, cycle: list[str], fed: str, port: str) -> None:
         entry, _ = self._parts[fed]
-        message = f"units feed each other in a cycle: {' -> '.join(ring)}"
-        if len(ring) == 2:
+        message = f"units feed each other in a cycle: {' -> '.join(cycle)}"
+        if len(cycle) == 2:
             message = f"unit `{fed}` feeds itself"
         mend = "feed one of them from outside, write null, or declare the input `feedback: true`"
         entry.at("inputs", port).note(message, mend)

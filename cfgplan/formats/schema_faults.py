@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel
 
-from cfgplan.costs import meant_s
+from cfgplan.costs import guessed_s
 from cfgplan.errors import Fault, close_names
 from cfgplan.formats.fields import FORMAT, EnvironmentPart, IncludedPart, Part
 from cfgplan.formats.models import model_of
@@ -265,7 +265,7 @@ def _as_number(path: Path, wanted: str, value: object) -> str:
         if found is not None and (megabytes := Decimal(found[1]) * _UNITS_OF_BYTES[found[2]]) >= 1:
             return f"write megabytes, a plain number: {_plain(megabytes // 1)}"
         return "write megabytes, a plain number, such as 200" + _if_quoted(value)
-    meant = meant_s(value)
+    meant = guessed_s(value)
     if path[-1] == "horizon":
         seconds = 600 if meant is None else ceil(meant)
         return f"write a whole number of seconds, such as {seconds}, or a span such as 10m or 1h" + _if_quoted(value)

@@ -19,8 +19,8 @@ _NO_XML = re.compile("[\0-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
 def dump_xml(data: Mapping[str, Any]) -> str:
     """The XML text of plain data in the environment file's form, such as `plain_environment` gives.
 
-    Raises InvalidValueError for a name or tag with a character that XML can't say, and for what the XML has no
-    words for: hosts, quality, and every other list or mapping that the paper's XML does not have.
+    Raises InvalidValueError for a name or tag with a character that XML can't contain, and for data that the XML can't
+    express: hosts, quality, and every other list or mapping that the paper's XML does not have.
     """
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + "\n".join(_environment(data)) + "\n"
 

@@ -1,4 +1,4 @@
-"""The answer to a question which tags match, by itself: an answer that was kept needs no reasoner, nor its import."""
+"""Answers about which tags match, apart from the reasoners: reading a kept answer imports no reasoner."""
 
 from __future__ import annotations
 
@@ -34,6 +34,6 @@ class Matching:
 
     @property
     def counts(self) -> dict[str, int]:
-        """The figures of a plan that was made by it (`planning.Decider`)."""
+        """Figures for `Plan.counts`, see `planning.Decider`: pairs asked about, and pairs decided by each reasoner."""
         decided = {f"pairs decided by {name}": pairs for name, pairs in self.answered_by.items()}
         return {**decided, "pairs asked": self.asked} if self.asked else decided

@@ -352,11 +352,11 @@ class Countermodels:
 
     @property
     def possible(self) -> Set[Concept]:
-        """The offered concepts that something has in a model."""
+        """The offered concepts that have a member in some model."""
         return {concept for batch in self._batches for concept in batch.things}
 
     def refuted(self, demanded: Concept) -> frozenset[Concept]:
-        """The offered concepts that are not below a demanded one by all that reasoners are told."""
+        """The offered concepts that, by some model of the axioms that reasoners get, are not below a demanded one."""
         return frozenset().union(*(batch.refuted(demanded) for batch in self._batches))
 
     def build(self, offered: Iterable[Concept], demanded: Collection[Concept], time_limit_s: float | None) -> None:

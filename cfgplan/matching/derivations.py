@@ -30,7 +30,7 @@ class Derivation:
 def derivation(offered: Concept, demanded: Concept, ontology: Ontology) -> Derivation | None:
     """Return the derivation of offered ⊑ demanded; None if the fast engine doesn't find one.
 
-    No axiom can be left out: by the others the engine does not find it.
+    Its axioms are minimal: the engine does not find it without any one of them.
     """
     found = _derived(offered, demanded, ontology, ontology.trees)
     if found is None:

@@ -23,7 +23,7 @@ class MatchExplanation:
 
     `undecided` are conjuncts that no reasoner has decided: with nothing `missing` beside them, it may match. If
     `is_impossible`, nothing can have the offered tag, and the steps prove that. `axioms` are those of the steps in
-    functional syntax: it follows from all of them together, and from no fewer.
+    functional syntax: the match follows from all of them together, but not without any one of them.
     """
 
     offered: str

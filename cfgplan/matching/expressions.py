@@ -1,4 +1,4 @@
-"""Class expressions as concepts, and which of them the fast engine has words for on which side of an inclusion."""
+"""Class expressions as concepts, and whether the fast engine supports them on the left or right of an inclusion."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ BUILT_IN_ROLE: Final = "http://www.w3.org/2002/07/owl#"
 
 
 class OutsideError(Exception):
-    """An expression that the fast engine has no words for."""
+    """An expression that the fast engine does not support."""
 
 
 def concept_of(tree: Tree) -> Concept:

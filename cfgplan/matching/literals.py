@@ -1,4 +1,4 @@
-"""Consequences of literals for the individuals that have them, and the part of these that reasoners accept.
+"""Literals in axioms: the facts that follow from them, and the axioms rewritten so that reasoners accept them.
 
 Reasoners know the datatypes of OWL 2 except base64Binary: HermiT holds that it has no literals, and so finds
 contradictions.
@@ -88,7 +88,7 @@ _RESTRICTING: Final = (
 )
 
 
-def told(axioms: Collection[str]) -> tuple[frozenset[str], dict[str, str]]:
+def accepted_by_reasoners(axioms: Collection[str]) -> tuple[frozenset[str], dict[str, str]]:
     """Return the axioms as reasoners accept them, and the axioms lost by that, each with the reason.
 
     Malformed literals and those of unknown datatypes become texts if only ranges of their own datatype restrict them.

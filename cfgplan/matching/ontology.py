@@ -15,7 +15,7 @@ from cfgplan.canonical import normal
 from cfgplan.errors import UnknownNameError, did_you_mean
 from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI, Concept, in_description_logic
 from cfgplan.matching.functional import Signature, Tree, parse
-from cfgplan.matching.literals import told
+from cfgplan.matching.literals import accepted_by_reasoners
 from cfgplan.matching.names import NameTable, expanded, namespace_of, short_name
 from cfgplan.selectors import quoted
 
@@ -128,7 +128,7 @@ class Ontology:
 
     @cached_property
     def _told(self) -> tuple[frozenset[str], Mapping[str, str]]:
-        return told(self.axioms)
+        return accepted_by_reasoners(self.axioms)
 
     @property
     def told(self) -> frozenset[str]:

@@ -112,7 +112,7 @@ class TripleGraph:
         self._index()
 
     def lossless(self) -> str:
-        """The document in N-Triples; statements that any triples would lose are in `axioms`, in functional syntax."""
+        """The document in N-Triples; statements that triples would lose are in `axioms`, in functional syntax."""
         self._drop_what_means_nothing()
         self._name_inverse_properties()
         self._give_names_a_type()

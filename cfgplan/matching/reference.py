@@ -75,7 +75,8 @@ def classify(
     demanded: Collection[Concept],
     time_limit_s: float | None,
 ) -> tuple[frozenset[Concept], dict[Concept, frozenset[Concept]]]:
-    """Ask a reasoner which of `offered` nothing can have, and for each of `demanded` which others are below it.
+    """Ask a reasoner which of `offered` are unsatisfiable, and for each of `demanded` which other concepts are below
+    it.
 
     Raises what the reasoner raises.
     """
@@ -100,7 +101,7 @@ def satisfiable(
     time_limit_s: float | None,
     patience_s: float | None = None,
 ) -> dict[Concept, bool]:
-    """Whether something can have each of `concepts`, asked in this order, as far as it was answered in time.
+    """Ask whether each of `concepts` is satisfiable, in this order; those not answered in time are missing.
 
     Raises what the reasoner raises.
     """

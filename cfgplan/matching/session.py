@@ -202,7 +202,7 @@ class Matcher:
         return self._ask([pair for pair in asked if pair[0] in open_rows.get(pair[1], ())], left_s())
 
     def outside(self) -> Mapping[str, str]:
-        """The axioms that the fast engine has no words for, with the reason."""
+        """The axioms that the fast engine does not support, with the reason."""
         return self._current_engine().outside
 
     def _module(self) -> Module:

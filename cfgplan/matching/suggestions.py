@@ -97,9 +97,10 @@ def _humps(chunk: str) -> Iterator[str]:
 
 @dataclass(frozen=True)
 class PortWords:
-    """The words about a port: texts, by how much their words count.
+    """The words about a port: `texts` by the weight of their words, such as its name.
 
-    `peers` are tags of ports that it is wired to, or that are called as it is: they are proposed first.
+    `meant` are message types and units of measure, which stand for further words. `peers` are the tags of ports that it
+    is wired to, or that have its name: they are proposed first.
     """
 
     texts: Mapping[float, Collection[str]]
@@ -132,7 +133,7 @@ class PortWords:
         return origins
 
     def origins(self, words: Iterable[str]) -> str:
-        """The texts that speak of some words."""
+        """The texts that contain some words or stand for them, joined by commas."""
         known = self._origins
         stems = ((word, next((own for own in known if _is_one_stem(own, word)), "")) for word in words)
         of_words = (known.get(word, known.get(stem)) for word, stem in stems)
@@ -316,9 +317,12 @@ def words_of_ports(environment: Environment, ontology: Ontology) -> dict[str, Po
     for unit in environment.units:
         for wire in unit.subscriptions:
             if wire.stream.unit in kind_of:
-                taker, giver = f"{unit.transformation}/{wire.port}", f"{kind_of[wire.stream.unit]}/{wire.stream.port}"
-                wired.setdefault(taker, set()).add(giver)
-                wired.setdefault(giver, set()).add(taker)
+                consumer, provider = (
+                    f"{unit.transformation}/{wire.port}",
+                    f"{kind_of[wire.stream.unit]}/{wire.stream.port}",
+                )
+                wired.setdefault(consumer, set()).add(provider)
+                wired.setdefault(provider, set()).add(consumer)
         for told in unit.publications:
             topics.setdefault(f"{unit.transformation}/{told.port}", set()).add(told.topic)
     named: dict[str, set[str]] = {}

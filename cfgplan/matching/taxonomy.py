@@ -1,4 +1,4 @@
-"""A first ontology for an environment without one: the names that its tags use, in an order that is read off them."""
+"""A first ontology for an environment without one: a hierarchy of the names in its tags, guessed from their words."""
 
 from __future__ import annotations
 

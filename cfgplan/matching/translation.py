@@ -77,7 +77,7 @@ class Translation:
     replaced_roles: frozenset[str] = frozenset()
 
     def include(self, sub: Concept, sup: Concept, axiom: str) -> None:
-        """Say sub ⊑ sup as far as it is inside the fragment."""
+        """Add the statement sub ⊑ sup, or the part of it inside the fragment."""
         if sup == TOP or sub == BOTTOM:
             return
         if isinstance(sub, Union):
@@ -95,7 +95,7 @@ class Translation:
                     self.inclusions.append(Inclusion(sub, part, axiom))
 
     def add_range(self, role: str, concept: Concept, axiom: str) -> None:
-        """Say what a role points to as far as it is inside the fragment."""
+        """Add a range of a role, or the part of it inside the fragment."""
         for part in self._right_hand_parts(concept, axiom):
             if isinstance(part, Complement):
                 self.outside.setdefault(axiom, "a complement as a range is outside the fast fragment")

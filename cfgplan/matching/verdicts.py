@@ -52,7 +52,7 @@ class Verdicts:
         return self._accepted.get(demanded, frozenset())
 
     def denied(self, demanded: Concept) -> frozenset[Concept]:
-        """The offered concepts that were found not to be below a demanded one by what the reasoner was told."""
+        """The offered concepts that were found not to be below a demanded one, by the axioms that the reasoner got."""
         return self._answered.get(demanded, frozenset()) - self.accepted(demanded)
 
     def check(self, concepts: Collection[Concept], time_limit_s: float | None) -> None:

@@ -35,7 +35,7 @@ class HeardTopic:
 
 @dataclass(frozen=True)
 class Traffic:
-    """The topics of a broker by name, the content of its discovery messages, and the number of Sparkplug topics.
+    """The topics of a broker by name, the content of its discovery messages, and its number of Sparkplug topics.
 
     `span_s` is for how long the broker was listened to; `notes` name messages that were missed.
     """
@@ -54,7 +54,7 @@ class Traffic:
         return not (self.topics or told.entities or told.commands or told.unread or self.sparkplug)
 
 
-class Ear:
+class TrafficCollector:
     """Collects messages one by one for a `Traffic`."""
 
     def __init__(self) -> None:

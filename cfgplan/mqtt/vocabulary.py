@@ -81,8 +81,8 @@ _UNITS: Final = {
 class MqttVocabulary:
     """The concepts of entities and topics; a topic's concept is made when it is first asked for.
 
-    Each level of a topic is below the one before: `house-kitchen-temperature` is a `house-kitchen`. Letters that no
-    name takes are written `_`.
+    Each level of a topic is below the one before: `house-kitchen-temperature` is a `house-kitchen`. Characters that
+    are not allowed in names are written `_`.
     """
 
     def __init__(self, entities: Iterable[Entity]) -> None:

@@ -49,9 +49,10 @@ PLANNERS: Mapping[str, Planner] = MappingProxyType(
 
 
 def planner_of(planner: str | Planner) -> Planner:
-    """A registered planner by its name; one of the user's own as `module:function`, or the function itself.
+    """Return the registered planner of a name, or the user's own planner: `module:function`, or the function itself.
 
-    Raises InputError for a name that leads nowhere. One of the user's own raises OwnPlannerError where it fails.
+    Raises InputError for an unknown name. If a planner of the user's own fails, the returned one raises
+    OwnPlannerError.
     """
     if not isinstance(planner, str):
         return _own(f"{planner.__module__}:{planner.__qualname__}" if hasattr(planner, "__qualname__") else "", planner)

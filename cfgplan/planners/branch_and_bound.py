@@ -27,7 +27,7 @@ from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.domain import ComputationUnit, Publication, Stream, Subscription, Transformation
 from cfgplan.planners.networks.keys import key_of, unused_required
 from cfgplan.planning import OnProgress, Plan, Problem, Progress, Status, fresh_unit_ids, refuse_features
-from cfgplan.reasons import Givers, startable, unmet_reasons
+from cfgplan.reasons import Providers, startable, unmet_reasons
 from cfgplan.validity import plan_violations
 
 
@@ -113,7 +113,7 @@ class SearchTree:
         """The root with the best options that were completed: pinned units that can be fed, then targets."""
         environment, root = self.problem.environment, TreeNode()
         queue: deque[TreeNode] = deque()
-        possible = startable(environment, Givers(environment.library, self.problem.similarity))
+        possible = startable(environment, Providers(environment.library, self.problem.similarity))
         for unit in environment.units:
             transformation = self.library.get(unit.transformation)
             if transformation is not None and transformation.pinned and unit.transformation in possible:

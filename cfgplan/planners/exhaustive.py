@@ -31,7 +31,7 @@ from cfgplan.validity.environments import instance_violations, missing_units, vi
 from cfgplan.validity.hosts import carried_us, company_violations, placing_violations
 from cfgplan.validity.plans import cost_us, unused_required, values_of
 from cfgplan.validity.quality import priced_us
-from cfgplan.validity.startable import givers_by_tag, startable
+from cfgplan.validity.startable import providers_by_tag, startable
 from cfgplan.validity.survival import justified_spares, survival_violations
 
 MOST_SETS = 300_000
@@ -169,9 +169,9 @@ def _answer(problem: Problem, best: tuple[OracleRank, Environment] | None, steps
 
 def _reasons(problem: Problem) -> dict[str, str]:
     possible = startable(problem.environment, problem.similarity)
-    givers = givers_by_tag(problem.environment, problem.similarity)
+    providers = providers_by_tag(problem.environment, problem.similarity)
     targets = problem.environment.targets
-    alone = [target.label for target in targets if possible.isdisjoint(givers.get(target.tag, ()))]
+    alone = [target.label for target in targets if possible.isdisjoint(providers.get(target.tag, ()))]
     if alone:
         return dict.fromkeys(alone, "no wiring of any set of units meets it")
     return {target.label: "no configuration meets all that is asked" for target in targets}

@@ -13,7 +13,7 @@ from typing import NamedTuple, TypeVar
 Number = TypeVar("Number")
 
 
-class Said(NamedTuple):
+class Description(NamedTuple):
     """The description of a tuning number: its unit, its effect in a sentence, and its origin."""
 
     unit: str
@@ -33,9 +33,9 @@ TOYS = "`toys.py`"
 SERVED = "`count`, `optional` and `serves`, below"
 
 
-def said(value: Number, unit: str, what: str, origin: str) -> Number:
+def row(value: Number, unit: str, what: str, origin: str) -> Number:
     """Return a dataclass field for a number, with its description."""
-    found: Number = field(default=value, metadata={"said": Said(unit, what, origin)})
+    found: Number = field(default=value, metadata={"said": Description(unit, what, origin)})
     return found
 
 
@@ -43,23 +43,23 @@ def said(value: Number, unit: str, what: str, origin: str) -> Number:
 class Decide:
     """The planner's own search of small problems."""
 
-    labels: int = said(600, "labels", "Networks of up to this size are searched before all else.", LIBRARIES)
-    left: int = said(200, "labels", "So many that bounds leave are searched in a replan.", "`benchmark.py replan`")
-    chained: int = said(
-        16, "labels", "Above this size, dearest chains are charged before the search.", "NAO, 20 robots"
+    labels: int = row(600, "labels", "Networks of up to this size are searched before all else.", LIBRARIES)
+    left: int = row(200, "labels", "So many that bounds leave are searched in a replan.", "`benchmark.py replan`")
+    chained: int = row(
+        16, "labels", "Above this size, most expensive chains are charged before the search.", "NAO, 20 robots"
     )
-    first: int = said(300, "landmarks and nodes", "The first part of the search may take this many.", LIBRARIES)
-    steps: int = said(1500, "landmarks and nodes", "The whole search may take this many; 0: there is none.", LIBRARIES)
-    soon: float = said(0.01, "share", "The search goes on if its first part did this much of it.", LIBRARIES)
+    first: int = row(300, "landmarks and nodes", "The first part of the search may take this many.", LIBRARIES)
+    steps: int = row(1500, "landmarks and nodes", "The whole search may take this many; 0: there is none.", LIBRARIES)
+    soon: float = row(0.01, "share", "The search goes on if its first part did this much of it.", LIBRARIES)
 
 
 @dataclass(frozen=True)
 class Begin:
     """First plans."""
 
-    attempts: int = said(30, "members", "This many members of a first plan are tried to be left out.", LIBRARIES)
-    ways: int = said(4, "plans", "This many first plans are tried where transformations are required.", LIBRARIES)
-    shares: tuple[float, ...] = said(
+    attempts: int = row(30, "members", "This many members of a first plan are tried to be left out.", LIBRARIES)
+    ways: int = row(4, "plans", "This many first plans are tried where transformations are required.", LIBRARIES)
+    shares: tuple[float, ...] = row(
         (0.0, 0.5, 2.0, 8.0, 32.0),
         "of the usual cost",
         "What a bounded resource or quality is priced at, in turn, until a plan keeps its bounds.",
@@ -71,148 +71,144 @@ class Begin:
 class Rise:
     """Bounds by landmarks."""
 
-    landmarks: int = said(20, "landmarks", "After this many new ones reduced costs restrict the network.", LIBRARIES)
-    patience: float = said(2.0, "steps/label^1.5", "The gap must close in so much work, if closing follows.", LIBRARIES)
-    last_patience: float = said(20.0, "steps/label^1.5", "The same, if the solver follows at once.", LIBRARIES)
-    landmark: float = said(150.0, "steps", "The work for a landmark: a fixed part.", TIMED)
-    need: float = said(0.04, "steps/need", "The work for a landmark: for each need in the network.", TIMED)
-    link: float = said(
-        5.0, "steps/link", "The work for a landmark or a repair in a deep network: for each link.", TIMED
-    )
-    building: float = said(3.0, "steps/member", "The work to build a linear program: for each entry.", TIMED)
+    landmarks: int = row(20, "landmarks", "After this many new ones reduced costs restrict the network.", LIBRARIES)
+    patience: float = row(2.0, "steps/label^1.5", "The gap must close in so much work, if closing follows.", LIBRARIES)
+    last_patience: float = row(20.0, "steps/label^1.5", "The same, if the solver follows at once.", LIBRARIES)
+    landmark: float = row(150.0, "steps", "The work for a landmark: a fixed part.", TIMED)
+    need: float = row(0.04, "steps/need", "The work for a landmark: for each need in the network.", TIMED)
+    link: float = row(5.0, "steps/link", "The work for a landmark or a repair in a deep network: for each link.", TIMED)
+    building: float = row(3.0, "steps/member", "The work to build a linear program: for each entry.", TIMED)
 
 
 @dataclass(frozen=True)
 class Replan:
     """Looking ahead while the running plan is optimal, and replanning from there."""
 
-    cases: int = said(4, "labels", "If more of them changed their cost, all plans are bounded together.", AT_REST)
-    room: float = said(
-        1.05, "times", "Plans up to this multiple of the cost after the dearest failure are bounded.", AT_REST
+    cases: int = row(4, "labels", "If more of them changed their cost, all plans are bounded together.", AT_REST)
+    room: float = row(
+        1.05, "times", "Plans up to this multiple of the cost after the most expensive failure are bounded.", AT_REST
     )
-    rival: float = said(1.0, "s", "The solver may look so long for another plan at the same cost.", AT_REST)
+    ties: float = row(1.0, "s", "The solver may look so long for another plan at the same cost.", AT_REST)
 
 
 @dataclass(frozen=True)
 class Close:
     """Bound and plan brought together."""
 
-    work: float = said(5.0, "steps/label^1.5", "Closing may take this much work.", LIBRARIES)
-    rounds: int = said(
+    work: float = row(5.0, "steps/label^1.5", "Closing may take this much work.", LIBRARIES)
+    rounds: int = row(
         25, "linear programs", "At most this many are solved before the network is restricted.", LIBRARIES
     )
-    fewest_rounds: int = said(3, "linear programs", "At least this many are, with however many labels.", LIBRARIES)
-    round_labels: int = said(
+    fewest_rounds: int = row(3, "linear programs", "At least this many are, with however many labels.", LIBRARIES)
+    round_labels: int = row(
         50_000, "labels", "The rounds before a restriction have this many labels in all.", LIBRARIES
     )
-    pace: float = said(0.04, "share of the gap", "Closing goes on if `rounds` rounds close this much.", LIBRARIES)
-    far: float = said(
+    pace: float = row(0.04, "share of the gap", "Closing goes on if `rounds` rounds close this much.", LIBRARIES)
+    far: float = row(
         0.3, "share of the cost", "With a larger gap the solver has little hope: closing goes on.", LIBRARIES
     )
-    patience: int = said(100, "times", "Closing may take this much more work if the gap is that large.", LIBRARIES)
-    many: int = said(3000, "labels", "From here on a linear program takes long: its rounds get more cuts.", LIBRARIES)
-    times: int = said(4, "times", "A round then chooses needs this often, each time for other cuts.", LIBRARIES)
-    entries: int = said(3, "entries/link", "The first linear program has about this many.", TIMED)
-    trust: float = said(0.8, "share", "Repairs reckon labels cheaper by this part of their fraction.", LIBRARIES)
-    need: float = said(16.0, "steps/need", "The work for a round: for each need.", TIMED)
-    member: float = said(1.4e-3, "steps/member and landmark", "The work for a round: for each pair of these.", TIMED)
-    label: float = said(1.2e-2, "steps/label^2", "The work for a round: for each pair of labels.", TIMED)
-    repair: float = said(200.0, "steps", "The work for a repair: a fixed part.", TIMED)
-    repair_need: float = said(0.15, "steps/need", "The work for a repair: for each need.", TIMED)
-    repairs: float = said(0.4, "share", "Repairs get this part of the work that rounds take.", LIBRARIES)
-    first_repairs: int = said(300, "repairs", "At most this many follow the first linear program.", LIBRARIES)
-    torn: int = said(3, "members", "A repair tears out at most this many.", LIBRARIES)
-    noise: float = said(0.3, "", "The standard deviation of the logarithm of a price in a repair.", LIBRARIES)
-    in_vain: int = said(150, "repairs", "After this many in vain a new plan is begun.", LIBRARIES)
-    missed: float = said(1e-3, "labels", "A landmark is a cut if fractions hit it by this much too little.", LIBRARIES)
-    need_noise: float = said(1.0, "labels", "The noise on support where needs are chosen again.", LIBRARIES)
-    goals: int = said(8, "facts", "Each choice of needs gives cuts for this many wanted facts.", LIBRARIES)
-    nested: int = said(6, "cuts", "Each wanted fact gives at most this many, one behind the other.", LIBRARIES)
-    cut: float = said(0.14, "steps/arc", "The work for a cut: for each arc of its graph.", TIMED)
-    followed: int = said(60, "rounds", "The support of facts is followed this far.", LIBRARIES)
+    patience: int = row(100, "times", "Closing may take this much more work if the gap is that large.", LIBRARIES)
+    many: int = row(3000, "labels", "From here on a linear program takes long: its rounds get more cuts.", LIBRARIES)
+    times: int = row(4, "times", "A round then chooses needs this often, each time for other cuts.", LIBRARIES)
+    entries: int = row(3, "entries/link", "The first linear program has about this many.", TIMED)
+    trust: float = row(0.8, "share", "Repairs reckon labels cheaper by this part of their fraction.", LIBRARIES)
+    need: float = row(16.0, "steps/need", "The work for a round: for each need.", TIMED)
+    member: float = row(1.4e-3, "steps/member and landmark", "The work for a round: for each pair of these.", TIMED)
+    label: float = row(1.2e-2, "steps/label^2", "The work for a round: for each pair of labels.", TIMED)
+    repair: float = row(200.0, "steps", "The work for a repair: a fixed part.", TIMED)
+    repair_need: float = row(0.15, "steps/need", "The work for a repair: for each need.", TIMED)
+    repairs: float = row(0.4, "share", "Repairs get this part of the work that rounds take.", LIBRARIES)
+    first_repairs: int = row(300, "repairs", "At most this many follow the first linear program.", LIBRARIES)
+    torn: int = row(3, "members", "A repair tears out at most this many.", LIBRARIES)
+    noise: float = row(0.3, "", "The standard deviation of the logarithm of a price in a repair.", LIBRARIES)
+    in_vain: int = row(150, "repairs", "After this many in vain a new plan is begun.", LIBRARIES)
+    missed: float = row(1e-3, "labels", "A landmark is a cut if fractions hit it by this much too little.", LIBRARIES)
+    need_noise: float = row(1.0, "labels", "The noise on support where needs are chosen again.", LIBRARIES)
+    goals: int = row(8, "facts", "Each choice of needs gives cuts for this many wanted facts.", LIBRARIES)
+    nested: int = row(6, "cuts", "Each wanted fact gives at most this many, one behind the other.", LIBRARIES)
+    cut: float = row(0.14, "steps/arc", "The work for a cut: for each arc of its graph.", TIMED)
+    followed: int = row(60, "rounds", "The support of facts is followed this far.", LIBRARIES)
 
 
 @dataclass(frozen=True)
 class Near:
     """Neighbourhoods of a plan for many targets."""
 
-    targets: int = said(8, "facts", "From so many wanted facts on, neighbourhoods are searched.", LIBRARIES)
-    gap: float = said(0.05, "share of the cost", "They are searched if the gap is at least this.", LIBRARIES)
-    promising: float = said(0.03, "share of the gap", "Labels in plans so far above the bound are used.", LIBRARIES)
-    wider: float = said(3.0, "times", "This share grows so much whenever they end.", LIBRARIES)
-    fewest: int = said(4, "facts", "At least this many wanted facts are planned anew together.", LIBRARIES)
-    most: int = said(24, "facts", "At most this many are.", LIBRARIES)
-    growth: float = said(0.5, "facts", "So many more, or fewer, are, as the solver takes less or more.", LIBRARIES)
-    planned: float = said(0.5, "share", "So often what shares cost in the plan is drawn together.", LIBRARIES)
-    used: float = said(0.02, "labels", "A linear program uses a label from this fraction on.", LIBRARIES)
-    work: float = said(0.5, "the engine's s", "The solver may take so long for a neighbourhood.", LIBRARIES)
-    look: float = said(0.005, "the engine's s", "The bound and the model of one take so long: a fixed part.", TIMED)
-    link: float = said(3e-6, "the engine's s/link", "The same for each link.", TIMED)
-    kernel: float = said(
+    targets: int = row(8, "facts", "From so many wanted facts on, neighbourhoods are searched.", LIBRARIES)
+    gap: float = row(0.05, "share of the cost", "They are searched if the gap is at least this.", LIBRARIES)
+    promising: float = row(0.03, "share of the gap", "Labels in plans so far above the bound are used.", LIBRARIES)
+    wider: float = row(3.0, "times", "This share grows so much whenever they end.", LIBRARIES)
+    fewest: int = row(4, "facts", "At least this many wanted facts are planned anew together.", LIBRARIES)
+    most: int = row(24, "facts", "At most this many are.", LIBRARIES)
+    growth: float = row(0.5, "facts", "So many more, or fewer, are, as the solver takes less or more.", LIBRARIES)
+    planned: float = row(0.5, "share", "So often what shares cost in the plan is drawn together.", LIBRARIES)
+    used: float = row(0.02, "labels", "A linear program uses a label from this fraction on.", LIBRARIES)
+    work: float = row(0.5, "the engine's s", "The solver may take so long for a neighbourhood.", LIBRARIES)
+    look: float = row(0.005, "the engine's s", "The bound and the model of one take so long: a fixed part.", TIMED)
+    link: float = row(3e-6, "the engine's s/link", "The same for each link.", TIMED)
+    kernel: float = row(
         15.0, "the engine's us/label^1.5", "Labels that are used are searched so long first.", LIBRARIES
     )
-    small: int = said(1000, "labels", "Below it, probing takes longer than it saves.", LIBRARIES)
-    in_vain: float = said(30.0, "the engine's us/label^1.5", "They end so long after the last cheaper plan.", LIBRARIES)
-    times: int = said(8, "times", "Needs are chosen so often where one choice gives no missed landmark.", LIBRARIES)
-    share: float = said(0.5, "share", "They take at most this part of the time that is left.", LIBRARIES)
-    hopeless: float = said(0.08, "share of the cost", "From this gap on the solver has little hope.", LIBRARIES)
-    many: int = said(600, "labels", "With fewer labels left the solver has hope at any gap.", LIBRARIES)
-    hopeless_share: float = said(0.9, "share", "They then take this part of the time.", LIBRARIES)
+    small: int = row(1000, "labels", "Below it, probing takes longer than it saves.", LIBRARIES)
+    in_vain: float = row(30.0, "the engine's us/label^1.5", "They end so long after the last cheaper plan.", LIBRARIES)
+    times: int = row(8, "times", "Needs are chosen so often where one choice gives no missed landmark.", LIBRARIES)
+    share: float = row(0.5, "share", "They take at most this part of the time that is left.", LIBRARIES)
+    hopeless: float = row(0.08, "share of the cost", "From this gap on the solver has little hope.", LIBRARIES)
+    many: int = row(600, "labels", "With fewer labels left the solver has hope at any gap.", LIBRARIES)
+    hopeless_share: float = row(0.9, "share", "They then take this part of the time.", LIBRARIES)
 
 
 @dataclass(frozen=True)
 class Solve:
     """The solver."""
 
-    small: int = said(1000, "booleans", "Below this size of a model, probing takes longer than it saves.", LIBRARIES)
-    unexplained: int = said(100, "solutions", "So many that are no plans, for no known reason, are forbidden.", FLEETS)
-    tiny: int = said(400, "booleans", "Below this size, a second presolving takes longer than it saves.", LIBRARIES)
+    small: int = row(1000, "booleans", "Below this size of a model, probing takes longer than it saves.", LIBRARIES)
+    unexplained: int = row(100, "solutions", "So many that are no plans, for no known reason, are forbidden.", FLEETS)
+    tiny: int = row(400, "booleans", "Below this size, a second presolving takes longer than it saves.", LIBRARIES)
 
 
 @dataclass(frozen=True)
 class Cycles:
     """Answer sets for networks with many cycles and few different costs."""
 
-    labels: int = said(100, "labels", "From this size on, answer sets are tried.", TRANSPORTS)
-    values: int = said(10, "costs", "They are tried if at most this many differ; 0: never.", TRANSPORTS)
-    first: int = said(1000, "conflicts", "The first try may take this many.", TRANSPORTS)
-    near: float = said(0.2, "share of the cost", "They go on if the gap to the first plan is at most this.", TRANSPORTS)
-    conflicts: int = said(100_000, "conflicts", "They then may take this many more.", TRANSPORTS)
+    labels: int = row(100, "labels", "From this size on, answer sets are tried.", TRANSPORTS)
+    values: int = row(10, "costs", "They are tried if at most this many differ; 0: never.", TRANSPORTS)
+    first: int = row(1000, "conflicts", "The first try may take this many.", TRANSPORTS)
+    near: float = row(0.2, "share of the cost", "They go on if the gap to the first plan is at most this.", TRANSPORTS)
+    conflicts: int = row(100_000, "conflicts", "They then may take this many more.", TRANSPORTS)
 
 
 @dataclass(frozen=True)
 class Fleets:
     """Fleets: quality, hosts, conflicts, numbers, spares."""
 
-    many: int = said(400, "labels", "From here on, bounded quality is first looked for among few.", FLEETS)
-    sizes: tuple[int, ...] = said(
-        (50, 100, 200), "labels", "These many are the few, of at least twice as many.", FLEETS
-    )
-    look: float = said(0.5, "the engine's s", "Each look among few takes so long.", FLEETS)
-    fewer: float = said(1.2, "times", "A relaxation's labels are looked among if so many are there in all.", FLEETS)
-    shared: int = said(8, "times", "Where some are told apart, others are counted if places get so few.", MIXED)
-    place: float = said(1.0, "the engine's s", "Counted units may take so long to be placed.", DEPLOYMENTS)
-    price: float = said(0.05, "the engine's s", "A heaviest pattern of units may take so long.", HARD_ONES)
-    recounts: int = said(3, "times", "Units that can't be placed are counted again this often.", DEPLOYMENTS)
-    apart: int = said(12, "hosts", "Up to here each is looked at by itself where not all fits.", DEPLOYMENTS)
-    company: float = said(10.0, "hosts", "Units with company, or that are it, weigh at most this.", DEPLOYMENTS)
-    small: int = said(20_000, "booleans", "Below this size of a fleet's model, probing takes too long.", FLEETS)
-    few: int = said(20, "candidates", "Up to here who feeds whom is ordered and relaxed in full.", TOYS)
-    wired: int = said(12_000, "booleans", "Below it, relaxing who feeds counted inputs in full takes too long.", SERVED)
+    many: int = row(400, "labels", "From here on, bounded quality is first looked for among few.", FLEETS)
+    sizes: tuple[int, ...] = row((50, 100, 200), "labels", "These many are the few, of at least twice as many.", FLEETS)
+    look: float = row(0.5, "the engine's s", "Each look among few takes so long.", FLEETS)
+    fewer: float = row(1.2, "times", "A relaxation's labels are looked among if so many are there in all.", FLEETS)
+    shared: int = row(8, "times", "Where some are told apart, others are counted if places get so few.", MIXED)
+    place: float = row(1.0, "the engine's s", "Counted units may take so long to be placed.", DEPLOYMENTS)
+    price: float = row(0.05, "the engine's s", "A heaviest pattern of units may take so long.", HARD_ONES)
+    recounts: int = row(3, "times", "Units that can't be placed are counted again this often.", DEPLOYMENTS)
+    apart: int = row(12, "hosts", "Up to here each is looked at by itself where not all fits.", DEPLOYMENTS)
+    company: float = row(10.0, "hosts", "Units with company, or that are it, weigh at most this.", DEPLOYMENTS)
+    small: int = row(20_000, "booleans", "Below this size of a fleet's model, probing takes too long.", FLEETS)
+    few: int = row(20, "candidates", "Up to here who feeds whom is ordered and relaxed in full.", TOYS)
+    wired: int = row(12_000, "booleans", "Below it, relaxing who feeds counted inputs in full takes too long.", SERVED)
 
 
 @dataclass(frozen=True)
 class Quality:
     """Quality of streams: linear cuts."""
 
-    rounds: int = said(40, "linear programs", "At most this many are solved for cuts.", FLEETS)
-    guesses: int = said(4, "potentials", "Each round tries this many for each target.", FLEETS)
-    passes: int = said(4, "times", "Potentials are made to follow from each other this often.", FLEETS)
-    least: float = said(1e-3, "share", "A cut is violated by this much at least.", FLEETS)
-    wait: int = said(4, "rounds", "Cuts go on if so many rounds raise the bound by `rise`.", FLEETS)
-    rise: float = said(5e-4, "share", "The rise of the bound with which cuts go on.", FLEETS)
-    largest: int = said(300_000, "coefficients", "A larger linear program is not built.", FLEETS)
-    lifts: int = said(6, "times", "Potentials are raised this often where that costs nothing.", FLEETS)
+    rounds: int = row(40, "linear programs", "At most this many are solved for cuts.", FLEETS)
+    guesses: int = row(4, "potentials", "Each round tries this many for each target.", FLEETS)
+    passes: int = row(4, "times", "Potentials are made to follow from each other this often.", FLEETS)
+    least: float = row(1e-3, "share", "A cut is violated by this much at least.", FLEETS)
+    wait: int = row(4, "rounds", "Cuts go on if so many rounds raise the bound by `rise`.", FLEETS)
+    rise: float = row(5e-4, "share", "The rise of the bound with which cuts go on.", FLEETS)
+    largest: int = row(300_000, "coefficients", "A larger linear program is not built.", FLEETS)
+    lifts: int = row(6, "times", "Potentials are raised this often where that costs nothing.", FLEETS)
 
 
 @dataclass(frozen=True)
@@ -225,14 +221,14 @@ class Tuning:
     decide: Decide = Decide()
     begin: Begin = Begin()
     rise: Rise = Rise()
-    rest: Replan = Replan()
+    replan: Replan = Replan()
     close: Close = Close()
     near: Near = Near()
     solve: Solve = Solve()
     cycles: Cycles = Cycles()
     fleet: Fleets = Fleets()
     quality: Quality = Quality()
-    seconds_per_step: float = said(1e-6, "s/step", "Work counts so long where it is set against a time limit.", TIMED)
+    seconds_per_step: float = row(1e-6, "s/step", "Work counts so long where it is set against a time limit.", TIMED)
     is_solver_only: bool = False
     counts: bool = True
     reduces: bool = True
@@ -246,7 +242,7 @@ class Tuning:
         """The same without a search of the planner's own."""
         return replace(self, decide=replace(self.decide, steps=0))
 
-    def rows(self) -> Iterator[tuple[str, object, Said]]:
+    def rows(self) -> Iterator[tuple[str, object, Description]]:
         """Yield name, value and description of each number."""
         yield from _rows(self, "")
 
@@ -254,7 +250,7 @@ class Tuning:
 USUAL = Tuning()
 
 
-def _rows(value: object, before: str) -> Iterator[tuple[str, object, Said]]:
+def _rows(value: object, before: str) -> Iterator[tuple[str, object, Description]]:
     assert is_dataclass(value)
     for one in fields(value):
         mine = getattr(value, one.name)

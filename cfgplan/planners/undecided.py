@@ -22,7 +22,7 @@ from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.domain import ALL, Environment, InputPort, Similarity
 from cfgplan.planners.reducing.closure import relevant
 from cfgplan.planning import REFUSED, Decider, Feature, OnProgress, Pair, Plan, Planner, Problem, Progress, Status
-from cfgplan.reasons import Givers, startable
+from cfgplan.reasons import Providers, startable
 
 FIRST_BATCH: Final = 16
 GROWTH: Final = 8
@@ -74,7 +74,7 @@ class Deciding:
                 if not self._is_stopped() and self._learns(problem, compelling, len(compelling)):
                     continue
                 return self._counted(_without_a_claim(budget.plan(decided, 1.0), compelling), budget)
-            best = budget.plan(_hopeful(problem), 0.5, _bounds_only(problem, report))
+            best = budget.plan(_optimistic(problem), 0.5, _bounds_only(problem, report))
             uses, holds = _hangs_on(problem, best, budget)
             if holds and best.status is not Status.FEASIBLE:
                 best = best if best.change_set is not None else replace(best, cost_us=None)  # known of hopes alone
@@ -168,9 +168,9 @@ def _takes_what_there_is(port: InputPort) -> bool:
 def _of_use(problem: Problem) -> frozenset[str]:
     """The transformations that a plan may use if all open pairs match."""
     environment = problem.environment
-    givers = Givers(environment.library, problem.similarity.optimistic)
-    possible = startable(environment, givers)
-    return relevant(environment, givers, possible, iter)
+    providers = Providers(environment.library, problem.similarity.optimistic)
+    possible = startable(environment, providers)
+    return relevant(environment, providers, possible, iter)
 
 
 def _without_a_claim(plan: Plan, undecided: tuple[Pair, ...]) -> Plan:
@@ -180,27 +180,27 @@ def _without_a_claim(plan: Plan, undecided: tuple[Pair, ...]) -> Plan:
     return replace(plan.unproven, status=Status.FEASIBLE, undecided=undecided)
 
 
-def _hopeful(problem: Problem) -> Problem:
+def _optimistic(problem: Problem) -> Problem:
     return replace(problem, similarity=problem.similarity.optimistic)
 
 
 def _bounds_only(problem: Problem, report: OnProgress | None) -> OnProgress | None:
-    """A reporter of bounds only, since a hopeful plan's cost may hang on open pairs; None if its bound may, too."""
+    """A reporter of bounds only, as an optimistic plan's cost may depend on open pairs; None if its bound may, too."""
     if report is None or not _is_monotone(problem):
         return None
     return lambda progress: report(replace(progress, cost_us=None))
 
 
 def _hangs_on(problem: Problem, best: Plan, budget: _Budget) -> tuple[tuple[Pair, ...], bool]:
-    """The open pairs that a hopeful answer hangs on, and whether it holds however they are decided."""
+    """The open pairs that an optimistic answer depends on, and whether it holds however they are decided."""
     if best.change_set is None and best.status is Status.TOO_EXPENSIVE and not _is_monotone(problem):
-        best = budget.plan(replace(_hopeful(problem), max_cost_us=None), 0.5)
+        best = budget.plan(replace(_optimistic(problem), max_cost_us=None), 0.5)
         if best.status is not Status.OPTIMAL:
             return (), False
     if best.change_set is not None:
         after = problem.environment.update(best.change_set)
         pairs = {*used_pairs(after, problem.similarity)}
-        if problem.survive is not None:  # what survives a failure may be wired anew
+        if problem.survive is not None:  # units that survive a failure may be rewired
             pairs.update(_pairs_among(after, problem.similarity))
         return tuple(sorted(pairs)), not pairs
     if best.status is Status.INFEASIBLE and not problem.is_plain and not _is_monotone(problem):
@@ -221,7 +221,7 @@ def _most_wanted(problem: Problem, uses: tuple[Pair, ...], batch: int) -> Iterat
     """The pairs used, then others of the same demands, those first that are offered most cheaply."""
     yield from uses
     environment, similarity = problem.environment, problem.similarity
-    dear_us = _dear_us(problem, startable(environment, Givers(environment.library, similarity.optimistic)))
+    dear_us = _cost_us(problem, startable(environment, Providers(environment.library, similarity.optimistic)))
     others = {
         (offered, demanded)
         for demanded in {demanded for _, demanded in uses}
@@ -232,7 +232,7 @@ def _most_wanted(problem: Problem, uses: tuple[Pair, ...], batch: int) -> Iterat
     yield from wanted[: max(0, batch - len(uses))]
 
 
-def _dear_us(problem: Problem, possible: Iterable[str]) -> Mapping[str, int]:
+def _cost_us(problem: Problem, possible: Iterable[str]) -> Mapping[str, int]:
     """For each tag the cost of the cheapest transformation that offers it, by itself."""
     environment = problem.environment
     running = {unit.transformation for unit in environment.units}
@@ -286,17 +286,17 @@ def _doubtful(problem: Problem) -> frozenset[str]:
     pinned = frozenset(t.label for t in environment.library if t.pinned and t.label in running)
     if not pinned:
         return pinned
-    pessimistic, hopeful = (
-        startable(environment, Givers(environment.library, each))
+    pessimistic, optimistic = (
+        startable(environment, Providers(environment.library, each))
         for each in (similarity.decided, similarity.optimistic)
     )
-    return pinned & hopeful - pessimistic
+    return pinned & optimistic - pessimistic
 
 
 def _relaxed(problem: Problem) -> Problem:
-    """The hopeful problem that requires nothing and lets doubtful units go: its optimum bounds every valid update."""
+    """The optimistic problem without requirements and doubtful pins: its optimum bounds every valid update."""
     doubtful, environment = _doubtful(problem), problem.environment
     library = tuple(
         replace(t, required=False, pinned=t.pinned and t.label not in doubtful) for t in environment.library
     )
-    return replace(_hopeful(problem), environment=replace(environment, library=library))
+    return replace(_optimistic(problem), environment=replace(environment, library=library))

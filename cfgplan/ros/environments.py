@@ -224,9 +224,9 @@ class _Making:
         """Return the outputs that feed an input; the node's own output counts only if no other node publishes the
         topic.
         """
-        givers = self._givers.get((port.name, port.role.is_service), [])
-        others = [end for end in givers if end.node != self._labels[node.name]]
-        return others or givers
+        providers = self._givers.get((port.name, port.role.is_service), [])
+        others = [end for end in providers if end.node != self._labels[node.name]]
+        return others or providers
 
     def _input(self, end: _End, node: RosNode, port: RosPort, feeds: Mapping[_End, list[_End]]) -> InputPort:
         about = f"input {end.port} of {end.node}"
@@ -257,7 +257,7 @@ class _Making:
         feedback = always is not None and always.feedback is True
         if always is not None and feedback:
             self._guess(about, "may close a cycle", always.why)
-        is_own = any(giver.node == end.node for giver in feeds[end])
+        is_own = any(provider.node == end.node for provider in feeds[end])
         if is_own and not feedback:
             self._guess(about, "may close a cycle", "the node hears itself")
         count = ALL if several and not is_own else 1
@@ -301,12 +301,12 @@ class _Making:
             return graph
 
         def on_cycles(graph: networkx.MultiDiGraph) -> list[_End]:
-            rings = {
+            cycles = {
                 name: number
-                for number, ring in enumerate(networkx.strongly_connected_components(graph))
-                for name in ring
+                for number, cycle in enumerate(networkx.strongly_connected_components(graph))
+                for name in cycle
             }
-            return sorted({end for one, other, end in graph.edges(keys=True) if rings[one] == rings[other]})
+            return sorted({end for one, other, end in graph.edges(keys=True) if cycles[one] == cycles[other]})
 
         while left := on_cycles(graph := wires()):
             rows = {end: self._table.says(*named(end), "feedback") for end in left}

@@ -100,7 +100,7 @@ class NodeGuess(_Rows):
 
 
 class GuessTable(_Rows):
-    """Rows in the order in which they are believed. `wanted` are patterns of nodes to be kept; None: to be guessed."""
+    """Rows in order of precedence. `wanted` are patterns of the nodes that have to run; None: they are guessed."""
 
     inputs: list[InputGuess] = []
     noise: NoiseGuess = NoiseGuess()
@@ -108,7 +108,7 @@ class GuessTable(_Rows):
     wanted: list[str] | None = None
 
     def says(self, node: str, port: RosPort, word: Literal["optional", "several", "feedback"]) -> InputGuess | None:
-        """The row that decides a word for an input; None if none does."""
+        """The first row that says a word about an input; None if none does."""
         return next((row for row in self.inputs if getattr(row, word) is not None and row.fits(node, port)), None)
 
     def ports_of(self, node: RosNode) -> tuple[RosPort, ...] | None:
@@ -132,7 +132,7 @@ class GuessTable(_Rows):
         return _any(self.noise.nodes, node)
 
     def is_noisy(self, port: RosPort) -> bool:
-        """Whether every graph has such a topic or service."""
+        """Whether the port's topic or service is one that every graph has, such as /rosout."""
         return _any(self.noise.services if port.role.is_service else self.noise.topics, port.name)
 
 

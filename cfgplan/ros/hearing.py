@@ -52,11 +52,11 @@ def _kept_apart(environment: Environment) -> Iterator[WiringFault]:
     """
     library = {unit.id: environment.transformation.get(unit.transformation) for unit in environment.units}
     for unit in environment.units:
-        taker = library[unit.id]
+        consumer = library[unit.id]
         for subscription in unit.subscriptions:
-            giver = library.get(subscription.stream.unit)
-            asked = taker.input.get(subscription.port) if taker else None
-            offered = giver.output.get(subscription.stream.port) if giver else None
+            provider = library.get(subscription.stream.unit)
+            asked = consumer.input.get(subscription.port) if consumer else None
+            offered = provider.output.get(subscription.stream.port) if provider else None
             if asked is None or offered is None or asked.qos is None or offered.qos is None:
                 continue
             found = list(obstacles(ServiceQuality.read(offered.qos), ServiceQuality.read(asked.qos)))

@@ -19,7 +19,7 @@ def launch_fault(file: Path, element: XmlElement, message: str, mend: str) -> In
 
 
 def is_met(file: Path, element: XmlElement, condition: str, value: str | None) -> bool:
-    """Whether the value of the condition `if` or `unless` lets an element be; None: it has none. Raises InputError."""
+    """Whether an element counts, by the value of its `if` or `unless`; None: it has neither. Raises InputError."""
     if value is None:
         return True
     said = value.strip().lower()

@@ -22,7 +22,7 @@ _UNCRAWLED = ("CATKIN_IGNORE", "COLCON_IGNORE", ".git")
 
 
 class SubstitutionError(Exception):
-    """A text that stands for nothing; says why."""
+    """A substitution that can't be evaluated; the message says why."""
 
 
 class PackageMissingError(SubstitutionError):
@@ -105,7 +105,7 @@ def evaluated(
 
 
 def valued(text: str) -> object:
-    """A text as launch files read values of no type: a number, true or false, or itself."""
+    """Return the value of a text of no declared type, as launch files read it: a number, true or false, or the text."""
     try:
         if "." in text:
             return float(text)

@@ -52,7 +52,7 @@ class LaunchRelay(NamedTuple):
 
 @dataclass(frozen=True)
 class NodeUnit:
-    """A unit that is a node, by the full `name` of that."""
+    """A unit that is a ROS node; `name` is the full name of the node."""
 
     unit: ComputationUnit
     transformation: Transformation
@@ -110,7 +110,7 @@ class TopicNames:
     def _feeds(self) -> Mapping[PortEnd, frozenset[PortEnd]]:
         """The outputs that feed each input."""
         return {
-            end: frozenset(map(_giver, each.unit.feeds.get(end.port, ())))
+            end: frozenset(map(_provider, each.unit.feeds.get(end.port, ())))
             for each in self._units.values()
             for end in each.ends
             if not end.gives
@@ -153,7 +153,7 @@ class TopicNames:
         """Name the inputs, and yield the relays."""
         of_feeds: dict[frozenset[PortEnd], str] = {}
         for end, feeds in self._feeds.items():
-            sources = {self.name[giver] for giver in feeds}
+            sources = {self.name[provider] for provider in feeds}
             if self._units[end.unit].is_foreign:
                 name = self._fixed(end)
             elif len(sources) == 1:
@@ -182,7 +182,7 @@ class TopicNames:
 
 
 def node_units(environment: Environment) -> Iterator[NodeUnit]:
-    """The running units as nodes. Raises InputError with all that can't be one of ROS 2."""
+    """The running units as nodes. Raises InputError with all units that can't be nodes of ROS 2."""
     faults, taken = list[Fault](), dict[str, str]()
     for unit in sorted(environment.units, key=lambda unit: unit.id):
         if unit.standby:
@@ -213,7 +213,7 @@ def word(text: str) -> str:
     return found if found[:1].isalpha() else f"n{found}"
 
 
-def _giver(stream: Stream) -> PortEnd:
+def _provider(stream: Stream) -> PortEnd:
     return PortEnd(stream.unit, stream.port, gives=True)
 
 

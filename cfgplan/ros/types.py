@@ -28,11 +28,11 @@ class MessageType:
 
     @classmethod
     def read(cls, text: str, kind: TypeKind = "msg") -> MessageType:
-        """The type that a text spells in any of the ways there are.
+        """Return the type that a text names in any known spelling.
 
-        ROS 1 (`nav_msgs/Odometry`), ROS 2 (`nav_msgs/msg/Odometry`), DDS (`nav_msgs::msg::dds_::Odometry_`), C++
-        (`nav_msgs::msg::Odometry`) and Python (`nav_msgs.msg.Odometry`). `kind` is that of a text that names none,
-        as ROS 1 does not. Raises InputError.
+        These are the spellings of ROS 1 (`nav_msgs/Odometry`), ROS 2 (`nav_msgs/msg/Odometry`), DDS
+        (`nav_msgs::msg::dds_::Odometry_`), C++ (`nav_msgs::msg::Odometry`) and Python (`nav_msgs.msg.Odometry`). `kind`
+        is used for a text that names no kind, as in ROS 1. Raises InputError.
         """
         found = _PATH.fullmatch(text.strip())
         if found is None:

@@ -131,9 +131,9 @@ def _cycles(environment: Environment) -> Iterator[Violation]:
     try:
         sorter.prepare()
     except CycleError as error:
-        ring = error.args[1]
-        text = f"units feed each other in a cycle with nothing from outside: {' -> '.join(ring)}"
-        yield Violation(Rule.GROUNDED, text, ring[0])
+        cycle = error.args[1]
+        text = f"units feed each other in a cycle with nothing from outside: {' -> '.join(cycle)}"
+        yield Violation(Rule.GROUNDED, text, cycle[0])
 
 
 def _indistinct_feeds(environment: Environment) -> Iterator[Violation]:

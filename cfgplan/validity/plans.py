@@ -14,7 +14,7 @@ from cfgplan.validity.facts import known_units, meeting_targets, needed_by
 from cfgplan.validity.hosts import carried_us, costs_there, rents_us
 from cfgplan.validity.quality import priced_us
 from cfgplan.validity.rules import Rule, Violation
-from cfgplan.validity.startable import givers_by_tag, startable
+from cfgplan.validity.startable import providers_by_tag, startable
 
 
 def plan_violations(problem: Problem, plan: Plan) -> list[Violation]:
@@ -41,15 +41,15 @@ def plan_violations(problem: Problem, plan: Plan) -> list[Violation]:
         *_misreported_required(plan, after),
         *_bad_cost(problem, plan, after),
         *_bad_objectives(problem, plan, after),
-        *_refuted_by_what_runs(problem, plan),
+        *_refuted_by_running_units(problem, plan),
     ]
 
 
 def _bad_refusal(problem: Problem, plan: Plan) -> Iterator[Violation]:
     possible = startable(problem.environment, problem.similarity.optimistic)
-    givers = givers_by_tag(problem.environment, problem.similarity.optimistic)
+    providers = providers_by_tag(problem.environment, problem.similarity.optimistic)
     impossible = {
-        target.label for target in problem.environment.targets if possible.isdisjoint(givers.get(target.tag, set()))
+        target.label for target in problem.environment.targets if possible.isdisjoint(providers.get(target.tag, set()))
     }
     labels = {target.label for target in problem.environment.targets}
     if plan.status is Status.INFEASIBLE and not impossible and not problem.is_plain and set(plan.reasons) <= labels:
@@ -135,7 +135,7 @@ def _misreported_required(plan: Plan, after: Environment) -> Iterator[Violation]
         yield Violation(Rule.REQUIRED, text)
 
 
-def _refuted_by_what_runs(problem: Problem, plan: Plan) -> Iterator[Violation]:
+def _refuted_by_running_units(problem: Problem, plan: Plan) -> Iterator[Violation]:
     """Yield each claim about all plans that a valid running configuration refutes; none if the plan changes nothing."""
     before, changes = problem.environment, plan.change_set
     if not changes or violations(before, problem.similarity, problem.survive, problem.horizon_s):

@@ -147,8 +147,8 @@ class Rewiring:
         wiring.needs.extend(_Need(label=other, host=unit.host, is_local=True) for other in kind.beside)
         pairs = [pair for other in others for pair in ((other, (unit, kind)), ((unit, kind), other))]
         return all(
-            self._connects(wiring, Stream(giver.id, output.name), taker.id, port)
-            for (giver, gives), (taker, takes) in pairs
+            self._connects(wiring, Stream(provider.id, output.name), taker.id, port)
+            for (provider, gives), (taker, takes) in pairs
             for port in takes.inputs
             for output in gives.outputs
             if port.count == ALL and self._holds(output.tag, port.tag)

@@ -15,21 +15,21 @@ def startable(environment: Environment, similarity: Similarity, units: Mapping[s
     inputs are fed by earlier members and feedback inputs by any member. `units` limits the number of units of each; the
     `serves` limits of outputs are ignored.
     """
-    givers = givers_by_tag(environment, similarity)
+    providers = providers_by_tag(environment, similarity)
     candidates = set(environment.transformation)
     while True:
-        grounded = _grounded(environment, givers, candidates, units)
+        grounded = _grounded(environment, providers, candidates, units)
         if grounded == candidates:
             return grounded
         candidates = grounded
 
 
 def _grounded(
-    environment: Environment, givers: Mapping[str, set[str]], candidates: set[str], units: Mapping[str, int] | None
+    environment: Environment, providers: Mapping[str, set[str]], candidates: set[str], units: Mapping[str, int] | None
 ) -> set[str]:
     """Return the candidates that can be fed, starting from sources; each is checked again when it may have a feeder."""
     giving: dict[str, list[str]] = defaultdict(list)
-    for tag, labels in givers.items():
+    for tag, labels in providers.items():
         for label in labels & candidates:
             giving[label].append(tag)
     taking: dict[str, list[Transformation]] = defaultdict(list)
@@ -40,7 +40,7 @@ def _grounded(
     given: set[str] = set()
     ahead = [environment.transformation[label] for label in candidates]
     for one in ahead:
-        if one.label in grounded or not _can_be_fed(givers, one, grounded, candidates, units):
+        if one.label in grounded or not _can_be_fed(providers, one, grounded, candidates, units):
             continue
         grounded.add(one.label)
         for tag in giving[one.label]:
@@ -55,7 +55,7 @@ def _takes_several(port: InputPort) -> bool:
 
 
 def _can_be_fed(
-    givers: Mapping[str, set[str]],
+    providers: Mapping[str, set[str]],
     transformation: Transformation,
     before: set[str],
     anywhere: set[str],
@@ -65,7 +65,7 @@ def _can_be_fed(
     for port in transformation.needed_inputs:
         group = port.distinct if port.distinct is not None else f"\0{port.name}"
         allowed = anywhere if port.feedback else before
-        feeding = givers.get(port.tag, set()) & allowed
+        feeding = providers.get(port.tag, set()) & allowed
         if units is not None and sum(units.get(label, 0) for label in feeding) < port.count:
             return False
         for number in range(max(port.count, 1) if port.distinct is not None else 1):
@@ -73,7 +73,7 @@ def _can_be_fed(
     return all(different_choices_exist(group) for group in choices.values())
 
 
-def givers_by_tag(environment: Environment, similarity: Similarity) -> dict[str, set[str]]:
+def providers_by_tag(environment: Environment, similarity: Similarity) -> dict[str, set[str]]:
     """Return, for each demanded tag, the transformations with a matching output, or those that a target wants
     to run.
     """

@@ -11,7 +11,7 @@ from cfgplan.planning import Failures
 from cfgplan.validity.facts import known_units
 from cfgplan.validity.rewiring import Known, Rewiring
 from cfgplan.validity.rules import Rule, Violation
-from cfgplan.validity.startable import givers_by_tag, startable
+from cfgplan.validity.startable import providers_by_tag, startable
 
 
 def survival_violations(
@@ -20,11 +20,11 @@ def survival_violations(
     """Yield each single failure that leaves a target without a stream, for any rewiring and any start of spares."""
     if survive is None:
         return
-    units, givers = list(known_units(environment)), givers_by_tag(environment, similarity)
+    units, providers = list(known_units(environment)), providers_by_tag(environment, similarity)
     for what, lost, targets in _failures(environment, survive):
         left = _able([(unit, kind) for unit, kind in units if unit.id not in lost], similarity)
         labels, lone = {kind.label for _, kind in left}, next(iter(lost)) if len(lost) == 1 else None
-        unmet = [target for target in targets if labels.isdisjoint(givers.get(target.tag, ()))]
+        unmet = [target for target in targets if labels.isdisjoint(providers.get(target.tag, ()))]
         for target in unmet:
             text = f"if {what} fails, nothing else can meet target {target.label}"
             yield Violation(Rule.SURVIVES, text, lone, target=target.label)

@@ -40,7 +40,7 @@ class Contexts:
     """Contexts by their URLs, read from files. `unread` are those that were named and that no file stands for."""
 
     def __init__(self, files: Mapping[str, Path]) -> None:
-        """Raises InputError for a file that is no context."""
+        """Raise InputError for a file that is no context."""
         self._read = {url: _context(path) for url, path in files.items()}
         self.unread: set[str] = set()
 

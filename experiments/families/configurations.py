@@ -17,7 +17,7 @@ from cfgplan.domain import (
     Subscription,
     Transformation,
 )
-from cfgplan.reasons import Givers
+from cfgplan.reasons import Providers
 
 MILLISECONDS = 1000
 """In microseconds, as costs are."""
@@ -29,8 +29,8 @@ def cheap_configuration(environment: Environment, similarity: Similarity, horizo
     The chains are those of h_add (Bonet and Geffner 2001), which counts shared units twice. Every target must be
     satisfiable; `distinct` and `feedback` inputs are not supported.
     """
-    givers = Givers(environment.library, similarity)
-    feeder = _cheapest_feeders(environment, givers, horizon_s)
+    providers = Providers(environment.library, similarity)
+    feeder = _cheapest_feeders(environment, providers, horizon_s)
     publications: dict[str, list[Publication]] = defaultdict(list)
     ahead: list[str] = []
     for target in environment.targets:
@@ -48,10 +48,10 @@ def cheap_configuration(environment: Environment, similarity: Similarity, horizo
             units[label] = ComputationUnit(
                 f"{label}.1",
                 label,
-                tuple(_subscription(port, giver, similarity) for port, giver in chosen.items()),
+                tuple(_subscription(port, provider, similarity) for port, provider in chosen.items()),
                 tuple(publications[label]),
             )
-            ahead += [giver.label for giver in chosen.values()]
+            ahead += [provider.label for provider in chosen.values()]
     return Environment(tuple(units.values()), environment.library, environment.targets)
 
 
@@ -87,12 +87,12 @@ def without(units: Collection[ComputationUnit], dead: Collection[str]) -> tuple[
     )
 
 
-def _cheapest_feeders(environment: Environment, givers: Givers, horizon_s: int) -> dict[str, str]:
+def _cheapest_feeders(environment: Environment, providers: Providers, horizon_s: int) -> dict[str, str]:
     """For each demanded tag that can be met the transformation at the end of its cheapest chain (Dijkstra)."""
     demanded = {port.tag for t in environment.library for port in t.inputs} | {t.tag for t in environment.targets}
     demanded_of: dict[str, list[str]] = defaultdict(list)
     for tag in sorted(demanded):
-        for label in givers.of(tag):
+        for label in providers.of(tag):
             demanded_of[label].append(tag)
     waiting: dict[str, list[str]] = defaultdict(list)
     missing: dict[str, int] = {}
@@ -120,9 +120,9 @@ def _cheapest_feeders(environment: Environment, givers: Givers, horizon_s: int) 
     return feeder
 
 
-def _subscription(port: InputPort, giver: Transformation, similarity: Similarity) -> Subscription:
-    return Subscription(port.name, Stream(f"{giver.label}.1", _port(giver, port.tag, similarity)))
+def _subscription(port: InputPort, provider: Transformation, similarity: Similarity) -> Subscription:
+    return Subscription(port.name, Stream(f"{provider.label}.1", _port(provider, port.tag, similarity)))
 
 
-def _port(giver: Transformation, tag: str, similarity: Similarity) -> str:
-    return next(port.name for port in giver.outputs if similarity.holds(port.tag, tag))
+def _port(provider: Transformation, tag: str, similarity: Similarity) -> str:
+    return next(port.name for port in provider.outputs if similarity.holds(port.tag, tag))

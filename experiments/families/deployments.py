@@ -72,9 +72,9 @@ def with_a_ring(problem: Problem) -> Problem:
     """The deployment with two components that may feed each other, or be fed by an expensive source."""
     library = list(problem.environment.library)
     offers = dict(problem.similarity.offers)
-    for reader, giver in ((5, 8), (8, 5)):
+    for reader, provider in ((5, 8), (8, 5)):
         port = InputPort("ring", f"R{library[reader].label}")
-        offers[port.tag] = frozenset({f"S{library[giver].label}", "Ssource"})
+        offers[port.tag] = frozenset({f"S{library[provider].label}", "Ssource"})
         library[reader] = replace(library[reader], inputs=(*library[reader].inputs, port))
     library.append(Transformation("source", outputs=(OutputPort("o", "Ssource"),), upkeep_us=60_000, memory_mb=2_000))
     environment = replace(problem.environment, library=tuple(library))

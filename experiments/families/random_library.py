@@ -13,7 +13,7 @@ from random import Random
 from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.errors import InvalidValueError
 from cfgplan.planning import Problem
-from cfgplan.reasons import Givers, startable
+from cfgplan.reasons import Providers, startable
 from experiments.families.configurations import MILLISECONDS, cheap_configuration, wired_where_possible, without
 
 CHILDREN = 4
@@ -114,9 +114,9 @@ def replanning(
         if random.random() < gone:
             smaller = tuple(t for t in left.library if t.label != unit.transformation)
             candidate = Environment(left.units, smaller, left.targets)
-            givers = Givers(smaller, fresh.similarity)
-            possible = startable(candidate, givers)
-            if all(not possible.isdisjoint(givers.of(target.tag)) for target in left.targets):
+            providers = Providers(smaller, fresh.similarity)
+            possible = startable(candidate, providers)
+            if all(not possible.isdisjoint(providers.of(target.tag)) for target in left.targets):
                 left = candidate
     return Problem(left, fresh.similarity, horizon_s)
 
@@ -177,11 +177,11 @@ def _meetable(
     random: Random, environment: Environment, similarity: Similarity, layers: Sequence[_Layer], count: int
 ) -> list[str]:
     """Concepts that something startable gives, from the last layer downwards."""
-    givers = Givers(environment.library, similarity)
-    possible = startable(environment, givers)
+    providers = Providers(environment.library, similarity)
+    possible = startable(environment, providers)
     found: list[str] = []
     for layer in reversed(layers):
         for concept in random.sample(layer.concepts, len(layer.concepts)):
-            if len(found) < count and not possible.isdisjoint(givers.of(concept)):
+            if len(found) < count and not possible.isdisjoint(providers.of(concept)):
                 found.append(concept)
     return found

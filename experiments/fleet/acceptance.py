@@ -279,7 +279,7 @@ def crowded_link(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
         end_s = time.monotonic() + 40.0
         while not told and time.monotonic() < end_s:
             time.sleep(0.5)
-            told += links.told(flows.crossings, time.monotonic())
+            told += links.warnings(flows.crossings, time.monotonic())
         fleet.network.unlimit("r1")
         figures = [float(one) for one in re.findall(r"([\d.]+) Mbit/s", " ".join(told))]
         holds = len(figures) == 2 and 24 <= figures[0] <= 40 and 12 <= figures[1] <= 24

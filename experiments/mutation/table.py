@@ -54,7 +54,7 @@ MODEL = _room(
         "pass",
     ),
     (
-        "ring of staying units is grounded",
+        "cycle of staying units is grounded",
         "inputs.py",
         "model.rests_on_all(stays, [model.present(stream, host) for port, stream in kept if not port.feedback])",
         "[model.cp.add_implication(stays, model.present(s, host)) for port, s in kept if not port.feedback]",
@@ -377,7 +377,7 @@ JUDGE = _room(
         "elif False:",
     ),
     ("a target may have two streams", "environments.py", "if len(streams) != 1:", "if not streams:"),
-    ("feedback inputs close no ring", "environments.py", "and not transformation.input[s.port].feedback", ""),
+    ("feedback inputs close no cycle", "environments.py", "and not transformation.input[s.port].feedback", ""),
     (
         "distinct inputs may share a feeder",
         "environments.py",
@@ -447,7 +447,7 @@ SURVIVAL = _room(
     (
         "a needless unit is a spare",
         "survival.py",
-        "if can_do_without(self.candidates, units, unit)]",
+        "if survive_without(self.candidates, units, unit)]",
         "if False]",
     ),
 )
@@ -456,7 +456,7 @@ BOUNDS = _room(
     "cfgplan/planners/bounding",
     ("tests/planners/test_preprocessing.py::test_bounds_do_not_exceed_the_optimum_and_fixing_keeps_optimal_plans",),
     (
-        "a landmark is charged what its dearest member costs",
+        "a landmark is charged what its most expensive member costs",
         "bounds.py",
         "weight = min(int(self.residual[members].min()), at_most)",
         "weight = min(int(self.residual[members].max()), at_most)",
@@ -477,7 +477,7 @@ BOUNDS = _room(
 
 CLOSING = _room(
     "cfgplan/planners",
-    ("tests/planners/test_support.py", "tests/planners/test_alike.py", "tests/planners/test_closing.py"),
+    ("tests/planners/test_support.py", "tests/planners/test_label_kinds.py", "tests/planners/test_closing.py"),
     (
         "distinct inputs are fed by those alike",
         "closing/program.py",
@@ -707,7 +707,7 @@ LIFECYCLE = _room(
     (
         "the first review waits for no host",
         "decisions.py",
-        "(turn.state.policy.hosts_s or 0.0) if is_short",
+        "(transition.state.policy.hosts_s or 0.0) if is_short",
         "0.0 if True",
     ),
     ("who asked for the end is not told", "decisions.py", "for outcome in state.stops))", "for outcome in ()))"),
@@ -723,7 +723,7 @@ LIFECYCLE = _room(
     (
         "a new unit's death is forgotten",
         "decisions.py",
-        "        turn = intake.died(turn, gone, lived_s)\n",
+        "        transition = intake.died(transition, gone, lived_s)\n",
         "        pass\n",
     ),
     (
@@ -735,15 +735,15 @@ LIFECYCLE = _room(
     (
         "units of a failed update are believed to run",
         "decisions.py",
-        "turn.state.situation.without(*gone)), failed",
-        "turn.state.situation), failed",
+        "transition.state.situation.without(*gone)), failed",
+        "transition.state.situation), failed",
     ),
     ("a killed unit is blamed", "intake.py", "lived_s = None if is_killed or", "lived_s = None if"),
     (
         "what a unit has done counts for the next of its id",
         "intake.py",
-        "        case events.UnitReady(unit):\n            return _unnoted(turn, unit)",
-        "        case events.UnitReady(unit):\n            return turn",
+        "        case events.UnitReady(unit):\n            return _unnoted(transition, unit)",
+        "        case events.UnitReady(unit):\n            return transition",
     ),
     (
         "one good step does not count",
@@ -772,7 +772,7 @@ LIFECYCLE = _room(
     (
         "a plan outlives the end",
         "decisions.py",
-        "    if state.is_closing or state.stops:\n        return _ended(turn)\n    if not _is_last",
+        "    if state.is_closing or state.stops:\n        return _ended(transition)\n    if not _is_last",
         "    if not _is_last",
     ),
 )
@@ -831,12 +831,12 @@ COUNTING = _room(
         "                if False:\n",
     ),
     (
-        "units of a ring are counted together",
+        "units of a cycle are counted together",
         "groups.py",
-        "Tracking.of(candidates).units | rings",
+        "Tracking.of(candidates).units | cycles",
         "Tracking.of(candidates).units",
     ),
-    ("a ring beside counted units holds itself up", "model.py", "is_optional or bool(self.in_rings)", "is_optional"),
+    ("a cycle beside counted units holds itself up", "model.py", "is_optional or bool(self.in_cycles)", "is_optional"),
     (
         "hosts of any room are alike",
         "groups.py",

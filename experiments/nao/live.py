@@ -1,4 +1,4 @@
-"""The same, of what really runs: starts one robot, then both with the fusion, and listens to /result.
+"""How right the ball's positions are on running units: with one robot, then with both and their fusion.
 
 python experiments/nao/live.py [--seconds 60]
 """

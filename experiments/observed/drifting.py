@@ -102,8 +102,8 @@ def lived(drift: Drift, *, observes: bool, seed: int = 0) -> tuple[float, int]:
         manager.run(1.0)
         now, units = runtime.clock.now(), runtime.environment.units
         cost += sum(drift.upkeep[int(unit.transformation[1:])] for unit in units)
-        giver = next((unit for unit in units if unit.publications), None)
-        error = WORST if giver is None else drift.second(int(giver.transformation[1:]))(now)
+        provider = next((unit for unit in units if unit.publications), None)
+        error = WORST if provider is None else drift.second(int(provider.transformation[1:]))(now)
         cost += WEIGHT_S / HORIZON_S * error
     started = [unit for review in manager.snapshot().reviews if review.change_set for unit in review.change_set.started]
     return cost + sum(drift.labor[int(unit.transformation[1:])] for unit in started), len(started)

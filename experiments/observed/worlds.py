@@ -160,7 +160,7 @@ def differences(run: Lived, file: Path) -> Iterator[str]:
             yield f"{outcome(plan)}, but {name} {outcome(other)}"
     future = run.manager.preview()
     run._settle()
-    review = future.result(0).thought
+    review = future.result(0).findings
     reviewed = (review.change_set is not None and not review.unmet, review.cost_us if not review.unmet else None)
     if reviewed != (plan.change_set is not None, plan.cost_us):
         yield f"{outcome(plan)} with --observed, but the review {reviewed}"

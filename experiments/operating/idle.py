@@ -1,4 +1,4 @@
-"""The CPU time and the memory that units take which give nothing.
+"""The CPU time and the memory of units that give no elements.
 
 `python experiments/operating/idle.py [--units 100] [--for 20]` starts `cfgplan run` on so many targets, each with a
 unit of its own behind one slow source, and prints a line for each kind of process: CPU time in percent of a core, and

@@ -264,9 +264,9 @@ def _facts_of_numbers(counting: Counting, scale: int) -> Iterator[str]:
             yield from (fact(name, label, other) for other in counting.company(label)[name])
         yield from (fact("needs", label, port.tag, port.count) for port in kind.inputs)
     for tag in sorted(counting.tags):
-        yield from (fact("gives", label, tag) for label, _ in counting.givers(tag))
+        yield from (fact("gives", label, tag) for label, _ in counting.providers(tag))
     yield from (fact("wanted", target.tag) for target in environment.targets)
-    for giver, most in counting.limited():
-        yield fact("serves", *giver, most)
-        for number, (label, count) in enumerate(counting.takers(giver)):
-            yield fact("taker", *giver, label, number, count) if label else fact("targets", *giver, number, count)
+    for provider, most in counting.limited():
+        yield fact("serves", *provider, most)
+        for number, (label, count) in enumerate(counting.takers(provider)):
+            yield fact("taker", *provider, label, number, count) if label else fact("targets", *provider, number, count)

@@ -1,6 +1,7 @@
-"""A deployment as numbers: how many units of each transformation are on each host; and who takes whose streams then.
+"""A deployment as numbers: how many units of each transformation are on each host; and which unit then takes which
+stream.
 
-Where streams are carried for nothing, and givers come before takers, that is all there is to decide.
+Where streams are carried for nothing, and providers come before takers, that is all there is to decide.
 """
 
 from __future__ import annotations
@@ -42,7 +43,9 @@ class Counting:
         self.kinds = {label: self.candidates.of(label) for label in sorted(self.candidates.kinds)}
         ports = [port for label in self.kinds for port in self.kind(label).inputs]
         self.tags = {port.tag for port in ports} | {target.tag for target in environment.targets}
-        alone = [tag for tag in self.tags if len(self.givers(tag)) > 1 and any(map(self.serves, self.givers(tag)))]
+        alone = [
+            tag for tag in self.tags if len(self.providers(tag)) > 1 and any(map(self.serves, self.providers(tag)))
+        ]
         unknown = {
             ", ".join(sorted(problem.features - KNOWN)): not problem.features <= KNOWN,
             "numbers of what runs already": bool(environment.units),
@@ -54,7 +57,7 @@ class Counting:
             "numbers where all streams or different ones are taken": any(
                 port.count == ALL or port.distinct is not None for port in ports
             ),
-            "several givers of what serves only so many": bool(alone),
+            "several providers of what serves only so many": bool(alone),
             "cycles of several units": not is_directed_acyclic_graph(DiGraph(self._feeds())),
         }
         for what in (what for what, is_asked in unknown.items() if is_asked):
@@ -63,13 +66,13 @@ class Counting:
     def kind(self, label: str) -> Transformation:
         return self.problem.environment.transformation[label]
 
-    def givers(self, tag: str) -> tuple[Where, ...]:
+    def providers(self, tag: str) -> tuple[Where, ...]:
         """The labels with an output that matches a demanded tag, and the output."""
         return tuple(dict.fromkeys((self.candidates.label_of(s), s.port) for s in self.candidates.streams(tag)))
 
-    def serves(self, giver: Where) -> int | None:
+    def serves(self, provider: Where) -> int | None:
         """How many may take a stream; None: any number."""
-        return self.kind(giver[0]).output[giver[1]].serves
+        return self.kind(provider[0]).output[provider[1]].serves
 
     @cached_property
     def most(self) -> dict[Where, int]:
@@ -125,14 +128,14 @@ class Counting:
                 if port.serves is not None:
                     yield (label, port.name), port.serves
 
-    def takers(self, giver: Where) -> Iterator[tuple[str, int]]:
+    def takers(self, provider: Where) -> Iterator[tuple[str, int]]:
         """Whose units take streams that serve only so many, how many each; targets have no label."""
         for label in self.kinds:
             for port in self.kind(label).inputs:
-                if giver in self.givers(port.tag):
+                if provider in self.providers(port.tag):
                     yield label, port.count
         for target in self.problem.environment.targets:
-            if giver in self.givers(target.tag):
+            if provider in self.providers(target.tag):
                 yield "", 1
 
     def answer(
@@ -159,7 +162,7 @@ class Counting:
     def _feeds(self) -> Iterator[Where]:
         for label in self.kinds:
             for port in self.kind(label).inputs:
-                yield from ((giver, label) for giver, _ in self.givers(port.tag))
+                yield from ((provider, label) for provider, _ in self.providers(port.tag))
 
     def _wired(self, numbers: Mapping[Where, int]) -> Iterator[ComputationUnit]:
         """Who takes streams that serve only so many takes the next ones, others take the first ones."""
@@ -169,11 +172,11 @@ class Counting:
         taken: Counter[Where] = Counter()
 
         def streams(tag: str, count: int) -> list[Stream]:
-            givers = self.givers(tag)
-            units = {unit.id: port for label, port in givers for unit in self.kinds[label][: len(hosts[label])]}
+            providers = self.providers(tag)
+            units = {unit.id: port for label, port in providers for unit in self.kinds[label][: len(hosts[label])]}
             there = [Stream(unit, port) for unit, port in units.items()]
-            first = taken[givers[0]] if any(map(self.serves, givers)) else 0
-            taken[givers[0]] += count
+            first = taken[providers[0]] if any(map(self.serves, providers)) else 0
+            taken[providers[0]] += count
             return [there[(first + n) % len(there)] for n in range(count)]
 
         topics: dict[str, list[Publication]] = defaultdict(list)

@@ -47,17 +47,17 @@ def _send(to: Connection, problem: Problem, who: str, time_limit_s: float | None
 def lead_of(problem: Problem, who: str, time_limit_s: float | None) -> Lead:
     """Return the results of bounds and closing; the planner's own search of small problems is not used."""
     from cfgplan.planners.exact.memory import Memory
-    from cfgplan.planners.exact.session import offer_what_runs
+    from cfgplan.planners.exact.session import offer_running_units
     from cfgplan.planners.exact.solve_run import SolveRun
     from cfgplan.planners.exact.solve_state import SolveState
-    from cfgplan.planners.exact.stages import close_gap, raise_bound, see_what_can_be_met
+    from cfgplan.planners.exact.stages import check_reachable_targets, close_gap, raise_bound
     from cfgplan.planners.solving.clock import Clock
 
     selection, clock = Selection(problem, who), Clock(time_limit_s)
     state = SolveState(problem, clock, None)
-    offer_what_runs(state)
+    offer_running_units(state)
     work = SolveRun(state, Memory.of(problem, None, clock))
-    if see_what_can_be_met(work):
+    if check_reachable_targets(work):
         return Lead(None, 0, [], [])
     raise_bound(work)
     close_gap(work)

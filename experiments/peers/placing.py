@@ -124,16 +124,16 @@ class Placing(Selection):
                 yield Limit(room // unit, {i: amount // unit for i, amount in amounts.items()})
 
     def _wherever_it_is(self) -> Iterator[Limit]:
-        """A unit runs only if a giver of each need runs, on any host: rules for each host by itself are weaker."""
+        """A unit runs only if a provider of each need runs, on any host: rules for each host by itself are weaker."""
         library = self._fleet.environment.transformation
-        givers: dict[str, list[int]] = defaultdict(list)
+        providers: dict[str, list[int]] = defaultdict(list)
         for tag in {port.tag for label in self._places for port in library[label].inputs}:
             for label, places in self._places.items():
                 if any(self._fleet.similarity.holds(port.tag, tag) for port in library[label].outputs):
-                    givers[tag] += places
+                    providers[tag] += places
         for label, places in self._places.items():
             for tag in {port.tag: None for port in library[label].inputs}:
-                yield Limit(0, dict.fromkeys(givers[tag], -1) | dict.fromkeys(places, 1))
+                yield Limit(0, dict.fromkeys(providers[tag], -1) | dict.fromkeys(places, 1))
 
     def _units(self, chosen: Collection[ComputationUnit]) -> Iterator[ComputationUnit]:
         """The units on their hosts, who take from each other what journeys brought."""

@@ -192,8 +192,8 @@ class NumberProgram:
 
     def _fewer(self, counting: Counting, tag: str) -> dict[int, int]:
         """Return minus the number of units that give a demanded tag, as coefficients."""
-        givers = {label for label, _ in counting.givers(tag)}
-        return {number: -1 for label in givers for number in self._of[label]}
+        providers = {label for label, _ in counting.providers(tag)}
+        return {number: -1 for label in providers for number in self._of[label]}
 
     def _at_most(self, most: int, *terms: Mapping[int, int]) -> None:
         columns = {column: value for each in terms for column, value in each.items()}

@@ -1,4 +1,4 @@
-"""The units a plan may have, and what follows from choosing some of them: are they grounded, how are they wired.
+"""The units that a plan may choose from, and the results of a choice: whether it is grounded, and its wiring.
 
 For planners that search for a set of units and leave the wiring for last; it knows no solver.
 """
@@ -43,7 +43,7 @@ class Selection:
         self.problem = problem
         self.who = who
         found = Candidates(problem)
-        self._givers = found.givers
+        self._givers = found.providers
         running = {unit.transformation for unit in problem.environment.units}
         self.candidates = tuple(c for c in found.all if c.running or c.transformation.label not in running)
         self.kept = frozenset(i for i, c in enumerate(self.candidates) if c.running and c.transformation.pinned)
@@ -185,11 +185,11 @@ class Selection:
         return next((i for i in self.feeders(port.tag) if self.candidates[i].id in old), None)
 
     def _subscription(self, index: int, port: InputPort, feeder: int) -> Subscription:
-        candidate, giver = self.candidates[index], self.candidates[feeder]
+        candidate, provider = self.candidates[index], self.candidates[feeder]
         old = candidate.running.feeds.get(port.name, ()) if candidate.running else ()
         fit = list(self._ports(feeder, port.tag))
-        kept = [stream for stream in old if stream.unit == giver.id and stream.port in fit]
-        return Subscription(port.name, kept[0] if kept else Stream(giver.id, fit[0]))
+        kept = [stream for stream in old if stream.unit == provider.id and stream.port in fit]
+        return Subscription(port.name, kept[0] if kept else Stream(provider.id, fit[0]))
 
     def _publisher(self, tag: str, topic: str, order: list[int]) -> tuple[int, str]:
         """The publisher of a target and its port: the present ones if they may stay."""

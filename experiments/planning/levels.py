@@ -1,4 +1,4 @@
-"""Groundedness in one shot: integer levels inside the strongly connected parts of what rests on what.
+"""Groundedness in one shot: integer levels inside the strongly connected components of the support graph.
 
 The alternative to lazy cuts: several times slower on large instances.
 """

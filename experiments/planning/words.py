@@ -1,4 +1,4 @@
-"""The cost of a word without effect: `python experiments/planning/words.py`.
+"""The cost of a field that is given but has no effect: `python experiments/planning/words.py`.
 
 Each word of `tests/test_words.py` is added, in a library of 500 and of 1,000 transformations, to two that can't be
 started, and to two that no target needs. Hosts, resources and links that never bind are added to the plan's units, and

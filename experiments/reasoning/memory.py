@@ -41,8 +41,8 @@ def _row(number: int, states: int, rate: int) -> str:
     me = psutil.Process()
     largest, memory = 0, []
     begin = time.process_time()
-    for piece in range(_PIECES):
-        part = slice(piece * states // _PIECES, (piece + 1) * states // _PIECES)
+    for segment in range(_PIECES):
+        part = slice(segment * states // _PIECES, (segment + 1) * states // _PIECES)
         if monitor.feed(at[part], values[part]) != "open":
             raise SystemExit(f"the verdict of {measured.name} became {monitor.verdict}")
         largest = max(largest, monitor.size)

@@ -58,7 +58,7 @@ class Run:
         """Kill a process. Returns the seconds until the first element of another unit's process."""
         old, before, start_s = self.pid, len(self.came), time.monotonic()
         os.kill(pid, 9)
-        first_s = _eventually(lambda: next((at_s for at_s, giver in self.came[before:] if giver != old), None))
+        first_s = _eventually(lambda: next((at_s for at_s, provider in self.came[before:] if provider != old), None))
         if is_unit:
             self.settle()
         return first_s - start_s

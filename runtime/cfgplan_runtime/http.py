@@ -25,13 +25,13 @@ _LONGEST: Final = 1 << 26
 
 
 class Poller:
-    """A source: gives the value of the resource at `url` (http or https) each time that it is called.
+    """A source: asks for the resource at `url` (http or https) at the transformation's rate, and gives its value.
 
     `payload` is the form of answers (json, text, number or bytes). An element is the value of an answer, or of its
-    `field`: a key of JSON, or a list of keys that lead further in. A resource that does not answer, or with an error,
-    is reported once with the reason, and once when it answers again; it gives no elements meanwhile. `username` goes
-    with a password in a variable of the environment or in a file; `token_env` and `token_file` hold a bearer's token.
-    `ca` is a file of TLS, relative to the working folder. Raises InputError.
+    `field`: a key of JSON, or a list of keys that lead further in. If the resource does not answer, or with an error,
+    it gives no elements; this is reported once with the reason, and once when it answers again. A `username` needs a
+    password in the environment variable `password_env` or in the file `password_file`; `token_env` and `token_file`
+    name a bearer's token. `ca` is a file of TLS certificates, relative to the working folder. Raises InputError.
     """
 
     def __init__(
@@ -104,7 +104,7 @@ def _checked(url: str) -> str:
 
 
 def _opener(ca: str | None) -> OpenerDirector:
-    """Raises InputError."""
+    """Raise InputError."""
     try:
         return build_opener(HTTPSHandler(context=ssl.create_default_context(cafile=ca)))
     except OSError as error:

@@ -18,12 +18,12 @@ _ORDERS_AGAIN_S = 0.05
 
 
 class Source:
-    """Gives the values of `topic` in the recording `file`, as far apart as they were, `speed` times as fast.
+    """A source: replays `topic` of the recording `file` at its recorded intervals, `speed` times as fast.
 
-    Times count from the first message of any topic of the recording, and from `begin_ns` (since 1970) on, so that
-    several sources with the same `begin_ns` stay in step, and a restarted source continues where the others are.
-    Without it a source begins when it is constructed. Each value has the time at which it is due. With `loop` the
-    recording begins again when it is over, after one second. Raises InputError.
+    The first message of the recording, on any topic, is due at `begin_ns` (nanoseconds since 1970); without it, when
+    the source is constructed. Sources with the same `begin_ns` stay in step, and a restarted one continues where the
+    others are. A value has the time at which it is due. With `loop` the recording begins again one second after its
+    end. Raises InputError.
     """
 
     def __init__(

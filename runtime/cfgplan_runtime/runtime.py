@@ -69,7 +69,7 @@ class OwnThread:
         self._supervisor.backend.wake()
         if self._supervisor.is_ending:  # perhaps nobody looks any more
             self._thread.join()
-            self._do_what_waits()
+            self._run_pending_calls()
         return future.result()
 
     def close(self) -> None:
@@ -86,13 +86,13 @@ class OwnThread:
         try:
             while not supervisor.is_ending:
                 supervisor.pump(1.0)
-                self._do_what_waits()
+                self._run_pending_calls()
         finally:
             supervisor.is_ending = True
             supervisor.backend.close()
-            self._do_what_waits()
+            self._run_pending_calls()
 
-    def _do_what_waits(self) -> None:
+    def _run_pending_calls(self) -> None:
         with contextlib.suppress(queue.Empty):
             while True:
                 self._work.get_nowait()()
@@ -118,10 +118,10 @@ class Inline:
         """Seconds on the backend's clock."""
         return self._supervisor.backend.now()
 
-    def wait(self, bell: threading.Event, timeout_s: float) -> None:
-        """Handle due events until the bell rings, or `timeout_s` seconds have passed."""
+    def wait(self, waker: threading.Event, timeout_s: float) -> None:
+        """Handle due events until `waker` is set, or `timeout_s` seconds have passed."""
         end = self.now() + timeout_s
-        while not bell.is_set() and self.now() < end:
+        while not waker.is_set() and self.now() < end:
             self._supervisor.pump(end - self.now())
 
 

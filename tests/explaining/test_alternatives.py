@@ -127,8 +127,8 @@ def test_a_pinned_one_that_is_required_takes_no_place_from_what_has_to_serve() -
 
 def test_what_feeds_pinned_units_alone_hides_no_alternative() -> None:
     log = Transformation("log", (InputPort("i", "M"),), (OutputPort("o", "L"),), pinned=True)
-    givers = [Transformation(label, (), (OutputPort("o", label[0]),), int(label[1])) for label in ("M1", "M2", "S1")]
-    library = (log, *givers, Transformation("S2", (), (OutputPort("o", "S"),), 3))
+    providers = [Transformation(label, (), (OutputPort("o", label[0]),), int(label[1])) for label in ("M1", "M2", "S1")]
+    library = (log, *providers, Transformation("S2", (), (OutputPort("o", "S"),), 3))
     environment = Environment((ComputationUnit("log.1", "log"),), library, (Target("t", "S", "/t"),))
     problem = Problem(environment, Similarity({tag: frozenset({tag}) for tag in "MSL"}), 0)
     found = alternatives(problem, cpsat, 9)

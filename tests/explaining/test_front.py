@@ -14,7 +14,7 @@ ERROR = QualityAttribute("error", Better.LOWER, worst=10)
 RATE = QualityAttribute("rate", Better.HIGHER, best=10)
 
 
-def giver(label: str, cost_us: int, error: int, rate: int = 1) -> Transformation:
+def provider(label: str, cost_us: int, error: int, rate: int = 1) -> Transformation:
     stated = (Contribution("error", QualityRule.SET, error), Contribution("rate", QualityRule.SET, rate))
     return Transformation(label, (), (OutputPort("out", "T", stated),), labor_us=cost_us)
 
@@ -31,7 +31,7 @@ def points(asked: Problem, attribute: str = "error") -> list[tuple[int, int]]:
     return [(point.cost_us, point.value) for point in found.points]
 
 
-CHEAP, BETTER, BEST, BEATEN = giver("a", 1, 9), giver("b", 4, 5), giver("c", 7, 2), giver("d", 5, 6)
+CHEAP, BETTER, BEST, BEATEN = provider("a", 1, 9), provider("b", 4, 5), provider("c", 7, 2), provider("d", 5, 6)
 
 
 def test_the_front_holds_what_no_other_plan_beats() -> None:
@@ -47,7 +47,7 @@ def test_the_front_ends_at_the_largest_cost() -> None:
 
 
 def test_where_higher_is_better_the_front_rises() -> None:
-    asked = problem(giver("a", 1, 0, 2), giver("b", 2, 0, 5), giver("c", 3, 0, 4))
+    asked = problem(provider("a", 1, 0, 2), provider("b", 2, 0, 5), provider("c", 3, 0, 4))
     free = replace(asked, environment=replace(asked.environment, targets=(Target("t", "T", "/t"),)))
     assert points(free, "rate") == [(1, 2), (2, 5)]
 

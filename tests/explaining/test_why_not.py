@@ -83,12 +83,12 @@ def test_of_the_limits_those_in_the_way_are_minimal(problem: Problem) -> None:
 def test_a_limit_that_forbids_a_plan_is_named(
     changes: dict[str, object], hosts: tuple[Host, ...], named: list[str]
 ) -> None:
-    giver = Transformation("giver", (), (OutputPort("o", "Raw", serves=1),), per_host=1)
+    provider = Transformation("giver", (), (OutputPort("o", "Raw", serves=1),), per_host=1)
     user = replace(
         Transformation("user", (InputPort("i", "Raw"),), (OutputPort("o", "Wanted"),)),
         **changes,  # type: ignore[arg-type]
     )
-    environment = Environment((), (giver, user), (Target("t", "Wanted", "/t"),), hosts)
+    environment = Environment((), (provider, user), (Target("t", "Wanted", "/t"),), hosts)
     found = why_not(Problem(environment, Similarity({t: frozenset({t}) for t in ("Raw", "Wanted")}), 2), cpsat)
     assert found.clash is not None
     assert [str(limit) for limit in found.clash.limits] == named

@@ -35,7 +35,7 @@ class SimulatedHosts:
 
         def ask() -> Iterator[bytes]:
             self.true_ns += self.random.randrange(50_000, self.slow_ns)
-            answer = host.told()
+            answer = host.answer()
             self.true_ns += self.random.randrange(50_000, self.slow_ns)
             yield answer
 

@@ -10,12 +10,12 @@ from cfgplan_runtime.streams.crossing import (
     _FIRST_FRAME,
     BYTES_UNDER_WAY,
     FRAMES_UNDER_WAY,
-    LAST_PIECE,
+    LAST_SEGMENT,
     MOST_PIECES,
     Credit,
     Frame,
-    Piece,
     Receiving,
+    Segment,
     Sending,
     read_credit,
     read_frame,
@@ -23,16 +23,16 @@ from cfgplan_runtime.streams.crossing import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-MARK = Piece(0, 0, b"work.1", is_mark=True)
+MARK = Segment(0, 0, b"work.1", is_mark=True)
 
 
-def piece(number: int, size: int = 8) -> Piece:
-    return Piece(number, 0, number.to_bytes(8, "little") + bytes(size - 8))
+def segment(number: int, size: int = 8) -> Segment:
+    return Segment(number, 0, number.to_bytes(8, "little") + bytes(size - 8))
 
 
-def carry(sending: Sending, receiving: Receiving, random: Random, *, loss: float, until_s: float) -> list[Piece]:
+def carry(sending: Sending, receiving: Receiving, random: Random, *, loss: float, until_s: float) -> list[Segment]:
     """Let time pass over a link that loses, repeats and reorders; returns what was handed on."""
-    came: list[Piece] = []
+    came: list[Segment] = []
     frames: list[Frame] = []
     told_credits: list[Credit] = []
     now_s = 0.0
@@ -58,8 +58,8 @@ def test_every_piece_comes_once_and_in_order(seed: int, count: int, loss: float,
     sending, receiving = Sending(), Receiving()
     count = min(count, 4_000_000 // size)
     for number in range(count):
-        sending.offer(piece(number, size))
-    sending.offer(LAST_PIECE)
+        sending.offer(segment(number, size))
+    sending.offer(LAST_SEGMENT)
     came = carry(sending, receiving, Random(seed), loss=loss, until_s=300.0 if loss else 30.0)
     assert [one.time_ns for one in came[:-1]] == list(range(count))
     assert came[-1].is_last
@@ -70,7 +70,7 @@ def test_what_has_no_room_during_a_cut_is_dropped_oldest_first_and_told() -> Non
     sending, receiving = Sending(), Receiving()
     lost = 10
     for number in range(MOST_PIECES + lost):
-        sending.offer(piece(number))
+        sending.offer(segment(number))
     came = carry(sending, receiving, Random(1), loss=0.0, until_s=5.0)
     assert [one.time_ns for one in came] == list(range(lost, MOST_PIECES + lost))
     assert (sending.dropped, receiving.dropped) == (lost, lost)
@@ -79,12 +79,12 @@ def test_what_has_no_room_during_a_cut_is_dropped_oldest_first_and_told() -> Non
 def test_what_is_lost_if_no_more_is_sent_is_known_to_the_element() -> None:
     sending, receiving = Sending(), Receiving()
     for number in range(MOST_PIECES + 10):
-        sending.offer(piece(number))
+        sending.offer(segment(number))
     assert sending.lost == MOST_PIECES + 10
     carry(sending, receiving, Random(1), loss=0.0, until_s=5.0)
     assert (sending.dropped, sending.lost) == (10, 0)
     for number in range(MOST_PIECES + 5):
-        sending.offer(piece(number))
+        sending.offer(segment(number))
     assert (sending.dropped, sending.lost) == (15, MOST_PIECES + 5)
 
 
@@ -92,8 +92,8 @@ def test_ends_and_marks_are_neither_dropped_nor_counted_as_lost() -> None:
     sending, receiving = Sending(), Receiving()
     sending.offer(MARK)
     for number in range(MOST_PIECES + 5):
-        sending.offer(piece(number))
-    sending.offer(LAST_PIECE)
+        sending.offer(segment(number))
+    sending.offer(LAST_SEGMENT)
     assert sending.lost == MOST_PIECES + 5
     came = carry(sending, receiving, Random(1), loss=0.0, until_s=5.0)
     assert came[0].is_mark and came[-1].is_last
@@ -104,7 +104,7 @@ def test_ends_and_marks_are_neither_dropped_nor_counted_as_lost() -> None:
 def test_the_end_of_a_stream_that_was_lost_in_a_cut_comes_at_once_when_the_link_is_there_again() -> None:
     sending, receiving = Sending(granted=FRAMES_UNDER_WAY), Receiving()
     for number in range(200):
-        sending.offer(piece(number))
+        sending.offer(segment(number))
     sending.due(0.0)  # lost
     came = carry(sending, receiving, Random(1), loss=0.0, until_s=2.0)
     assert [one.time_ns for one in came] == list(range(200))
@@ -114,7 +114,7 @@ def test_a_blocking_crossing_drops_nothing_and_is_full_at_its_queue() -> None:
     sending = Sending(blocks=True, most=5)
     for number in range(5):
         assert not sending.is_full
-        sending.offer(piece(number))
+        sending.offer(segment(number))
     assert sending.is_full
     assert sending.dropped == 0
 
@@ -122,7 +122,7 @@ def test_a_blocking_crossing_drops_nothing_and_is_full_at_its_queue() -> None:
 def test_no_more_is_under_way_than_the_receiver_has_room_for() -> None:
     sending, receiving = Sending(blocks=True), Receiving()
     for number in range(3 * FRAMES_UNDER_WAY):
-        sending.offer(piece(number))
+        sending.offer(segment(number))
     first = receiving.credit(0.0)
     assert first is not None
     sending.hear(first, 0.0)
@@ -162,12 +162,12 @@ def over_a_link(
     for tick in range(round(until_s * 1000)):
         now_s = tick / 1000
         while number * every_s <= now_s:
-            sending.offer(piece(number, size + number * growth))
+            sending.offer(segment(number, size + number * growth))
             number += 1
         while told and told[0][0] <= now_s:
             sending.hear(told.popleft()[1], now_s)
         for frame in sending.due(now_s):
-            payload = b"" if frame.piece is None else frame.piece.payload
+            payload = b"" if frame.segment is None else frame.segment.payload
             begin_s = max(now_s - burst / rate, free_s)
             free_s = begin_s + (len(payload) + 100) / (rate if now_s >= fast_until_s else 1000 * rate)
             in_link.append((max(now_s, free_s) + delay_s, frame))
@@ -229,7 +229,7 @@ def test_a_link_that_stands_still_for_a_second_at_a_time_carries_small_elements_
             for at_s in (there_s, back_s)
         )
         if tick % 5 == 0:
-            sending.offer(piece(tick // 5, 8))
+            sending.offer(segment(tick // 5, 8))
         while back and back[0][0] <= now_s:
             sending.hear(back.popleft()[1], now_s)
         there += [(there_s + 0.1, frame) for frame in sending.due(now_s)]
@@ -267,11 +267,11 @@ def test_a_link_with_room_delays_no_stream(size: int, hz: int, delay_s: float) -
 
 def test_a_large_piece_goes_in_frames_and_comes_whole() -> None:
     sending, receiving = Sending(granted=FRAMES_UNDER_WAY), Receiving()
-    sending.offer(piece(3, 200_000))
+    sending.offer(segment(3, 200_000))
     sending.offer(MARK)
     frames = sending.due(0.0)
-    assert {len(frame.piece.payload) for frame in frames if frame.piece is not None} == {_FIRST_FRAME}
-    came: list[Piece] = []
+    assert {len(frame.segment.payload) for frame in frames if frame.segment is not None} == {_FIRST_FRAME}
+    came: list[Segment] = []
     for step in range(1, 20):
         for frame in frames:
             came += receiving.take(frame, step * 0.06)
@@ -279,7 +279,7 @@ def test_a_large_piece_goes_in_frames_and_comes_whole() -> None:
         if credit is not None:
             sending.hear(credit, step * 0.06)
         frames = sending.due(step * 0.06)
-    assert came == [piece(3, 200_000), MARK]
+    assert came == [segment(3, 200_000), MARK]
     assert (sending.depth, sending.lost) == (0, 0)
 
 
@@ -288,12 +288,12 @@ def test_an_element_that_was_begun_is_not_dropped() -> None:
     room = receiving.credit(0.0)
     assert room is not None
     sending.hear(room, 0.0)
-    sending.offer(piece(0, 30_000_000))
+    sending.offer(segment(0, 30_000_000))
     frames = sending.due(0.0)
     for number in range(1, 4):
-        sending.offer(piece(number, 20_000_000))
+        sending.offer(segment(number, 20_000_000))
     assert (sending.dropped, sending.lost) == (2, 4)
-    came: list[Piece] = []
+    came: list[Segment] = []
     for step in range(1, 100_000):
         for frame in frames:
             came += receiving.take(frame, step * 0.01)
@@ -310,7 +310,7 @@ def test_what_is_newly_missing_is_asked_for_at_once_and_again_after_a_while() ->
     receiving = Receiving()
 
     def asked(number: int, at_s: float) -> tuple[int, ...]:
-        receiving.take(Frame(number, 0, piece(number)), at_s)
+        receiving.take(Frame(number, 0, segment(number)), at_s)
         told = receiving.credit(at_s)
         return () if told is None else told.missing
 
@@ -322,13 +322,13 @@ def test_what_is_newly_missing_is_asked_for_at_once_and_again_after_a_while() ->
 
 def test_a_sender_without_any_credit_asks_for_one() -> None:
     sending = Sending()
-    sending.offer(piece(0))
+    sending.offer(segment(0))
     assert sending.due(0.0) == []
     due_s = sending.due_s
     assert due_s is not None
     assert due_s <= 0.01, "a stream does not wait long for a credit that was told before its sender was there"
     (asked,) = sending.due(due_s)
-    assert asked.piece is None
+    assert asked.segment is None
     receiving = Receiving()
     first = receiving.credit(0.0)
     assert receiving.credit(0.0) is None, "told once"
@@ -337,9 +337,9 @@ def test_a_sender_without_any_credit_asks_for_one() -> None:
 
 
 def test_frames_and_told_credits_are_read_as_they_were_written() -> None:
-    part = Frame(4, 1, piece(2), has_more=True)
-    for frame in (Frame(7, 3, piece(5)), Frame(8, 3, LAST_PIECE), Frame(9, 3, MARK), Frame(9, 0, None), part):
-        assert read_frame(frame.head(), b"" if frame.piece is None else bytes(frame.piece.payload)) == frame
+    part = Frame(4, 1, segment(2), has_more=True)
+    for frame in (Frame(7, 3, segment(5)), Frame(8, 3, LAST_SEGMENT), Frame(9, 3, MARK), Frame(9, 0, None), part):
+        assert read_frame(frame.head(), b"" if frame.segment is None else bytes(frame.segment.payload)) == frame
     for credit in (Credit(5, 261), Credit(5, 261, (6, 9))):
         assert read_credit(credit.packed()) == credit
 
@@ -354,7 +354,7 @@ def test_what_is_dropped_for_want_of_room_in_the_link_is_told_from_what_the_rece
     crowded, shut = Sending(granted=FRAMES_UNDER_WAY), Sending(granted=0)
     for sending in (crowded, shut):
         for turn in range(40):
-            sending.offer(piece(turn, size=1_000_000))
+            sending.offer(segment(turn, size=1_000_000))
             sending.due(0.0)
         assert sending.dropped > 0
         assert sending.offered_bytes == 40_000_000
@@ -367,7 +367,7 @@ def test_what_is_dropped_for_want_of_room_in_the_link_is_told_from_what_the_rece
 def test_a_missing_frame_is_not_sent_again_at_every_request_but_ever_more_rarely() -> None:
     sending = Sending(granted=FRAMES_UNDER_WAY)
     for number in range(3):
-        sending.offer(piece(number))
+        sending.offer(segment(number))
     sending.due(0.0)
     sending.hear(Credit(1, FRAMES_UNDER_WAY), 1.0)  # the link's usual delay is a second
     sent = list[int]()

@@ -9,7 +9,7 @@ from contextlib import ExitStack
 import pytest
 from cfgplan_runtime.fleet import ways
 from cfgplan_runtime.fleet.links import config
-from cfgplan_runtime.fleet.ways import Way, alive_key, reach_key
+from cfgplan_runtime.fleet.ways import RouteWatch, alive_key, reach_key
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 from small_fleet import PATIENCE_S, eventually, free_port
 
@@ -35,7 +35,7 @@ class Hosts:
         def say(text: str) -> None:
             self.said.append(f"{host}: {text}")
 
-        way = Way(link, f"{alive_key(host)}/life", listen, connect, None, lambda error: say(str(error)), say)
+        way = RouteWatch(link, f"{alive_key(host)}/life", listen, connect, None, lambda error: say(str(error)), say)
         self._stack.callback(way.close)
 
     def heard(self, host: str) -> set[str]:
@@ -92,13 +92,13 @@ def test_hosts_that_are_linked_with_all_stay_so(stack: ExitStack, monkeypatch: p
     hosts = Hosts(stack, base="", r1="base", r2="base r1")
     hosts.await_whole()
     monkeypatch.setattr(ways, "LEASE_S", 0.4)
-    looks, look = Counter[Way](), Way._look
+    looks, look = Counter[RouteWatch](), RouteWatch._look
 
-    def counted_look(way: Way, asked: str, others: set[str]) -> None:
+    def counted_look(way: RouteWatch, asked: str, others: set[str]) -> None:
         look(way, asked, others)
         looks[way] += 1
 
-    monkeypatch.setattr(Way, "_look", counted_look)
+    monkeypatch.setattr(RouteWatch, "_look", counted_look)
     eventually(lambda: len(looks) == 3 and min(looks.values()) >= 10)
     assert hosts.said == []
 

@@ -93,8 +93,8 @@ def test_all_else_is_left_to_libyaml(text: str) -> None:
 @settings(max_examples=1500, deadline=None)
 def test_a_mutated_text_is_left_alone_or_read_as_libyaml_does(changes: list[tuple[int, int, str]]) -> None:
     text = BLOCK
-    for at, cut, piece in changes:
-        text = text[:at] + piece + text[at + cut :]
+    for at, cut, segment in changes:
+        text = text[:at] + segment + text[at + cut :]
     data = read_block_yaml(text)
     if data is not None:
         assert repr(data) == repr(as_libyaml_reads(text))

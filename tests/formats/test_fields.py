@@ -128,7 +128,7 @@ from cfgplan.formats.models import json_schema
 from cfgplan.formats.xml_dump import dump_xml
 from cfgplan.planning import Problem
 from cfgplan.rows import Feature
-from cfgplan.transformations import what_runs
+from cfgplan.transformations import running_fields
 
 text = "format: cfgplan/1\\ntransformations:\\n- {label: t, outputs: {o: O}GPU}\\n"
 def world(suffix, content):
@@ -141,7 +141,7 @@ assert json_schema(EnvironmentPart)["$defs"]["TransformationPart"]["properties"]
 (t,), (u,) = said.environment.library, without.environment.library
 assert (t.gpu, u.gpu) == (2, 0)
 assert said.digest != without.digest
-assert what_runs(t) != what_runs(u)
+assert running_fields(t) != running_fields(u)
 assert Feature.INSTANCES in Problem(said.environment, Similarity({}), 1).features
 assert [str(each) for each in limits_of(Problem(said.environment, Similarity({}), 1))] == ["`gpu` of transformation t"]
 assert not limits_of(Problem(without.environment, Similarity({}), 1))

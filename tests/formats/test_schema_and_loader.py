@@ -17,7 +17,7 @@ from cfgplan.formats.fields import EnvironmentPart
 from cfgplan.formats.models import json_schema
 from cfgplan.formats.yaml_text import read_yaml
 
-Way: TypeAlias = tuple[str | int, ...]
+RouteWatch: TypeAlias = tuple[str | int, ...]
 
 VALUES = (True, -1, 0, 2.0, 1.5, 1e15, 2**70, "", "x", "1h", "a/b", [], {}, None)
 BETWEEN_PARTS = re.compile(
@@ -33,7 +33,7 @@ def every_key() -> Any:
     return json.loads(json.dumps(read_yaml(text, "").data, default=float))
 
 
-def ways(data: Any, way: Way = ()) -> Iterator[Way]:
+def ways(data: Any, way: RouteWatch = ()) -> Iterator[RouteWatch]:
     """The ways to all that is in the data; `params` may hold anything."""
     if way:
         yield way
@@ -42,7 +42,7 @@ def ways(data: Any, way: Way = ()) -> Iterator[Way]:
             yield from ways(inner, (*way, step))
 
 
-def places() -> Iterator[tuple[Any, Way]]:
+def places() -> Iterator[tuple[Any, RouteWatch]]:
     """One way to each key of each kind of part and to what comes first in a list, in a file with only that part.
 
     Attributes of quality stay in it: without them nothing is said of quality at all.
@@ -58,7 +58,7 @@ def places() -> Iterator[tuple[Any, Way]]:
             yield {"format": whole["format"], "qualities": whole["qualities"], top: alone}, way
 
 
-def with_value(data: Any, way: Way, value: object) -> Any:
+def with_value(data: Any, way: RouteWatch, value: object) -> Any:
     if not way:
         return value
     changed = data.copy()

@@ -171,9 +171,9 @@ def test_escaping_hides_every_template(text: str) -> None:
     st.integers(1, 30),
 )
 def test_a_column_of_an_expansion_leads_back_to_the_same_character(
-    pieces: list[str], first: str, second: str, column: int
+    segments: list[str], first: str, second: str, column: int
 ) -> None:
-    template = "".join(pieces)
+    template = "".join(segments)
     values = {("A", ""): first, ("B", "x"): second}
     expansion = substitute(template, values)
     if column > len(expansion) or expansion[column - 1] not in "xy":

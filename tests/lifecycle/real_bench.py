@@ -11,8 +11,8 @@ from typing import Any
 from cfgplan_runtime import NoSuchTopicError, Runtime, subscribe
 from cfgplan_runtime.streams.run_folder import base_folder, topics_of
 from cfgplan_runtime.testing import FIRST, LAST, Bench, Endings
-from living import source, worker
 from real_run import PROGRAM, UNITS
+from simulated_life import source, worker
 from unit_signals import signal_unit
 
 from cfgplan.domain import RunOptions, Transformation

@@ -168,17 +168,17 @@ class RealRun:
             self._listeners[topic] = Listener(topic)
         return self._listeners[topic]
 
-    def givers(self, since: int = 0, topic: str = "/result") -> list[str]:
+    def providers(self, since: int = 0, topic: str = "/result") -> list[str]:
         """Who gave the elements of a topic, from the one with this position on."""
         return [received.value[0] for received in self.listener(topic).received[since:]]
 
-    def await_result(self, giver: str | None = None, topic: str = "/result", more: int = 5) -> None:
+    def await_result(self, provider: str | None = None, topic: str = "/result", more: int = 5) -> None:
         """Wait until a topic has given some more elements, by this transformation if one is named."""
         since = len(self.listener(topic).received)
 
         def has_come() -> bool:
-            new = self.givers(since, topic)
-            return sum(1 for each in new if giver in (None, each)) >= more
+            new = self.providers(since, topic)
+            return sum(1 for each in new if provider in (None, each)) >= more
 
         eventually(has_come)
 

@@ -16,7 +16,7 @@ from cfgplan_runtime.lifecycle.reports import BackedOff, Decision, Phase
 from cfgplan_runtime.lifecycle.seams import DeclaredCosts
 from cfgplan_runtime.supervision.events import UnitReady
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
-from living import Life, source, started, worker
+from simulated_life import Life, source, started, worker
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Publication, Stream, Subscription, Target
 from cfgplan.planners import PLANNERS

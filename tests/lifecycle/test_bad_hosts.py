@@ -7,7 +7,7 @@ from cfgplan_runtime import SimulatedRuntime
 from cfgplan_runtime.lifecycle.back_off import Place
 from cfgplan_runtime.lifecycle.reports import BackedOff
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
-from living import HORIZON_S, RESULT, Life, source, started, worker
+from simulated_life import HORIZON_S, RESULT, Life, source, started, worker
 
 from cfgplan import api
 from cfgplan.domain import Environment, Host, Transformation

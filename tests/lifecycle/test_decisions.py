@@ -23,7 +23,7 @@ from cfgplan_runtime.lifecycle.changes import (
     Stop,
 )
 from cfgplan_runtime.lifecycle.decisions import BreakIn, breaks_in, decide, first_state
-from cfgplan_runtime.lifecycle.deliberation import Looked, Thought
+from cfgplan_runtime.lifecycle.deliberation import Findings, Looked
 from cfgplan_runtime.lifecycle.inbox import Asked, Item, Leave, Unusable
 from cfgplan_runtime.lifecycle.perturbations import (
     HorizonReached,
@@ -41,12 +41,11 @@ from cfgplan_runtime.lifecycle.perturbations import (
 )
 from cfgplan_runtime.lifecycle.reports import Decision, Ended, Observed, Perturbed, ReviewBegan, Reviewed, WorldRefused
 from cfgplan_runtime.lifecycle.state import Gathering, Planning, State, Updating
-from cfgplan_runtime.lifecycle.turns import (
+from cfgplan_runtime.lifecycle.transitions import (
     ApplyUpdate,
     Effect,
     Finished,
-    Happened,
-    Happening,
+    Input,
     LearnOfFailure,
     MakePlan,
     Match,
@@ -60,6 +59,7 @@ from cfgplan_runtime.lifecycle.turns import (
     Tell,
     Terminate,
     Tick,
+    TimedInput,
     Updated,
 )
 from cfgplan_runtime.supervision.events import (
@@ -82,7 +82,7 @@ from cfgplan_runtime.supervision.events import (
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
-from living import RESULT, source, worker
+from simulated_life import RESULT, source, worker
 
 from cfgplan import api
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Host, Publication, Stream, Subscription, Target
@@ -102,11 +102,11 @@ def world(*, targets: tuple[Target, ...] = (RESULT,), horizon_s: int = 60) -> ap
     return api.world(Environment((), LIBRARY, targets), horizon_s=horizon_s)
 
 
-def after(state: State, at_s: float, *what: Happening, running: Environment = RUNNING) -> tuple[State, list[Effect]]:
+def after(state: State, at_s: float, *what: Input, running: Environment = RUNNING) -> tuple[State, list[Effect]]:
     """The state after things that happen at one time, and all effects."""
     effects: list[Effect] = []
     for one in what:
-        state, more = decide(state, Happened(at_s, one, running))
+        state, more = decide(state, TimedInput(at_s, one, running))
         effects += more
     return state, effects
 
@@ -123,7 +123,7 @@ def asked(change: Change) -> Asked:
     return Asked(change, Future())
 
 
-def thought(**more: Any) -> Thought:
+def findings(**more: Any) -> Findings:
     """A plan that starts what is to run, unless it is said otherwise."""
     more = {
         "running": EMPTY,
@@ -133,12 +133,12 @@ def thought(**more: Any) -> Thought:
         "met": ("result",),
         **more,
     }
-    return Thought(planned=EMPTY, **more)
+    return Findings(planned=EMPTY, **more)
 
 
 def stable(policy: Policy = POLICY, **more: Any) -> State:
     """After the first review, with both units running since 0."""
-    state, _ = after(first_state(world(**more), POLICY), 0.0, Started(), Tick(0.0), Planned(thought()), running=EMPTY)
+    state, _ = after(first_state(world(**more), POLICY), 0.0, Started(), Tick(0.0), Planned(findings()), running=EMPTY)
     return replace(after(state, 0.0, Updated())[0], policy=policy)
 
 
@@ -149,7 +149,7 @@ def planning() -> State:
 def updating(**more: Any) -> State:
     """While another work.2 is started in the place of work.1."""
     started = (replace(WORK, id="work.2"),)
-    swap = thought(running=RUNNING, change_set=ChangeSet(started=started, stopped=("work.1",)), **more)
+    swap = findings(running=RUNNING, change_set=ChangeSet(started=started, stopped=("work.1",)), **more)
     return after(planning(), 2.0, Planned(swap))[0]
 
 
@@ -157,14 +157,14 @@ def test_the_first_review_plans_updates_and_is_put_on_record() -> None:
     state, effects = after(first_state(world(), POLICY), 5.0, Started(), Tick(100.0), running=EMPTY)
     assert perturbations(effects) == [Started()]
     (plan,) = found(effects, MakePlan)
-    assert (plan.scene.running, plan.optimises, plan.is_last) == (EMPTY, True, False)
-    state, effects = after(state, 6.0, Planned(thought()), running=EMPTY)
+    assert (plan.plan_input.running, plan.optimises, plan.is_last) == (EMPTY, True, False)
+    state, effects = after(state, 6.0, Planned(findings()), running=EMPTY)
     assert effects == [ApplyUpdate(START, EMPTY)]
     state, effects = after(state, 7.0, Updated(0.5))
     (review,) = state.reviews
     assert (review.number, review.at_s, review.time_s, review.decision) == (1, 5.0, 100.0, Decision.APPLIED)
     assert review.seconds == {"detect": 0.0, "match": 0.0, "apply": 0.5}
-    assert effects == [Tell(Reviewed(review)), Prepare(replace(state, running=RUNNING).scene)]
+    assert effects == [Tell(Reviewed(review)), Prepare(replace(state, running=RUNNING).plan_input)]
     assert (state.doing, state.horizon_at_s, state.observe_at_s) == (None, 67.0, 8.0)
     assert {unit: known.since_s for unit, known in state.situation.units.items()} == {"count.1": 6.0, "work.1": 6.0}
 
@@ -172,7 +172,7 @@ def test_the_first_review_plans_updates_and_is_put_on_record() -> None:
 def test_a_look_is_put_off_by_what_happens_while_it_is_planned() -> None:
     """A death is answered first; the look is due again as soon as nothing waits, since none has begun."""
     looking = replace(stable(), doing=Planning(2, 1.0, 1.0, 0.0, world(), plans=1))
-    look = Looked(("work",), thought(running=RUNNING, change_set=ChangeSet(started=(replace(WORK, id="work.2"),))))
+    look = Looked(("work",), findings(running=RUNNING, change_set=ChangeSet(started=(replace(WORK, id="work.2"),))))
     _, effects = after(looking, 1.5, look)
     assert found(effects, ApplyUpdate)
     state, effects = after(looking, 1.5, UnitDied("work.1", "killed"), look)
@@ -184,7 +184,7 @@ def test_nothing_is_changed_in_place() -> None:
     state = stable()
     before = repr(state)
     for what in (UnitDied("work.1", "crash"), InputLost("work.1", "x", 1), UnitFailed("work.1", "raised", 1, "bad")):
-        decide(state, Happened(1.0, what, RUNNING))
+        decide(state, TimedInput(1.0, what, RUNNING))
     assert repr(state) == before
 
 
@@ -214,7 +214,7 @@ def test_nothing_is_changed_in_place() -> None:
     ],
 )
 def test_what_happens_is_a_perturbation_and_a_review_is_due(
-    what: list[Happening], perturbation: Perturbation | tuple[Perturbation, ...], delay_s: float
+    what: list[Input], perturbation: Perturbation | tuple[Perturbation, ...], delay_s: float
 ) -> None:
     state, effects = after(stable(), 3.0, *what)
     told = perturbation if isinstance(perturbation, tuple) else (perturbation,)
@@ -240,7 +240,7 @@ def test_what_happens_is_a_perturbation_and_a_review_is_due(
         HostJoined("far"),
     ],
 )
-def test_what_is_no_perturbation_makes_no_review(what: Happening) -> None:
+def test_what_is_no_perturbation_makes_no_review(what: Input) -> None:
     state, effects = after(stable(), 3.0, what)
     assert (effects, state.due_s) == ([], inf)
 
@@ -286,9 +286,7 @@ def test_the_clock_of_a_host_is_known_while_it_is_there() -> None:
         ([UnitDied("work.9", "crash"), HostLost("far", "cut")], {"work.9"}),
     ],
 )
-def test_a_cold_spare_is_known_to_be_prepared_until_it_is_used_or_lost(
-    what: list[Happening], prepared: set[str]
-) -> None:
+def test_a_cold_spare_is_known_to_be_prepared_until_it_is_used_or_lost(what: list[Input], prepared: set[str]) -> None:
     state, _ = after(stable(), 3.0, SparePrepared("work.9", 1), *what)
     assert state.situation.prepared == prepared
 
@@ -296,7 +294,7 @@ def test_a_cold_spare_is_known_to_be_prepared_until_it_is_used_or_lost(
 def test_another_spare_of_the_same_id_is_not_known_to_be_prepared() -> None:
     state, _ = after(updating(), 3.0, SparePrepared("work.1", 1))
     assert state.situation.prepared == {"work.1"}
-    state, _ = after(planning(), 3.0, SparePrepared("work.1", 1), Planned(thought()))
+    state, _ = after(planning(), 3.0, SparePrepared("work.1", 1), Planned(findings()))
     assert not state.situation.prepared
 
 
@@ -383,11 +381,11 @@ def test_what_comes_while_it_plans_makes_it_plan_anew_but_not_for_ever() -> None
     state, request = planning(), asked(ReviewNow("late"))
     state, _ = after(state, 1.0, request)
     for number in range(2, POLICY.interruptions + 2):
-        state, effects = after(state, 1.0, Planned(thought(), was_interrupted=True))
+        state, effects = after(state, 1.0, Planned(findings(), was_interrupted=True))
         (plan,) = effects
         assert isinstance(plan, MakePlan)
         assert plan.is_last is (number > POLICY.interruptions)
-    state, effects = after(state, 1.0, Planned(thought(running=RUNNING, change_set=ChangeSet()), was_interrupted=True))
+    state, effects = after(state, 1.0, Planned(findings(running=RUNNING, change_set=ChangeSet()), was_interrupted=True))
     assert Respond(request.outcome, state.reviews[-1]) in effects
     assert found(effects, MakePlan) == []
 
@@ -395,12 +393,12 @@ def test_what_comes_while_it_plans_makes_it_plan_anew_but_not_for_ever() -> None
 @pytest.mark.parametrize(
     ("made", "decision", "cause"),
     [
-        (thought(change_set=ChangeSet(), decision=Decision.KEPT), Decision.KEPT, ""),
-        (thought(decision=Decision.DEFERRED), Decision.DEFERRED, ""),
-        (thought(change_set=None, decision=Decision.UNDECIDED, cause="no time"), Decision.UNDECIDED, "no time"),
+        (findings(change_set=ChangeSet(), decision=Decision.KEPT), Decision.KEPT, ""),
+        (findings(decision=Decision.DEFERRED), Decision.DEFERRED, ""),
+        (findings(change_set=None, decision=Decision.UNDECIDED, cause="no time"), Decision.UNDECIDED, "no time"),
     ],
 )
-def test_where_nothing_is_to_be_changed_nothing_is_applied(made: Thought, decision: Decision, cause: str) -> None:
+def test_where_nothing_is_to_be_changed_nothing_is_applied(made: Findings, decision: Decision, cause: str) -> None:
     state, effects = after(planning(), 2.0, Planned(made))
     assert found(effects, ApplyUpdate) == found(effects, Prepare) == []
     assert (state.reviews[-1].decision, state.reviews[-1].cause) == (decision, cause)
@@ -410,7 +408,7 @@ def test_where_nothing_is_to_be_changed_nothing_is_applied(made: Thought, decisi
 def test_reviews_that_come_to_nothing_are_repeated_later_and_later() -> None:
     state, at_s, waits = planning(), 2.0, []
     for _ in range(5):
-        state, _ = after(state, at_s, Planned(thought(change_set=None, decision=Decision.UNDECIDED, cause="no time")))
+        state, _ = after(state, at_s, Planned(findings(change_set=None, decision=Decision.UNDECIDED, cause="no time")))
         waits.append(state.due_s - at_s)
         at_s = state.due_s
         state, effects = after(state, at_s, Tick(0.0))
@@ -464,7 +462,7 @@ def test_where_nothing_else_can_help_what_is_left_alone_may_start_sooner() -> No
         state = replace(state, situation=state.situation.with_started((WORK,), RUNNING, at_s))
     assert state.situation.back_offs.next_end_s == 5 + 8.0
     state, _ = after(state, 5.0, Tick(0.0))
-    state, _ = after(state, 5.0, Planned(thought(change_set=ChangeSet(), decision=Decision.KEPT, hurried=("work",))))
+    state, _ = after(state, 5.0, Planned(findings(change_set=ChangeSet(), decision=Decision.KEPT, hurried=("work",))))
     assert state.situation.back_offs.next_end_s == 5 + 3.0
 
 
@@ -488,13 +486,13 @@ def test_a_bad_request_is_refused_at_once(change: Change, part: str) -> None:
 def test_a_world_is_matched_before_anything_else_is_decided() -> None:
     state, request = stable(), asked(Remove(targets=("result",)))
     state, effects = after(state, 1.0, request)
-    assert effects == [Match(state.living, request, request.change)]  # type: ignore[arg-type]
-    gone, effects = after(state, 1.0, Matched(request, state.living.after(Remove(targets=("result",))), 0.25))
+    assert effects == [Match(state.version, request, request.change)]  # type: ignore[arg-type]
+    gone, effects = after(state, 1.0, Matched(request, state.version.after(Remove(targets=("result",))), 0.25))
     assert [type(one).__name__ for one in perturbations(effects)] == ["WorldChanged"]
-    assert (gone.living.world.environment.targets, gone.match_s) == ((), 0.25)
+    assert (gone.version.world.environment.targets, gone.match_s) == ((), 0.25)
     _, effects = after(state, 1.0, Matched(request, InputError.of("bad")))
     assert [str(answer.answer) for answer in found(effects, Respond)] == ["bad"]
-    _, effects = after(state, 1.0, Matched(request, state.living))
+    _, effects = after(state, 1.0, Matched(request, state.version))
     assert effects == [Respond(request.outcome)]
 
 
@@ -547,7 +545,7 @@ def test_what_can_not_wait_breaks_in(doing: Any, item: Item, how: BreakIn) -> No
 def test_the_end_stops_all_units_and_tells_everybody(state: State) -> None:
     stop, kill, late = asked(Stop()), asked(KillUnit("work.1")), asked(ReviewNow())
     state, _ = after(state, 3.0, kill, late, stop)
-    over = Planned(thought()) if isinstance(state.doing, Planning) else Tick(0.0)
+    over = Planned(findings()) if isinstance(state.doing, Planning) else Tick(0.0)
     state, effects = after(state, 3.0, over)
     assert effects == [StopAll()]
     state, effects = after(state, 4.0, Finished())
@@ -582,15 +580,15 @@ class Deciding(RuleBasedStateMachine):
         self.answers: list[Any] = []
         self.decide(Started())
 
-    def decide(self, what: Happening) -> None:
-        self.state, effects = decide(self.state, Happened(self.at_s, what, self.running))
+    def decide(self, what: Input) -> None:
+        self.state, effects = decide(self.state, TimedInput(self.at_s, what, self.running))
         for position, effect in enumerate(effects):
             match effect:
                 case Respond(outcome):
                     self.answers.append(outcome)
-                case Match(living, request, change):
+                case Match(version, request, change):
                     try:
-                        self.decide(Matched(request, living.after(change)))
+                        self.decide(Matched(request, version.after(change)))
                     except InputError as error:
                         self.decide(Matched(request, error))
                 case Observe():
@@ -657,17 +655,17 @@ class Deciding(RuleBasedStateMachine):
         order, self.pending = self.pending, None
         assert isinstance(order, MakePlan)
         self.number += 1
-        targets = order.scene.world.environment.targets
-        host = next((host for host in ("far", "near") if not order.scene.situation.is_lost(host)), "near")
+        targets = order.plan_input.world.environment.targets
+        host = next((host for host in ("far", "near") if not order.plan_input.situation.is_lost(host)), "near")
         started = tuple(
             ComputationUnit(f"count.{self.number}-{one.label}", "count", (), (Publication("n", one.topic),), host)
             for one in targets
         )
-        change_set = ChangeSet(started, stopped=tuple(order.scene.running.unit)) if finds else None
+        change_set = ChangeSet(started, stopped=tuple(order.plan_input.running.unit)) if finds else None
         met = tuple(target.label for target in targets)
         decision = Decision.APPLIED if finds else Decision.UNDECIDED
-        made = Thought(
-            order.scene.running, self.running, decision=decision, change_set=change_set, met=met if finds else ()
+        made = Findings(
+            order.plan_input.running, self.running, decision=decision, change_set=change_set, met=met if finds else ()
         )
         self.decide(Planned(made, was_interrupted))
 

@@ -18,9 +18,9 @@ from cfgplan_runtime.lifecycle.changes import Add, KillUnit
 from cfgplan_runtime.lifecycle.reports import Decision, Ended, Report
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
 from cfgplan_runtime.testing import Bench, Hosts, check_middleware
-from living import RESULT, source, worker
 from real_bench import real_bench
 from real_run import PROGRAMS
+from simulated_life import RESULT, source, worker
 
 from cfgplan import api
 from cfgplan.domain import ChangeSet, Environment, RunOptions, Target, Transformation
@@ -96,8 +96,8 @@ class SetClock:
     def now(self) -> float:
         return self.time_s
 
-    def wait(self, bell: threading.Event, timeout_s: float) -> None:
-        if not bell.is_set():
+    def wait(self, waker: threading.Event, timeout_s: float) -> None:
+        if not waker.is_set():
             self.time_s += timeout_s
 
 

@@ -14,7 +14,7 @@ from cfgplan_runtime.lifecycle.basis import plan_text
 from cfgplan_runtime.lifecycle.changes import Add, ApplyPlan, LoseHost, RegainHost, SetFact
 from cfgplan_runtime.lifecycle.perturbations import FactsChanged
 from cfgplan_runtime.lifecycle.reports import Decision, FactSilent, Review
-from living import Life, source, started, worker
+from simulated_life import Life, source, started, worker
 
 from cfgplan import api
 from cfgplan.domain import Environment, Host, Target, Transformation, observing
@@ -71,7 +71,7 @@ def test_a_preview_and_a_given_plan_see_the_facts_that_were_said() -> None:
     run.reviewed(SetFact("visibility", "1"))
     future = run.manager.preview()
     run.settle()
-    assert dict(future.result(0).thought.avoided) == {"work": "visibility is 1 m"}
+    assert dict(future.result(0).findings.avoided) == {"work": "visibility is 1 m"}
 
 
 def observed_life(**more: Any) -> Life:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from cfgplan_runtime.lifecycle.changes import FaultyCode
 from cfgplan_runtime.lifecycle.perturbations import CodeChanged
 from cfgplan_runtime.lifecycle.reports import Decision
-from living import Life, source, started, worker
+from simulated_life import Life, source, started, worker
 
 from cfgplan import api
 from cfgplan.domain import Environment, Target

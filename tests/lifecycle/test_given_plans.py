@@ -20,11 +20,11 @@ from cfgplan_runtime.lifecycle.changes import (
     ReviewNow,
     Stop,
 )
-from cfgplan_runtime.lifecycle.deliberation import Thought
+from cfgplan_runtime.lifecycle.deliberation import Findings
 from cfgplan_runtime.lifecycle.perturbations import PlanGiven, UnitGone
 from cfgplan_runtime.lifecycle.reports import Decision, Review
 from cfgplan_runtime.lifecycle.review_sentences import decision, preview_sentence
-from living import HORIZON_S, RESULT, Life, source, started, worker
+from simulated_life import HORIZON_S, RESULT, Life, source, started, worker
 
 from cfgplan import api
 from cfgplan.domain import ChangeSet, Environment, Target
@@ -68,12 +68,12 @@ def refusal(life: Life, change: ApplyPlan) -> str:
 
 def test_a_preview_tells_what_a_review_would_do_and_changes_nothing(life: Life) -> None:
     reviews = life.reviews
-    thought = preview(life).thought
-    assert thought.change_set is not None
-    assert [unit.id for unit in thought.change_set.started] == ["cheap.1"]
-    assert thought.change_set.stopped == ("work.1",)
-    assert thought.cost_us == 10 + HORIZON_S
-    assert thought.cost_before_us == 100 * HORIZON_S
+    findings = preview(life).findings
+    assert findings.change_set is not None
+    assert [unit.id for unit in findings.change_set.started] == ["cheap.1"]
+    assert findings.change_set.stopped == ("work.1",)
+    assert findings.cost_us == 10 + HORIZON_S
+    assert findings.cost_before_us == 100 * HORIZON_S
     assert (life.units, life.reviews) == ({"count.1", "work.1"}, reviews)
 
 
@@ -101,7 +101,7 @@ def test_a_preview_that_is_asked_for_before_the_first_review_waits_for_it() -> N
     life = Life()
     future = life.manager.preview()
     life.settle()
-    assert future.result(timeout=0).thought.decision is Decision.KEPT
+    assert future.result(timeout=0).findings.decision is Decision.KEPT
     assert len(life.reviews) == 1
 
 
@@ -118,7 +118,7 @@ def test_a_preview_that_something_breaks_into_is_made_anew() -> None:
     future = life.manager.preview()
     life.settle()
     assert kills[0].result(timeout=0) == life.reviews[-1]
-    assert future.result(timeout=0).thought.running is life.runtime.environment
+    assert future.result(timeout=0).findings.running is life.runtime.environment
 
 
 @pytest.mark.parametrize(
@@ -212,8 +212,8 @@ def test_a_node_that_others_have_started_is_adopted_and_not_started() -> None:
 
 def test_a_preview_says_adopt_of_such_a_node() -> None:
     life = Life(*NODES)
-    thought = Thought(Environment(), life.manager.world.environment, change_set=started_both())
-    assert "adopt lidar.1, start guard.1" in preview_sentence(thought)
+    findings = Findings(Environment(), life.manager.world.environment, change_set=started_both())
+    assert "adopt lidar.1, start guard.1" in preview_sentence(findings)
 
 
 def started_both() -> ChangeSet:

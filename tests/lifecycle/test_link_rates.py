@@ -9,7 +9,7 @@ from cfgplan_runtime.lifecycle.reports import Decision
 from cfgplan_runtime.supervision.events import CrossingsStatus
 from hypothesis import given
 from hypothesis import strategies as st
-from living import Life, started
+from simulated_life import Life, started
 
 from cfgplan import api
 from cfgplan.domain import Environment, Host, Link, OutputPort, Target, Transformation
@@ -94,7 +94,7 @@ def test_a_declared_link_is_measured_as_the_medium_that_it_is() -> None:
     crossing.pass_time(MEASURED_S + 1, arrives=2_500_000, crowded=3)
     (measured,) = run.perturbations(LinkMeasured)
     assert (measured.between, run.units) == (("r1", "base"), {"small.1"})
-    (link,) = run.manager._state.scene.world.environment.links
+    (link,) = run.manager._state.plan_input.world.environment.links
     assert (link.price_us, link.declared, link.bandwidth) == (5, 10_000_000, measured.rate)
 
 

@@ -13,7 +13,7 @@ from cfgplan_runtime.lifecycle.perturbations import HostBack, HostGone, Subscrip
 from cfgplan_runtime.lifecycle.reports import Decision, UnitEvent
 from cfgplan_runtime.supervision.events import UnitReady
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
-from living import HORIZON_S, RESULT, Life, source, started, worker
+from simulated_life import HORIZON_S, RESULT, Life, source, started, worker
 
 from cfgplan import api
 from cfgplan.domain import ComputationUnit, Environment, Host, Target, Transformation

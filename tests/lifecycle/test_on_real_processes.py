@@ -146,9 +146,9 @@ def test_a_cheaper_transformation_takes_over_at_the_horizon_and_not_before(run_f
     run_for_real.write(source(), worker(), worker("cheap", upkeep=0.0, labor=0.01), horizon=4)
     eventually(lambda: len(run_for_real.seen(WorldChanged)) > 0)
     run_for_real.await_result("cheap")
-    switched_at = run_for_real.givers().index("cheap")
-    assert set(run_for_real.givers()[:switched_at]) == {"work"}
-    assert set(run_for_real.givers()[switched_at:]) == {"cheap"}
+    switched_at = run_for_real.providers().index("cheap")
+    assert set(run_for_real.providers()[:switched_at]) == {"work"}
+    assert set(run_for_real.providers()[switched_at:]) == {"cheap"}
 
     def later() -> list[Review]:
         return [each for each in run_for_real.reviews if each.change_set and each.decision is Decision.APPLIED][1:]
@@ -161,7 +161,7 @@ def test_a_cheaper_transformation_takes_over_at_the_horizon_and_not_before(run_f
 
 def test_a_transformation_in_use_can_be_removed_or_changed_without_a_loss(run_for_real: RealRun) -> None:
     run_for_real.start(source(), worker(), worker("spare", upkeep=0.5))
-    assert set(run_for_real.givers()) == {"work"}
+    assert set(run_for_real.providers()) == {"work"}
     run_for_real.write(source(), worker("spare", upkeep=0.5))
     run_for_real.await_result("spare")
     eventually(lambda: set(run_for_real.runtime.environment.unit) == {"count.1", "spare.1"})

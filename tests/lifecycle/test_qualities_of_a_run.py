@@ -20,7 +20,7 @@ from cfgplan_runtime.lifecycle.reports import Decision
 from cfgplan_runtime.lifecycle.state import Entry
 from cfgplan_runtime.supervision.events import UnitStatus
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
-from living import Life, started
+from simulated_life import Life, started
 
 from cfgplan import api
 from cfgplan.domain import Environment, Host, InputPort, OutputPort, RunOptions, Target, Transformation
@@ -186,8 +186,8 @@ def test_a_drift_that_changes_no_plan_makes_a_review_every_16_s() -> None:
     run.pass_time(300)
     reviews = [one for one in run.reviews if isinstance(one.perturbations[0], QualitiesObserved)]
     assert 10 <= len(reviews) <= 20
-    gaps_s = [after.at_s - before.at_s for before, after in pairwise(reviews)]
-    assert min(gaps_s[3:]) >= 16
+    intervals_s = [after.at_s - before.at_s for before, after in pairwise(reviews)]
+    assert min(intervals_s[3:]) >= 16
     (sonar,) = run.manager.snapshot().qualities
     assert sonar.planned == pytest.approx(sonar.estimate, rel=0.2)
 

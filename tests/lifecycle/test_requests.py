@@ -22,7 +22,7 @@ from cfgplan_runtime.lifecycle.changes import (
 )
 from cfgplan_runtime.lifecycle.perturbations import WorldChanged
 from cfgplan_runtime.lifecycle.reports import Ended, Phase
-from living import RESULT, Life, source, started, worker
+from simulated_life import RESULT, Life, source, started, worker
 
 from cfgplan import api
 from cfgplan.domain import Environment, Target

@@ -10,7 +10,7 @@ from cfgplan_runtime.lifecycle.configuration import restarting
 from cfgplan_runtime.lifecycle.perturbations import RestartAsked
 from cfgplan_runtime.lifecycle.reports import Decision
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
-from living import source, started, worker
+from simulated_life import source, started, worker
 
 from cfgplan.errors import InputError
 

@@ -29,7 +29,7 @@ from cfgplan_runtime.lifecycle.reports import PHASES, Decision
 from cfgplan_runtime.lifecycle.views import target_views
 from cfgplan_runtime.operating.records import review_record
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
-from living import HORIZON_S, RESULT, Life, source, started, worker
+from simulated_life import HORIZON_S, RESULT, Life, source, started, worker
 
 from cfgplan import api
 from cfgplan.domain import (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from cfgplan_runtime.lifecycle.perturbations import TargetSilent
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
-from living import Life, source, started, worker
+from simulated_life import Life, source, started, worker
 
 from cfgplan.domain import Target
 

@@ -15,7 +15,7 @@ from cfgplan_runtime.lifecycle.changes import Add, ReplaceWorld, ReviewNow
 from cfgplan_runtime.lifecycle.reports import Decision
 from cfgplan_runtime.lifecycle.warm_matching import WarmMatching
 from cfgplan_runtime.operating.records import review_record
-from living import Life, source
+from simulated_life import Life, source
 
 from cfgplan import api
 from cfgplan.domain import Environment, Target, Transformation
@@ -34,20 +34,20 @@ def world(*library: Transformation, targets: tuple[Target, ...] = (TARGET,), als
     return api.world(Environment((), library, targets), horizon_s=60, ontology=Ontology([*AXIOMS, *also]))
 
 
-def living(*library: Transformation, reasoner: str = "auto", targets: tuple[Target, ...] = (TARGET,)) -> Life:
+def version(*library: Transformation, reasoner: str = "auto", targets: tuple[Target, ...] = (TARGET,)) -> Life:
     life = Life(world=world(*library, targets=targets), policy=Policy(reasoner=reasoner))
     life.settle()
     return life
 
 
 def test_a_review_asks_about_what_its_plan_uses() -> None:
-    (review,) = living(DEAR, CHEAP).reviews
+    (review,) = version(DEAR, CHEAP).reviews
     assert (review.decision, review.cost_us, review.is_proven) == (Decision.APPLIED, 10, True)
     assert review.undecided == ()
 
 
 def test_a_review_names_what_is_not_decided_and_calls_nothing_proven() -> None:
-    life = living(DEAR, CHEAP, reasoner="el")
+    life = version(DEAR, CHEAP, reasoner="el")
     (review,) = life.reviews
     assert (review.decision, review.cost_us, review.bound_us) == (Decision.APPLIED, 69_000, 10)
     assert (review.is_proven, review.undecided) == (False, (("C", "W"),))
@@ -58,7 +58,7 @@ def test_a_review_names_what_is_not_decided_and_calls_nothing_proven() -> None:
 
 
 def test_what_only_saves_cost_is_asked_when_a_review_optimises() -> None:
-    life = living(DEAR)
+    life = version(DEAR)
     review = life.reviewed(Add(transformations=(CHEAP,)))
     assert (review.decision, review.undecided) == (Decision.KEPT, (("C", "W"),))
     review = life.reviewed(ReviewNow("test"))
@@ -67,20 +67,20 @@ def test_what_only_saves_cost_is_asked_when_a_review_optimises() -> None:
 
 
 def test_what_a_target_can_be_met_by_alone_is_asked_at_once() -> None:
-    life = living(CHEAP, targets=())
+    life = version(CHEAP, targets=())
     review = life.reviewed(Add(targets=(TARGET,)))
     assert (review.decision, review.met, review.is_proven) == (Decision.APPLIED, ("t",), True)
 
 
 def test_a_target_that_an_open_pair_may_meet_is_unmet_but_not_impossible() -> None:
     other = Target("u", "C", "/u")
-    (review,) = living(CHEAP, reasoner="el", targets=(TARGET, other)).reviews
+    (review,) = version(CHEAP, reasoner="el", targets=(TARGET, other)).reviews
     assert (review.met, review.is_proven, review.undecided) == (("u",), False, (("C", "W"),))
     assert review.unmet == {"t": "target t wants W, but it is not decided yet whether C is W"}
 
 
 def test_a_contradiction_that_is_found_late_is_told_and_what_runs_goes_on() -> None:
-    life = living(DEAR)
+    life = version(DEAR)
     also = ["ClassAssertion(<w#C> <w#i>)", "ClassAssertion(ObjectComplementOf(<w#W>) <w#i>)"]
     review = life.reviewed(ReplaceWorld(world(DEAR, CHEAP, also=also), "env.yaml"))
     life.manager.request(ReviewNow("test"))

@@ -15,20 +15,20 @@ from hypothesis import strategies as st
 import cfgplan
 from cfgplan.errors import InputError
 from cfgplan.mqtt.environments import MqttImported, mqtt_imported
-from cfgplan.mqtt.traffic import Ear, Traffic
+from cfgplan.mqtt.traffic import Traffic, TrafficCollector
 
 Messages = Mapping[str, list[bytes]]
 
 
 def heard(messages: Messages, discovery: Mapping[str, Any] | None = None) -> Traffic:
     """What is known after messages that come once a second."""
-    ear = Ear()
+    collector = TrafficCollector()
     for topic, said in (discovery or {}).items():
-        ear.take(f"homeassistant/{topic}/config", json.dumps(said).encode(), is_retained=True, time_s=0)
+        collector.take(f"homeassistant/{topic}/config", json.dumps(said).encode(), is_retained=True, time_s=0)
     for topic, payloads in messages.items():
         for second, payload in enumerate(payloads):
-            ear.take(topic, payload, is_retained=False, time_s=second)
-    return ear.traffic("house:1883", 10)
+            collector.take(topic, payload, is_retained=False, time_s=second)
+    return collector.traffic("house:1883", 10)
 
 
 def made(messages: Messages, discovery: Mapping[str, Any] | None = None) -> MqttImported:
@@ -62,12 +62,12 @@ def test_a_topic_has_the_form_that_takes_all_its_messages_in(payloads: list[byte
 
 
 def test_a_period_is_measured_between_live_messages_alone() -> None:
-    ear = Ear()
-    ear.take("x", b"1", is_retained=True, time_s=0)
-    ear.take("once", b"1", is_retained=False, time_s=1)
+    collector = TrafficCollector()
+    collector.take("x", b"1", is_retained=True, time_s=0)
+    collector.take("once", b"1", is_retained=False, time_s=1)
     for time_s in (7, 9, 11):
-        ear.take("x", b"333", is_retained=True, time_s=time_s)
-    once, x = ear.traffic("b", 12).topics
+        collector.take("x", b"333", is_retained=True, time_s=time_s)
+    once, x = collector.traffic("b", 12).topics
     assert (x.period_s, x.is_retained, x.size) == (2, True, 2)
     assert (once.period_s, once.is_retained) == (None, False)
 

@@ -7,7 +7,7 @@ from concurrent.futures import Future
 
 from cfgplan_runtime.lifecycle.basis import Preview
 from cfgplan_runtime.lifecycle.changes import Change, Declare
-from cfgplan_runtime.lifecycle.deliberation import Thought
+from cfgplan_runtime.lifecycle.deliberation import Findings
 from cfgplan_runtime.lifecycle.perturbations import ReviewRequested, UnitGone
 from cfgplan_runtime.lifecycle.reports import (
     BackingOff,
@@ -97,7 +97,7 @@ class FakeManager:
         self.listeners: list[Callable[[Report], None]] = []
         self.refuse: Exception | None = None
         self.is_slow = False
-        self.foreseen: Thought | None = None
+        self.foreseen: Findings | None = None
         self._snapshot = snapshot
 
     def request(self, change: Change) -> Future[Review | None]:
@@ -112,16 +112,16 @@ class FakeManager:
     def preview(self) -> Future[Preview]:
         future: Future[Preview] = Future()
         if not self.is_slow:
-            thought = self.foreseen or Thought(
+            findings = self.foreseen or Findings(
                 Environment((CAMERA,)), Environment(), unmet={"goal": "nothing gives Goal"}, cause="no time"
             )
             problem = Problem(FORESEEN_IN, Similarity({tag: frozenset({tag}) for tag in ("Image", "Ball")}), 60)
-            future.set_result(Preview(thought, problem, {"unit": {"camera.1": "1234"}}))
+            future.set_result(Preview(findings, problem, {"unit": {"camera.1": "1234"}}))
         return future
 
-    def suppose(self, change: Change) -> Thought:
+    def suppose(self, change: Change) -> Findings:
         self.supposed.append(change)
-        return self.foreseen or Thought(Environment((CAMERA,)), Environment(), cause="no time")
+        return self.foreseen or Findings(Environment((CAMERA,)), Environment(), cause="no time")
 
     def snapshot(self) -> Snapshot:
         return self._snapshot

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from cfgplan_runtime.errors import ControlError, NoSuchRunError
 from cfgplan_runtime.lifecycle import changes
-from cfgplan_runtime.lifecycle.deliberation import Thought
+from cfgplan_runtime.lifecycle.deliberation import Findings
 from cfgplan_runtime.lifecycle.reports import Decision
 from cfgplan_runtime.operating import control_server
 from cfgplan_runtime.operating.control_client import Control, connect, connect_to
@@ -135,7 +135,7 @@ def test_a_plan_is_told_with_what_it_was_made_for(control: Control, manager: Fak
 def test_it_is_told_why_a_unit_runs(control: Control, manager: FakeManager) -> None:
     with pytest.raises(RefusedError, match="there is no plan to ask about: no time"):
         control.call("why", unit="camera.1")
-    manager.foreseen = Thought(FORESEEN_IN, FORESEEN_IN, decision=Decision.KEPT, change_set=ChangeSet(), cost_us=0)
+    manager.foreseen = Findings(FORESEEN_IN, FORESEEN_IN, decision=Decision.KEPT, change_set=ChangeSet(), cost_us=0)
     assert control.call("why", unit="camera.1")["says"][0] == ("camera.1 serves target ball, feeds detector.1/image.")
     with pytest.raises(RefusedError, match=r"did you mean `camera\.1`"):
         control.call("why", unit="camera.2")

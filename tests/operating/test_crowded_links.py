@@ -16,7 +16,7 @@ def counts(elements: int, crowded: int, offered: int, arrived: int) -> CrossingC
 
 def told(*steps: dict[tuple[str, str, str], CrossingCounts]) -> list[str]:
     links = CrowdedLinks()
-    return [text for number, step in enumerate(steps) for text in links.told(step, number * MEASURED_S)]
+    return [text for number, step in enumerate(steps) for text in links.warnings(step, number * MEASURED_S)]
 
 
 NONE = {CAMERA: CrossingCounts(), POSE: CrossingCounts(), BACK: CrossingCounts()}

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from browsed import assert_legible, await_frames, await_so, browser
 from cfgplan_runtime.lifecycle.changes import Declare, KillUnit, LoseHost, Withdraw
-from cfgplan_runtime.lifecycle.deliberation import Thought
+from cfgplan_runtime.lifecycle.deliberation import Findings
 from cfgplan_runtime.lifecycle.reports import Decision, Reviewed, UnitView
 from cfgplan_runtime.operating.control_client import connect
 from cfgplan_runtime.operating.control_server import ControlServer
@@ -191,7 +191,7 @@ def test_its_buttons_and_keys_work(page: PageServer, manager: FakeManager) -> No
         assert "30 Hz" in tab.inner_text("#chosen-facts")
         tab.click("#chosen .kill")
         eventually(lambda: manager.requested == [KillUnit("camera.1")])
-        manager.foreseen = Thought(FORESEEN_IN, FORESEEN_IN, decision=Decision.KEPT, change_set=ChangeSet(), cost_us=0)
+        manager.foreseen = Findings(FORESEEN_IN, FORESEEN_IN, decision=Decision.KEPT, change_set=ChangeSet(), cost_us=0)
         tab.click("#chosen .ask-why")
         tab.wait_for_selector("#why li:has-text('camera.1 serves target ball, feeds detector.1/image.')")
         tab.keyboard.press("Escape")
@@ -213,7 +213,7 @@ def test_its_buttons_and_keys_work(page: PageServer, manager: FakeManager) -> No
 
 
 def test_nothing_is_carried_out_before_the_second_press(page: PageServer, manager: FakeManager) -> None:
-    manager.foreseen = Thought(
+    manager.foreseen = Findings(
         FORESEEN_IN,
         FORESEEN_IN,
         decision=Decision.APPLIED,

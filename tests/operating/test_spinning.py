@@ -19,7 +19,9 @@ def observed(upkeep_us: int | None, steps_per_s: float) -> Observation:
 
 def told(transformation: Transformation, *observations: Observation) -> list[str]:
     spinning, library = Spinning(), {"camera": transformation}
-    return [text for second, one in enumerate(observations) for text in spinning.told([one], library, float(second))]
+    return [
+        text for second, one in enumerate(observations) for text in spinning.warnings([one], library, float(second))
+    ]
 
 
 @pytest.mark.parametrize("one", [observed(980_000, 50), observed(200_000, 40_000), observed(None, 40_000)])

@@ -17,7 +17,7 @@ from cfgplan.planners.networks.network import Network
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import Tuning
 from cfgplan.planning import Plan, Problem
-from cfgplan.reasons import Givers
+from cfgplan.reasons import Providers
 
 
 def search_alone(problem: Problem, *, is_apart: bool = False, rules: Sequence[ModelRule] = RULES) -> Search:
@@ -50,6 +50,6 @@ def plan_as_fleet(problem: Problem) -> Plan:
 
 def network_of(core: Core) -> Network:
     """A core by itself: its labels have no names, none has to run, and no input is distinct or fed back."""
-    network = Network((), (), (), Givers((), Similarity({})))
+    network = Network((), (), (), Providers((), Similarity({})))
     network.core = core
     return network

@@ -26,7 +26,7 @@ from cfgplan.domain import (
     Transformation,
 )
 from cfgplan.planners.exact.rules import RULES
-from cfgplan.planners.exact.units import one_of_new_units_alike_is_enough
+from cfgplan.planners.exact.units import one_of_interchangeable_new_units_is_enough
 from cfgplan.planning import Problem
 
 MOST_CUTS = 200
@@ -81,7 +81,7 @@ class Hubs:
     """What the model allows in which inputs share what meets them wherever they can; new units alike are apart."""
 
     is_apart = False
-    rules = tuple(rule for rule in RULES if rule.add is not one_of_new_units_alike_is_enough)
+    rules = tuple(rule for rule in RULES if rule.add is not one_of_interchangeable_new_units_is_enough)
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem

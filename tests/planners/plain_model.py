@@ -211,10 +211,12 @@ class PlainModel:
         if not idle:
             return
         fed_by = {pair: self.any_of(wires) for pair, wires in self.edges.items()}
-        behind = {pair: self.bool() for pair in product(range(len(self.units)), repeat=2) if pair[0] != pair[1]}
-        for (a, b), is_behind in behind.items():
+        replaceable_by = {pair: self.bool() for pair in product(range(len(self.units)), repeat=2) if pair[0] != pair[1]}
+        for (a, b), is_behind in replaceable_by.items():
             through = [
-                self.all_of(behind[a, c], edge) for (c, to), edge in fed_by.items() if to == b and c not in (a, b)
+                self.all_of(replaceable_by[a, c], edge)
+                for (c, to), edge in fed_by.items()
+                if to == b and c not in (a, b)
             ]
             self.cp.add_bool_or([~is_behind, *through, *([fed_by[a, b]] if (a, b) in fed_by else [])])
         for (i, name), port in idle.items():
@@ -227,7 +229,7 @@ class PlainModel:
                 label, serves = self.units[j].transformation.label, self.outputs[j, output].serves
                 barred = [~self.runs[j]]
                 if not port.feedback:
-                    barred.append(behind[i, j])
+                    barred.append(replaceable_by[i, j])
                 if serves is not None:
                     full = self.bool()
                     self.cp.add(sum(self.taking[j, output]) >= serves).only_enforce_if(full)

@@ -28,9 +28,9 @@ ALWAYS = replace(USUAL, cycles=Cycles(labels=0, values=1000, near=1.0))
 
 def program_of(problem: Problem) -> LogicProgram:
     structure = Structure.of(problem, None, Clock())
-    weighing = LexicographicWeights.with_changes(problem, structure.network)
-    assert weighing is not None
-    return LogicProgram(structure.network, weighing, Clock())
+    weights = LexicographicWeights.with_changes(problem, structure.network)
+    assert weights is not None
+    return LogicProgram(structure.network, weights, Clock())
 
 
 def agree(problem: Problem, session: PlannerSession) -> None:

@@ -119,9 +119,9 @@ def company_that_feeds_itself() -> Iterator[Problem]:
         )
         yield world("A", *library, units=units)
     for count, required in product((ALL, 2), (False, True)):
-        ring = kind("t2", "A", "A", feedback=(0,), first={"count": count})
+        cycle = kind("t2", "A", "A", feedback=(0,), first={"count": count})
         taker = kind("t4", "A", "A", first={"count": 2}, required=required)
-        yield world("A", kind("t0", "", "A", beside=("t2",)), ring, taker)
+        yield world("A", kind("t0", "", "A", beside=("t2",)), cycle, taker)
 
 
 @pytest.mark.parametrize(

@@ -162,14 +162,14 @@ def test_others_are_all_labels_of_plans_below_the_limit_but_those_of_one(problem
 @given(problems(special=False))
 def test_the_weight_of_labels_is_never_more_than_what_a_plan_costs_and_changes(problem: Problem) -> None:
     stage = Stage(problem)
-    weighing = LexicographicWeights.with_changes(problem, stage.network)
+    weights = LexicographicWeights.with_changes(problem, stage.network)
     changes = stage.plan.change_set
-    assert weighing is not None
+    assert weights is not None
     assert changes is not None
     key = Key(0, (), stage.plan.cost_us or 0, len(changes.rewired), len(changes.started))
-    weight = weighing.of_plan(np.array(sorted(stage.numbers(stage.used)), np.int64))
-    assert weight <= weighing.of_key(key)
-    assert weighing.cost_us(weighing.of_key(key)) == stage.plan.cost_us
+    weight = weights.of_plan(np.array(sorted(stage.numbers(stage.used)), np.int64))
+    assert weight <= weights.of_key(key)
+    assert weights.cost_us(weights.of_key(key)) == stage.plan.cost_us
 
 
 def test_a_small_problem_is_decided_without_the_solver_and_with_too_few_steps_by_it() -> None:

@@ -10,7 +10,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
-from cfgplan.cli.plan_text import with_the_stream
+from cfgplan.cli.plan_text import in_stream_order
 from cfgplan.domain import (
     ComputationUnit,
     Environment,
@@ -35,7 +35,7 @@ from cfgplan.planners.networks.network import Network
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Problem, Status
 from cfgplan.qualities import Better, Contribution, QualityAttribute, QualityRule, Wish
-from cfgplan.reasons import Givers, forward_closure, startable
+from cfgplan.reasons import Providers, forward_closure, startable
 from cfgplan.validity import plan_violations
 
 
@@ -98,7 +98,7 @@ def test_five_thousand_units_are_planned_with_one_look_at_each_event(
 
 def test_units_are_told_with_the_stream_however_deep_they_are() -> None:
     environment = chain(3_000, dead=0).environment
-    assert [unit.id for unit in with_the_stream(environment)] == [f"t{i:05}.1" for i in range(1, 3_000)]
+    assert [unit.id for unit in in_stream_order(environment)] == [f"t{i:05}.1" for i in range(1, 3_000)]
 
 
 @pytest.mark.parametrize("most", [1, 60])
@@ -110,7 +110,7 @@ def test_facts_cost_the_same_whether_followed_in_passes_or_one_by_one(most: int)
         Transformation("d", (InputPort("i", "B", "g"), InputPort("j", "B", "g")), (OutputPort("o", "D"),), labor_us=1),
     )
     similarity = Similarity({tag: frozenset({tag}) for tag in "ABD"})
-    network = Network(library, ["D"], [], Givers(library, similarity))
+    network = Network(library, ["D"], [], Providers(library, similarity))
     with (
         patch("cfgplan.planners.bounding.bounds.MOST_PASSES", most),
         patch("cfgplan.planners.networks.greedy.MOST_PASSES", most),
@@ -151,7 +151,7 @@ def test_what_falls_through_feedback_falls_in_few_closures() -> None:
     )
     similarity = Similarity({f"T{i}": frozenset({f"T{i}"}) for i in range(length)})
     with patch("cfgplan.reasons.forward_closure", wraps=forward_closure) as closures:
-        assert startable(Environment((), library), Givers(library, similarity)) == frozenset()
+        assert startable(Environment((), library), Providers(library, similarity)) == frozenset()
     assert closures.call_count <= 3
 
 
@@ -175,7 +175,7 @@ def pairs(layers: int) -> Problem:
 def test_a_deep_row_of_pairs_has_a_first_plan() -> None:
     problem = pairs(1_200)
     library = problem.environment.library
-    network = Network(library, ["T1199"], [], Givers(library, problem.similarity))
+    network = Network(library, ["T1199"], [], Providers(library, problem.similarity))
     found = first_plan(network, np.full(len(library), 5, np.int64), 0, Clock())
     assert found is not None
     assert {network.labels[i] for i in found} == {t.label for t in library} - {"s1199_1"}

@@ -21,9 +21,9 @@ from cfgplan.planners import PLANNERS
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.first_plans import FirstPlans
 from cfgplan.planners.exact.grounded import Grounded
-from cfgplan.planners.exact.session import offer_what_runs
+from cfgplan.planners.exact.session import offer_running_units
 from cfgplan.planners.exact.solve_state import SolveState
-from cfgplan.planners.exact.survivors import can_do_without
+from cfgplan.planners.exact.survivors import survive_without
 from cfgplan.planners.networks.reach import Reach
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import USUAL
@@ -60,7 +60,7 @@ def test_first_plans_are_valid_beyond_the_oracles_reach(problem: Problem) -> Non
 
 def what_runs(problem: Problem) -> Plan:
     state = SolveState(problem, Clock(), None)
-    offer_what_runs(state)
+    offer_running_units(state)
     return state.plan()
 
 
@@ -126,11 +126,11 @@ def test_what_is_reached_is_the_closure_of_what_was_added_and_not_taken_back(
         else:
             reach.take_back()
         library = tuple(t for t in problem.environment.library if t.label in there)
-        possible = startable(Environment((), library), candidates.givers)
+        possible = startable(Environment((), library), candidates.providers)
         assert {network.labels[n] for n in range(len(network.labels)) if reach.runs(n)} == possible
         for target in problem.environment.targets:
             assert reach.holds(network.fact_of_tag.get(target.tag)) == (
-                not possible.isdisjoint(candidates.givers.of(target.tag))
+                not possible.isdisjoint(candidates.providers.of(target.tag))
             )
 
 
@@ -142,9 +142,9 @@ def test_spares_are_dropped_one_by_one_with_a_look_at_the_clock_before_each() ->
 
     def drop(candidates: Candidates, units: list[ComputationUnit], one: ComputationUnit) -> bool:
         seen.append("drop")
-        return can_do_without(candidates, units, one)
+        return survive_without(candidates, units, one)
 
-    with patch.object(Clock, "_check", look), patch("cfgplan.planners.exact.pruning.can_do_without", drop):
+    with patch.object(Clock, "_check", look), patch("cfgplan.planners.exact.pruning.survive_without", drop):
         first(instances.surviving(0, 40, 2))
     dropped = [before for before, after in pairwise(seen) if after == "drop"]
     assert dropped

@@ -621,7 +621,7 @@ def test_two_attributes_are_both_kept() -> None:
     assert not fixed.allows(~runs("u.1"))
 
 
-def told_apart(problem: Problem) -> set[str]:
+def explicit(problem: Problem) -> set[str]:
     """The inputs, by label and port, that have a boolean for each stream that may feed them."""
     model = search_alone(problem).model
     return {f"{model.candidates.all[i].transformation.label}/{port}" for i, port in model.connects}
@@ -638,10 +638,10 @@ def of_error_and_latency(*library: Transformation) -> Problem:
 
 def test_only_inputs_whose_stream_counts_for_two_attributes_are_told_apart() -> None:
     ways = (kind("c", "B", "C"), kind("d", "F", "D"), kind("e", "BF", "E"))
-    assert told_apart(of_error_and_latency(*ways, kind("b", "A", "B"), kind("f", "A", "F"))) == {"b/in0", "f/in0"}
-    assert told_apart(of_error_and_latency(*ways, kind("b", "A", "B"), kind("f", gives="F"))) == set()
+    assert explicit(of_error_and_latency(*ways, kind("b", "A", "B"), kind("f", "A", "F"))) == {"b/in0", "f/in0"}
+    assert explicit(of_error_and_latency(*ways, kind("b", "A", "B"), kind("f", gives="F"))) == set()
     stated = OutputPort("x", "", (Contribution("e", QualityRule.SET, 3),))
-    assert told_apart(of_error_and_latency(*ways, kind("b", "A", "B", output=stated), kind("f", "A", "F"))) == set()
+    assert explicit(of_error_and_latency(*ways, kind("b", "A", "B", output=stated), kind("f", "A", "F"))) == set()
 
 
 @pytest.mark.parametrize(
@@ -655,10 +655,10 @@ def test_only_inputs_whose_stream_counts_for_two_attributes_are_told_apart() -> 
     ],
 )
 def test_only_inputs_in_a_ring_that_makes_streams_better_are_told_apart(stated: OutputPort, apart: set[str]) -> None:
-    ring = (kind("there", "A", "B", output=states(1, QualityRule.ADD)), kind("back", "B", "A", output=stated))
+    cycle = (kind("there", "A", "B", output=states(1, QualityRule.ADD)), kind("back", "B", "A", output=stated))
     after = (kind("s", gives="A", output=states(9)), kind("out", "A", "C"), kind("last", "C", "D"))
     target = Target("D", "D", "/D", quality=(Wish("q", 60),))
-    assert told_apart(world((target,), *ring, *after, qualities=(LOW,))) == apart
+    assert explicit(world((target,), *cycle, *after, qualities=(LOW,))) == apart
 
 
 def test_what_is_distinct_required_or_a_feedback_input_tells_no_other_input_apart() -> None:
@@ -666,5 +666,5 @@ def test_what_is_distinct_required_or_a_feedback_input_tells_no_other_input_apar
     fused = kind("fused", "AA", "B", distinct=(0, 1))
     looped = kind("looped", "BC", "C", feedback=(1,), required=True)
     target = Target("D", "D", "/D", quality=(Wish("q", 60),))
-    found = told_apart(world((target,), *sensors, fused, looped, kind("last", "C", "D"), qualities=(LOW,)))
+    found = explicit(world((target,), *sensors, fused, looped, kind("last", "C", "D"), qualities=(LOW,)))
     assert found == {"fused/in0", "fused/in1", "looped/in1", "last/in0"}

@@ -94,14 +94,14 @@ def test_a_new_unit_of_a_pinned_transformation_has_to_be_needed(tmp_path: Path) 
 
 def test_units_in_a_ring_of_inputs_that_lack_a_stream_are_no_error() -> None:
     feeds = [(Subscription("b", Stream(f"t.{other}", "x")),) for other in (2, 1)]
-    ring = [ComputationUnit(f"t.{number}", "t", fed, host="h") for number, fed in enumerate(feeds, 1)]
+    cycle = [ComputationUnit(f"t.{number}", "t", fed, host="h") for number, fed in enumerate(feeds, 1)]
     inputs = InputPort("a", "A", optional=True), InputPort("b", "A", optional=True, count=2)
     library = (
         Transformation("t", inputs, (OutputPort("x", "A"),), labor_us=0),
         Transformation("u", (InputPort("a", "A"), InputPort("c", "A", count=2)), (OutputPort("x", "A"),), labor_us=0),
     )
     targets = Target("p", "A", "/p"), Target("q", "A", "/q")
-    environment = Environment(tuple(ring), library, targets, (Host("h", cpu_us=9),))
+    environment = Environment(tuple(cycle), library, targets, (Host("h", cpu_us=9),))
     agree(Problem(environment, Similarity({"A": frozenset({"A"})}), 0))
 
 

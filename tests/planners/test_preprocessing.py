@@ -32,9 +32,9 @@ class Stage:
         self.plan: Plan = plan
         self.used = {unit.transformation for unit in environment.update(plan.change_set).units}
         closure = Closure.of(problem, Clock())
-        self.givers, self.possible, self.relevant = closure.givers, closure.possible, closure.relevant
+        self.providers, self.possible, self.relevant = closure.providers, closure.possible, closure.relevant
         library = [t for t in environment.library if t.label in self.relevant]
-        self.network = Network(library, [target.tag for target in environment.targets], [], self.givers)
+        self.network = Network(library, [target.tag for target in environment.targets], [], self.providers)
         running = {unit.transformation for unit in environment.units}
         self.cost = np.array(
             [(keep_cost_us if t.label in running else start_cost_us)(t, problem.horizon_s) for t in library], np.int64
@@ -55,7 +55,7 @@ def test_forward_groundedness_and_backward_relevance_keep_what_an_optimal_plan_u
 @given(problems(special=False))
 def test_an_optimal_plan_is_one_of_the_network_and_demands_are_merged(problem: Problem) -> None:
     stage = Stage(problem)
-    assert len(stage.network.core.givers) <= len(stage.network.fact_of_tag)
+    assert len(stage.network.core.providers) <= len(stage.network.fact_of_tag)
     assert is_plan(stage.network, stage.numbers(stage.used))
 
 
@@ -143,17 +143,16 @@ def test_dearest_chains_charged_one_after_the_other_are_never_more_than_the_opti
 @given(problems(special=False))
 def test_a_weight_is_cost_and_where_nothing_runs_started_units(problem: Problem) -> None:
     stage = Stage(problem)
-    weighing = LexicographicWeights.of(problem, stage.network)
+    weights = LexicographicWeights.of(problem, stage.network)
     used = np.array(sorted(stage.numbers(stage.used)), np.int64)
-    weight = weighing.of_plan(used)
-    assert weighing.cost_us(weight) == int(stage.cost[used].sum())
+    weight = weights.of_plan(used)
+    assert weights.cost_us(weight) == int(stage.cost[used].sum())
     running = {unit.transformation for unit in problem.environment.units}
-    assert weighing.counts_starts == running.isdisjoint(stage.relevant)
-    assert weighing.changes(weight) == ((0, len(used)) if weighing.counts_starts else None)
-    assert weighing.least(weight) == weight
+    assert weights.counts_starts == running.isdisjoint(stage.relevant)
+    assert weights.changes(weight) == ((0, len(used)) if weights.counts_starts else None)
+    assert weights.least(weight) == weight
     assert (
-        weighing.least(chained_bound(stage.network.core, weighing.weight, stage.network.pinned, lambda: False))
-        <= weight
+        weights.least(chained_bound(stage.network.core, weights.weight, stage.network.pinned, lambda: False)) <= weight
     )
 
 

@@ -81,8 +81,8 @@ def test_a_unit_does_not_feed_itself(model: type[Hubs]) -> None:
 
 @every_model
 def test_three_units_in_a_ring_need_something_from_outside(model: type[Hubs]) -> None:
-    ring = (kind("one", "A", "B"), kind("two", "B", "C"), kind("three", "C", "A"))
-    fixed = model(world("C", SOURCE, *ring))
+    cycle = (kind("one", "A", "B"), kind("two", "B", "C"), kind("three", "C", "A"))
+    fixed = model(world("C", SOURCE, *cycle))
     assert fixed.allows(runs("s.1"))
     assert not fixed.allows(~runs("s.1"))
 
@@ -206,8 +206,8 @@ def test_a_unit_whose_wiring_is_broken_is_rewired_or_stopped(model: type[Hubs], 
 
 @every_model
 def test_units_that_feed_each_other_can_not_all_stay_as_they_are(model: type[Hubs]) -> None:
-    ring = (unit("f", "back.1/x0", topic="B"), unit("back", "f.1/x0"), unit("s"))
-    fixed = model(world("B", SOURCE, FILTER, kind("back", "B", "A"), units=ring))
+    cycle = (unit("f", "back.1/x0", topic="B"), unit("back", "f.1/x0"), unit("s"))
+    fixed = model(world("B", SOURCE, FILTER, kind("back", "B", "A"), units=cycle))
     assert fixed.allows(rewired("f.1"), runs("s.1"))
     assert not fixed.allows(runs("f.1"), ~rewired("f.1"), runs("back.1"), ~rewired("back.1"))
 
@@ -342,8 +342,8 @@ def test_an_input_takes_its_number_of_streams_of_different_units(model: type[Hub
 
 @every_model
 def test_each_of_several_streams_is_grounded(model: type[Hubs]) -> None:
-    ring = kind("r", "B", "A")
-    fixed = model(world("B", SOURCE, ring, kind("f", "A", "B", first={"count": 2})))
+    cycle = kind("r", "B", "A")
+    fixed = model(world("B", SOURCE, cycle, kind("f", "A", "B", first={"count": 2})))
     assert fixed.allows(feeds("s.1", "f.1/in0"), feeds("s.2", "f.1/in0"))
     assert not fixed.allows(feeds("r.1", "f.1/in0"))
 
@@ -353,9 +353,9 @@ def test_an_input_that_takes_all_takes_what_runs(model: type[Hubs]) -> None:
     fixed = model(world("BA", SOURCE, OTHER, kind("f", "A", "B", first={"count": ALL})))
     assert fixed.allows(runs("s.1"), runs("t.1"), feeds("s.1", "f.1/in0"), feeds("t.1", "f.1/in0"))
     assert not fixed.allows(runs("s.1"), runs("t.1"), ~feeds("t.1", "f.1/in0"))
-    ring = model(world("BA", SOURCE, kind("f", "A", "BD", first={"count": ALL}), kind("g", "D", "A")))
-    assert ring.allows(runs("f.1"), ~runs("g.1"))
-    assert not ring.allows(runs("f.1"), runs("g.1"))
+    cycle = model(world("BA", SOURCE, kind("f", "A", "BD", first={"count": ALL}), kind("g", "D", "A")))
+    assert cycle.allows(runs("f.1"), ~runs("g.1"))
+    assert not cycle.allows(runs("f.1"), runs("g.1"))
 
 
 @every_model

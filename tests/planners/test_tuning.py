@@ -13,13 +13,13 @@ from cfgplan.planners.tuning import USUAL
 ROOM = Path(cfgplan.planners.__file__).parent
 README = Path(__file__).parents[2] / "experiments" / "planning" / "README.md"
 NOT_TUNED = {
-    "networks/core.py": {"NEVER", "MOST_PASSES", "MOST_CROWDS"},
-    "networks/greedy.py": {"DEAREST", "FREE"},
+    "networks/core.py": {"NEVER", "MOST_PASSES", "MOST_DEMANDS"},
+    "networks/greedy.py": {"COST_CAP", "FREE"},
     "closing/program.py": {"FROM_THE_LAST_BASIS", "FINEST", "LARGEST_CHARGES"},
     "closing/separation.py": {"WHOLE", "CREEP"},
     "exact/answer_sets.py": {"LARGEST_WEIGHT"},
     "exact/patterns.py": {"FINE"},
-    "exact/quality_numbers.py": {"LEAST_GAP", "MOST_GAPS"},
+    "exact/quality_numbers.py": {"LEAST_SKIP", "MOST_SKIPS"},
     "exact/search.py": {"EXACT", "LARGEST"},
     "solving/clock.py": {"STOPPING_S", "FIRST_PLAN_S", "FIRST_PLAN_PART_S", "_SLOWEST"},
     "solving/engine.py": {"WIDEST", "LARGEST_PRODUCT"},

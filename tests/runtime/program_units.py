@@ -30,6 +30,6 @@ def program(
     return Transformation(label, made.inputs, made.outputs, source=command(deed, form), params=made.params, run=run)
 
 
-def giver(form: ProgramFormat, deed: str, *, rate_hz: float | None = None, **params: object) -> Transformation:
+def provider(form: ProgramFormat, deed: str, *, rate_hz: float | None = None, **params: object) -> Transformation:
     run = RunOptions(rate_hz=rate_hz, format=form)
     return Transformation("give", outputs=(OutputPort("n", "N"),), source=command(deed, form), params=params, run=run)

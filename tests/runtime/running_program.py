@@ -123,11 +123,11 @@ def answer(deed: str, request: dict[str, Any]) -> None:
         wrong(deed, step, value)
 
 
-def flood(piece: bytes) -> None:
+def flood(segment: bytes) -> None:
     """Write without end, as fast as it is read, until the reader is gone."""
     with suppress(OSError):
         while True:
-            sys.stdout.buffer.write(piece)
+            sys.stdout.buffer.write(segment)
 
 
 def misbehave(deed: str) -> None:

@@ -19,7 +19,7 @@ from cfgplan_runtime.supervision.events import (
     UnitHung,
     UnitPrinted,
 )
-from program_units import giver, program
+from program_units import program, provider
 from unit_signals import signal_unit
 from watching import Listener, StartRuntime, seen
 from world import eventually, source, start, unit, worker
@@ -236,7 +236,7 @@ def test_a_program_whose_results_have_to_wait_is_not_taken_for_hung(
 
 
 def test_a_source_with_a_rate_is_asked_at_its_rate(run_units: StartRuntime, form: ProgramFormat) -> None:
-    runtime = run_units(giver(form, "same", rate_hz=100))
+    runtime = run_units(provider(form, "same", rate_hz=100))
     runtime.apply(start(unit("give.1", topic="/result", port="n")))
     listener = Listener("/result")
     eventually(lambda: len(listener.received) > 20)
@@ -248,7 +248,7 @@ def test_a_source_with_a_rate_is_asked_at_its_rate(run_units: StartRuntime, form
 def test_a_source_of_its_own_pace_gives_its_own_times_and_gets_sigterm_at_its_stop(
     run_units: StartRuntime, form: ProgramFormat, tmp_path: Path
 ) -> None:
-    runtime = run_units(giver(form, "own pace", notes=str(tmp_path)))
+    runtime = run_units(provider(form, "own pace", notes=str(tmp_path)))
     runtime.apply(start(unit("give.1", topic="/result", port="n")))
     listener = Listener("/result")
     eventually(lambda: len(listener.received) > 20)
@@ -263,7 +263,7 @@ def test_a_source_of_its_own_pace_gives_its_own_times_and_gets_sigterm_at_its_st
 def test_a_source_that_ends_well_has_no_more_to_give_and_its_unit_stays(
     run_units: StartRuntime, form: ProgramFormat
 ) -> None:
-    runtime = run_units(giver(form, "ends"))
+    runtime = run_units(provider(form, "ends"))
     runtime.apply(start(unit("give.1")))
     eventually(lambda: bool(seen(runtime, SourceExhausted)))
     assert set(runtime.environment.unit) == {"give.1"}
@@ -271,7 +271,7 @@ def test_a_source_that_ends_well_has_no_more_to_give_and_its_unit_stays(
 
 
 def test_a_source_that_ends_badly_has_died(run_units: StartRuntime, form: ProgramFormat) -> None:
-    runtime = run_units(giver(form, "fails"))
+    runtime = run_units(provider(form, "fails"))
     with suppress(ApplyError):
         runtime.apply(start(unit("give.1")))
     eventually(lambda: bool(seen(runtime, UnitDied)))

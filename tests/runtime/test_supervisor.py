@@ -270,7 +270,7 @@ def test_a_dead_unit_leaves_gaps() -> None:
 
 
 def test_wires_of_a_dead_unit_are_cut_though_an_heir_holds_them_open() -> None:
-    simulation = Simulation(count=Behaviour(heir=True), work=Behaviour())
+    simulation = Simulation(count=Behaviour(leaves_process=True), work=Behaviour())
     simulation.apply(start(*ONE))
     simulation.backend.fail("count.1")
     simulation.pass_time(0.1)
@@ -281,7 +281,7 @@ def test_wires_of_a_dead_unit_are_cut_though_an_heir_holds_them_open() -> None:
 
 
 def test_wires_of_a_stopped_unit_are_cut_though_an_heir_holds_them_open() -> None:
-    simulation = Simulation(count=Behaviour(heir=True), work=Behaviour(heir=True))
+    simulation = Simulation(count=Behaviour(leaves_process=True), work=Behaviour(leaves_process=True))
     simulation.apply(start(*ONE))
     simulation.apply(swap(2))
     assert simulation.asked("end") == [("end", "count.1/n", "work.1/x")]

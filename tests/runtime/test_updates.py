@@ -11,7 +11,6 @@ from cfgplan_runtime.errors import AbandonedError
 from cfgplan_runtime.supervision.backend import Inlet
 from cfgplan_runtime.supervision.updates import (
     AskState,
-    Believe,
     CarriedOut,
     CloseTopic,
     Command,
@@ -21,11 +20,12 @@ from cfgplan_runtime.supervision.updates import (
     Dump,
     EndUnit,
     GiveState,
-    GoOver,
     OpenTopic,
+    SetEnvironment,
     StartUnit,
     StopAgain,
     StopUnit,
+    SwitchNow,
     WaitUntil,
     carry_out,
     environment_after,
@@ -123,9 +123,9 @@ class Scene:
             case Disconnect(inlet):
                 self.said.append(f"cut {inlet}")
                 del self.feeds[inlet]
-            case GoOver(inlet):
+            case SwitchNow(inlet):
                 self.said.append(f"go over {inlet}")
-            case Believe(environment):
+            case SetEnvironment(environment):
                 self.environment = environment
             case WaitUntil(holds):
                 self.said.append("wait" if holds() else "wait in vain")

@@ -24,7 +24,7 @@ def cheapest_way(core: Core, cost: Ints, above: Ints | None = None) -> tuple[Int
 
     `above` are upper bounds on the facts' values, such as h_max at higher costs.
     """
-    facts = np.full(len(core.givers), NEVER) if above is None else above
+    facts = np.full(len(core.providers), NEVER) if above is None else above
     for _ in range(MOST_PASSES):
         labels = core.most_of_needs(facts)
         better = np.minimum(facts, core.least_of_givers(labels[:-1] + cost))
@@ -32,7 +32,7 @@ def cheapest_way(core: Core, cost: Ints, above: Ints | None = None) -> tuple[Int
             return facts, labels
         facts = better
     found = core.facts_one_by_one(cost.tolist(), max)
-    facts = np.array([min(found.get(fact, NEVER), NEVER) for fact in range(len(core.givers))], np.int64)
+    facts = np.array([min(found.get(fact, NEVER), NEVER) for fact in range(len(core.providers))], np.int64)
     return facts, core.most_of_needs(facts)
 
 
@@ -50,18 +50,21 @@ class Bound:
         self.residual = self.cost.copy()
 
     def charge(self, landmark: Landmark, at_most: int = int(NEVER)) -> int:
-        """Charge a landmark what its members have left, up to `at_most`. Returns its weight: the charge per count."""
+        """Charge the members of a landmark as much as their residual costs allow, up to `at_most`.
+
+        The bound's value rises accordingly. Returns the landmark's weight: the charge per count.
+        """
         if not len(landmark.members):
             return 0
-        members, crowd = landmark.members, landmark.crowd
-        if crowd is None:
+        members, multi_demand = landmark.members, landmark.multi_demand
+        if multi_demand is None:
             weight = min(int(self.residual[members].min()), at_most)
             self.residual[members] -= weight
             self.value += weight
         else:
-            weight = min(int((self.residual[members] // crowd.counts).min()), at_most)
-            self.residual[members] -= weight * crowd.counts
-            self.value += weight * crowd.least
+            weight = min(int((self.residual[members] // multi_demand.counts).min()), at_most)
+            self.residual[members] -= weight * multi_demand.counts
+            self.value += weight * multi_demand.least
         return weight
 
     def recharge(self, weights: Sequence[int]) -> None:
@@ -71,9 +74,9 @@ class Bound:
         self.residual, self.value = self.cost.copy(), 0
         charged = [self.charge(one, weight) for one, weight in zip(self.landmarks, weights, strict=False)]
         self.weights = charged + [0] * (len(self.landmarks) - len(charged))
-        self.charge_what_is_left()
+        self.charge_residuals()
 
-    def charge_what_is_left(self) -> None:
+    def charge_residuals(self) -> None:
         """Charge each landmark as much more as residual costs allow. The value is NEVER if a landmark is impossible."""
         if any(landmark.is_impossible for landmark in self.landmarks):
             self.value = int(NEVER)
@@ -112,13 +115,13 @@ class Bound:
         return np.asarray(self.value + before[:-1] + self.residual <= limit)
 
     def at(self, cost: Ints) -> Bound:
-        """The bound at other costs."""
+        """The bound at other costs, by the same landmarks."""
         other = Bound(self.core, cost, list(self.landmarks), list(self.weights), self.value)
         other.residual = self.residual + (cost - self.cost)
         if (other.residual < 0).any():
             other.recharge(self.weights)
         else:
-            other.charge_what_is_left()
+            other.charge_residuals()
         return other
 
     def short(self) -> list[Landmark]:
@@ -131,7 +134,10 @@ class Bound:
         return nsmallest(few, self.landmarks, key=lambda landmark: len(landmark.members))
 
     def as_of(self, parts: int, more: int, cost: Ints) -> Bound:
-        """The bound on whole costs of one in `parts` of a cost unit; `more`, also in parts, is added to its value."""
+        """Convert a bound on costs in parts, `parts` of which make a cost unit, to one on `cost` in whole units.
+
+        `more` parts are added to its value, which is rounded up; weights and residual costs are rounded down.
+        """
         whole = Bound(self.core, cost, self.landmarks, [weight // parts for weight in self.weights])
         whole.value = -(-(self.value + more) // parts)
         whole.residual = self.residual // parts
@@ -140,20 +146,21 @@ class Bound:
     def restricted(self, keep: Flags) -> Bound:
         """The bound for plans that use flagged labels only; landmarks of weight 0 are dropped."""
         core = self.core.restricted(keep)
-        fact = np.full(len(self.core.givers), -1)
+        fact = np.full(len(self.core.providers), -1)
         fact[np.searchsorted(self.core.facts, core.facts)] = np.arange(len(core.facts))
         label = np.where(keep, np.cumsum(keep) - 1, -1)
         counting = [i for i, weight in enumerate(self.weights) if weight]
         zones = _kept(fact, [self.landmarks[i].zone for i in counting])
         members = _kept(label, [self.landmarks[i].members for i in counting])
-        crowds = [
-            old.crowd and old.crowd.renumbered(old.crowd.counts[label[old.members] >= 0], label, fact)
+        multi_facts = [
+            old.multi_demand
+            and old.multi_demand.renumbered(old.multi_demand.counts[label[old.members] >= 0], label, fact)
             for old in (self.landmarks[i] for i in counting)
         ]
-        landmarks = [Landmark(*one) for one in zip(zones, members, crowds, strict=True)]
+        landmarks = [Landmark(*one) for one in zip(zones, members, multi_facts, strict=True)]
         part = Bound(core, self.cost[keep], landmarks, [self.weights[i] for i in counting], self.value)
         part.residual = self.residual[keep]
-        part.charge_what_is_left()
+        part.charge_residuals()
         return part
 
 
@@ -213,21 +220,21 @@ def chained_bound(core: Core, cost: Ints, certain: Sequence[int], is_over: Calla
         if level == 0 or value == NEVER or is_over():
             break
         charges = _charges(core, facts, before, end)
-        # With crowds, the cheaper givers of a fact would be charged more than they have left.
-        residual -= charges if core.crowds is None else np.minimum(charges, residual)
+        # With facts that take several, the cheaper providers of a fact would be charged more than they have left.
+        residual -= charges if core.multi_facts is None else np.minimum(charges, residual)
         facts, before = cheapest_way(core, residual, facts)
     return value
 
 
 def _charges(core: Core, facts: Ints, before: Ints, end: int) -> Ints:
     """The charge on each label by the landmarks of a chain: from the level of its needs to the level it enters."""
-    labels, dearest = core.needs_with(facts, before)
+    labels, max_need = core.needs_with(facts, before)
     level = np.zeros_like(facts)
     level[end] = facts[end]
     while True:
-        entered = core.most_of_gifts(level)
+        entered = core.most_of_offers(level)
         higher = level.copy()
-        np.maximum.at(higher, dearest, np.minimum(entered, before)[labels])
+        np.maximum.at(higher, max_need, np.minimum(entered, before)[labels])
         if (higher == level).all():
             charges: Ints = np.maximum(entered - before, 0)[:-1]
             return charges

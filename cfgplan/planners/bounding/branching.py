@@ -27,12 +27,12 @@ class Links:
 
     def __init__(self, core: Core) -> None:
         needs = [core.needs.lists[label] for label in range(core.goal + 1)]
-        givers = [core.givers.lists[fact] for fact in range(len(core.givers))]
+        providers = [core.providers.lists[fact] for fact in range(len(core.providers))]
         self.goal = len(needs) - 1
         self.needs = needs
-        self.givers = givers
-        self.gives = _transposed(givers, len(needs))
-        self.needed_by = _transposed(needs, len(givers))
+        self.providers = providers
+        self.gives = _transposed(providers, len(needs))
+        self.needed_by = _transposed(needs, len(providers))
         self.missing = [len(row) for row in needs]
         self.sources = [label for label, row in enumerate(needs) if not row]
 
@@ -57,10 +57,10 @@ class Ways:
         """Facts that cost `most` or more at first count as out of reach."""
         self._links = links
         self._price = price
-        self._facts = [most] * len(links.givers)
+        self._facts = [most] * len(links.providers)
         self._before = [LEFT_OUT] * (links.goal + 1)
-        self._dearest = [-1] * (links.goal + 1)
-        self._giver = [-1] * len(links.givers)
+        self._max_need = [-1] * (links.goal + 1)
+        self._provider = [-1] * len(links.providers)
         self.zones: list[list[int]] = []
         """The zones of the landmarks so far."""
         self._derive()
@@ -71,7 +71,7 @@ class Ways:
 
     def _derive(self) -> None:
         """Compute all values from the sources on, cheapest facts first (Dijkstra)."""
-        before, dearest, needed_by = self._before, self._dearest, self._links.needed_by
+        before, max_need, needed_by = self._before, self._max_need, self._links.needed_by
         missing, ahead = self._links.missing[:], list[tuple[int, int]]()
         for label in self._links.sources:
             before[label] = 0
@@ -80,20 +80,20 @@ class Ways:
             for label in needed_by[fact]:
                 missing[label] -= 1
                 if not missing[label]:
-                    before[label], dearest[label] = value, fact
+                    before[label], max_need[label] = value, fact
                     self._offer(label, ahead)
 
     def lower(self, cheaper: Iterable[int]) -> None:
         """Update all values after some labels became cheaper."""
-        facts, before, dearest = self._facts, self._before, self._dearest
+        facts, before, max_need = self._facts, self._before, self._max_need
         needs, needed_by, value_of = self._links.needs, self._links.needed_by, self._facts.__getitem__
         ahead = list[tuple[int, int]]()
         for label in cheaper:
             self._offer(label, ahead)
         for _, fact in self._settled(ahead):
             for label in needed_by[fact]:
-                if dearest[label] == fact:
-                    dearest[label] = need = max(needs[label], key=value_of)
+                if max_need[label] == fact:
+                    max_need[label] = need = max(needs[label], key=value_of)
                     if facts[need] < before[label]:
                         before[label] = facts[need]
                         self._offer(label, ahead)
@@ -114,36 +114,36 @@ class Ways:
         cost = self._before[label] + self._price[label]
         for given in self._links.gives[label]:
             if cost < facts[given]:
-                facts[given], self._giver[given] = cost, label
+                facts[given], self._provider[given] = cost, label
                 heappush(ahead, (cost, given))
 
     def landmark(self) -> tuple[int, ...]:
         """Return a landmark: the labels that may be first to enter the zone from which the goal comes free of charge by
         its most expensive needs.
         """
-        links, price, before, dearest = self._links, self._price, self._before, self._dearest
-        givers, needed_by = links.givers, links.needed_by
-        zone = [dearest[links.goal]]
+        links, price, before, max_need = self._links, self._price, self._before, self._max_need
+        providers, needed_by = links.providers, links.needed_by
+        zone = [max_need[links.goal]]
         seen = set(zone)
         members = set[int]()
         for fact in zone:
-            members.update(givers[fact])
-            for label in givers[fact]:
-                if not price[label] and dearest[label] not in seen and before[label] < LEFT_OUT:
-                    seen.add(dearest[label])
-                    zone.append(dearest[label])
+            members.update(providers[fact])
+            for label in providers[fact]:
+                if not price[label] and max_need[label] not in seen and before[label] < LEFT_OUT:
+                    seen.add(max_need[label])
+                    zone.append(max_need[label])
         members.difference_update(*[needed_by[fact] for fact in zone])
         self.zones.append(zone)
         return tuple([label for label in sorted(members) if price[label] < LEFT_OUT and before[label] < LEFT_OUT])
 
     def plan(self) -> set[int]:
         """A grounded plan: the labels of the cheapest ways to the goal."""
-        needs, giver = self._links.needs, self._giver
+        needs, provider = self._links.needs, self._provider
         ahead = list(needs[self._links.goal])
         seen = set(ahead)
         chosen = set[int]()
         for fact in ahead:
-            label = giver[fact]
+            label = provider[fact]
             if label not in chosen:
                 chosen.add(label)
                 for need in needs[label]:
@@ -245,7 +245,7 @@ class Branching:
         return bound
 
     def run(self, steps: int) -> bool:
-        """Go on for `steps`, a landmark or a node each. True if nothing is better than `best`, or than the limit."""
+        """Search for `steps` steps, a landmark or a node each. True if no plan is better than `best`, or the limit."""
         self._steps = steps
         while self._ahead and not self._is_late():
             self._go_on()

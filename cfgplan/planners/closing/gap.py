@@ -9,7 +9,7 @@ import numpy as np
 from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.bounding.landmarks import Landmark
 from cfgplan.planners.closing.neighbourhoods import Neighbourhoods
-from cfgplan.planners.closing.program import LandmarkProgram, alike
+from cfgplan.planners.closing.program import LandmarkProgram, label_kinds
 from cfgplan.planners.closing.separation import Separator
 from cfgplan.planners.networks.core import Floats, Ints
 from cfgplan.planners.networks.greedy import FREE, cost_of, plan_at
@@ -36,7 +36,7 @@ class GapClosing:
         self._repair_steps = own.repair + own.repair_need * len(network.core.needs.items)
         self._repair_steps += tuning.rise.link * network.core.deep_links
         self._repairs = Repairs(network, cost, set(plan.tolist()), own)
-        self._kinds = alike(network, cost)
+        self._kinds = label_kinds(network, cost)
         self._draw = np.random.default_rng(bound.core.goal)
         self._built: tuple[LandmarkProgram, list[Landmark], Separator] | None = None
         self._fractions: Floats = np.zeros(len(cost))
@@ -75,11 +75,11 @@ class GapClosing:
             took += (1 + own.repairs) * these
 
     def look_near(self, clock: Clock) -> None:
-        """Plan related targets anew and look for missed landmarks in turns, if targets are many and the gap is far from
-        closed.
+        """Replan related targets and look for missed landmarks in turns, if targets are many and the gap is large.
 
         Both get the same work, and most of the time, while the gap is so large that the solver has little hope. Below
-        that, no more landmarks are looked for. Nothing is done where a plan is more than its labels.
+        that, no more landmarks are looked for. Nothing is done if distinct or feedback inputs make a plan more than its
+        labels.
         """
         near = self._near
         if not self._has_many_targets or self._gap < near.gap or not self._can_be_built(clock):
@@ -122,7 +122,7 @@ class GapClosing:
     def _has_many_targets(self) -> bool:
         """Whether many targets are wanted, and a plan is no more than its labels."""
         core = self._network.core
-        is_plain = core.crowds is None and not self._network.special
+        is_plain = core.multi_facts is None and not self._network.special
         return is_plain and len(core.needs[core.goal]) >= self._near.targets
 
     @property

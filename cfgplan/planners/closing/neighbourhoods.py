@@ -1,4 +1,4 @@
-"""Large neighbourhood search over related targets (Shaw 1998): some targets are planned anew, beside all others.
+"""Large neighbourhood search over related targets (Shaw 1998): some targets are replanned, all others stay fixed.
 
 In a plan for many targets, the labels that only a few of them need are given up, and the solver looks for cheaper ones;
 all other labels are there for nothing. Targets that share little seldom gain together, so they are drawn by the cost
@@ -94,7 +94,7 @@ class Neighbourhoods:
         return {self._wanted[i] for i in free}
 
     def _near(self, free: set[int], clock: Clock) -> None:
-        """Plan these targets anew.
+        """Replan these targets.
 
         The next neighbourhoods are larger if this one was searched soon, smaller if the solver could not finish.
         """
@@ -139,7 +139,7 @@ class Neighbourhoods:
         starts = np.append(core.needs.starts[:-1], needs + len(free))
         rows = Rows(starts, np.append(core.needs.items[:needs], sorted(free)))
         needed = [i for i, one in enumerate(known.landmarks) if not free.isdisjoint(one.zone.tolist())]
-        part = Core(rows, core.givers, core.labels, core.facts)
+        part = Core(rows, core.providers, core.labels, core.facts)
         bound = Bound(part, cost, [known.landmarks[i] for i in needed])
         bound.recharge([known.weights[i] for i in needed])
         return bound
@@ -189,7 +189,7 @@ class Neighbourhoods:
         """The labels that the linear program uses, as far as they may feed a target."""
         core, seen, ahead, found = self._core, {target}, [target], set[int]()
         for fact in ahead:
-            for label in core.givers.lists[fact]:
+            for label in core.providers.lists[fact]:
                 if label not in found and fractions[label] > self._tuning.used:
                     found.add(label)
                     new = [one for one in core.needs.lists[label] if one not in seen]
@@ -220,7 +220,7 @@ def _first_givers(core: Core, labels: Iterable[int]) -> dict[int, int]:
 
 
 def _support(core: Core, first: Mapping[int, int], facts: Iterable[int]) -> Labels:
-    """The labels that feed these facts, directly or through others, each fact by its first giver."""
+    """The labels that feed these facts, directly or through others, each fact by its first provider."""
     ahead, found = [*facts], set[int]()
     for fact in ahead:
         if first[fact] not in found:

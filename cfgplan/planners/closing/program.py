@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     from ortools.linear_solver import pywraplp  # type: ignore[import-untyped]
 
 FROM_THE_LAST_BASIS = "use_preprocessing: false use_dual_simplex: true initial_condition_number_threshold: 1e300"
-"""With preprocessing, or doubts about the last basis, the engine would begin anew each time."""
+"""With preprocessing, or doubts about the last basis, the engine would start over each time."""
 
 FINEST, LARGEST_CHARGES = 1024, 2**58
 """Charges are integers in 1/FINEST of a cost unit, or in coarser parts if their sum would exceed LARGEST."""
 
 
-def alike(network: Network, cost: Ints) -> Ints:
+def label_kinds(network: Network, cost: Ints) -> Ints:
     """Return a number for each label, equal for labels that meet the same demands: a cheapest plan has at most one of
     each.
 
@@ -48,8 +48,8 @@ def alike(network: Network, cost: Ints) -> Ints:
 class Feeding:
     """The rows that say how used labels are fed; `uses` says how much of each label is used.
 
-    A fact is needed as much as the labels that need it are used, and offered as much as its givers are used; labels of
-    the same kind need it together. The prices of these rows are moved from facts to labels (Lagrangian relaxation:
+    A fact is needed as much as the labels that need it are used, and offered as much as its providers are used; labels
+    of the same kind need it together. The prices of these rows are moved from facts to labels (Lagrangian relaxation:
     Geoffrion 1974). For any such prices, landmarks may be charged from the remaining costs.
     """
 
@@ -57,18 +57,18 @@ class Feeding:
         self._core = core
         needers = np.flatnonzero(core.needs.row_of_item < core.goal)
         labels, facts = core.needs.row_of_item[needers], core.needs.items[needers]
-        pairs, self._pair = np.unique(kinds[labels] * len(core.givers) + facts, return_inverse=True)
-        self._labels, self._needed = labels, pairs % len(core.givers)
+        pairs, self._pair = np.unique(kinds[labels] * len(core.providers) + facts, return_inverse=True)
+        self._labels, self._needed = labels, pairs % len(core.providers)
         loops = np.isin(
-            core.givers.row_of_item * core.goal + core.givers.items,
+            core.providers.row_of_item * core.goal + core.providers.items,
             facts * core.goal + labels,
         )
-        self._fact_of_offer, self._offering = core.givers.row_of_item[~loops], core.givers.items[~loops]
-        self._takes = np.ones(len(core.givers), np.int64) if core.takes is None else core.takes
+        self._fact_of_offer, self._offering = core.providers.row_of_item[~loops], core.providers.items[~loops]
+        self._takes = np.ones(len(core.providers), np.int64) if core.takes is None else core.takes
         infinity = engine.infinity()
         wanted = set(core.needs[core.goal].tolist())
         needed = [
-            engine.NumVar(float(i in wanted), 1.0 if i in wanted else infinity, "") for i in range(len(core.givers))
+            engine.NumVar(float(i in wanted), 1.0 if i in wanted else infinity, "") for i in range(len(core.providers))
         ]
         self._offered = [engine.RowConstraint(0.0, infinity, "") for _ in needed]
         for row, needs, takes in zip(self._offered, needed, self._takes.tolist(), strict=True):
@@ -130,14 +130,14 @@ class LandmarkProgram:
 
     def add(self, landmark: Landmark) -> bool:
         """Demand that the landmark is hit. Returns False if that is demanded already."""
-        members, crowd = landmark.members, landmark.crowd
+        members, multi_demand = landmark.members, landmark.multi_demand
         key = landmark.least, landmark.counted.tobytes()
         if key in self._known:
             return False
         self._known.add(key)
         self.members += len(members)
         row = self._engine.RowConstraint(float(landmark.least), self._engine.infinity(), "")
-        counts = repeat(1.0) if crowd is None else crowd.counts.tolist()
+        counts = repeat(1.0) if multi_demand is None else multi_demand.counts.tolist()
         for label, count in zip(members.tolist(), counts, strict=False):
             row.SetCoefficient(self._uses[label], count)
         self._rows.append(row)

@@ -27,11 +27,11 @@ class Separator:
 
     def __init__(self, core: Core, tuning: Close = USUAL.close) -> None:
         self._core, self._tuning = core, tuning
-        labels, facts = core.goal, len(core.givers)
+        labels, facts = core.goal, len(core.providers)
         self._source = facts + 2 * labels
         entering = facts + np.arange(labels)
-        self._tails = np.concatenate([entering, entering[core.givers.items] + labels])
-        self._heads = np.concatenate([entering, entering + labels, core.givers.row_of_item])
+        self._tails = np.concatenate([entering, entering[core.providers.items] + labels])
+        self._heads = np.concatenate([entering, entering + labels, core.providers.row_of_item])
 
     def missed(
         self,
@@ -79,7 +79,7 @@ class Separator:
     def _support(self, fractions: Floats) -> Floats:
         """An upper bound on how much of each fact the fractions support."""
         core = self._core
-        facts = np.zeros(len(core.givers))
+        facts = np.zeros(len(core.providers))
         for _ in range(self._tuning.followed):
             before = facts
             facts = np.minimum(1.0, core.share_of_givers(np.minimum(core.least_of_needs(facts)[:-1], fractions)))
@@ -99,15 +99,15 @@ class Separator:
         """The value of a minimum cut that separates `goal`, and the smallest zone behind such a cut."""
         from ortools.graph.python.max_flow import SimpleMaxFlow
 
-        core, facts = self._core, len(self._core.givers)
+        core, facts = self._core, len(self._core.providers)
         unlimited = np.full(core.goal, 10 * WHOLE)
         limited = np.rint(fractions * WHOLE).astype(np.int64) + CREEP
         flow = SimpleMaxFlow()
         flow.add_arcs_with_capacity(
             np.concatenate([feeding, self._tails]).astype(np.int32),
             self._heads.astype(np.int32),
-            np.concatenate([unlimited, limited, np.full(len(core.givers.items), 10 * WHOLE)]),
+            np.concatenate([unlimited, limited, np.full(len(core.providers.items), 10 * WHOLE)]),
         )
         flow.solve(self._source, goal)
-        behind = np.sort(np.array(flow.get_sink_side_min_cut(), np.int64))
-        return flow.optimal_flow() / WHOLE, behind[behind < facts]
+        replaceable_by = np.sort(np.array(flow.get_sink_side_min_cut(), np.int64))
+        return flow.optimal_flow() / WHOLE, replaceable_by[replaceable_by < facts]

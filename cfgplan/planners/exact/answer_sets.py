@@ -31,27 +31,27 @@ def prove_by_answer_sets(work: SolveRun) -> bool:
     network, clock, tuning = work.structure.network, work.clock, work.clock.tuning.cycles
     if len(network.labels) < tuning.labels or network.special or work.memory.warm_start is not None:
         return False
-    weighing = LexicographicWeights.with_changes(work.problem, network)
-    if weighing is None or not _is_fit(weighing, tuning.values) or not is_there("clingo"):
+    weights = LexicographicWeights.with_changes(work.problem, network)
+    if weights is None or not _is_fit(weights, tuning.values) or not is_there("clingo"):
         return False
-    first = first_plan(network, weighing.weight, clock.tuning.begin.attempts, clock)
+    first = first_plan(network, weights.weight, clock.tuning.begin.attempts, clock)
     if first is None:
         return False
     plan = numbers(first)
-    program = LogicProgram(network, weighing, clock)
-    room = (1 - tuning.near) * weighing.of_plan(plan)
+    program = LogicProgram(network, weights, clock)
+    room = (1 - tuning.near) * weights.of_plan(plan)
     if not program.run(tuning.first, clock) and program.value >= room:
         program.run(tuning.conflicts, clock)
-    plan = min((plan, *program.plans), key=weighing.of_plan)
-    work.take(Remaining(plan, program.value, is_complete=False), network, weighing, plan)
+    plan = min((plan, *program.plans), key=weights.of_plan)
+    work.take(Remaining(plan, program.value, is_complete=False), network, weights, plan)
     work.state.counts["conflicts"] = program.conflicts
     clock.end("bounds")
     return work.state.is_over
 
 
-def _is_fit(weighing: LexicographicWeights, most: int) -> bool:
+def _is_fit(weights: LexicographicWeights, most: int) -> bool:
     """Whether clingo can weigh these costs: they have few values, and each is small enough."""
-    costs = weighing.weight // weighing.scale
+    costs = weights.weight // weights.scale
     return len(set(costs.tolist())) <= most and int(costs.max(initial=0)) // _unit(costs) <= LARGEST_WEIGHT
 
 
@@ -61,19 +61,19 @@ def _unit(costs: Ints) -> int:
 
 
 class LogicProgram:
-    """A network as a logic program: a label may run if its needs hold, and a fact holds if one of its givers runs.
+    """A network as a logic program: a label may run if its needs hold, and a fact holds if one of its providers runs.
 
     Raises OutOfTimeError.
     """
 
-    def __init__(self, network: Network, weighing: LexicographicWeights, clock: Clock) -> None:
+    def __init__(self, network: Network, weights: LexicographicWeights, clock: Clock) -> None:
         import clingo  # there with the extra only
 
-        weight = weighing.weight.copy()
+        weight = weights.weight.copy()
         weight[network.pinned] = 0  # they run in every plan
-        core, unit_us = network.core, _unit(weight // weighing.scale)
-        costs, changes = weight // weighing.scale // unit_us, weight % weighing.scale
-        self._weighing, self._unit = weighing, unit_us * weighing.scale
+        core, unit_us = network.core, _unit(weight // weights.scale)
+        costs, changes = weight // weights.scale // unit_us, weight % weights.scale
+        self._weighing, self._unit = weights, unit_us * weights.scale
         self.plans: list[Ints] = []
         """The plans found so far, each better than the one before."""
         self.value = 0
@@ -82,11 +82,11 @@ class LogicProgram:
         self._control = clingo.Control(["--opt-strategy=usc,oll,stratify", "--warn=none"])
         with self._control.backend() as backend:
             self._runs = [backend.add_atom() for _ in network.labels]
-            holds = [backend.add_atom() for _ in range(len(core.givers))]
+            holds = [backend.add_atom() for _ in range(len(core.providers))]
             for label, runs in clock.each(enumerate(self._runs)):
                 backend.add_rule([runs], [holds[fact] for fact in core.needs.lists[label]], choice=True)
             for fact, atom in clock.each(enumerate(holds)):
-                for label in core.givers.lists[fact]:
+                for label in core.providers.lists[fact]:
                     backend.add_rule([atom], [self._runs[label]])
             wanted = [holds[fact] for fact in core.needs.lists[core.goal]]
             for atom in [*wanted, *(self._runs[label] for label in network.pinned)]:

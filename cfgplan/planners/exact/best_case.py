@@ -209,8 +209,9 @@ def _most_badness(candidates: Candidates, attribute: QualityAttribute) -> dict[s
 def demands_of_quality(candidates: Candidates) -> dict[Demand, bool]:
     """The demands whose streams go into the quality that a target asks for, and whether the choice of consumer matters.
 
-    Mostly all who have a demand want the same stream, the best. But two attributes may have two best streams. And in a
-    ring of demands, with a stream that is better than its inputs, the best for a unit may be made of the unit's own.
+    Usually all consumers of a demand want the same, best stream. They may want different ones if two attributes count,
+    or in a cycle of demands with a stream better than its inputs: the best stream may then depend on the consumer's
+    own.
     """
     environment = candidates.environment
     asked = sorted({wish.attribute for target in environment.targets for wish in target.quality})
@@ -222,10 +223,10 @@ def demands_of_quality(candidates: Candidates) -> dict[Demand, bool]:
         for attribute in [environment.quality[name]]
         if not all(found[demand] for demand in counting[name])
     }
-    ring_of = _rings(candidates) if any(better.values()) else {}
+    cycle_of = _rings(candidates) if any(better.values()) else {}
     for name, labels in better.items():
-        rings = {ring_of.get(label, -1) for label in labels}
-        found.update({demand: True for demand in counting[name] if ring_of.get(demand) in rings})
+        cycles = {cycle_of.get(label, -1) for label in labels}
+        found.update({demand: True for demand in counting[name] if cycle_of.get(demand) in cycles})
     return found
 
 

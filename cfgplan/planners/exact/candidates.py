@@ -31,8 +31,11 @@ HostName = str | None
 """Where something is; None where there are no hosts, or on no host in particular."""
 
 
-Site = tuple[str, HostName]
-"""A transformation and, where some run with others on their host, a host: units of one site may do the same."""
+Placement = tuple[str, HostName]
+"""A transformation and, if transformations have companions on their host, a host.
+
+Units of one placement can replace each other.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +123,7 @@ class Candidates:
         self.environment = problem.environment
         self.clock = Clock() if clock is None else clock
         self.closure = Closure.of(problem, self.clock) if closure is None else closure
-        self.givers, self.possible = self.closure.givers, self.closure.possible
+        self.providers, self.possible = self.closure.providers, self.closure.possible
         labels = self.closure.relevant
         if among is not None:
             labels &= self.closure.asked_for.union(among)
@@ -144,11 +147,11 @@ class Candidates:
         self.most: dict[QualityAttribute, dict[str, int]] = {}
         """Caches of `best_case`: the least badness of each stream, and the largest of use for each demanded tag."""
         self.can_share: dict[tuple[object, ...], bool] = {}
-        """A cache of `survivors`: whether so many units of each site can meet some targets."""
+        """A cache of `survivors`: whether so many units of each placement can meet some targets."""
         self.groups: tuple[tuple[int, ...], ...] | None = None
-        """The units that each candidate stands for, by their numbers among those before `alike`; None if not alike."""
+        """The units that each candidate stands for, by their numbers before `aggregated`; None before."""
 
-    def alike(self, groups: Iterable[tuple[int, ...]], kinds: Sequence[HostKind]) -> Candidates:
+    def aggregated(self, groups: Iterable[tuple[int, ...]], kinds: Sequence[HostKind]) -> Candidates:
         """The same problem with one candidate for each group of units, and one host, its first, for each kind.
 
         A stream is known by the first unit of its group. Units outside the groups are left out.
@@ -165,12 +168,15 @@ class Candidates:
         found.index_of = {self.all[i].id: number for number, group in enumerate(whole) for i in group}
         return found
 
-    def of_sites(self, units: Mapping[Site, int], targets: Iterable[Target]) -> Candidates:
-        """New units, so many of each site, where it is, which have to meet some targets by their wiring alone."""
+    def of_placements(self, units: Mapping[Placement, int], targets: Iterable[Target]) -> Candidates:
+        """New units, so many of each placement, on its host, which have to meet some targets by their wiring alone."""
         kinds = self.environment.transformation
-        sites = [site for site, number in sorted(units.items(), key=str) for _ in range(number)]
+        placements = [placement for placement, number in sorted(units.items(), key=str) for _ in range(number)]
         found = self._with(
-            [Candidate(str(i), kinds[label], None, {host: OnHost(0, 0, {})}) for i, (label, host) in enumerate(sites)],
+            [
+                Candidate(str(i), kinds[label], None, {host: OnHost(0, 0, {})})
+                for i, (label, host) in enumerate(placements)
+            ],
             [HostKind((host,), {}) for host in dict.fromkeys(host for _, host in units)],
         )
         library = tuple(kinds[label] for label in sorted({label for label, _ in units}))
@@ -201,7 +207,7 @@ class Candidates:
 
     @cached_property
     def hosts(self) -> tuple[HostKind, ...]:
-        """The hosts, each a kind of its own; kinds of several hosts only if the candidates are `alike`."""
+        """The hosts, each a kind of its own; kinds of several hosts only if the candidates are `aggregated`."""
         if not self.environment.hosts:
             return (HostKind((None,), {}),)
         horizon_s = self.problem.horizon_s
@@ -228,12 +234,12 @@ class Candidates:
         """
         library = tuple(self.kinds[label] for label in sorted(self.kinds))
         if not self._is_closed:
-            left = startable(Environment((), library), self.givers, self.clock.each)
+            left = startable(Environment((), library), self.providers, self.clock.each)
             library = tuple(t for t in library if t.label in left)
         labels = {t.label for t in library}
         targets = [target.tag for target in self.environment.targets]
-        met = [tag for tag in targets if not labels.isdisjoint(self.givers.of(tag))]
-        return Network(library, met, self.asked_for & labels, self.givers, self.clock.each)
+        met = [tag for tag in targets if not labels.isdisjoint(self.providers.of(tag))]
+        return Network(library, met, self.asked_for & labels, self.providers, self.clock.each)
 
     @cached_property
     def asked_for(self) -> frozenset[str]:
@@ -284,7 +290,7 @@ class Candidates:
         if tag not in self._streams:
             self._streams[tag] = tuple(
                 Stream(self.all[i].id, port.name)
-                for label in self.givers.of(tag)
+                for label in self.providers.of(tag)
                 for i in self._units.get(label, ())
                 if self.all[i].may_run
                 for port in self.all[i].transformation.outputs
@@ -295,7 +301,7 @@ class Candidates:
     def feeders(self, tag: str) -> tuple[int, ...]:
         """The candidates that may run and have an output that matches the demanded tag."""
         if tag not in self._feeders:
-            units = [i for label in self.givers.of(tag) for i in self._units.get(label, ())]
+            units = [i for label in self.providers.of(tag) for i in self._units.get(label, ())]
             self._feeders[tag] = tuple(i for i in units if self.all[i].may_run)
         return self._feeders[tag]
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from cfgplan.planners.exact.model import Model
 
 
-def units_that_conflict_are_not_there_together(model: Model) -> None:
+def conflicting_units_do_not_exist_together(model: Model) -> None:
     for transformation in model.environment.library:
         for other in transformation.conflicts:
             if other != transformation.label:
@@ -72,7 +72,7 @@ def _is_full(loads: HostLoads, kind: Transformation, name: HostName) -> Iterator
         yield f"fewer than {kind.per_host} of them"
 
 
-def hosts_that_a_selector_chooses_have_no_more_units_together_than_it_allows(model: Model) -> None:
+def selected_hosts_keep_their_common_limit(model: Model) -> None:
     for t in model.environment.library:
         there = [on for i in model.candidates.units_of(t.label) for on in model.there_on(i)] if t.at_most else []
         for text, most in t.at_most.items():
@@ -97,7 +97,7 @@ def _fits(environment: Environment, name: HostName, text: str) -> bool:
     return name is not None and environment.host[name].fits(text)
 
 
-def units_that_conflict_are_not_on_one_host(model: Model) -> None:
+def conflicting_units_are_not_on_one_host(model: Model) -> None:
     for transformation in model.environment.library:
         for other in transformation.conflicts_on_host:
             there = _hosts_with(model, other) if other != transformation.label else {}
@@ -121,7 +121,7 @@ def _has_a_rival(loads: HostLoads, kind: Transformation, name: HostName) -> Iter
             yield f"no unit of {other}"
 
 
-def beside_a_running_unit_run_those_that_it_runs_with(model: Model) -> None:
+def companions_run_beside_a_running_unit(model: Model) -> None:
     for i, places in model.has_on.items():
         for other in model.candidates.all[i].transformation.beside:
             units = [model.has_on[j] for j in model.candidates.units_of(other)]
@@ -161,16 +161,16 @@ def _alone(checked: CheckedUnits) -> Iterator[str]:
 
 
 COMPANY: Final = (
-    Rule(units_that_conflict_are_not_there_together, Feature.CONFLICTS, _conflicts),
+    Rule(conflicting_units_do_not_exist_together, Feature.CONFLICTS, _conflicts),
     Rule(there_are_as_many_units_as_asked_for_and_allowed, Feature.INSTANCES, _wrong_numbers, keeps_units=True),
     Rule(no_host_has_more_units_of_a_transformation_than_it_allows, Feature.INSTANCES, lacks=_is_full, is_placed=True),
     Rule(
-        hosts_that_a_selector_chooses_have_no_more_units_together_than_it_allows,
+        selected_hosts_keep_their_common_limit,
         Feature.INSTANCES,
         lacks=_is_full_with_others,
         trait=_chosen_by,
         is_placed=True,
     ),
-    Rule(units_that_conflict_are_not_on_one_host, Feature.CONFLICTS, lacks=_has_a_rival, is_placed=True),
-    Rule(beside_a_running_unit_run_those_that_it_runs_with, Feature.BESIDE, _alone, is_placed=True, keeps_units=True),
+    Rule(conflicting_units_are_not_on_one_host, Feature.CONFLICTS, lacks=_has_a_rival, is_placed=True),
+    Rule(companions_run_beside_a_running_unit, Feature.BESIDE, _alone, is_placed=True, keeps_units=True),
 )

@@ -12,11 +12,11 @@ from functools import partial
 import numpy as np
 
 from cfgplan.domain import ComputationUnit, Stream, Subscription, Target
-from cfgplan.planners.exact.candidates import Candidate, Candidates, HostName, Site
+from cfgplan.planners.exact.candidates import Candidate, Candidates, HostName, Placement
 from cfgplan.planners.exact.grounded import Grounded
 from cfgplan.planners.exact.places import Places
 from cfgplan.planners.exact.pruning import lean, needed_units
-from cfgplan.planners.exact.survivors import Failure, site_of, unmet
+from cfgplan.planners.exact.survivors import Failure, placement_of, unmet
 from cfgplan.planners.exact.wiring import named
 from cfgplan.planners.networks.core import Floats
 from cfgplan.planners.networks.greedy import FREE, plan_at
@@ -80,7 +80,7 @@ def wired_as_before(
 
 
 class Configuration:
-    """Chosen units on their way to a valid configuration: `hot` ones run, `cold` ones wait."""
+    """Makes a valid configuration of chosen units: `hot` ones run, `cold` ones wait as spares."""
 
     def __init__(
         self,
@@ -100,9 +100,9 @@ class Configuration:
 
     def units(self) -> list[ComputationUnit] | None:
         """The lean configuration; None if hosts have no room, or a target can't be met or a failure be survived."""
-        if not (self._bears_lost_units() and self._place(None)):
+        if not (self._survives_lost_units() and self._place(None)):
             return None
-        if self.candidates.problem.survive is Failures.HOSTS and not self._bears_lost_hosts():
+        if self.candidates.problem.survive is Failures.HOSTS and not self._survives_lost_hosts():
             return None
         running = self._places.units(self._grounded)
         if running is None:
@@ -121,35 +121,37 @@ class Configuration:
             if i not in places.host_of
         )
 
-    def _bears_lost_units(self) -> bool:
+    def _survives_lost_units(self) -> bool:
         all_of, targets = self.candidates.all, self.candidates.environment.targets
         if self.candidates.problem.survive is None:
             return True
         for i in self.candidates.clock.each(sorted(self.hot, key=lambda i: (-all_of[i].cost_us, i)), 1):
             label = all_of[i].transformation.label
             left = [one for one in self.hot | self.cold if one != i]
-            if label not in self._labels(left) and not self._bears(None, left, targets):
+            if label not in self._labels(left) and not self._survives(None, left, targets):
                 return False
         return True
 
-    def _bears_lost_hosts(self) -> bool:
+    def _survives_lost_hosts(self) -> bool:
         environment, host_of = self.candidates.environment, self._places.host_of
         for host in self.candidates.clock.each(environment.hosts, 1):
             left = [i for i in self.hot | self.cold if host_of[i] != host.name]
             targets = tuple(target for target in environment.targets if target.host != host.name)
-            if not (self._bears(host.name, left, targets) and self._place(host.name)):
+            if not (self._survives(host.name, left, targets) and self._place(host.name)):
                 return False
         return True
 
     def _labels(self, units: Collection[int]) -> frozenset[str]:
         return frozenset(self.candidates.all[i].transformation.label for i in units)
 
-    def _sites(self, units: Collection[int]) -> frozenset[Site]:
+    def _sites(self, units: Collection[int]) -> frozenset[Placement]:
         all_of, host_of = self.candidates.all, self._places.host_of
         labels = {i: all_of[i].transformation.label for i in units}
-        return frozenset(site_of(self.candidates.environment, label, host_of.get(i)) for i, label in labels.items())
+        return frozenset(
+            placement_of(self.candidates.environment, label, host_of.get(i)) for i, label in labels.items()
+        )
 
-    def _bears(self, host: str | None, left: Collection[int], targets: tuple[Target, ...]) -> bool:
+    def _survives(self, host: str | None, left: Collection[int], targets: tuple[Target, ...]) -> bool:
         """Add spares that meet the targets together with the units `left` after a failure. False if there are none."""
         candidates, labels = self.candidates, self._labels(left)
         if not unmet(candidates, Failure(host, dict.fromkeys(self._sites(left), 1), targets)):

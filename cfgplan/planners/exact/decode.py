@@ -34,7 +34,7 @@ def decode_numbers(
     """The units of a solution of a model of groups, wired; units that stay are unchanged.
 
     `values` are those of the model's variables, `hosts_of` the hosts of each group's units, and `candidates` the units
-    of all groups. Raises ContradictionError if streams that serve only so many can't be shared out.
+    of all groups. Raises ContradictionError if streams with a limited number of consumers can't be divided among them.
     """
     return _Numbers(candidates, model, values, hosts_of).units()
 

@@ -114,7 +114,7 @@ class _Deployment:
         only the bound on the first objective is proven.
         """
         state, is_placed = self.state, all(kind.is_one for kind in kinds)
-        model = Model(self.candidates.alike(self.groups, kinds), RULES) if is_placed else self._limited(kinds)
+        model = Model(self.candidates.aggregated(self.groups, kinds), RULES) if is_placed else self._limited(kinds)
         state.counts["counts"] = len(model.cp.proto.variables)
         steps = list(self._steps(model))
         model.cp.add(steps[0].what >= self._least)
@@ -230,7 +230,7 @@ class _Deployment:
         if kind.is_one or not here:
             return _Placed({n: [kind.first] * number for n, number in here.items()}, is_fit=True)
         clock = self.state.clock
-        model = Model(self.candidates.alike([self.groups[n] for n in here], kind.apart()[:used]), PLACED)
+        model = Model(self.candidates.aggregated([self.groups[n] for n in here], kind.apart()[:used]), PLACED)
         for n, units in enumerate(here.values()):
             label = model.candidates.all[n].transformation.label
             is_free = has_more_company and label in self.candidates.environment.companions
@@ -248,7 +248,7 @@ class _Deployment:
 
     def _limited(self, kinds: Sequence[HostKind]) -> Model:
         """The model of kinds of hosts without the numbers of units that are known not to fit."""
-        model = Model(self.candidates.alike(self.groups, kinds), RULES)
+        model = Model(self.candidates.aggregated(self.groups, kinds), RULES)
         for numbers in self.infeasible:
             numbers.forbid(model)
         for host, patterns in self._patterns.items():

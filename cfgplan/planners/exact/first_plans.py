@@ -100,11 +100,11 @@ class FirstPlans:
             if support is None:
                 return False
             labels = {self.network.labels[n] for n in support}
-            dearer = self._dearer_in_conflict(labels)
-            if dearer is None:
+            more_expensive = self._more_expensive_in_conflict(labels)
+            if more_expensive is None:
                 return self.offer(self.units_of(self._with_companions(labels, price)))
             price = price.copy()
-            price[dearer] = np.inf
+            price[more_expensive] = np.inf
         return False
 
     def _with_companions(self, labels: Collection[str], price: Floats) -> Collection[str]:
@@ -114,15 +114,15 @@ class FirstPlans:
         ahead = sorted(found.difference(labels))
         for label in ahead:
             for port in environment.transformation[label].inputs:
-                givers = [giver for giver in self.candidates.givers.of(port.tag) if giver in number]
-                if givers and found.isdisjoint(givers):
-                    cheapest = min(givers, key=lambda giver: (price[number[giver]], giver))
+                providers = [provider for provider in self.candidates.providers.of(port.tag) if provider in number]
+                if providers and found.isdisjoint(providers):
+                    cheapest = min(providers, key=lambda provider: (price[number[provider]], provider))
                     new = [one for one in with_companions(environment, [cheapest]) if one not in found]
                     found.update(new)
                     ahead += new
         return found & number.keys()
 
-    def _dearer_in_conflict(self, labels: Collection[str]) -> int | None:
+    def _more_expensive_in_conflict(self, labels: Collection[str]) -> int | None:
         number, library = self.network.number, self.candidates.environment.transformation
         for label in sorted(labels):
             for other in library[label].conflicts:

@@ -49,7 +49,7 @@ def plan_fleet(candidates: Candidates, state: SolveState, last: Collection[str])
     _search(candidates, state, first)
 
 
-def solve_apart(candidates: Candidates, state: SolveState) -> None:
+def solve_by_full_model(candidates: Candidates, state: SolveState) -> None:
     """Leave all to the solver, in the model of all wires of all candidates, without bounds and first plans."""
     _count(candidates, state)
     _solve(candidates, state, is_apart=True)

@@ -9,7 +9,7 @@ from typing import Final
 from cfgplan.onward import grouped
 from cfgplan.planners.exact.candidates import Candidates, HostKind
 from cfgplan.planners.exact.rules import RULES
-from cfgplan.planners.exact.tracking import Tracking, in_rings
+from cfgplan.planners.exact.tracking import Tracking, in_cycles
 from cfgplan.planning import Feature
 
 NAMED: Final = frozenset({Feature.QUALITY, Feature.LATENCY, Feature.SURVIVAL})
@@ -35,7 +35,7 @@ def _is_much_smaller(candidates: Candidates) -> bool:
     firsts = {kind.first for kind in host_kinds(candidates)}
     grouped_places = sum(len(firsts & candidates.all[group[0]].places.keys()) for group in groups_of(candidates))
     places = sum(len(candidate.places) for candidate in candidates.all)
-    if _told_apart(candidates):
+    if _explicit_units(candidates):
         return places >= candidates.clock.tuning.fleet.shared * grouped_places
     return places > grouped_places
 
@@ -45,21 +45,21 @@ def groups_of(candidates: Candidates) -> list[tuple[int, ...]]:
 
     New units are alone too if it matters who feeds them.
     """
-    apart = _told_apart(candidates)
+    apart = _explicit_units(candidates)
     running = [(i,) for i, candidate in enumerate(candidates.all) if candidate.running is not None]
     new = [(i, c.transformation.label) for i, c in enumerate(candidates.all) if c.running is None]
     together = grouped((i if label in apart else label, i) for i, label in new)
     return [*running, *map(tuple, together.values())]
 
 
-def _told_apart(candidates: Candidates) -> set[str]:
+def _explicit_units(candidates: Candidates) -> set[str]:
     """The transformations whose units are no group: the model says for each unit who feeds it, or whom it feeds."""
-    all_of, rings = candidates.all, in_rings(candidates)
-    apart = {all_of[i].transformation.label for i in Tracking.of(candidates).units | rings}
+    all_of, cycles = candidates.all, in_cycles(candidates)
+    apart = {all_of[i].transformation.label for i in Tracking.of(candidates).units | cycles}
     found = set(apart)
     for label, kind in candidates.kinds.items():
         for port in kind.inputs:
-            if port.is_told_apart or label in apart:
+            if port.is_explicit or label in apart:
                 found.add(label)
                 if port.count != 1:
                     found.update(all_of[i].transformation.label for i in candidates.feeders(port.tag))

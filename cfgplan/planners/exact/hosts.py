@@ -8,7 +8,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 from cfgplan.domain import Link, Objective, Transformation, amount_of
-from cfgplan.figures import links_bear
+from cfgplan.figures import links_suffice
 from cfgplan.onward import grouped
 from cfgplan.planners.exact.candidates import HostName
 from cfgplan.planners.exact.rule import CheckedUnits, HostLoads, Rule
@@ -20,16 +20,17 @@ if TYPE_CHECKING:
     from cfgplan.planners.exact.model import Model
 
 
-def what_is_made_on_a_host_is_not_carried_there(model: Model) -> None:
+def a_stream_made_on_a_host_is_not_carried_there(model: Model) -> None:
     for (stream, host), carried in model.carried.items():
         here = model.runs_on[model.unit_of(stream)].get(host)
         if here is not None:
             model.cp.add_at_most_one(carried, here)
 
 
-def links_bear_what_is_carried_and_have_their_prices(model: Model) -> None:
-    """`Model.ways` has charged a carried stream its cheapest transfer. This rule adds the extra cost of any other
-    transfer.
+def links_keep_their_bandwidth_and_have_their_prices(model: Model) -> None:
+    """Each link carries at most its bandwidth, and each transfer costs the price of its link.
+
+    `Model.ways` has charged each carried stream its cheapest transfer; this rule adds the extra cost of any other one.
     """
     loads: dict[Link, list[LinearExprT]] = defaultdict(list)
     for (stream, host), carried in model.carried.items() if model.environment.links else ():
@@ -53,11 +54,11 @@ def links_bear_what_is_carried_and_have_their_prices(model: Model) -> None:
 
 
 def _overloaded_links(checked: CheckedUnits) -> Iterator[str]:
-    if not links_bear(checked.problem, checked.units):
+    if not links_suffice(checked.problem, checked.units):
         yield "a link has to carry too much"
 
 
-def hosts_bear_their_units(model: Model) -> None:
+def hosts_have_room_for_their_units(model: Model) -> None:
     """Each host has room for its units in each resource; cold spares count as running, as they must be able to run."""
     candidates = model.candidates.all
     on_hosts = ((i, host, there) for i in model.runs_on for host, there in model.there_on(i))
@@ -95,19 +96,19 @@ def a_host_is_paid_and_counted_while_something_is_there(model: Model) -> None:
             model.cp.add(used <= model.total(here))
 
 
-def hosts_alike_are_taken_in_order(model: Model) -> None:
-    """Where each host is a kind of its own: the later ones have less on them."""
+def interchangeable_hosts_are_used_in_order(model: Model) -> None:
+    """Of two interchangeable hosts, the earlier one is used if the later one is: this breaks the symmetry."""
     for kind, following in pairwise(model.candidates.hosts):
         if kind.rooms is following.rooms:
             model.cp.add(model.uses[following.first] <= model.uses[kind.first])
 
 
 CARRYING: Final = (
-    Rule(what_is_made_on_a_host_is_not_carried_there),
-    Rule(links_bear_what_is_carried_and_have_their_prices, Feature.HOSTS, _overloaded_links),
+    Rule(a_stream_made_on_a_host_is_not_carried_there),
+    Rule(links_keep_their_bandwidth_and_have_their_prices, Feature.HOSTS, _overloaded_links),
 )
 ROOM: Final = (
     Rule(a_host_is_paid_and_counted_while_something_is_there, is_placed=True),
-    Rule(hosts_bear_their_units, Feature.HOSTS, lacks=_has_no_room, is_placed=True),
+    Rule(hosts_have_room_for_their_units, Feature.HOSTS, lacks=_has_no_room, is_placed=True),
 )
-SYMMETRY: Final = Rule(hosts_alike_are_taken_in_order, is_placed=True)
+SYMMETRY: Final = Rule(interchangeable_hosts_are_used_in_order, is_placed=True)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 from cfgplan.domain import ALL, ComputationUnit, InputPort, Stream
 from cfgplan.onward import reached
 from cfgplan.planners.exact.rule import CheckedUnits, Rule
-from cfgplan.planners.exact.targets import who_is_needed
+from cfgplan.planners.exact.targets import needed_literals
 from cfgplan.planning import Feature
 
 if TYPE_CHECKING:
@@ -32,11 +32,11 @@ def _taking(model: Model, stream: Stream) -> list[IntVar]:
     return [choice[stream] for choice in choices if stream in choice]
 
 
-def an_input_that_starts_nothing_is_fed_by_what_is_needed_anyway(model: Model) -> None:
-    """Nothing else takes a stream that serves only so many, since there would be room for the input without it."""
+def an_idle_input_is_fed_by_needed_units(model: Model) -> None:
+    """Feeders of such an input are needed by others. They don't spend limited streams on units that are not needed."""
     if not model.idle_feeders:
         return
-    candidates, needed = model.candidates, who_is_needed(model)
+    candidates, needed = model.candidates, needed_literals(model)
     for (unit, name), connects in model.connects.items():
         is_idle = name in candidates.all[unit].transformation.idle_inputs
         for stream, connected in connects.items():
@@ -46,7 +46,7 @@ def an_input_that_starts_nothing_is_fed_by_what_is_needed_anyway(model: Model) -
                 model.cp.add_implication(connected, needed[unit])
 
 
-def an_input_that_starts_nothing_is_fed_where_it_can_be(model: Model) -> None:
+def an_idle_input_is_fed_if_possible(model: Model) -> None:
     """It is unfed only where too few units run that may feed it: others depend on its unit, or are not distinct."""
     candidates = model.candidates.all
     for (unit, name), fed in list(model.is_fed.items()):
@@ -144,6 +144,6 @@ def _free(checked: CheckedUnits, unit: ComputationUnit, port: InputPort) -> Coll
 IDLE: Final = (
     Rule(a_stream_serves_no_more_than_it_may, Feature.LIMITS, _overtaken),
     Rule(None, Feature.COUNTS, _incomplete),
-    Rule(an_input_that_starts_nothing_is_fed_by_what_is_needed_anyway, Feature.OPTIONAL),
-    Rule(an_input_that_starts_nothing_is_fed_where_it_can_be, Feature.OPTIONAL, _unfed),
+    Rule(an_idle_input_is_fed_by_needed_units, Feature.OPTIONAL),
+    Rule(an_idle_input_is_fed_if_possible, Feature.OPTIONAL, _unfed),
 )

@@ -36,8 +36,8 @@ def a_wired_unit_is_fed(model: Model) -> None:
     """
     for i in model.candidates.clock.each(model.runs):
         inputs = model.candidates.all[i].transformation.inputs
-        told_apart = [port for port in inputs if model.is_told_apart(i, port)]
-        apart = {port.name: an_input_told_apart_has_its_feeders(model, i, port) for port in told_apart}
+        explicit = [port for port in inputs if model.is_explicit(i, port)]
+        apart = {port.name: an_explicit_input_has_its_feeders(model, i, port) for port in explicit}
         for port in inputs:
             if port.name not in apart and model.is_counted(port):
                 a_counted_input_has_its_number(model, i, port)
@@ -55,7 +55,7 @@ def a_wired_unit_is_fed(model: Model) -> None:
             model.rests_on_all(wired, parts)
 
 
-def an_input_told_apart_has_its_feeders(model: Model, unit: int, port: InputPort) -> list[IntVar]:
+def an_explicit_input_has_its_feeders(model: Model, unit: int, port: InputPort) -> list[IntVar]:
     """Add a boolean for each stream that may feed an input. Returns the literals that the unit's wiring rests on."""
     may_be_own = port.feedback and port.count != ALL
     streams = [s for s in model.choices(port.tag) if model.unit_of(s) != unit or may_be_own]
@@ -164,7 +164,7 @@ def inputs_of_a_group_are_fed_by_different_transformations(model: Model) -> None
 
 
 def units_that_feed_each_other_come_one_after_the_other(model: Model) -> None:
-    """An implied rule: inputs that may stay unfed allow too many rings to cut each of them lazily.
+    """An implied rule: inputs that may stay unfed allow too many cycles to cut each of them lazily.
 
     In small problems there are as many where streams are counted, limited or compared.
     """
@@ -179,17 +179,17 @@ def units_that_feed_each_other_come_one_after_the_other(model: Model) -> None:
         for stream, connected in connects.items()
         if not candidates.all[unit].transformation.input[name].feedback
     ]
-    rings = strongly_connected_components(DiGraph([(feeder, unit) for feeder, unit, _ in feeds]))
-    for ring in (ring for ring in rings if len(ring) > 1):
-        place = {unit: model.cp.new_int_var(1, len(ring), "") for unit in sorted(ring)}
+    cycles = strongly_connected_components(DiGraph([(feeder, unit) for feeder, unit, _ in feeds]))
+    for cycle in (cycle for cycle in cycles if len(cycle) > 1):
+        place = {unit: model.cp.new_int_var(1, len(cycle), "") for unit in sorted(cycle)}
         for feeder, unit, connected in feeds:
-            if feeder in ring and unit in ring:
+            if feeder in cycle and unit in cycle:
                 model.cp.add(place[feeder] < place[unit]).only_enforce_if(connected)
 
 
 def a_demand_is_met_first_by_a_unit_that_does_not_need_it(model: Model) -> None:
-    """On each host, and at all."""
-    what_is_met_on_a_host_is_met_at_all(model)
+    """This holds on each host, and for all hosts together."""
+    a_demand_met_on_a_host_is_met_at_all(model)
     for (demand, host), hub in model.candidates.clock.each(model.hubs.items()):
         first = {stream: _first_ways(model, stream, demand, host) for stream in model.streams_of(demand)}
         ways = {way.index: way for these in first.values() for way in these}
@@ -200,10 +200,10 @@ def a_demand_is_met_first_by_a_unit_that_does_not_need_it(model: Model) -> None:
             model.rests_on_any(hub, list(ways.values()))
 
 
-def what_is_met_on_a_host_is_met_at_all(model: Model) -> None:
-    """So is what a running unit needs, whatever its host.
+def a_demand_met_on_a_host_is_met_at_all(model: Model) -> None:
+    """Also the demands of each running unit are met, on whatever host it is.
 
-    This is implied, but the model's relaxation spreads units over hosts, and its search lacks it most.
+    This is implied, but the model's relaxation, which spreads units over hosts, is much weaker without it.
     """
     on_hosts = list(dict.fromkeys(demand for demand, host in model.hubs if host is not None))
     for demand in on_hosts:

@@ -57,7 +57,7 @@ class Structure:
             "startable": len(self.closure.possible),
             "relevant": len(self.network.labels),
             "demands": len(self.network.fact_of_tag),
-            "merged demands": len(self.network.core.givers),
+            "merged demands": len(self.network.core.providers),
         }
 
     def network_with(self, problem: Problem, wanted: frozenset[str], clock: Clock) -> Network:
@@ -131,7 +131,7 @@ class Memory:
         return self._found is not None or bool(self._landmarks)
 
     def bound(self, weight: Ints, scale: int = 1) -> Bound:
-        """The bound by the landmarks that are kept, charged as before as far as that goes."""
+        """The bound by the landmarks that are kept, charged as before as far as residual costs allow."""
         core = self.structure.network.core
         if self._found is not None:
             (found, old_scale), self._found = self._found, None
@@ -160,25 +160,25 @@ class Memory:
         ):
             return
         library = problem.environment.transformation
-        dearest = max((library[network.labels[i]].labor_us for i in plan.tolist()), default=0)
+        max_need = max((library[network.labels[i]].labor_us for i in plan.tolist()), default=0)
         value = int(cost[plan].sum())
-        limit = value + dearest
+        limit = value + max_need
         self.warm_start = self.warm_start and self.warm_start.moved(plan, cost, limit, clock)
         if self.warm_start is None:
             close = tightened(self.bound(cost), value, value, clock)
             self.keep_landmarks(lambda: close, 1)
-            self.warm_start = WarmStart.of(plan, cost, int(clock.tuning.rest.room * limit), self.bound(cost), clock)
+            self.warm_start = WarmStart.of(plan, cost, int(clock.tuning.replan.room * limit), self.bound(cost), clock)
 
 
 def _network(
     environment: Environment, closure: Closure, labels: frozenset[str], wanted: frozenset[str], clock: Clock
 ) -> Network:
-    givers, possible = closure.givers, closure.possible
+    providers, possible = closure.providers, closure.possible
     return Network(
         [t for t in environment.library if t.label in labels],
-        [target.tag for target in environment.targets if not possible.isdisjoint(givers.of(target.tag))],
+        [target.tag for target in environment.targets if not possible.isdisjoint(providers.of(target.tag))],
         (_pinned(environment) & possible) | wanted,
-        givers,
+        providers,
         clock.each,
     )
 

@@ -16,7 +16,7 @@ from cfgplan.costs import transfer_cost_us
 from cfgplan.domain import ALL, ComputationUnit, InputPort, Objective, Stream
 from cfgplan.planners.exact.best_case import demands_of_quality
 from cfgplan.planners.exact.candidates import ONLY_IN_THE_MODEL, Candidates, HostName
-from cfgplan.planners.exact.tracking import Tracking, in_rings
+from cfgplan.planners.exact.tracking import Tracking, in_cycles
 from cfgplan.planners.solving.engine import ExactModel, at_least
 from cfgplan.planners.solving.support import Support
 from cfgplan.planning import Feature
@@ -32,9 +32,9 @@ class Model:
     which stream if that matters; `connects` say which streams feed an explicit input, and `publishes` which meet a
     target. With `is_apart`, every input and target is explicit.
 
-    A candidate may be a group of several units, and a host a kind of several (`Candidates.alike`). A group `runs` if
-    some of its units do, `number` and `numbers_on` say how many, and `has_on` on how many hosts of a kind; of one unit
-    these are the booleans that it runs. The model relaxes kinds of several hosts: it bounds their load in all.
+    A candidate may be a group of several units, and a host a kind of several (`Candidates.aggregated`). A group `runs`
+    if some of its units do, `number` and `numbers_on` say how many, and `has_on` on how many hosts of a kind; of one
+    unit these are the booleans that it runs. The model relaxes kinds of several hosts: it bounds their load in all.
     """
 
     def __init__(
@@ -54,10 +54,10 @@ class Model:
         by_stream = {Feature.LATENCY, *ONLY_IN_THE_MODEL} if self.asks_for_quality else {Feature.LATENCY}
         self.is_apart = is_apart or not by_stream.isdisjoint(self.problem.features)
         self.is_grouped = candidates.groups is not None
-        self.in_rings = in_rings(candidates) if self.is_grouped else frozenset[int]()
-        """The candidates beside counted ones that might feed each other in a ring: who feeds them is told apart."""
+        self.in_cycles = in_cycles(candidates) if self.is_grouped else frozenset[int]()
+        """The candidates beside counted ones that might feed each other in a cycle: who feeds them is told apart."""
         is_optional = Feature.OPTIONAL in self.problem.features
-        self.orders_rings = orders_rings or self.is_small or is_optional or bool(self.in_rings)
+        self.orders_rings = orders_rings or self.is_small or is_optional or bool(self.in_cycles)
         self.cp = ExactModel()
         self.support = Support()
         self.anywhere = Support()
@@ -163,7 +163,7 @@ class Model:
         return found
 
     def hint(self, units: Iterable[ComputationUnit]) -> None:
-        """Have the solver begin with these units where they are, in place of earlier hints; with none, give no hint."""
+        """Hint these units on their hosts to the solver, in place of earlier hints; without units, give no hint."""
         self.cp.clear_hints()  # type: ignore[no-untyped-call]
         there = Counter((self.candidates.index_of.get(unit.id), unit.host, unit.standby) for unit in units)
         for places, is_standby in ((self.numbers_on, False), (self.waits_on, True)) if there else ():
@@ -224,7 +224,7 @@ class Model:
     def unit_of(self, stream: Stream) -> int:
         return self.candidates.index_of[stream.unit]
 
-    def is_told_apart(self, unit: int, port: InputPort) -> bool:
+    def is_explicit(self, unit: int, port: InputPort) -> bool:
         """Whether it matters who feeds it: for quality, if it is distinct or not usual, or tracked ones may feed it."""
         return (
             self.is_apart
@@ -232,12 +232,12 @@ class Model:
             or (not self.is_counted(port) and self._takes_several_or_limited(port))
             or (not port.feedback and self.is_apart_for_quality.get(self.demand(port.tag), False))
             or (unit in self.tracked and not self.tracked.isdisjoint(self.candidates.feeders(port.tag)))
-            or (unit in self.in_rings and not self.in_rings.isdisjoint(self.candidates.feeders(port.tag)))
+            or (unit in self.in_cycles and not self.in_cycles.isdisjoint(self.candidates.feeders(port.tag)))
         )
 
     def is_counted(self, port: InputPort) -> bool:
         """Whether it matters how many streams an input takes, but not which: units of a group take them together."""
-        return self.is_grouped and not port.is_told_apart and self._takes_several_or_limited(port)
+        return self.is_grouped and not port.is_explicit and self._takes_several_or_limited(port)
 
     def _takes_several_or_limited(self, port: InputPort) -> bool:
         """Whether an input is not usual, or some of the streams that may feed it serve only so many."""

@@ -46,7 +46,7 @@ class Patterns:
 
         self.limits: list[Weights] = []
         host = hosts.apart()[0]
-        one = Model(candidates.alike(groups, [host]), PLACED)
+        one = Model(candidates.aggregated(groups, [host]), PLACED)
         self._cp, units = one.cp, one.candidates.all
         self._there = {n: numbers[host.first] for n, numbers in one.numbers_on.items() if numbers}
         self._known: list[Pattern] = []
@@ -61,9 +61,9 @@ class Patterns:
         self._engine.Objective().SetMaximization()
 
     def is_too_much(self, there: Pattern, hosts: int, clock: Clock) -> bool:
-        """Whether some new limit, the last of `limits` then, says that so many hosts can't have these units.
+        """Whether a new limit forbids these units on so many hosts; it is appended to `limits`.
 
-        False too if that takes too long to say.
+        False also if the time is over before one is found.
         """
         for n, weight in self._weights.items():
             self._engine.Objective().SetCoefficient(weight, there.get(n, 0) + 1 / FINE)

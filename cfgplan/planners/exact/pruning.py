@@ -12,7 +12,7 @@ from cfgplan.domain import ALL, ComputationUnit, Environment
 from cfgplan.onward import grouped, reached
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.company import Running, have_company, running_on
-from cfgplan.planners.exact.survivors import bears_all_failures, can_do_without
+from cfgplan.planners.exact.survivors import survive_without, survives_all_failures
 from cfgplan.planners.networks.keys import needed_feeders
 from cfgplan.planning import Problem
 from cfgplan.reasons import Each
@@ -21,8 +21,8 @@ from cfgplan.reasons import Each
 def lean(candidates: Candidates, units: Collection[ComputationUnit], each: Each = iter) -> list[ComputationUnit]:
     """Return the units without those that nothing needs, taken away one after the other.
 
-    Where failures have to be survived, `units` must survive them. Each unit that is looked at is one of `each`. Some
-    needless units are left where they need each other and others need one of them: no plan has all of these.
+    Where failures have to be survived, `units` must survive them. `each` counts the steps, and may raise to end the
+    work. Needless units that need each other stay if another unit needs one of them.
     """
     pruning = _Pruning(candidates, units)
     for _ in each(repeat(None)):
@@ -45,13 +45,13 @@ class _Pruning:
         self._number = Counter(unit.transformation for unit in units if not unit.standby)
         self._users: dict[str, set[str]] = defaultdict(set)
         """By unit: those that take its streams and are a reason for it to run."""
-        self._takers: dict[str, set[str]] = defaultdict(set)
+        self._consumers: dict[str, set[str]] = defaultdict(set)
         """By unit: all that take its streams."""
         for unit in units:
             for feeder in needed_feeders(self._environment, unit) - {unit.id}:
                 self._users[feeder].add(unit.id)
             for s in unit.subscriptions:
-                self._takers[s.stream.unit].add(unit.id)
+                self._consumers[s.stream.unit].add(unit.id)
         self._beside = grouped((other, t.label) for t in self._environment.library for other in t.beside)
         """By transformation: those that run with it."""
         self._needed: set[str] = set()
@@ -81,10 +81,10 @@ class _Pruning:
 
     def _survives_without(self, unit_id: str) -> bool:
         problem, units = self._candidates.problem, self._units
-        return problem.survive is None or can_do_without(self._candidates, units.values(), units[unit_id])
+        return problem.survive is None or survive_without(self._candidates, units.values(), units[unit_id])
 
     def _goes_with_its_users(self, unit_id: str) -> bool:
-        """Remove a unit of a ring, and the units that can't run without it. False if a needed unit is among them."""
+        """Remove a unit of a cycle, and the units that can't run without it. False if a needed unit is among them."""
         going = {*reached([unit_id], self._breaking_without)}
         others = [unit for unit in self._units.values() if unit.id not in going]
         running = Counter(unit.transformation for unit in others if not unit.standby)
@@ -92,7 +92,7 @@ class _Pruning:
             not going.isdisjoint(self._needed)
             or any(running[t.label] < t.min_instances for t in self._environment.library)
             or not have_company(self._environment, others)
-            or not bears_all_failures(self._candidates, others)
+            or not survives_all_failures(self._candidates, others)
         ):
             return False
         self._take_away(going)
@@ -164,7 +164,7 @@ class _Pruning:
 
     def _forget(self, gone: ComputationUnit) -> None:
         """Let the units that are left take no stream of one that is gone."""
-        for unit in (self._units[taker] for taker in sorted(self._takers[gone.id]) if taker in self._units):
+        for unit in (self._units[consumer] for consumer in sorted(self._consumers[gone.id]) if consumer in self._units):
             kept = tuple(s for s in unit.subscriptions if s.stream.unit != gone.id)
             self._units[unit.id] = replace(unit, subscriptions=kept)
 

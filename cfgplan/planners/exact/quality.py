@@ -58,7 +58,7 @@ def _too_bad(checked: CheckedUnits) -> Iterator[str]:
                 yield f"target {target.label} gets too bad a stream"
 
 
-def chains_are_as_bad_as_who_runs_lets_them(model: Model, cuts: Iterable[ChainCut]) -> None:
+def running_units_bound_the_badness_of_chains(model: Model, cuts: Iterable[ChainCut]) -> None:
     """Add the cuts on chains: implied, but the linear relaxation needs them."""
     index_of = model.candidates.index_of
     for cut in cuts:

@@ -127,7 +127,7 @@ class Chains:
 
 
 class Root:
-    """A target's demand among the chains, and which demands `is_before` it: whose streams may be a part of it."""
+    """A target's demand among the chains, and a flag for each demand: whether its streams may lead to the target's."""
 
     def __init__(self, chains: Chains, tag: str) -> None:
         self.chains, self.demand = chains, chains.demand[tag]

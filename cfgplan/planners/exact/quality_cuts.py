@@ -29,7 +29,7 @@ def chain_cuts(candidates: Candidates, landmarks: ChainLandmarks, clock: Clock) 
     """
     tuning, network = clock.tuning.quality, candidates.network
     is_met = len(network.targets) == len(candidates.environment.targets)
-    if not is_met or int(np.diff(network.core.givers.starts)[network.core.needs.items].sum()) > tuning.largest:
+    if not is_met or int(np.diff(network.core.providers.starts)[network.core.needs.items].sum()) > tuning.largest:
         return [], np.zeros(len(candidates.all))
     relaxation = _Relaxation(candidates, landmarks)
     values: list[float] = []
@@ -93,7 +93,7 @@ class _Relaxation:
             self._any_of(self._candidates.numbers(set(labels)))
         for label in clock.each(range(core.goal + 1)):
             for fact in core.needs.lists[label]:
-                first = [giver for giver in core.givers.lists[fact] if fact not in core.needs.lists[giver]]
+                first = [provider for provider in core.providers.lists[fact] if fact not in core.needs.lists[provider]]
                 self._any_of(first, label if label < core.goal else None)
 
     def _any_of(self, labels: list[int], unless_without: int | None = None) -> None:

@@ -1,4 +1,4 @@
-"""The values that streams can have, numbered without the gaps between them: large integers mislead the engine.
+"""The values that streams can have, numbered without the ranges that no stream can have: large integers mislead CP-SAT.
 
 The values of an attribute lie in a few spans: mostly one of what units state and what wirings make of that, and the end
 of the scale, far away, of streams about which nothing is stated. Rules are monotone and take a span into a span. So the
@@ -25,10 +25,10 @@ Span = tuple[int, int]
 Output = tuple[str, str]
 """A transformation's label and the name of an output port."""
 
-LEAST_GAP: Final = 2**24
-"""A gap of fewer steps is no gap: variables of that size are harmless, a boolean for each side of it is not."""
-MOST_GAPS: Final = 3
-"""Only so many gaps count, the largest ones."""
+LEAST_SKIP: Final = 2**24
+"""A shorter range is not skipped: variables of that size are harmless, a boolean for each side is not."""
+MOST_SKIPS: Final = 3
+"""Only so many ranges are skipped, the largest ones."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def most_together(candidates: Candidates, making: OutputRule) -> int:
 def numbers_of(candidates: Candidates, attribute: QualityAttribute) -> Numbers:
     """The numbers of the values that any wiring of candidates can make."""
     values = _Values(candidates, attribute)
-    spans = values.without_small_gaps([span for known in values.of.values() for span in known])
+    spans = values.without_small_skips([span for known in values.of.values() for span in known])
     spans = spans or ((values.low, values.low),)
     is_closed = False
     while not is_closed:
@@ -103,11 +103,11 @@ def numbers_of(candidates: Candidates, attribute: QualityAttribute) -> Numbers:
     return Numbers(steps, places, values.step, spans[-1][1] == values.high)
 
 
-def _joined(spans: Iterable[Span], least_gap: int = 1) -> tuple[Span, ...]:
-    """Spans sorted, with those that overlap or are nearer than a gap as one."""
+def _joined(spans: Iterable[Span], least_skip: int = 1) -> tuple[Span, ...]:
+    """Spans sorted; those that overlap, or are less than `least_skip` apart, are joined."""
     found: list[Span] = []
     for low, high in sorted(spans):
-        if found and low - found[-1][1] < least_gap:
+        if found and low - found[-1][1] < least_skip:
             found[-1] = found[-1][0], max(found[-1][1], high)
         else:
             found.append((low, high))
@@ -159,7 +159,7 @@ class _Values:
         least, alone = best + making.least, best + making.alone
         return _Maker(making.inputs, making.gain, add, least, alone, max(times, 1), most > 1)
 
-    def _givers(self, tag: str) -> dict[Output, None]:
+    def _providers(self, tag: str) -> dict[Output, None]:
         streams = self.candidates.streams(tag)
         return dict.fromkeys((self.candidates.label_of(stream), stream.port) for stream in streams)
 
@@ -172,11 +172,11 @@ class _Values:
         for label, transformation in self.candidates.clock.each(self.candidates.kinds.items()):
             for tag in {port.tag for port in transformation.inputs if not port.feedback}:
                 if (1, tag) not in graph:
-                    graph.add_edges_from(((0, giver), (1, tag)) for giver, _ in self._givers(tag))
+                    graph.add_edges_from(((0, provider), (1, tag)) for provider, _ in self._providers(tag))
                 graph.add_edge((1, tag), (0, label))
-        rings = condensation(graph)
-        for ring in topological_sort(rings):
-            labels = [name for kind, name in rings.nodes[ring]["members"] if kind == 0]
+        cycles = condensation(graph)
+        for cycle in topological_sort(cycles):
+            labels = [name for kind, name in cycles.nodes[cycle]["members"] if kind == 0]
             if labels:
                 yield sorted(labels)
 
@@ -219,8 +219,8 @@ class _Values:
 
     def _fed(self, maker: _Maker) -> tuple[Span, ...]:
         """The known values of the streams that may feed the inputs that count for an output."""
-        givers = {giver for port in maker.inputs for giver in self._givers(port.tag)}
-        return _joined(span for giver in givers for span in self.of.get(giver, ()))
+        providers = {provider for port in maker.inputs for provider in self._providers(port.tag)}
+        return _joined(span for provider in providers for span in self.of.get(provider, ()))
 
     def _together(self, maker: _Maker) -> tuple[Span, ...]:
         """The values that the inputs which count for an output may have together."""
@@ -244,13 +244,13 @@ class _Values:
 
     def _arriving(self, spans: Iterable[Span]) -> tuple[Span, ...]:
         """Spans with what links add."""
-        return self.without_small_gaps(map(self._sent, spans))
+        return self.without_small_skips(map(self._sent, spans))
 
-    def without_small_gaps(self, spans: Iterable[Span]) -> tuple[Span, ...]:
-        """Spans with all but the largest gaps between them filled."""
-        found = _joined(spans, LEAST_GAP * self.step)
-        gaps = sorted((after[0] - before[1] for before, after in pairwise(found)), reverse=True)
-        return _joined(found, gaps[MOST_GAPS] + 1) if len(gaps) > MOST_GAPS else found
+    def without_small_skips(self, spans: Iterable[Span]) -> tuple[Span, ...]:
+        """Spans joined across all but the largest ranges between them."""
+        found = _joined(spans, LEAST_SKIP * self.step)
+        skips = sorted((after[0] - before[1] for before, after in pairwise(found)), reverse=True)
+        return _joined(found, skips[MOST_SKIPS] + 1) if len(skips) > MOST_SKIPS else found
 
     def images(self, output: Output, spans: Sequence[Span]) -> list[tuple[Span, Span]]:
         """For each of some spans that what counts for an output may be in, the part it may be in, and its image."""

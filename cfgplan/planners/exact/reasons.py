@@ -12,7 +12,7 @@ from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.rules import host_loads
 from cfgplan.planning import Failures, Feature, Problem
 from cfgplan.qualities import is_met, units
-from cfgplan.reasons import Givers, startable
+from cfgplan.reasons import Providers, startable
 
 
 def joint_reasons(problem: Problem) -> dict[str, str]:
@@ -50,8 +50,8 @@ def _missing_room(problem: Problem, target: Target) -> str | None:
 
     Each is too large for its hosts, or short of feeders. Without any one of them the reason would not hold.
     """
-    library, givers = problem.environment.library, Givers(problem.environment.library, problem.similarity)
-    lacks = ((t.label, _lack(problem, t) or _missing_streams(problem, givers, t)) for t in library)
+    library, providers = problem.environment.library, Providers(problem.environment.library, problem.similarity)
+    lacks = ((t.label, _lack(problem, t) or _missing_streams(problem, providers, t)) for t in library)
     too_large = {label: lack for label, lack in lacks if lack}
     if not too_large or _can_be_met(problem, target, too_large):
         return None
@@ -66,13 +66,13 @@ def _unmet(target: Target) -> str:
     return f"target {target.label} would have no {'stream' if target.run is None else 'unit'}"
 
 
-def _missing_streams(problem: Problem, givers: Givers, t: Transformation) -> str | None:
+def _missing_streams(problem: Problem, providers: Providers, t: Transformation) -> str | None:
     """Name an input for which there can't be units enough; or None."""
     library, holds = problem.environment.transformation, problem.similarity.holds
     for port in (port for port in t.needed_inputs if port.count > 1):
         placed = {
             label: _placed(problem, library[label], min(_most_units(problem, label), port.count))
-            for label in givers.of(port.tag)
+            for label in providers.of(port.tag)
         }
         most = sum(number for number, _ in placed.values())
         if most < port.count:
@@ -110,20 +110,22 @@ def _missing_together(problem: Problem) -> str | None:
 
 def _missing_places(problem: Problem) -> str | None:
     """Name inputs that take more streams than outputs that serve only so many can give; or None."""
-    library, givers = problem.environment.transformation, Givers(problem.environment.library, problem.similarity)
+    library, providers = problem.environment.transformation, Providers(problem.environment.library, problem.similarity)
     demands: dict[str, list[tuple[str, int]]] = defaultdict(list)
-    for label, number in _least_units(problem, givers).items():
+    for label, number in _least_units(problem, providers).items():
         for port in library[label].needed_inputs:
             wanted = number * max(port.count, 1)
             demands[port.tag].append((f"{number} x {label} take {wanted} streams as {port.name}", wanted))
     for tag, demanded in demands.items():
-        outputs = [(g, o) for g in givers.of(tag) for o in library[g].outputs if problem.similarity.holds(o.tag, tag)]
+        outputs = [
+            (g, o) for g in providers.of(tag) for o in library[g].outputs if problem.similarity.holds(o.tag, tag)
+        ]
         offered = [(_most_units(problem, g), g, o.serves) for g, o in outputs]
         most = sum(number * (serves or 0) for number, _, serves in offered)
         if all(serves for _, _, serves in offered) and sum(wanted for _, wanted in demanded) > most:
-            offers = " and ".join(f"{number} x {giver} (serves {serves})" for number, giver, serves in offered)
-            takers = " and ".join(who for who, _ in demanded)
-            return f": {takers}, but {offers} give {most} at most; max_instances may allow more"
+            offers = " and ".join(f"{number} x {provider} (serves {serves})" for number, provider, serves in offered)
+            consumers = " and ".join(who for who, _ in demanded)
+            return f": {consumers}, but {offers} give {most} at most; max_instances may allow more"
     return None
 
 
@@ -135,13 +137,13 @@ def _most_units(problem: Problem, label: str) -> int:
     return most if kind.max_instances is None else min(most, kind.max_instances)
 
 
-def _least_units(problem: Problem, givers: Givers) -> Mapping[str, int]:
+def _least_units(problem: Problem, providers: Providers) -> Mapping[str, int]:
     """How many units of transformations have to run, at least, as far as only one can feed a target or an input."""
     library = problem.environment.transformation
     least: dict[str, int] = {}
     ahead = [(target.tag, 1) for target in problem.environment.targets]
     for tag, number in ahead:
-        if len(labels := givers.of(tag)) == 1 and number > least.get(labels[0], 0):
+        if len(labels := providers.of(tag)) == 1 and number > least.get(labels[0], 0):
             ahead += [(port.tag, max(port.count, 1)) for port in library[labels[0]].needed_inputs]
             least[labels[0]] = number
     return least
@@ -198,8 +200,8 @@ def _can_be_met(
 ) -> bool:
     """Whether the target can be met without some transformations, by so many units, or any number, of the others."""
     library = tuple(t for t in problem.environment.library if t.label not in without)
-    givers = Givers(library, problem.similarity)
-    return not startable(Environment((), library), givers, units=units).isdisjoint(givers.of(target.tag))
+    providers = Providers(library, problem.similarity)
+    return not startable(Environment((), library), providers, units=units).isdisjoint(providers.of(target.tag))
 
 
 def _fatal_failure(problem: Problem, target: Target) -> str | None:

@@ -1,4 +1,4 @@
-"""The labels that bounds leave."""
+"""The labels that bounds have not ruled out: a better plan contains only these."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from cfgplan.planners.networks.network import Network
 
 @dataclass(frozen=True)
 class Remaining:
-    """The labels of a network, by their numbers, that bounds leave, and the weight that no plan goes below.
+    """The labels, by their numbers in a network, that bounds have not ruled out, and a lower bound `value` on weights.
 
     With `is_complete` no other labels can be in a better plan. With `holds_for` all this holds only for plans that
-    leave no more required transformations unused. `bound` has the landmarks.
+    leave at most so many required transformations unused. `bound` has the landmarks.
     """
 
     labels: Ints

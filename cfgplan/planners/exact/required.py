@@ -27,9 +27,9 @@ def take_with_all(work: SolveRun) -> None:
     required = frozenset(t.label for t in structure.network.transformations if t.required)
     network = structure.network_with(work.problem, required, clock)
     fixed_us, cost = costs(work.problem, network)
-    shunned: set[int] = set()
+    avoided: set[int] = set()
     for _ in range(clock.tuning.begin.ways):
-        few = _few(work, required, shunned)
+        few = _few(work, required, avoided)
         found = None if few is None else _among(work, few)
         if few is not None and found is not None:
             state.offer(work.structure.candidates(work.problem, few), found.units)
@@ -40,34 +40,34 @@ def take_with_all(work: SolveRun) -> None:
     limit = best.key.cost_us - fixed_us if best is not None and is_with_all else int(cost.sum())
     part = Remaining.by(tightened(Bound(network.core, cost), limit, limit, clock), limit)
     labels = np.union1d(part.labels, np.array(network.pinned, np.int64))
-    weighing = LexicographicWeights(cost, 1, 1, fixed_us)
+    weights = LexicographicWeights(cost, 1, 1, fixed_us)
     left = Remaining(labels, part.value, part.bound, holds_for=structure.unusable_required)
-    work.take(left, network, weighing)
+    work.take(left, network, weights)
 
 
-def _few(work: SolveRun, required: frozenset[str], shunned: set[int]) -> list[str] | None:
+def _few(work: SolveRun, required: frozenset[str], avoided: set[int]) -> list[str] | None:
     """The labels of a greedy plan that has all required ones and, for each, a cheap way on to a target.
 
-    None if no such plan is found. Ways avoid the `shunned` labels, and their own labels are added to these.
+    None if no such plan is found. Ways avoid the `avoided` labels, and their own labels are added to these.
     """
     network, clock = work.structure.network, work.clock
     _, cost = costs(work.problem, network)
     numbers = {network.number[label] for label in required}
-    ways = [_way_to_a_target(network, cost, label, shunned - numbers) for label in clock.each(sorted(numbers), 1)]
-    shunned.update(label for way in ways for label in way)
+    ways = [_way_to_a_target(network, cost, label, avoided - numbers) for label in clock.each(sorted(numbers), 1)]
+    avoided.update(label for way in ways for label in way)
     wanted = required.union(network.labels[i] for way in ways for i in way)
     wider = work.structure.network_with(work.problem, wanted, clock)
     plan = first_plan(wider, costs(work.problem, wider)[1], clock.tuning.begin.attempts, clock)
     return None if plan is None else [wider.labels[i] for i in sorted(plan)]
 
 
-def _way_to_a_target(network: Network, cost: Ints, label: int, shunned: set[int]) -> list[int]:
+def _way_to_a_target(network: Network, cost: Ints, label: int, avoided: set[int]) -> list[int]:
     """The cheapest chain from a label to one that meets a target; each label feeds the next one.
 
     Labels that feed the first are avoided, as they could hardly be fed by it. The chain is empty if there is none.
     """
     core = network.core
-    shunned = shunned | support_of(network, cost, label) | {core.goal}
+    avoided = avoided | support_of(network, cost, label) | {core.goal}
     wanted = {network.fact_of_tag[tag] for tag in network.targets}
     ahead = [(0, label)]
     before = {label: label}
@@ -83,7 +83,7 @@ def _way_to_a_target(network: Network, cost: Ints, label: int, shunned: set[int]
             while before[way[-1]] != way[-1]:
                 way.append(before[way[-1]])
             return way
-        for consumer in {one for fact in gives for one in core.needed_by.lists[fact]} - done - shunned:
+        for consumer in {one for fact in gives for one in core.needed_by.lists[fact]} - done - avoided:
             heapq.heappush(ahead, (so_far + int(cost[consumer]), consumer))
             before.setdefault(consumer, here)
     return []

@@ -105,7 +105,7 @@ class HostLoads:
             yield from lacks(self, kind, name)
 
     def missing_companions(self, kind: Transformation, name: HostName) -> int:
-        """How many transformations that a unit runs with are not on a host; less than 0 where it is waited for."""
+        """How many companions of a transformation are missing on a host, less 1 if it is a missing companion itself."""
         there, library = self.there[name], self.environment.transformation
         is_awaited = not there[kind.label] and any(kind.label in library[label].beside for label in there)
         return sum(not there[other] for other in kind.beside) - is_awaited
@@ -124,9 +124,9 @@ class Rule:
     """A rule, which holds for problems with the `feature`, or for all if that is None.
 
     `add` adds it to the constraint model; None if the search cuts off what breaks it. Candidates may be groups of
-    units, and hosts kinds of hosts (`Candidates.alike`). `flaws` yields, as text, where units break the rule. A rule
-    about units on hosts says instead what a host `lacks` for one more unit, beside those that are placed already:
-    first plans heed it, checks follow from it, and explanations quote it.
+    units, and hosts kinds of hosts (`Candidates.aggregated`). `flaws` yields, as text, where units break the rule. A
+    rule about units on hosts says instead what a host `lacks` for one more unit, beside those that are placed already:
+    first plans obey it, checks follow from it, and explanations quote it.
 
     Hosts are interchangeable only if they have the same `trait`. An `is_placed` rule ignores the
     wiring. A rule that `keeps_units` may need units that feed no other and meet no target.

@@ -15,7 +15,7 @@ from cfgplan.planners.exact import company, hosts, idle_inputs, inputs, quality,
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.pruning import needed_in_all
 from cfgplan.planners.exact.rule import CheckedUnits, HostLoads, Rule
-from cfgplan.planners.exact.survivors import can_do_without
+from cfgplan.planners.exact.survivors import survive_without
 from cfgplan.planning import Problem
 
 RULES: Final[tuple[Rule, ...]] = (
@@ -74,6 +74,6 @@ def _has_needless_units(candidates: Candidates, units: Collection[ComputationUni
     needed = needed_in_all(candidates.problem, units, ())
     if len(needed) < len(units) and candidates.problem.survive is not None:
         left = [unit for unit in units if unit.id not in needed]
-        spares = {unit.id for unit in left if not can_do_without(candidates, units, unit)}
+        spares = {unit.id for unit in left if not survive_without(candidates, units, unit)}
         needed = needed_in_all(candidates.problem, units, spares)
     return len(needed) < len(units)

@@ -14,7 +14,7 @@ from cfgplan.planners.exact.decode import decode
 from cfgplan.planners.exact.first_plans import FirstPlans
 from cfgplan.planners.exact.model import Model, ModelRule
 from cfgplan.planners.exact.pruning import lean
-from cfgplan.planners.exact.quality import chains_are_as_bad_as_who_runs_lets_them
+from cfgplan.planners.exact.quality import running_units_bound_the_badness_of_chains
 from cfgplan.planners.exact.quality_chains import ChainCut
 from cfgplan.planners.exact.rounds import InfeasibleError, minimised
 from cfgplan.planners.exact.rules import RULES
@@ -69,7 +69,7 @@ class Search:
                 self._first = FirstPlans(candidates, state)
         self.model = Model(candidates, rules, is_apart=is_apart)
         self.model.enough_of_each_run(landmarks)
-        chains_are_as_bad_as_who_runs_lets_them(self.model, cuts)
+        running_units_bound_the_badness_of_chains(self.model, cuts)
         self._cost = self.model.cost()
         if (largest_us := state.largest_us) is not None:
             self.model.cp.add(self._cost <= largest_us)
@@ -257,8 +257,8 @@ class Search:
     def forbid(self, true: set[int]) -> None:
         """Forbid a solution that is no plan, and all others that fail for the same reason.
 
-        Where no reason is known, this solution alone is forbidden, if the model tells each wire. Raises
-        ContradictionError if not, or if they are too many.
+        If no reason is known, only this solution is forbidden, which needs a boolean for each wire. Raises
+        ContradictionError without these, or after too many such solutions.
         """
         model, cp, candidates = self.model, self.model.cp, self.model.candidates
         running = {i for i, runs in model.runs.items() if runs.index in true}

@@ -26,7 +26,7 @@ from cfgplan.planners.solving.clock import Clock, ContradictionError, OutOfTimeE
 from cfgplan.planners.tuning import USUAL, Tuning
 from cfgplan.planners.undecided import Deciding
 from cfgplan.planning import Feature, OnProgress, Plan, Problem, Status
-from cfgplan.reasons import Givers, startable
+from cfgplan.reasons import Providers, startable
 
 SOLVED_AT_ONCE: Final = ONLY_IN_THE_MODEL | {Feature.ORDER, Feature.LATENCY}
 """A problem with one of these goes to the solver without bounds and first plans."""
@@ -94,13 +94,13 @@ class PlannerSession:
             self._go_through_stages(state)
         except ContradictionError as error:
             state.begin_again(str(error))
-            from cfgplan.planners.exact.fleet import solve_apart
+            from cfgplan.planners.exact.fleet import solve_by_full_model
 
-            solve_apart(Candidates(state.problem, clock=state.clock), state)
+            solve_by_full_model(Candidates(state.problem, clock=state.clock), state)
 
     def _go_through_stages(self, state: SolveState) -> None:
         if not self._tuning.is_solver_only:
-            offer_what_runs(state)
+            offer_running_units(state)
         self._memory = Memory.of(state.problem, self._memory, state.clock)
         state.clock.end("closure")
         work = SolveRun(state, self._memory)
@@ -180,7 +180,7 @@ def plan(
     return PlannerSession(is_asked_once=True).plan(problem, time_limit_s=time_limit_s, report=report, stop=stop)
 
 
-def offer_what_runs(state: SolveState) -> None:
+def offer_running_units(state: SolveState) -> None:
     """Offer the running units without needless ones, first wired as they are, then rewired where they must be.
 
     It ignores the clock, so that any time limit gives a plan. With features that first plans don't know, nothing is
@@ -189,13 +189,13 @@ def offer_what_runs(state: SolveState) -> None:
     problem, environment = state.problem, state.problem.environment
     labels = {unit.transformation for unit in environment.units}
     library = tuple(t for t in environment.library if t.label in labels)
-    givers = Givers(library, problem.similarity)
-    possible = startable(Environment((), library), givers)
+    providers = Providers(library, problem.similarity)
+    possible = startable(Environment((), library), providers)
     if not possible.issuperset(t.label for t in library if t.pinned) or any(
-        possible.isdisjoint(givers.of(target.tag)) for target in environment.targets
+        possible.isdisjoint(providers.of(target.tag)) for target in environment.targets
     ):
         return
-    candidates = Candidates(problem, Closure(givers, possible, possible, asked_for(environment) & possible))
+    candidates = Candidates(problem, Closure(providers, possible, possible, asked_for(environment) & possible))
     units = [c.running for c in candidates.all if c.running is not None]
     state.offer(candidates, units if problem.is_plain else lean(candidates, units))
     if ONLY_IN_THE_MODEL & problem.features:

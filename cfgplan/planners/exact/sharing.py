@@ -1,4 +1,4 @@
-"""Whether given units can be rewired to meet targets while they share streams: the model, of their wiring alone.
+"""A model of wiring alone: can given units be rewired to meet the targets although outputs limit their consumers?
 
 Outputs with a limit on consumers, and inputs that take all streams, make the choice of units and wires matter.
 """
@@ -21,7 +21,7 @@ _WIRED: Final[tuple[ModelRule, ...]] = (
     *inputs.FEEDING,
     *targets.MET,
     idle_inputs.a_stream_serves_no_more_than_it_may,
-    company.beside_a_running_unit_run_those_that_it_runs_with,
+    company.companions_run_beside_a_running_unit,
 )
 
 

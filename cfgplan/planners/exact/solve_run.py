@@ -30,7 +30,7 @@ class SolveRun:
     remaining: Remaining
     network: Network
     """The network of these labels."""
-    weighing: LexicographicWeights
+    weights: LexicographicWeights
     candidates: Candidates
     """The units of the labels that are left."""
 
@@ -67,7 +67,7 @@ class SolveRun:
             self.state.offer(candidates, units)
 
     def take(
-        self, remaining: Remaining, network: Network, weighing: LexicographicWeights, plan: Ints | None = None
+        self, remaining: Remaining, network: Network, weights: LexicographicWeights, plan: Ints | None = None
     ) -> None:
         """Continue with the remaining labels of a network: raise the proven bound and offer the plan, if one is known.
 
@@ -79,13 +79,13 @@ class SolveRun:
             state.counts["landmarks"] = len(remaining.bound.landmarks)
         if remaining.holds_for != state.holds_for:
             state.holds_for, state.bound_us = remaining.holds_for, 0
-        state.raise_bound(weighing.cost_us(remaining.value))
+        state.raise_bound(weights.cost_us(remaining.value))
         clock = self.clock if plan is None else Clock()  # a plan that is known is offered whatever the time
-        self.remaining, self.network, self.weighing = remaining, network, weighing
+        self.remaining, self.network, self.weights = remaining, network, weights
         self.candidates = self._candidates_of(frozenset(remaining.names(network)), clock)
         if plan is None:
             return
-        cost_us = weighing.cost_us(weighing.of_plan(plan))
+        cost_us = weights.cost_us(weights.of_plan(plan))
         if state.best is not None and state.best.key.cost_us == cost_us and self.clock.is_over():
             return
         labels = frozenset(network.labels[i] for i in plan.tolist())
@@ -95,14 +95,12 @@ class SolveRun:
         if self._proves_all(chosen):
             state.prove_all()
 
-    def take_bounded(
-        self, part: Remaining, network: Network, weighing: LexicographicWeights, plan: Ints | None
-    ) -> None:
+    def take_bounded(self, part: Remaining, network: Network, weights: LexicographicWeights, plan: Ints | None) -> None:
         """Continue with the labels that a bound leaves; with the plan's only, if the time is over."""
-        value, labels = weighing.least(part.value), part.labels
-        if plan is not None and self.clock.is_over() and value < weighing.of_plan(plan):
+        value, labels = weights.least(part.value), part.labels
+        if plan is not None and self.clock.is_over() and value < weights.of_plan(plan):
             labels = plan
-        self.take(replace(part, labels=labels, value=value), network, weighing, plan)
+        self.take(replace(part, labels=labels, value=value), network, weights, plan)
 
     def landmarks(self) -> Landmarks:
         """The landmarks of the remaining labels."""
@@ -117,7 +115,7 @@ class SolveRun:
         state, candidates, best = self.state, self.candidates, self.state.best
         if best is None:
             return False
-        fewest_changes = self.weighing.changes(self.remaining.value)
+        fewest_changes = self.weights.changes(self.remaining.value)
         if fewest_changes is not None and best.key == (0, (), state.bound_us, *fewest_changes):
             return True
         return (

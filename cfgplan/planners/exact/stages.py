@@ -25,7 +25,7 @@ from cfgplan.reasons import unmet_reasons
 Stage = Callable[[SolveRun], bool]
 
 
-def see_what_can_be_met(work: SolveRun) -> bool:
+def check_reachable_targets(work: SolveRun) -> bool:
     """Finish with reasons if some target can't be met, whatever runs."""
     state, structure = work.state, work.structure
     if len(structure.network.targets) == len(structure.environment.targets):
@@ -38,7 +38,7 @@ def see_what_can_be_met(work: SolveRun) -> bool:
 
 
 def plan_fleet(work: SolveRun) -> bool:
-    """Plan what asks for more than the paper in stages of its own."""
+    """Plan a problem with features beyond the paper, in stages of its own."""
     if work.problem.is_plain and not work.clock.tuning.is_solver_only:
         return False
     from cfgplan.planners.exact import deployment, fleet, groups
@@ -95,22 +95,22 @@ def raise_bound(work: SolveRun) -> bool:
     state, memory, clock, network = work.state, work.memory, work.clock, work.structure.network
     is_first = not memory.last
     memory.keep_plan(state)
-    weighing = LexicographicWeights.of(work.problem, network)
+    weights = LexicographicWeights.of(work.problem, network)
     plan = _known_plan(work, network)
     is_new = plan is None or is_first
     if is_new:
-        found = (plan, first_plan(network, weighing.weight, 0, clock))
-        plan = min((one for one in found if one is not None), key=partial(cost_of, weighing.weight), default=None)
+        found = (plan, first_plan(network, weights.weight, 0, clock))
+        plan = min((one for one in found if one is not None), key=partial(cost_of, weights.weight), default=None)
     if plan is not None and state.best is None:
         work.offer(plan)
     if is_new and plan is not None:
-        plan = with_less(network, weighing.weight, plan, clock.tuning.begin.attempts, clock)
+        plan = with_less(network, weights.weight, plan, clock.tuning.begin.attempts, clock)
     labels, part = None if plan is None else numbers(plan), None
-    if labels is not None and memory.warm_start is not None and not weighing.counts_starts:
-        part = memory.warm_start.remaining(weighing.weight, weighing.step, labels, clock)
+    if labels is not None and memory.warm_start is not None and not weights.counts_starts:
+        part = memory.warm_start.remaining(weights.weight, weights.step, labels, clock)
     if part is None:
-        labels, part = _bounded(work, weighing, labels)
-    work.take_bounded(part, network, weighing, labels)
+        labels, part = _bounded(work, weights, labels)
+    work.take_bounded(part, network, weights, labels)
     work.clock.end("bounds")
     return False
 
@@ -125,32 +125,32 @@ def _known_plan(work: SolveRun, network: Network) -> set[int] | None:
     return known if is_plan(network, known) else None
 
 
-def _bounded(work: SolveRun, weighing: LexicographicWeights, plan: Ints | None) -> tuple[Ints | None, Remaining]:
+def _bounded(work: SolveRun, weights: LexicographicWeights, plan: Ints | None) -> tuple[Ints | None, Remaining]:
     """Raise the bound by landmarks. Returns the plan, or a cheaper one, and the labels that the bound leaves.
 
     If closing may follow and no label has distinct inputs, less work is spent. With distinct inputs the labels that a
     good bound charges in full often make a cheaper plan.
     """
     network, clock = work.structure.network, work.clock
-    limit = int(weighing.weight.sum()) if plan is None else weighing.of_plan(plan)
-    is_crowded = network.core.crowds is not None
-    bound = work.memory.bound(weighing.weight, weighing.scale)
-    bound = tightened(bound, limit - weighing.step + 1, limit, clock, greedily=plan is not None and not is_crowded)
-    if plan is not None and bound.value <= limit - weighing.step and is_crowded and not clock.is_over():
-        plan = _at_what_is_left(network, weighing, bound, plan)
-        limit = weighing.of_plan(plan)
-    work.memory.keep_landmarks(lambda: bound, weighing.scale)
-    if plan is not None and weighing.least(bound.value) < limit and not clock.is_over():
-        work.closing = GapClosing(network, bound, weighing.weight, plan, weighing.step, clock.tuning)
+    limit = int(weights.weight.sum()) if plan is None else weights.of_plan(plan)
+    is_crowded = network.core.multi_facts is not None
+    bound = work.memory.bound(weights.weight, weights.scale)
+    bound = tightened(bound, limit - weights.step + 1, limit, clock, greedily=plan is not None and not is_crowded)
+    if plan is not None and bound.value <= limit - weights.step and is_crowded and not clock.is_over():
+        plan = _on_remaining_labels(network, weights, bound, plan)
+        limit = weights.of_plan(plan)
+    work.memory.keep_landmarks(lambda: bound, weights.scale)
+    if plan is not None and weights.least(bound.value) < limit and not clock.is_over():
+        work.closing = GapClosing(network, bound, weights.weight, plan, weights.step, clock.tuning)
     return plan, Remaining.by(bound, limit)
 
 
-def _at_what_is_left(network: Network, weighing: LexicographicWeights, bound: Bound, plan: Ints) -> Ints:
+def _on_remaining_labels(network: Network, weights: LexicographicWeights, bound: Bound, plan: Ints) -> Ints:
     """The plan, or a cheaper one that is made at residual costs."""
-    price = np.full(len(weighing.weight), np.inf)
+    price = np.full(len(weights.weight), np.inf)
     price[bound.core.labels] = bound.residual + FREE
-    found = plan_at(network, weighing.weight, price)
-    return plan if found is None else min(plan, numbers(found), key=weighing.of_plan)
+    found = plan_at(network, weights.weight, price)
+    return plan if found is None else min(plan, numbers(found), key=weights.of_plan)
 
 
 def close_gap(work: SolveRun) -> bool:
@@ -160,7 +160,7 @@ def close_gap(work: SolveRun) -> bool:
         closing.go_on(clock)
         closing.look_near(clock)
         part = Remaining.by(closing.bound.restricted(closing.bound.may_be_used(closing.limit)), closing.limit)
-        work.take_bounded(part, work.network, work.weighing, closing.plan)
+        work.take_bounded(part, work.network, work.weights, closing.plan)
         clock.end("bounds")
     return False
 
@@ -173,7 +173,7 @@ def solve(work: SolveRun) -> bool:
 
 
 STAGES: Final[tuple[Stage, ...]] = (
-    see_what_can_be_met,
+    check_reachable_targets,
     plan_fleet,
     use_all_required,
     prove_by_answer_sets,
@@ -196,18 +196,18 @@ def decide(work: SolveRun, core: Core) -> bool:
     state, network = work.state, work.structure.network
     if not work.clock.tuning.decide.steps or network.special:
         return False
-    weighing = LexicographicWeights.with_changes(work.problem, network)
-    if weighing is None:
+    weights = LexicographicWeights.with_changes(work.problem, network)
+    if weights is None:
         return False
     plans: list[set[int]] = []
     if state.best is not None:
         plans.append({network.number[unit.transformation] for unit in state.best.units}.union(network.pinned))
     if core is network.core:
-        first = first_plan(network, weighing.weight, 0, work.clock)
+        first = first_plan(network, weights.weight, 0, work.clock)
         plans += [] if first is None else [first]
     if not plans:
         return False
-    is_proven = _proves(work, core, weighing, min(plans, key=lambda one: weighing.of_plan(numbers(one))))
+    is_proven = _proves(work, core, weights, min(plans, key=lambda one: weights.of_plan(numbers(one))))
     work.clock.end("bounds")
     if is_proven and not state.is_over:
         work.search().run()
@@ -215,33 +215,33 @@ def decide(work: SolveRun, core: Core) -> bool:
     return is_proven
 
 
-def _proves(work: SolveRun, core: Core, weighing: LexicographicWeights, plan: set[int]) -> bool:
+def _proves(work: SolveRun, core: Core, weights: LexicographicWeights, plan: set[int]) -> bool:
     """Search for cheaper plans. True if the cost is proven; other plans can then differ only in their changes."""
     network, tuning = work.structure.network, work.clock.tuning.decide
-    limit = least = weighing.of_plan(numbers(plan))
+    limit = least = weights.of_plan(numbers(plan))
     is_proven = False
     if core is network.core and core.goal > tuning.chained:
-        chained = chained_bound(core, weighing.weight, network.pinned, work.clock.is_over)
-        is_proven = weighing.least(chained) >= limit
+        chained = chained_bound(core, weights.weight, network.pinned, work.clock.is_over)
+        is_proven = weights.least(chained) >= limit
     work.state.counts["nodes"] = 0
     if not is_proven:
-        search = _search(work, core, weighing, limit)
+        search = _search(work, core, weights, limit)
         first, more = min(tuning.steps, tuning.first), max(0, tuning.steps - tuning.first)
         is_proven = search.run(first) or (search.done >= tuning.soon and search.run(more))
         work.state.counts["nodes"], least = search.nodes, search.least
         if core is network.core:
-            work.memory.keep_landmarks(search.bound, weighing.scale)
+            work.memory.keep_landmarks(search.bound, weights.scale)
         if search.best is not None:
             plan = set(core.labels[sorted(search.best)].tolist()).union(network.pinned)
     labels = numbers(plan)
-    value = weighing.of_plan(labels) if is_proven else weighing.least(least)
-    work.take(Remaining(labels, value, is_complete=False), network, weighing, labels)
+    value = weights.of_plan(labels) if is_proven else weights.least(least)
+    work.take(Remaining(labels, value, is_complete=False), network, weights, labels)
     return is_proven and (work.state.is_over or _takes_others(work, core, plan))
 
 
-def _search(work: SolveRun, core: Core, weighing: LexicographicWeights, limit: int) -> Branching:
+def _search(work: SolveRun, core: Core, weights: LexicographicWeights, limit: int) -> Branching:
     """A search for plans of a core that weigh less than `limit`."""
-    return Branching(core, weighing.weight[core.labels], limit, weighing.step, work.clock.is_over)
+    return Branching(core, weights.weight[core.labels], limit, weights.step, work.clock.is_over)
 
 
 def _takes_others(work: SolveRun, core: Core, plan: set[int]) -> bool:
@@ -249,14 +249,14 @@ def _takes_others(work: SolveRun, core: Core, plan: set[int]) -> bool:
 
     False if the search for them takes too many steps.
     """
-    best, weighing = work.state.best, work.weighing
+    best, weights = work.state.best, work.weights
     if best is None:
         return False
-    search = _search(work, core, weighing, weighing.of_key(best.key))
+    search = _search(work, core, weights, weights.of_key(best.key))
     known = np.flatnonzero(np.isin(core.labels, numbers(plan))).tolist()
     others = search.others(known, work.clock.tuning.decide.steps)
     if others is not None:
         labels = plan.union(core.labels[sorted(others)].tolist())
         left = replace(work.remaining, labels=numbers(labels), is_complete=True)
-        work.take(left, work.network, weighing, numbers(plan))
+        work.take(left, work.network, weights, numbers(plan))
     return others is not None

@@ -1,13 +1,13 @@
 """Single failures in the constraint model, as landmarks that have to be hit twice.
 
-A landmark of a target is a set of sites (transformations, on hosts where these matter). Each way to meet the target
-runs a unit at one of them. After the failure of a unit the others can still meet all targets exactly if every landmark
-has two units there: one of them may be the failing one, and a lone cold spare does not meet the target now. After the
-failure of a host every landmark needs a unit on another one. There are too many landmarks to name, so those that a
-solution misses are added, round by round.
+A landmark of a target is a set of placements (transformations, on hosts where these matter). Each way to meet the
+target runs a unit at one of them. After the failure of a unit the others can still meet all targets exactly if every
+landmark has two units there: one of them may be the failing one, and a lone cold spare does not meet the target now.
+After the failure of a host every landmark needs a unit on another one. There are too many landmarks to name, so those
+that a solution misses are added, round by round.
 
-Where it matters how many units of a site there are, only those count that are more than a number: with no more of each
-the target can't be met.
+If the number of units at a placement matters, only units beyond a certain number count: with at most that number at
+each placement, the target can't be met.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from dataclasses import dataclass
 from ortools.sat.python.cp_model import IntVar, LinearExpr
 
 from cfgplan.domain import ComputationUnit, Target
-from cfgplan.planners.exact.candidates import Candidates, HostName, Site
+from cfgplan.planners.exact.candidates import Candidates, HostName, Placement
 from cfgplan.planners.exact.model import Model
 from cfgplan.planners.exact.pruning import needed_in_all
 from cfgplan.planners.exact.survivors import (
-    UnitsBySite,
+    UnitsByPlacement,
     are_counted,
     are_met,
-    can_do_without,
     failures,
-    site_of,
+    placement_of,
+    survive_without,
     unmet,
 )
 from cfgplan.planners.networks.reach import Reach
@@ -39,10 +39,10 @@ from cfgplan.planners.solving.engine import at_least
 class Missed:
     """A landmark that has too few units: one in all or, with a `host`, none on another host.
 
-    `beyond` has its sites, each with a number: only the units of the site beyond that number count.
+    `beyond` has its placements, each with a number: only the units of the placement beyond that number count.
     """
 
-    beyond: frozenset[tuple[Site, int]]
+    beyond: frozenset[tuple[Placement, int]]
     host: str | None = None
 
 
@@ -51,16 +51,18 @@ class Survival:
 
     def __init__(self, candidates: Candidates) -> None:
         self.candidates = candidates
-        dear: dict[Site, int] = {}
-        self._most: Counter[Site] = Counter()
+        dear: dict[Placement, int] = {}
+        self._most: Counter[Placement] = Counter()
         for candidate in candidates.all:
-            sites = {site_of(candidates.environment, candidate.transformation.label, host) for host in candidate.hosts}
-            for site in sites:
-                dear[site] = max(dear.get(site, 0), candidate.cost_us)
-            self._most.update(sites)
+            placements = {
+                placement_of(candidates.environment, candidate.transformation.label, host) for host in candidate.hosts
+            }
+            for placement in placements:
+                dear[placement] = max(dear.get(placement, 0), candidate.cost_us)
+            self._most.update(placements)
         if not are_counted(candidates):
             self._most = Counter(dict.fromkeys(dear, 1))
-        self._by_cost = sorted(dear, key=lambda site: (-dear[site], site[0], site[1] or ""))
+        self._by_cost = sorted(dear, key=lambda placement: (-dear[placement], placement[0], placement[1] or ""))
         self._known: set[Missed] = set()
 
     def missed(self, units: Collection[ComputationUnit]) -> list[Missed]:
@@ -81,9 +83,9 @@ class Survival:
         for each in new:
             least = 2 if each.host is None else 1
             counting: list[IntVar] = []
-            for site, number in sorted(each.beyond, key=str):
+            for placement, number in sorted(each.beyond, key=str):
                 there = [
-                    literal for host, literal in self._there(model, site) if each.host is None or host != each.host
+                    literal for host, literal in self._there(model, placement) if each.host is None or host != each.host
                 ]
                 counting += there if number == 0 else _beyond(model, there, number, least)
             at_least(model.cp, least, counting)
@@ -96,7 +98,7 @@ class Survival:
         """
         there = {unit.id: unit for unit in units}
         said = {i: there[self.candidates.all[i].id] for i, spare in model.spares.items() if spare.index in true}
-        needless = [i for i, unit in said.items() if can_do_without(self.candidates, units, unit)]
+        needless = [i for i, unit in said.items() if survive_without(self.candidates, units, unit)]
         spares = {unit.id for i, unit in said.items() if i not in needless}
         needed = needed_in_all(self.candidates.problem, units, spares) if needless else set()
         for unit in units if needless else ():
@@ -114,39 +116,41 @@ class Survival:
             others = [literal.negated() for i, literal in states if literal.index in true and i != spare]
             model.cp.add_bool_or([model.spares[spare].negated(), *others])
 
-    def _there(self, model: Model, site: Site) -> Iterator[tuple[HostName, IntVar]]:
-        """Yield the `is_there` booleans of a site's units, with their hosts."""
-        for i in self.candidates.units_of(site[0]):
+    def _there(self, model: Model, placement: Placement) -> Iterator[tuple[HostName, IntVar]]:
+        """Yield the `is_there` booleans of a placement's units, with their hosts."""
+        for i in self.candidates.units_of(placement[0]):
             for host, literal in model.there_on(i):
-                if site_of(self.candidates.environment, site[0], host) == site:
+                if placement_of(self.candidates.environment, placement[0], host) == placement:
                     yield host, literal
 
-    def _landmark(self, targets: tuple[Target, ...], left: UnitsBySite) -> frozenset[tuple[Site, int]]:
-        """Sites with a number of units each: with no more of each than its number, the targets are not met.
+    def _landmark(self, targets: tuple[Target, ...], left: UnitsByPlacement) -> frozenset[tuple[Placement, int]]:
+        """Placements with a number of units each: with no more of each than its number, the targets are not met.
 
-        The numbers begin with the units that are left, and grow as far as they can, those of dear sites first. A site
-        with all its units is no part of the landmark.
+        The numbers begin with the units that are left, and grow as far as they can, those of expensive placements
+        first. A placement with all its units is no part of the landmark.
         """
         candidates = self.candidates
         without = dict(left)
         reach = Reach(candidates.network.core, candidates.numbers(label for label, _ in left))
-        for site in candidates.clock.each(self._by_cost, 1):
-            there = without.get(site, 0)
+        for placement in candidates.clock.each(self._by_cost, 1):
+            there = without.get(placement, 0)
             if not there:
-                for number in candidates.numbers([site[0]]):
+                for number in candidates.numbers([placement[0]]):
                     reach.add(number)
-            for most in range(self._most[site], there, -1):
-                without[site] = most
+            for most in range(self._most[placement], there, -1):
+                without[placement] = most
                 if not are_met(candidates, reach, without, targets):
                     break
             else:
                 if there:
-                    without[site] = there
+                    without[placement] = there
                 else:
-                    without.pop(site, None)
+                    without.pop(placement, None)
                     reach.take_back()
         return frozenset(
-            (site, without.get(site, 0)) for site in self._by_cost if without.get(site, 0) < self._most[site]
+            (placement, without.get(placement, 0))
+            for placement in self._by_cost
+            if without.get(placement, 0) < self._most[placement]
         )
 
 

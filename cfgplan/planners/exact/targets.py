@@ -25,8 +25,8 @@ def a_target_is_published_by_one_unit(model: Model) -> None:
         for stream in model.choices(target.tag):
             feeder = model.unit_of(stream)
             running = model.candidates.all[feeder].running
-            is_told_apart = model.is_apart or model.is_grouped or target.quality or stream in model.serves
-            if not is_told_apart and feeder not in model.tracked and running is None:
+            is_explicit = model.is_apart or model.is_grouped or target.quality or stream in model.serves
+            if not is_explicit and feeder not in model.tracked and running is None:
                 others += model.ways(stream, target.host)
                 continue
             publishes = choices[stream] = model.boolean()
@@ -53,8 +53,8 @@ def _unmet_targets(checked: CheckedUnits) -> Iterator[str]:
         yield "not every target has one stream"
 
 
-def a_unit_runs_that_a_target_wants(model: Model) -> None:
-    """The first running unit has a boolean where feeders matter, as a unit that publishes has."""
+def a_unit_of_each_wanted_transformation_runs(model: Model) -> None:
+    """Some unit of each wanted transformation runs. If feeders matter, the first running one gets a boolean."""
     for target, label in model.environment.wanted_to_run.items():
         running = [(i, model.runs[i]) for i in model.to_run(label)]
         met = model.boolean()
@@ -77,19 +77,19 @@ def required_transformations_serve_a_target(model: Model) -> None:
     candidates = model.candidates
     if not model.environment.required:
         return
-    serving_units = [(candidates.all[i].transformation, serves) for i, serves in who_serves(model).items()]
+    serving_units = [(candidates.all[i].transformation, serves) for i, serves in serving_literals(model).items()]
     for label, serving in grouped((t.label, serves) for t, serves in serving_units if t.required).items():
         model.uses_required[label] = model.boolean()
         model.needs_any(model.uses_required[label], serving)
 
 
 def units_that_could_keep_each_other_are_needed(model: Model) -> None:
-    needed = who_is_needed(model) if model.keeping_each_other else {}
+    needed = needed_literals(model) if model.keeping_each_other else {}
     for i in sorted(model.keeping_each_other & model.runs.keys()):
         model.cp.add_implication(model.runs[i], needed[i])
 
 
-def who_is_needed(model: Model) -> Mapping[int, IntVar]:
+def needed_literals(model: Model) -> Mapping[int, IntVar]:
     """The boolean of each tracked unit that it is needed: by a target, a pin, a number, a failure, or a needed unit."""
     if model.needed:
         return model.needed
@@ -106,11 +106,11 @@ def who_is_needed(model: Model) -> Mapping[int, IntVar]:
     for i in sorted(model.tracked & model.runs.keys()) if model.problem.survive is not None else ():
         model.spares[i] = model.only_if(model.runs[i])
         roots[i].append(model.spares[i])
-    model.needed.update(who_serves(model, roots))
+    model.needed.update(serving_literals(model, roots))
     return model.needed
 
 
-def who_serves(model: Model, roots: Mapping[int, Sequence[IntVar]] | None = None) -> dict[int, IntVar]:
+def serving_literals(model: Model, roots: Mapping[int, Sequence[IntVar]] | None = None) -> dict[int, IntVar]:
     """For each tracked unit a boolean that it serves a target: it publishes one, or feeds a unit that serves one.
 
     With `roots`, a unit serves also where its literals there say so, and where one that serves can't run without it.
@@ -157,7 +157,7 @@ def _company(model: Model) -> Iterator[tuple[int, int, list[LiteralT]]]:
 
 MET: Final = (
     Rule(a_target_is_published_by_one_unit, flaws=_unmet_targets),
-    Rule(a_unit_runs_that_a_target_wants, Feature.RUNS, _missing_wanted),
+    Rule(a_unit_of_each_wanted_transformation_runs, Feature.RUNS, _missing_wanted),
 )
 REQUIRED: Final = Rule(required_transformations_serve_a_target)
 NEEDED: Final = Rule(units_that_could_keep_each_other_are_needed)

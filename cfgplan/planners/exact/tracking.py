@@ -1,4 +1,4 @@
-"""Which candidates' feeders matter: a rule asks what a unit runs for, or units might feed each other in a ring."""
+"""The candidates whose feeders matter: a rule asks what a unit runs for, or units might feed each other in a cycle."""
 
 from __future__ import annotations
 
@@ -28,16 +28,18 @@ class Tracking(NamedTuple):
         return cls(idle_feeders, keeping_each_other, _downstream_of(candidates, sorted(apart.union(required)), company))
 
 
-def in_rings(candidates: Candidates) -> frozenset[int]:
-    """The candidates that may feed each other in a ring without feedback inputs."""
+def in_cycles(candidates: Candidates) -> frozenset[int]:
+    """The candidates that may feed each other in a cycle without feedback inputs."""
     from networkx import DiGraph, strongly_connected_components
 
     kinds = candidates.kinds
     tags = {(label, port.tag) for label, kind in kinds.items() for port in kind.inputs if not port.feedback}
-    givers = {tag: {candidates.all[i].transformation.label for i in candidates.feeders(tag)} for _, tag in tags}
-    graph = DiGraph((giver, label) for label, tag in sorted(tags) for giver in givers[tag])
-    rings = (ring for ring in strongly_connected_components(graph) if len(ring) > 1 or graph.has_edge(*ring, *ring))
-    return frozenset(i for ring in rings for label in ring for i in candidates.units_of(label))
+    providers = {tag: {candidates.all[i].transformation.label for i in candidates.feeders(tag)} for _, tag in tags}
+    graph = DiGraph((provider, label) for label, tag in sorted(tags) for provider in providers[tag])
+    cycles = (
+        cycle for cycle in strongly_connected_components(graph) if len(cycle) > 1 or graph.has_edge(*cycle, *cycle)
+    )
+    return frozenset(i for cycle in cycles for label in cycle for i in candidates.units_of(label))
 
 
 def _feeders_of_idle_inputs(candidates: Candidates) -> frozenset[int]:
@@ -46,9 +48,9 @@ def _feeders_of_idle_inputs(candidates: Candidates) -> frozenset[int]:
 
 
 def _keeping_each_other(candidates: Candidates) -> frozenset[int]:
-    """The candidates that may run in a ring only for a number or for company, each of them needed by another.
+    """The candidates that may run in a cycle only for a number or for company, each of them needed by another.
 
-    So may those that others run with, or that numbers ask for, if they feed a ring that feedback or company closes.
+    So may those that others run with, or that numbers ask for, if they feed a cycle that feedback or company closes.
     """
     kinds, asked = candidates.kinds, candidates.environment.companions
     asked |= {label for label, kind in kinds.items() if kind.min_instances}
@@ -57,21 +59,21 @@ def _keeping_each_other(candidates: Candidates) -> frozenset[int]:
         return frozenset()
     from networkx import MultiDiGraph, strongly_connected_components
 
-    ring_of: dict[str, int] = {}
+    cycle_of: dict[str, int] = {}
     graph: MultiDiGraph[str] = MultiDiGraph()
     closing = {(other, label) for label, kind in kinds.items() for other in kind.beside if other in kinds}
     graph.add_edges_from(closing)
     feeds: set[tuple[str, str]] = set()
     for label, kind in kinds.items():
         for port in kind.inputs:
-            givers = {candidates.all[i].transformation.label for i in candidates.feeders(port.tag)}
-            feeds.update((giver, label) for giver in givers if not port.starts_nothing)
-            closing.update((giver, label) for giver in givers if port.feedback and not port.starts_nothing)
+            providers = {candidates.all[i].transformation.label for i in candidates.feeders(port.tag)}
+            feeds.update((provider, label) for provider in providers if not port.starts_nothing)
+            closing.update((provider, label) for provider in providers if port.feedback and not port.starts_nothing)
     graph.add_edges_from(feeds)
-    for number, ring in enumerate(strongly_connected_components(graph)):
-        ring_of.update(dict.fromkeys(ring, number))
-    closed = {ring_of[one] for one, other in closing if ring_of[one] == ring_of[other]}
-    feeding = {one for one, other in feeds if ring_of[one] == ring_of[other] and ring_of[one] in closed}
+    for number, cycle in enumerate(strongly_connected_components(graph)):
+        cycle_of.update(dict.fromkeys(cycle, number))
+    closed = {cycle_of[one] for one, other in closing if cycle_of[one] == cycle_of[other]}
+    feeding = {one for one, other in feeds if cycle_of[one] == cycle_of[other] and cycle_of[one] in closed}
     return frozenset(i for label in several if label in feeding for i in candidates.units_of(label))
 
 

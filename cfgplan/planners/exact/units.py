@@ -82,7 +82,7 @@ def _any_of(model: Model, literals: list[IntVar]) -> IntVar:
     return found
 
 
-def a_kept_unit_stays_or_is_wired_anew(model: Model) -> None:
+def a_kept_unit_stays_or_is_rewired(model: Model) -> None:
     for i, runs in model.runs.items():
         model.is_wired[i] = runs
         if model.candidates.may_stay(i):
@@ -118,7 +118,7 @@ def new_units_come_in_order(model: Model) -> None:
             model.cp.add_implication(model.is_there[i], model.is_there[i - 1])
 
 
-def one_of_new_units_alike_is_enough(model: Model) -> None:
+def one_of_interchangeable_new_units_is_enough(model: Model) -> None:
     """At most one of several interchangeable new units that meet the same demands runs, and its consumers share it.
 
     This shortens the proof of problems without features; `closing.program` says why it holds. It is left out if
@@ -145,7 +145,7 @@ def one_of_new_units_alike_is_enough(model: Model) -> None:
 def _needs_are_shared(model: Model, units: list[int]) -> None:
     def hubs(unit: int) -> list[int]:
         ports = model.candidates.all[unit].transformation.inputs
-        together = [port for port in ports if not port.feedback and not model.is_told_apart(unit, port)]
+        together = [port for port in ports if not port.feedback and not model.is_explicit(unit, port)]
         return sorted({model.hub(port.tag, None).index for port in together})
 
     for hub, sharing in grouped((hub, unit) for unit in units for hub in hubs(unit)).items():
@@ -157,7 +157,7 @@ def _needs_are_shared(model: Model, units: list[int]) -> None:
 STATES: Final = (
     Rule(a_unit_runs_or_waits_in_one_place, flaws=_misplaced, is_placed=True),
     Rule(a_group_runs_if_some_of_its_units_do),
-    Rule(a_kept_unit_stays_or_is_wired_anew),
+    Rule(a_kept_unit_stays_or_is_rewired),
 )
 PINNED: Final = Rule(pinned_units_run, flaws=_missing_pinned)
-ORDER: Final = (Rule(new_units_come_in_order), Rule(one_of_new_units_alike_is_enough))
+ORDER: Final = (Rule(new_units_come_in_order), Rule(one_of_interchangeable_new_units_is_enough))

@@ -1,4 +1,4 @@
-"""The proven plan that runs, and the implications of its proof for plans after a small change of costs.
+"""The proven plan that runs, and the bounds that its proof gives for plans after a small change of costs.
 
 The plan runs and no other is cheaper. Then costs change: a dead unit costs its labor again, estimates move. Another
 plan is no better if it has all labels of the proven one whose cost rose, and no other labels whose cost fell. Any other
@@ -66,12 +66,12 @@ class WarmStart:
         if limit > self.limit_at(cost):
             return None
         bound = self._bound_at(cost)
-        dearer = self.plan[cost[self.plan] > self.cost[self.plan]]
+        more_expensive = self.plan[cost[self.plan] > self.cost[self.plan]]
         others = np.setdiff1d(bound.core.labels, self.plan)
         cheaper = others[cost[others] < self.cost[others]]
-        if len(dearer) + len(cheaper) > clock.tuning.rest.cases:
+        if len(more_expensive) + len(cheaper) > clock.tuning.replan.cases:
             return Remaining.by(tightened(bound, limit - step + 1, limit, clock), limit)
-        lefts = [_without(label, bound, limit, clock) for label in dearer.tolist()]
+        lefts = [_without(label, bound, limit, clock) for label in more_expensive.tolist()]
         lefts += [_with(label, bound, limit, clock) for label in cheaper.tolist()]
         value = int(cost[self.plan].sum())
         if value <= limit:
@@ -123,7 +123,7 @@ def _is_without_tie(bound: Bound, plan: Ints, limit: int, clock: Clock) -> bool:
     core, model = bound.core, FedModel(bound.core, bound.cost, bound.landmarks)
     model.add_bool_or([model.uses[i] for i in np.flatnonzero(~np.isin(core.labels, plan)).tolist()])
     model.add(model.cost <= limit)
-    left_s, longest_s = clock.left_s(), clock.tuning.rest.rival
+    left_s, longest_s = clock.left_s(), clock.tuning.replan.ties
     longest_s = longest_s if left_s is None else min(longest_s, left_s)
     solver = repeatable_solver(small=core.goal < 1000, time_limit_s=longest_s)
     return solve(solver, model, clock) == INFEASIBLE

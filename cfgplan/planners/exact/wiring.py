@@ -55,11 +55,11 @@ def in_order(environment: Environment, unit: ComputationUnit) -> ComputationUnit
     now = environment.unit[unit.id].feeds if unit.id in environment.unit else {}
     ports = environment.transformation[unit.transformation].inputs
     distinct = [p for p in ports if p.distinct is not None and p.count == 1 and p.name in unit.feeds]
-    alike = grouped((replace(port, name=""), port.name) for port in distinct)
-    if not alike:
+    aggregated = grouped((replace(port, name=""), port.name) for port in distinct)
+    if not aggregated:
         return unit
     feeds = dict(unit.feeds)
-    for names in alike.values():
+    for names in aggregated.values():
         taken = {feeds[name] for name in names}
         kept = {now[name]: name for name in names if now.get(name) in taken}
         others = [name for name in names if name not in kept.values()]

@@ -22,8 +22,8 @@ Number = TypeVar("Number", np.int64, np.float64)
 
 NEVER = np.int64(2**60)
 """A cost that no sum of real costs reaches."""
-MOST_CROWDS = 4
-"""A group that asks for more different things has crowds for single ones, pairs and all together only."""
+MOST_DEMANDS = 4
+"""A group with more different demands has multi-facts for single ones, pairs and all together only."""
 MOST_PASSES = 60
 """A core that takes more passes than this is deep: its facts are better followed one by one."""
 
@@ -83,23 +83,23 @@ def _starts(counts: npt.ArrayLike) -> Ints:
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
-class Crowds:
-    """The facts that take more than one giver; their givers are numbers below `labels`."""
+class MultiFacts:
+    """The facts that take more than one provider; their providers are numbers below `labels`."""
 
-    def __init__(self, facts: npt.NDArray[np.int64], takes: Sequence[int], givers: Sequence[list[int]], labels: int):
+    def __init__(self, facts: npt.NDArray[np.int64], takes: Sequence[int], providers: Sequence[list[int]], labels: int):
         self.facts = facts
-        most = max(*map(len, givers), *takes)
-        self._givers = np.array([row + [labels] * (most - len(row)) for row in givers])
-        self._is_padded = bool((self._givers == labels).any())
+        most = max(*map(len, providers), *takes)
+        self._providers = np.array([row + [labels] * (most - len(row)) for row in providers])
+        self._is_padded = bool((self._providers == labels).any())
         self._places = np.arange(len(takes)), np.array(takes) - 1
 
     def least(self, of_label: npt.NDArray[Number]) -> npt.NDArray[Number]:
-        """For each of the facts the n-th least value of its givers, n being how many it takes."""
+        """For each of the facts the n-th least value of its providers, n being how many it takes."""
         values: npt.NDArray[Number] = self._sorted(of_label)[self._places]
         return values
 
     def least_sums(self, of_label: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """For each of the facts the least sum over as many givers as it takes."""
+        """For each of the facts the least sum over as many providers as it takes."""
         sums: npt.NDArray[np.float64] = self._sorted(of_label).cumsum(axis=1)[self._places]
         return sums
 
@@ -107,35 +107,35 @@ class Crowds:
         if self._is_padded:
             never = np.inf if of_label.dtype == np.float64 else np.iinfo(np.int64).max
             of_label = np.append(of_label, np.array(never, of_label.dtype))
-        values: npt.NDArray[Number] = of_label[self._givers]
+        values: npt.NDArray[Number] = of_label[self._providers]
         values.sort(axis=1)
         return values
 
 
-def crowds_of_group(inputs: Mapping[tuple[int, ...], int]) -> Iterator[tuple[tuple[int, ...], int]]:
-    """The crowds of a distinct group: givers, and how many of them it takes.
+def multi_facts_of_group(inputs: Mapping[tuple[int, ...], int]) -> Iterator[tuple[tuple[int, ...], int]]:
+    """Yield the facts of a distinct group that take several providers: the providers, and how many of them it takes.
 
-    A group can be fed by different transformations if and only if any n of its inputs have at least n givers together
-    (Hall 1935). `inputs` says how many inputs of the group each set of givers feeds.
+    A group can be fed by different transformations if and only if any n of its inputs have at least n providers
+    together (Hall 1935). `inputs` says how many inputs of the group each set of providers feeds.
     """
-    sizes: Iterable[int] = range(1, len(inputs) + 1) if len(inputs) <= MOST_CROWDS else (1, 2, len(inputs))
+    sizes: Iterable[int] = range(1, len(inputs) + 1) if len(inputs) <= MOST_DEMANDS else (1, 2, len(inputs))
     for size in sizes:
         for together in combinations(inputs, size):
-            givers = sorted(set().union(*together))
-            if size == 1 or len(givers) < sum(map(len, together)):
-                yield together[0] if size == 1 else tuple(givers), sum(inputs[one] for one in together)
+            providers = sorted(set().union(*together))
+            if size == 1 or len(providers) < sum(map(len, together)):
+                yield together[0] if size == 1 else tuple(providers), sum(inputs[one] for one in together)
 
 
 @dataclass(frozen=True)
 class Core:
-    """`needs[label]` are facts, `givers[fact]` labels. The last label is the goal, which needs every target.
+    """`needs[label]` are facts, `providers[fact]` labels. The last label is the goal, which needs every target.
 
     `labels` and `facts` are the numbers that they have in the whole network. A fact holds when at least `takes` of its
-    givers are chosen; if `takes` is None, one is enough for every fact.
+    providers are chosen; if `takes` is None, one is enough for every fact.
     """
 
     needs: Rows
-    givers: Rows
+    providers: Rows
     labels: Ints
     facts: Ints
     takes: Ints | None = None
@@ -147,12 +147,12 @@ class Core:
     @property
     def links(self) -> int:
         """How many offers and needs there are."""
-        return len(self.givers.items) + len(self.needs.items)
+        return len(self.providers.items) + len(self.needs.items)
 
     @cached_property
     def is_deep(self) -> bool:
         """Whether some fact that can be had is behind more than `MOST_PASSES` others."""
-        facts = np.full(len(self.givers), NEVER)
+        facts = np.full(len(self.providers), NEVER)
         for _ in range(MOST_PASSES):
             better = self.least_of_givers(self.most_of_needs(facts)[:-1])
             if (better == facts).all():
@@ -166,28 +166,28 @@ class Core:
         return self.links if self.is_deep else 0
 
     @cached_property
-    def crowds(self) -> Crowds | None:
-        """The facts that take more than one giver; None if there are none."""
+    def multi_facts(self) -> MultiFacts | None:
+        """The facts that take more than one provider; None if there are none."""
         facts = np.flatnonzero(self.takes > 1) if self.takes is not None else np.zeros(0, np.int64)
         if self.takes is None or not len(facts):
             return None
-        givers = [self.givers[fact].tolist() for fact in facts.tolist()]
-        return Crowds(facts, self.takes[facts].tolist(), givers, self.goal)
+        providers = [self.providers[fact].tolist() for fact in facts.tolist()]
+        return MultiFacts(facts, self.takes[facts].tolist(), providers, self.goal)
 
     @cached_property
-    def crowd_takes(self) -> dict[int, int]:
-        """How many givers each fact of `crowds` takes."""
-        if self.takes is None or self.crowds is None:
+    def multi_takes(self) -> dict[int, int]:
+        """How many providers each fact of `multi_facts` takes, by fact."""
+        if self.takes is None or self.multi_facts is None:
             return {}
-        return {fact: int(self.takes[fact]) for fact in self.crowds.facts.tolist()}
+        return {fact: int(self.takes[fact]) for fact in self.multi_facts.facts.tolist()}
 
     @cached_property
     def gives(self) -> Rows:
-        return self.givers.transposed(self.goal + 1)
+        return self.providers.transposed(self.goal + 1)
 
     @cached_property
     def needed_by(self) -> Rows:
-        return self.needs.transposed(len(self.givers))
+        return self.needs.transposed(len(self.providers))
 
     @cached_property
     def _fed(self) -> Ints:
@@ -203,8 +203,8 @@ class Core:
         """For each label the greatest value of the facts it needs; 0 for sources."""
         return _joined(np.maximum, self.needs, self._fed, of_fact, 0)
 
-    def most_of_gifts(self, of_fact: Ints) -> Ints:
-        """For each label the greatest value of the facts it gives; 0 if it gives none."""
+    def most_of_offers(self, of_fact: Ints) -> Ints:
+        """For each label the greatest value of the facts that it offers; 0 if it offers none."""
         return _joined(np.maximum, self.gives, self._giving, of_fact, 0)
 
     def needs_with(self, of_fact: npt.NDArray[Number], of_label: npt.NDArray[Number]) -> tuple[Ints, Ints]:
@@ -223,36 +223,36 @@ class Core:
 
     def share_of_givers(self, of_label: Floats) -> Floats:
         """For each fact the sum over the labels that offer it, divided by how many it takes."""
-        if not len(self.givers):
+        if not len(self.providers):
             return np.zeros(0)
-        total: Floats = np.add.reduceat(of_label[self.givers.items], self.givers.starts[:-1])
+        total: Floats = np.add.reduceat(of_label[self.providers.items], self.providers.starts[:-1])
         return total if self.takes is None else total / self.takes
 
     def least_sum_of_givers(self, of_label: Floats) -> Floats:
-        """For each fact the least sum over as many of its givers as it takes. Every fact must have givers."""
+        """For each fact the least sum over as many of its providers as it takes. Every fact must have providers."""
         least = self.least_of_givers(of_label)
-        if self.crowds is not None:
-            least[self.crowds.facts] = self.crowds.least_sums(of_label)
+        if self.multi_facts is not None:
+            least[self.multi_facts.facts] = self.multi_facts.least_sums(of_label)
         return least
 
     def least_of_givers(self, of_label: npt.NDArray[Number]) -> npt.NDArray[Number]:
-        """For each fact the n-th least value of its givers, n being how many it takes.
+        """For each fact the n-th least value of its providers, n being how many it takes.
 
-        Every fact must have givers.
+        Every fact must have providers.
         """
-        if not len(self.givers):
+        if not len(self.providers):
             return np.zeros(0, of_label.dtype)
-        least: npt.NDArray[Number] = np.minimum.reduceat(of_label[self.givers.items], self.givers.starts[:-1])
-        if self.crowds is not None:
-            least[self.crowds.facts] = self.crowds.least(of_label)
+        least: npt.NDArray[Number] = np.minimum.reduceat(of_label[self.providers.items], self.providers.starts[:-1])
+        if self.multi_facts is not None:
+            least[self.multi_facts.facts] = self.multi_facts.least(of_label)
         return least
 
     def facts_one_by_one(self, price: Sequence[Number], join: Callable[[list[Number]], Number]) -> dict[int, Number]:
         """The cost of each fact that can be reached; facts are settled cheapest first, each once (Knuth 1977).
 
-        A label costs its price plus `join` of its needs; a fact that takes several givers costs `join` of theirs.
+        A label costs its price plus `join` of its needs; a fact that takes several providers costs `join` of theirs.
         """
-        needs, gives, needed_by, takes = self.needs.lists, self.gives.lists, self.needed_by.lists, self.crowd_takes
+        needs, gives, needed_by, takes = self.needs.lists, self.gives.lists, self.needed_by.lists, self.multi_takes
         missing = {label: len(needs[label]) for label in range(self.goal)}
         facts: dict[int, Number] = {}
         offers: dict[int, list[Number]] = {fact: [] for fact in takes}
@@ -281,13 +281,13 @@ class Core:
     def restricted(self, keep: Flags) -> Core:
         """Return the part with the flagged labels and the facts they need; every need of a kept label must be kept."""
         stays = np.append(keep, True)
-        needed = np.zeros(len(self.givers), np.bool_)
+        needed = np.zeros(len(self.providers), np.bool_)
         needed[self.needs.items[stays[self.needs.row_of_item]]] = True
         label_number = np.where(keep, np.cumsum(keep) - 1, -1)
         fact_number = np.where(needed, np.cumsum(needed) - 1, -1)
         return Core(
             self.needs.restricted(stays, fact_number),
-            self.givers.restricted(needed, label_number),
+            self.providers.restricted(needed, label_number),
             self.labels[keep],
             self.facts[needed],
             None if self.takes is None else self.takes[needed],

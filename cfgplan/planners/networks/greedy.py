@@ -16,7 +16,7 @@ from cfgplan.planners.networks.reach import Reach
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.reasons import Each, assign_different, distinct_groups
 
-DEAREST = 1e200
+COST_CAP = 1e200
 """The cost of a support is capped at this, so that sums stay finite."""
 FREE = 1e-3
 """The price of a label that is there already: of two such supports the smaller one is better."""
@@ -78,7 +78,7 @@ def support_of(network: Network, cost: Ints, label: int) -> set[int]:
 def _total(network: Network, price: Floats) -> list[float] | None:
     """h_add of each label with its own price; None if the goal is out of reach."""
     core = network.core
-    facts = np.full(len(core.givers), np.inf)
+    facts = np.full(len(core.providers), np.inf)
     for _ in range(0 if core.is_deep else MOST_PASSES):
         better = core.least_sum_of_givers(core.sum_of_needs(facts)[:-1] + price)
         if (better == facts).all():
@@ -86,26 +86,26 @@ def _total(network: Network, price: Floats) -> list[float] | None:
         facts = better
     else:
         found = core.facts_one_by_one(price.tolist(), _added)
-        facts = np.array([found.get(fact, np.inf) for fact in range(len(core.givers))])
+        facts = np.array([found.get(fact, np.inf) for fact in range(len(core.providers))])
     labels = core.sum_of_needs(facts)
     return (labels[:-1] + price).tolist() if np.isfinite(labels[core.goal]) else None
 
 
 def _added(values: list[float]) -> float:
-    """Return the sum, capped at DEAREST if all are finite. A need that repeats in many layers would overflow."""
-    return min(sum(values), DEAREST) if max(values) < np.inf else np.inf
+    """Return the sum, capped at COST_CAP if all are finite. A need that repeats in many layers would overflow."""
+    return min(sum(values), COST_CAP) if max(values) < np.inf else np.inf
 
 
 def _below(network: Network, labels: list[int], total: list[float], each: Each = iter) -> set[int]:
-    """These labels but the goal, and the cheapest givers of all facts needed, directly or through others."""
+    """These labels but the goal, and the cheapest providers of all facts needed, directly or through others."""
     chosen = set(labels)
     fed: set[int] = set()
     ahead = list(labels)
     for label in each(ahead):
-        for giver in _feeders(network, label, total, fed):
-            if giver not in chosen:
-                chosen.add(giver)
-                ahead.append(giver)
+        for provider in _feeders(network, label, total, fed):
+            if provider not in chosen:
+                chosen.add(provider)
+                ahead.append(provider)
     return chosen - {network.core.goal}
 
 
@@ -114,20 +114,24 @@ def _feeders(network: Network, label: int, total: list[float], fed: set[int]) ->
     for fact in network.core.needs.lists[label]:
         if fact not in fed:
             fed.add(fact)
-            givers, takes = network.core.givers.lists[fact], network.core.crowd_takes.get(fact)
-            feeders += nsmallest(takes, givers, total.__getitem__) if takes else [min(givers, key=total.__getitem__)]
+            providers, takes = network.core.providers.lists[fact], network.core.multi_takes.get(fact)
+            feeders += (
+                nsmallest(takes, providers, total.__getitem__) if takes else [min(providers, key=total.__getitem__)]
+            )
     if label in network.special:
         transformation = network.transformations[label]
         for group in distinct_groups(transformation):
             by_price = {
-                port.name: sorted(network.core.givers.lists[network.fact_of_tag[port.tag]], key=lambda i: (total[i], i))
+                port.name: sorted(
+                    network.core.providers.lists[network.fact_of_tag[port.tag]], key=lambda i: (total[i], i)
+                )
                 for port in group
             }
             feeders += [network.number[i] for i in _assigned(network, by_price)]
         for port in transformation.inputs:
             if port.feedback:
-                givers = network.core.givers.lists[network.fact_of_tag[port.tag]]
-                feeders.append(min(givers, key=total.__getitem__))
+                providers = network.core.providers.lists[network.fact_of_tag[port.tag]]
+                feeders.append(min(providers, key=total.__getitem__))
     return feeders
 
 
@@ -138,7 +142,7 @@ def _assigned(network: Network, by_price: dict[str, list[int]]) -> list[str]:
 
 def without_redundant(network: Network, cost: Ints, chosen: set[int]) -> set[int]:
     """Return the plan without redundant labels; the most expensive are dropped first."""
-    gives_of, needs, takes = network.core.gives.lists, network.core.needs.lists, network.core.crowd_takes
+    gives_of, needs, takes = network.core.gives.lists, network.core.needs.lists, network.core.multi_takes
     givers_left: dict[int, int] = {}
     for label in chosen:
         for fact in gives_of[label]:
@@ -173,7 +177,7 @@ def _special_inputs_are_fed(network: Network, label: int, before: set[int], chos
     transformation = network.transformations[label]
 
     def feeders(tag: str, among: set[int]) -> list[str]:
-        return [network.labels[i] for i in network.core.givers.lists[network.fact_of_tag[tag]] if i in among]
+        return [network.labels[i] for i in network.core.providers.lists[network.fact_of_tag[tag]] if i in among]
 
     return all(feeders(p.tag, chosen) for p in transformation.inputs if p.feedback) and all(
         assign_different({p.name: feeders(p.tag, chosen if p.feedback else before) for p in group}) is not None

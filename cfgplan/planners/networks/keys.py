@@ -55,7 +55,7 @@ def unused_required(problem: Problem, units: Collection[ComputationUnit]) -> tup
 
 
 def needed_feeders(environment: Environment, unit: ComputationUnit) -> set[str]:
-    """The units that a unit is a reason to run."""
+    """The units that have to run since they feed this one, except at inputs that start nothing; by id."""
     idle = environment.transformation[unit.transformation].idle_inputs
     return {s.stream.unit for s in unit.subscriptions if s.port not in idle}
 

@@ -17,10 +17,10 @@ import numpy as np
 
 from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.domain import Transformation
-from cfgplan.planners.networks.core import NEVER, Core, Ints, Rows, crowds_of_group
+from cfgplan.planners.networks.core import NEVER, Core, Ints, Rows, multi_facts_of_group
 from cfgplan.planners.networks.keys import Key, may_stay
 from cfgplan.planning import Problem
-from cfgplan.reasons import Each, Givers, distinct_groups
+from cfgplan.reasons import Each, Providers, distinct_groups
 
 
 class Network:
@@ -35,7 +35,7 @@ class Network:
         library: Sequence[Transformation],
         targets: Iterable[str],
         pinned: Iterable[str],
-        rows: Givers,
+        rows: Providers,
         each: Each = iter,
     ) -> None:
         self.transformations = library
@@ -48,8 +48,8 @@ class Network:
 
         def fact(tag: str) -> int:
             if tag not in self.fact_of_tag:
-                givers = givers_of_tag[tag] = tuple([self.number[i] for i in rows.of(tag) if i in self.number])
-                self.fact_of_tag[tag] = facts.setdefault((givers, 1), len(facts))
+                providers = givers_of_tag[tag] = tuple([self.number[i] for i in rows.of(tag) if i in self.number])
+                self.fact_of_tag[tag] = facts.setdefault((providers, 1), len(facts))
             return self.fact_of_tag[tag]
 
         needs = [{fact(port.tag) for port in t.needed_inputs if not port.feedback} for t in each(library)]
@@ -58,18 +58,18 @@ class Network:
         )
         for label, group in ((i, group) for i in each(sorted(self.special)) for group in distinct_groups(library[i])):
             alike = Counter(givers_of_tag[port.tag] for port in group if not port.feedback)
-            for givers, takes in crowds_of_group(alike):
+            for providers, takes in multi_facts_of_group(alike):
                 if takes > 1:
-                    needs[label] -= {facts.get((givers, 1), -1)}
-                    needs[label].add(facts.setdefault((givers, takes), len(facts)))
+                    needs[label] -= {facts.get((providers, 1), -1)}
+                    needs[label].add(facts.setdefault((providers, takes), len(facts)))
         for port in (port for t in library for port in t.inputs if port.feedback):
             fact(port.tag)
         certain = {self.number[label] for label in pinned}
         wanted = {fact(tag) for tag in self.targets}.union(*(needs[label] for label in certain))
         all_facts = list(facts)
         ahead = list(wanted)
-        for givers, takes in (all_facts[each] for each in ahead):
-            for label in set(givers) - certain if len(givers) == takes else ():
+        for providers, takes in (all_facts[each] for each in ahead):
+            for label in set(providers) - certain if len(providers) == takes else ():
                 certain.add(label)
                 ahead += needs[label] - wanted
                 wanted |= needs[label]
@@ -77,7 +77,7 @@ class Network:
         taking = np.array([takes for _, takes in facts], np.int64)
         self.core = Core(
             Rows.of([sorted(row) for row in (*needs, wanted)]),
-            Rows.of([givers for givers, _ in facts]),
+            Rows.of([providers for providers, _ in facts]),
             np.arange(len(library)),
             np.arange(len(facts)),
             taking if (taking > 1).any() else None,

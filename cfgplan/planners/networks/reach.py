@@ -32,8 +32,8 @@ class Reach:
         self.order = list(each(derived(self._missing, ready, self._consumers)))
 
     def holds(self, fact: int | None) -> bool:
-        """Whether enough givers of a fact have started; False for None."""
-        return fact in self._given and self._given[fact] >= self._core.crowd_takes.get(fact, 1)
+        """Whether enough providers of a fact have started; False for None."""
+        return fact in self._given and self._given[fact] >= self._core.multi_takes.get(fact, 1)
 
     def runs(self, label: int) -> bool:
         """Whether a label was added and its needs hold."""
@@ -56,7 +56,7 @@ class Reach:
         core, kept = self._core, len(self.order) - self._started
         for one in self.order[kept:]:
             for fact in core.gives.lists[one]:
-                if self._given[fact] == core.crowd_takes.get(fact, 1):
+                if self._given[fact] == core.multi_takes.get(fact, 1):
                     for consumer in self._waiting.get(fact, ()):
                         self._missing[consumer] += 1
                 self._given[fact] -= 1
@@ -74,7 +74,7 @@ class Reach:
 
     def _consumers(self, label: int) -> Iterator[int]:
         """Count what a label gives once it has started; yields the labels that need a fact which holds by it."""
-        takes, given, waiting = self._core.crowd_takes, self._given, self._waiting
+        takes, given, waiting = self._core.multi_takes, self._given, self._waiting
         for fact in self._core.gives.lists[label]:
             number = given[fact] = given.get(fact, 0) + 1
             if number == takes.get(fact, 1) and fact in waiting:

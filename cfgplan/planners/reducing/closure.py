@@ -1,4 +1,4 @@
-"""The closure of a library: the givers of each demand, and the transformations that can start and may be needed."""
+"""The closure of a library: the providers of each demand, and the transformations that can start and may be needed."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from cfgplan.domain import Environment
 from cfgplan.onward import reached
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Problem
-from cfgplan.reasons import Each, Givers, startable
+from cfgplan.reasons import Each, Providers, startable
 
 
 @dataclass(frozen=True)
 class Closure:
-    """`givers` has the givers of each demand; `possible` are the transformations that can be started; `relevant` those
-    of them that may be needed; `asked_for` those with a unit in every plan: by a pin, a number or a target.
+    """`providers` has the providers of each demand; `possible` are the transformations that can be started; `relevant`
+    those of them that may be needed; `asked_for` those with a unit in every plan: by a pin, a number or a target.
     """
 
-    givers: Givers
+    providers: Providers
     possible: frozenset[str]
     relevant: frozenset[str]
     asked_for: frozenset[str]
@@ -28,13 +28,13 @@ class Closure:
         """The closure of a problem; `old` is one of the same library and matching. Raises OutOfTimeError."""
         environment = problem.environment
         if old is not None:
-            givers, possible = old.givers, old.possible
+            providers, possible = old.providers, old.possible
         else:
-            givers = Givers(environment.library, problem.similarity)
-            possible = startable(environment, givers, clock.each)
-            givers = givers.among(possible)
+            providers = Providers(environment.library, problem.similarity)
+            possible = startable(environment, providers, clock.each)
+            providers = providers.among(possible)
         asked = asked_for(environment) & possible
-        return cls(givers, possible, relevant(environment, givers, possible, clock.each), asked)
+        return cls(providers, possible, relevant(environment, providers, possible, clock.each), asked)
 
 
 def asked_for(environment: Environment) -> frozenset[str]:
@@ -44,7 +44,7 @@ def asked_for(environment: Environment) -> frozenset[str]:
     return frozenset([*asked, *environment.wanted_to_run.values()])
 
 
-def relevant(environment: Environment, givers: Givers, possible: frozenset[str], each: Each) -> frozenset[str]:
+def relevant(environment: Environment, providers: Providers, possible: frozenset[str], each: Each) -> frozenset[str]:
     """The labels out of `possible` that a target, a pinned unit or a number asks for, directly or through others.
 
     An input that starts nothing asks for none.
@@ -55,7 +55,7 @@ def relevant(environment: Environment, givers: Givers, possible: frozenset[str],
     ahead += [port.tag for label in sorted(found) for port in library[label].inputs if not port.starts_nothing]
     seen = set(ahead)
     for tag in each(ahead):
-        new = [label for label in givers.of(tag) if label in possible and label not in found]
+        new = [label for label in providers.of(tag) if label in possible and label not in found]
         for label in with_companions(environment, new):
             found.add(label)
             for port in library[label].inputs:

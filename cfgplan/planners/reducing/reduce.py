@@ -30,7 +30,7 @@ from cfgplan.onward import reached
 from cfgplan.planners.reducing.closure import relevant
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Feature, Measured, OnProgress, Plan, Problem, Progress, Status
-from cfgplan.reasons import Each, Givers, startable
+from cfgplan.reasons import Each, Providers, startable
 from cfgplan.rows import attributes, least_limit
 
 GONE = "\0"
@@ -46,7 +46,7 @@ OF_HOSTS = (Objective.HOSTS, Objective.RENT)
 
 @dataclass(frozen=True)
 class Numbered(Problem):
-    """A part of a problem. A plan starts `most` units of each transformation, as many as in the whole problem."""
+    """A part of a problem. A plan starts at most `most` units of each transformation, as in the whole problem."""
 
     most: Mapping[str, int] = field(default_factory=dict, hash=False)
 
@@ -125,7 +125,7 @@ class Reduced:
     def _fit(self, units: Collection[ComputationUnit]) -> bool:
         if self.home is None or self.is_roomy:
             return True
-        return _bears(self.whole, self.home, Counter([unit.transformation for unit in units]))
+        return _has_room(self.whole, self.home, Counter([unit.transformation for unit in units]))
 
     def _told(self, found: Plan, units: Sequence[ComputationUnit]) -> Plan:
         """The plan with its change set, objectives and unused transformations as they are of the whole problem."""
@@ -163,34 +163,34 @@ class _Use:
 
     startable: int
     labels: frozenset[str]
-    givers: Givers
+    providers: Providers
     units: Mapping[str, int]
     running: Mapping[str, int]
 
 
 def reduce(problem: Problem, clock: Clock, *, is_certain: bool = False) -> Reduced:
-    """Return the problem without all that can't matter, or the same one if it asks for nothing beyond the paper.
+    """Return the problem without parts that can't affect its plans; a problem of the paper's kind stays as it is.
 
     With `is_certain`, each plan of it gives a plan of the whole problem that is as good in ties. Raises OutOfTimeError.
     """
     use = None if problem.is_plain else _use(problem, clock.each)
     if use is None:
         return Reduced(problem, problem)
-    left = _without_easy_wishes(_with_what_is_used(problem, use))
+    left = _without_easy_wishes(_with_used_parts(problem, use))
     left = _without_lone_streams(_without_wide_limits(left, use), use)
     home = _home(left)
-    is_roomy = home is not None and _bears(left, home, {t.label: _most(t, use) for t in left.environment.library})
+    is_roomy = home is not None and _has_room(left, home, {t.label: _most(t, use) for t in left.environment.library})
     if home is not None and (is_roomy or not is_certain):
         left = _at_home(left, home)
     else:
         home, is_roomy = None, True
-    left = _without_inputs_that_start_nothing(left, use, is_certain=is_certain)
+    left = _without_idle_inputs(left, use, is_certain=is_certain)
     left = _without_numbers(_without_what_all_have(left), use)
     return Reduced(problem, left, home, is_roomy, use.startable)
 
 
 def may_go_on(problem: Problem, unit: ComputationUnit) -> bool:
-    """Whether a unit is where it may be. A cold spare may go on only if failures have to be survived."""
+    """Whether a unit may stay on its host. A cold spare may stay only if failures have to be survived."""
     environment, transformation = problem.environment, problem.environment.transformation[unit.transformation]
     if environment.hosts and unit.host not in environment.hosts_for(transformation):
         return False
@@ -201,24 +201,24 @@ def _use(problem: Problem, each: Each) -> _Use | None:
     """Return the transformations that plans may use; None if a target or pin can't be met, which needs all reasons."""
     environment, similarity = problem.environment, problem.similarity
     library = environment.library
-    hopeful = possible = startable(environment, Givers(library, similarity), each)
+    optimistic = possible = startable(environment, Providers(library, similarity), each)
     while True:
         library = tuple(t for t in library if t.label in possible and _may_be_somewhere(environment, t, possible))
         if len(library) == len(possible):
             break
-        possible = startable(Environment((), library), Givers(library, similarity), each)
-    givers = Givers(library, similarity)
+        possible = startable(Environment((), library), Providers(library, similarity), each)
+    providers = Providers(library, similarity)
     going_on = [
         u for u in environment.units if u.transformation in environment.transformation and may_go_on(problem, u)
     ]
     kept = {u.transformation for u in going_on if environment.transformation[u.transformation].pinned and not u.standby}
-    asked = kept & hopeful | {t.label for t in environment.library if t.min_instances}
-    if not asked <= possible or any(possible.isdisjoint(givers.of(target.tag)) for target in environment.targets):
+    asked = kept & optimistic | {t.label for t in environment.library if t.min_instances}
+    if not asked <= possible or any(possible.isdisjoint(providers.of(target.tag)) for target in environment.targets):
         return None
-    labels = relevant(replace(environment, library=library), givers, possible, each)
+    labels = relevant(replace(environment, library=library), providers, possible, each)
     running = Counter(unit.transformation for unit in going_on if unit.transformation in labels)
     units = {label: running[label] + problem.most_new(environment.transformation[label]) for label in sorted(labels)}
-    return _Use(len(hopeful), labels, givers.among(labels), units, running)
+    return _Use(len(optimistic), labels, providers.among(labels), units, running)
 
 
 def _may_be_somewhere(environment: Environment, t: Transformation, possible: Collection[str]) -> bool:
@@ -226,12 +226,12 @@ def _may_be_somewhere(environment: Environment, t: Transformation, possible: Col
     return is_allowed and bool(environment.hosts_for(t))
 
 
-def _with_what_is_used(problem: Problem, use: _Use) -> Problem:
+def _with_used_parts(problem: Problem, use: _Use) -> Problem:
     """Leave out transformations, conflicts with them, and what units say that no plan keeps."""
     environment = problem.environment
     library = tuple(_without_conflicts_but(use, t) for t in environment.library if t.label in use.labels)
     if not environment.hosts:
-        library = tuple(map(_without_what_is_of_hosts, library))
+        library = tuple(map(_without_host_fields, library))
     units = tuple(
         unit
         if unit.transformation in use.labels and may_go_on(problem, unit)
@@ -252,7 +252,7 @@ def _without_conflicts_but(use: _Use, t: Transformation) -> Transformation:
     return replace(t, conflicts=left, conflicts_on_host=on_host)
 
 
-def _without_what_is_of_hosts(t: Transformation) -> Transformation:
+def _without_host_fields(t: Transformation) -> Transformation:
     """The transformation less the limits that say nothing where no hosts are declared."""
     said = {name: usual for name, usual in _limits_of_units(t) if name in _ONLY_WITH_HOSTS}
     return with_fields(t, **said) if said else t
@@ -275,11 +275,11 @@ def _without_easy_wishes(problem: Problem) -> Problem:
 
 def _without_wide_limits(problem: Problem, use: _Use) -> Problem:
     """Leave out limits on instances and on who takes a stream that no configuration can reach."""
-    takers = _takers(problem, use)
+    consumers = _consumers(problem, use)
 
     def freed(t: Transformation) -> Transformation:
         outputs = tuple(
-            port if port.serves is None or takers[port.tag] > port.serves else with_fields(port, serves=None)
+            port if port.serves is None or consumers[port.tag] > port.serves else with_fields(port, serves=None)
             for port in t.outputs
         )
         wide = {name: usual for name, usual in _limits_of_units(t) if use.units[t.label] <= _least(t, name)}
@@ -288,19 +288,19 @@ def _without_wide_limits(problem: Problem, use: _Use) -> Problem:
     return problem.with_parts(library=tuple(map(freed, problem.environment.library)))
 
 
-def _takers(problem: Problem, use: _Use) -> Counter[str]:
+def _consumers(problem: Problem, use: _Use) -> Counter[str]:
     """How many inputs and topics may take a stream, by its tag, where some stream serves only so many."""
-    environment, takers = problem.environment, Counter[str]()
+    environment, consumers = problem.environment, Counter[str]()
     if Feature.LIMITS not in problem.features:
-        return takers
+        return consumers
     demanded = Counter(target.tag for target in environment.stream_targets)
     for t in environment.library:
         for port in t.inputs:
             demanded[port.tag] += _most(t, use)
     for tag, number in demanded.items():
-        for offered in use.givers.accepted(tag):
-            takers[offered] += number
-    return takers
+        for offered in use.providers.accepted(tag):
+            consumers[offered] += number
+    return consumers
 
 
 def _most(t: Transformation, use: _Use) -> int:
@@ -312,17 +312,19 @@ def _most(t: Transformation, use: _Use) -> int:
 def _without_lone_streams(problem: Problem, use: _Use) -> Problem:
     """An input that takes all streams takes one where no more than one can be there for it.
 
-    An optional one stays: it must take that stream even if this closes a ring.
+    An optional one stays: it must take that stream even if this closes a cycle.
     """
     library = problem.environment.transformation
 
     def one_for(t: Transformation, port: InputPort) -> InputPort:
         if port.count != ALL or port.optional:
             return port
-        givers = [library[label] for label in use.givers.of(port.tag)]
-        accepted = use.givers.accepted(port.tag)
-        streams = sum(_most(giver, use) * sum(out.tag in accepted for out in giver.outputs) for giver in givers)
-        return replace(port, count=1) if streams == 1 and t not in givers else port
+        providers = [library[label] for label in use.providers.of(port.tag)]
+        accepted = use.providers.accepted(port.tag)
+        streams = sum(
+            _most(provider, use) * sum(out.tag in accepted for out in provider.outputs) for provider in providers
+        )
+        return replace(port, count=1) if streams == 1 and t not in providers else port
 
     return _with_inputs(problem, one_for)
 
@@ -388,7 +390,7 @@ def _least(t: Transformation, name: str) -> int:
     return least
 
 
-def _bears(problem: Problem, host: Host, units: Mapping[str, int]) -> bool:
+def _has_room(problem: Problem, host: Host, units: Mapping[str, int]) -> bool:
     """Whether a host has room for so many units of each transformation."""
     library, loads = problem.environment.transformation, Counter[str]()
     for label, number in units.items():
@@ -409,7 +411,7 @@ def _at_home(problem: Problem, home: Host) -> Problem:
     return problem.with_parts(library=library, units=units, targets=targets, hosts=(), links=(), transfer_us=0)
 
 
-def _without_inputs_that_start_nothing(problem: Problem, use: _Use, *, is_certain: bool) -> Problem:
+def _without_idle_inputs(problem: Problem, use: _Use, *, is_certain: bool) -> Problem:
     """Leave out optional inputs without worth, but for those that make a stream worse, dear to carry, or forbid it.
 
     A unit that runs is rewired when such an input is fed: if it `is_certain` that ties count, it keeps them.
@@ -430,7 +432,7 @@ def _without_inputs_that_start_nothing(problem: Problem, use: _Use, *, is_certai
     def kept(t: Transformation, port: InputPort) -> InputPort | None:
         if not port.starts_nothing:
             return port
-        feeding = use.givers.accepted(port.tag) & offered
+        feeding = use.providers.accepted(port.tag) & offered
         is_kept = feeding and (
             port.count == ALL
             or (counts_for_quality and not port.feedback)

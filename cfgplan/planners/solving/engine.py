@@ -1,4 +1,4 @@
-"""CP-SAT as it is run here: repeatable, to be stopped at any moment, and never believed beyond its numbers."""
+"""CP-SAT as cfgplan runs it: repeatable, interruptible at any moment, with results checked against its number range."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ports as source text names them: each with the place of the call, its name perhaps a parameter's value."""
+"""Ports as source text names them: each with the place of its call, and a name that may be a parameter's value."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Expressions of C++ source: the names that they spell, and the handles that they are, by their tokens."""
+"""Evaluate expressions of C++ source from their tokens: strings that name ports, and node handles with a namespace."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class CppExpressions:
         return self.namespace(file, places, 0) is not None or self.transport(file, places) is not None
 
     def transport(self, file: CppFile, places: range) -> tuple[str | None] | None:
-        """The namespace of an image transport, None in it if computed; None if the expression is none."""
+        """The namespace of an image transport, as a tuple of one (None if computed); None if it is no transport."""
         places = bare(file, places)
         words = [file.word(at) for at in places]
         if "ImageTransport" in words:

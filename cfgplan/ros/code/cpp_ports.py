@@ -1,4 +1,4 @@
-"""The ports that C++ source makes, by its tokens: roscpp, rclcpp, image_transport, message_filters, actionlib.
+"""Find the ports that C++ source creates, by its tokens: roscpp, rclcpp, image_transport, message_filters, actionlib.
 
 Nothing is compiled: a handle, a name or a type is followed through declarations, initialisers, assignments and calls of
 the node's own files. A name that leads to several texts, or to none, counts as computed.

@@ -52,7 +52,7 @@ class CppValues:
         return [each for each in members if each.parameter is None]
 
     def of(self, word: str) -> list[Found]:
-        """All that stands for a word in all files."""
+        """All values of a word in all files."""
         if word not in self._memory:
             self._memory[word] = [
                 found for file in self._files for at in file.places.get(word, ()) for found in self._found(file, at)

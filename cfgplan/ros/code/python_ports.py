@@ -1,4 +1,4 @@
-"""The ports that Python source makes, by its syntax tree: rospy, rclpy, actionlib and message_filters."""
+"""Find the ports that Python source creates, by its syntax tree: rospy, rclpy, actionlib and message_filters."""
 
 from __future__ import annotations
 

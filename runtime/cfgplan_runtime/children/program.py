@@ -119,7 +119,7 @@ class ProgramCode:
         return not self._output.has_ended and not self.replies
 
     def silent_ns(self) -> int:
-        """Nanoseconds for which the program has owed an answer, and given none; 0 while its last ones wait here."""
+        """Nanoseconds for which the program has owed an answer; 0 while earlier answers wait in `replies`."""
         return 0 if self.replies or not self._asked else time.monotonic_ns() - self._since_ns
 
     def ask(self, values: dict[str, object], time_ns: int, moment: Moment | None) -> None:

@@ -151,8 +151,8 @@ class Lines:
             return msgspec.json.decode(message.body, type=Readiness).ready
         return False
 
-    def _add(self, piece: bytes) -> None:
-        self._rest += piece
+    def _add(self, segment: bytes) -> None:
+        self._rest += segment
         if len(self._rest) > LARGEST or self._is_too_large:
             self._is_too_large = True
             del self._rest[_SHOWN:]

@@ -50,7 +50,7 @@ def fault_of(check: Callable[[], object], folder: Path) -> Fault | None:
 
 
 def _check(transformation: Transformation, folder: Path) -> None:
-    """Raises InputError."""
+    """Raise InputError."""
     source = transformation.source
     if source is None or NodeSource.read(source) is not None:
         return
@@ -76,7 +76,7 @@ def code_path(source: str | None, folder: Path) -> Path | None:
 
 
 def _check_python(transformation: Transformation, source: str, folder: Path) -> None:
-    """Raises InputError."""
+    """Raise InputError."""
     place, colon, name = source.rpartition(":")
     if not (colon and place and name):
         raise InputError.of(f"`{source}` names no unit code", mend=_FORM)
@@ -142,7 +142,7 @@ class _Module:
 
 
 def _read(path: Path, stamp: tuple[int, int] | None) -> _Module:
-    """Raises InputError for a file that is not Python."""
+    """Raise InputError for a file that is not Python."""
     parsed = _parsed(path, stamp)
     if isinstance(parsed, Fault):
         raise InputError([parsed])
@@ -212,7 +212,7 @@ def _changes_things(tree: ast.Module, names: Collection[str]) -> bool:
 
 
 def _check_imports(module: _Module, folders: Sequence[Path]) -> None:
-    """Raises InputError for a module that is imported whatever happens, and is not there."""
+    """Raise InputError for a module that is imported whatever happens, and is not there."""
     if module.is_dynamic:
         return
     for statement in module.tree.body:

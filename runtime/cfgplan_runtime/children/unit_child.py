@@ -126,7 +126,7 @@ class UnitChild:
     def interrupt(self) -> None:
         """Leave unit code that blocks. Called by a signal's handler once the unit was told to finish.
 
-        Code that goes from step to step works off what the unit has taken in, and is let alone.
+        Code that goes from step to step is not interrupted: it processes the elements that have arrived.
         """
         silent_ns = self._program.silent_ns() if self._program else time.monotonic_ns() - self._since_ns
         if self._is_closing and self._program is not None:

@@ -93,7 +93,7 @@ class LearningEstimator:
         self._units: dict[str, tuple[Observation, float]] = {}
         self._families: dict[str, _Family] = {}
         self._declared: dict[str, Transformation] = {}
-        self._dearest = Costs(0, 0)
+        self._largest = Costs(0, 0)
         self._made: dict[str, _Made] = {}
         self._now_s = 0.0
 
@@ -166,7 +166,7 @@ class LearningEstimator:
         own = self._declare(transformation)
         label = transformation.label
         counts = own.changes if own.is_known else self._families[family(label)].changes
-        basis = (own.declared, horizon_s, self._dearest, own.is_known, counts)
+        basis = (own.declared, horizon_s, self._largest, own.is_known, counts)
         made = self._made.get(label)
         if made and made.basis == basis and self._now_s - made.at_s < self.settings.forget_s / _REFRESHES:
             return made.estimate
@@ -220,8 +220,8 @@ class LearningEstimator:
         self._declared.clear()
 
     def _fresh(self, own: Evidence, relatives: Iterable[Evidence], horizon_s: int, last: Estimate | None) -> Estimate:
-        labor = self._expectations.of("labor", own, relatives, self._dearest, self._now_s)
-        upkeep = self._expectations.of("upkeep", own, relatives, self._dearest, self._now_s)
+        labor = self._expectations.of("labor", own, relatives, self._largest, self._now_s)
+        upkeep = self._expectations.of("upkeep", own, relatives, self._largest, self._now_s)
         failing = own.failures.rate(self._now_s) * (labor.forecast.level + self.settings.failure_us)
         old = (
             last.labor_us if last and last.labor_origin == labor.origin else None,
@@ -280,7 +280,7 @@ class LearningEstimator:
         self._families[family(label)].changes += evidence.changes - before
 
     def _widen(self, labor_us: float, upkeep_us: float) -> None:
-        self._dearest = Costs(max(self._dearest.labor_us, labor_us), max(self._dearest.upkeep_us, upkeep_us))
+        self._largest = Costs(max(self._largest.labor_us, labor_us), max(self._largest.upkeep_us, upkeep_us))
 
 
 ESTIMATORS: Mapping[str, Callable[[float], Forecaster] | None] = MappingProxyType({"declared": None, **FORECASTERS})

@@ -44,15 +44,15 @@ class Expectations:
         }
 
     def of(
-        self, kind: CostKind, own: Evidence, relatives: Iterable[Evidence], dearest: Costs, now_s: float
+        self, kind: CostKind, own: Evidence, relatives: Iterable[Evidence], largest: Costs, now_s: float
     ) -> Expectation:
         """The forecast of one quantity of a transformation from `now_s` on."""
         if self._learns and own.samples(kind):
-            return Expectation(self._observed(kind, own, dearest, now_s), Origin.OBSERVED)
+            return Expectation(self._observed(kind, own, largest, now_s), Origin.OBSERVED)
         known = [one for one in relatives if self._learns and one.samples(kind)]
         if known:
             return Expectation(Forecast(self._familiar(kind, own, known), 0.0), Origin.FAMILY)
-        return Expectation(Forecast(self._guess(own.declared_costs, dearest).of(kind), 0.0), Origin.GUESS)
+        return Expectation(Forecast(self._guess(own.declared_costs, largest).of(kind), 0.0), Origin.GUESS)
 
     def _level(self, kind: CostKind, evidence: Evidence) -> float:
         """The observed level of a relative, cached because all its relatives read it."""
@@ -62,11 +62,11 @@ class Expectations:
             self._levels[id(evidence), kind] = (evidence, evidence.changes, level)
         return level
 
-    def _observed(self, kind: CostKind, own: Evidence, dearest: Costs, now_s: float) -> Forecast:
+    def _observed(self, kind: CostKind, own: Evidence, largest: Costs, now_s: float) -> Forecast:
         """The forecast from observations. Without new observations it moves towards the guess, and its trend ends."""
         forecast = self._forecasters[kind](own.samples(kind))
         idle_s = max(0.0, now_s - own.seen_s)
-        guess = self._guess(own.declared_costs, dearest).of(kind)
+        guess = self._guess(own.declared_costs, largest).of(kind)
         return replace(
             forecast,
             level=guess + (forecast.level - guess) * 0.5 ** (idle_s / self._settings.forget_s),

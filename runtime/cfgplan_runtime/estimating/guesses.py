@@ -24,23 +24,23 @@ class Costs:
 class Guess(Protocol):
     """Guesses costs from the declared costs, and from the largest labor and upkeep known."""
 
-    def __call__(self, declared: Costs, dearest: Costs) -> Costs: ...
+    def __call__(self, declared: Costs, largest: Costs) -> Costs: ...
 
 
-def declared(declared: Costs, dearest: Costs) -> Costs:  # noqa: ARG001
+def declared(declared: Costs, largest: Costs) -> Costs:  # noqa: ARG001
     """The costs that the environment file declares."""
     return declared
 
 
-def optimistic(declared: Costs, dearest: Costs) -> Costs:  # noqa: ARG001
+def optimistic(declared: Costs, largest: Costs) -> Costs:  # noqa: ARG001
     """Zero costs, so that every transformation is tried once."""
     return Costs(0, 0)
 
 
-def pessimistic(declared: Costs, dearest: Costs) -> Costs:
+def pessimistic(declared: Costs, largest: Costs) -> Costs:
     """Twice the largest costs, so that only necessary transformations are tried."""
-    labor_us = 2 * max(declared.labor_us, dearest.labor_us)
-    return Costs(labor_us, 2 * max(declared.upkeep_us, dearest.upkeep_us))
+    labor_us = 2 * max(declared.labor_us, largest.labor_us)
+    return Costs(labor_us, 2 * max(declared.upkeep_us, largest.upkeep_us))
 
 
 GUESSES: Mapping[str, Guess] = MappingProxyType(

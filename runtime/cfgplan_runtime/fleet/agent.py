@@ -27,7 +27,7 @@ from cfgplan_runtime.fleet.links import LEASE_S, PRIVATE, Lives, config, sign_pe
 from cfgplan_runtime.fleet.relay import Relay
 from cfgplan_runtime.fleet.tunnels import TunnelServer
 from cfgplan_runtime.fleet.twins import Twins
-from cfgplan_runtime.fleet.ways import Way, alive_key, reach
+from cfgplan_runtime.fleet.ways import RouteWatch, alive_key, reach
 from cfgplan_runtime.processes.cpu_group import CpuGroup
 from cfgplan_runtime.processes.process_backend import RELAY, ProcessBackend
 from cfgplan_runtime.streams.crossing import crossing_key
@@ -83,7 +83,7 @@ class Agent:
         """The id of this process, by which managers tell it from another agent of its name."""
         self._tell_user = say
         self._arrived: deque[tuple[str, bytes, bytes]] = deque()
-        self._talk: orders.Talk[orders.Order] | None = None
+        self._channel: orders.ReliableChannel[orders.Order] | None = None
         self._held = orders.Held()
         self._stopping: dict[str, tuple[str, ...]] = {}
         """Units that stop once each of these crossings that still exists has delivered a mark for them."""
@@ -102,7 +102,7 @@ class Agent:
         """Whether the present manager has ended its run. Its key may stay alive for a moment."""
         self._superseded: dict[str, tuple[float, orders.Session]] = {}
         """For each manager that was obeyed before: when it is told next that its session is over, and the session. Told
-        at once, it would plan anew with the hosts that have not heard of the new one yet. Told once, it might be
+        at once, it would replan with the hosts that have not heard of the new one yet. Told once, it might be
         suspended.
         """
         self._usage_due_s = 0.0
@@ -128,7 +128,7 @@ class Agent:
             self._link.live(key)
             self._link.give_signs(key, sign_period_s(), twins.sign)
             self._link.hear(f"{alive_key(name)}/*", lambda key, _, payload: twins.hear(key.rpartition("/")[2], payload))
-            stack.callback(Way(self._link, key, listen, connect, certificates, self._note_failure, say).close)
+            stack.callback(RouteWatch(self._link, key, listen, connect, certificates, self._note_failure, say).close)
             self._stack = stack.pop_all()
 
     def run(self) -> None:
@@ -153,7 +153,7 @@ class Agent:
 
     def _answer(self) -> None:
         offset_ns = self._backend.clock_offset_ns
-        self._link.answer(clock_key(self.name, self._life), HostClock(lambda: time.monotonic_ns() + offset_ns).told)
+        self._link.answer(clock_key(self.name, self._life), HostClock(lambda: time.monotonic_ns() + offset_ns).answer)
         self._link.answer(orders.topics_key(self.name), self._topics_told)
         self._link.answer(orders.held_key(self.name), lambda: msgspec.json.encode(self._held))
         self._link.watch(f"{alive_key(MANAGER)}/*", self._note_manager)
@@ -163,9 +163,9 @@ class Agent:
 
     def _topics_told(self) -> bytes:
         """Called by threads of the link."""
-        talk, held = self._talk, self._held
-        run = "" if talk is None else talk.session.manager
-        return msgspec.json.encode(orders.TopicsTold(run, list(held.topics), held.ahead_ns or 0))
+        channel, held = self._channel, self._held
+        run = "" if channel is None else channel.session.manager
+        return msgspec.json.encode(orders.TopicsReport(run, list(held.topics), held.ahead_ns or 0))
 
     def _note_manager(self, key: str, is_alive: bool) -> None:
         """Called by threads of the link, as `_take` is."""
@@ -203,7 +203,7 @@ class Agent:
                 run = str(self._backend.run_folder.path)
                 self._say(orders.Welcome(run, self._held, self._heartbeats.places))
                 if self._lost:
-                    self._say(orders.told(events.ElementsLost(self.name, self._lost)))
+                    self._say(orders.report_of(events.ElementsLost(self.name, self._lost)))
                     self._lost = 0
             else:
                 self._obey(self._orders.popleft())
@@ -212,45 +212,45 @@ class Agent:
         self._tell_superseded(now_s)
         if self._validity is not None and (ends := self._validity.warning()) is not None:
             self._tell_user(ending(ends))
-            self._say(orders.told(ends))
+            self._say(orders.report_of(ends))
         if now_s >= self._usage_due_s:
             self._usage_due_s = now_s + USAGE_PERIOD_S
             self._tell_usage([*self._held.units, *self._held.spares])
-        if self._talk is not None:
-            self._talk.pump(now_s)
+        if self._channel is not None:
+            self._channel.pump(now_s)
 
     def _patience_s(self) -> float:
         due_s = self._usage_due_s
-        if self._talk is not None:
-            due_s = min(due_s, self._talk.due_s())
+        if self._channel is not None:
+            due_s = min(due_s, self._channel.due_s())
         return max(0.0, due_s - time.monotonic())
 
     def _say(self, message: orders.FromAgent) -> None:
-        if self._talk is not None and not self._ending:
-            self._talk.say(message)
+        if self._channel is not None and not self._ending:
+            self._channel.say(message)
 
     def _hear(self, key: str, head: bytes, payload: bytes) -> None:
         *_, kind, _, name = key.split("/")
         session = orders.read_session(name)
         if session is None or session.life != self._life:
             return
-        talk = self._talk
-        if talk is None or session != talk.session:
+        channel = self._channel
+        if channel is None or session != channel.session:
             if kind == orders.HEARD:
                 return
-            if talk is not None and not _supersedes(session, talk.session):
-                self._refuse(session, talk.session, is_obeyed=self._has_living_manager)
+            if channel is not None and not _supersedes(session, channel.session):
+                self._refuse(session, channel.session, is_obeyed=self._has_living_manager)
                 return
-            if talk is not None and session.manager != talk.session.manager:
-                self._superseded[talk.session.manager] = time.monotonic() + LEASE_S, talk.session
+            if channel is not None and session.manager != channel.session.manager:
+                self._superseded[channel.session.manager] = time.monotonic() + LEASE_S, channel.session
                 if len(self._superseded) > _MOST_SUPERSEDED:
                     del self._superseded[next(iter(self._superseded))]
-                self._held.term = talk.session.term
-            talk = self._talk = orders.Talk(self._link, self.name, MANAGER, session, orders.Order)
+                self._held.term = channel.session.term
+            channel = self._channel = orders.ReliableChannel(self._link, self.name, MANAGER, session, orders.Order)
             self._orders.clear()
             self._is_left = False
         try:
-            heard = talk.hear(kind, head, payload, time.monotonic())
+            heard = channel.hear(kind, head, payload, time.monotonic())
             self._orders += heard
             self._is_left = self._is_left or any(isinstance(order, orders.LeaveOrder) for order in heard)
         except msgspec.MsgspecError as error:
@@ -261,18 +261,18 @@ class Agent:
 
     @property
     def _has_living_manager(self) -> bool:
-        """Whether the manager of this talk is alive, and its run not over."""
-        return self._talk is not None and not self._is_left and self._is_alive(self._talk.session.manager)
+        """Whether the manager of this channel is alive, and its run not over."""
+        return self._channel is not None and not self._is_left and self._is_alive(self._channel.session.manager)
 
     def _tell_superseded(self, now_s: float) -> None:
         """Tell earlier managers that are alive, repeatedly, that a later one is obeyed while that one is alive."""
-        if self._talk is None:
+        if self._channel is None:
             return
         for manager, (due_s, session) in self._superseded.items():
-            if now_s >= due_s and manager != self._talk.session.manager:
+            if now_s >= due_s and manager != self._channel.session.manager:
                 self._superseded[manager] = now_s + LEASE_S / 2, session
                 if self._is_alive(manager) and self._has_living_manager:
-                    self._refuse(session, self._talk.session, is_obeyed=True)
+                    self._refuse(session, self._channel.session, is_obeyed=True)
 
     def _refuse(self, session: orders.Session, later: orders.Session, *, is_obeyed: bool) -> None:
         """Tell a manager that a later one is obeyed, and whether that one is alive (`is_obeyed`)."""
@@ -284,8 +284,8 @@ class Agent:
         match order:
             case orders.GreetOrder(adopts, secret):
                 self._owes_welcome = True
-                if self._talk is not None:
-                    self._heartbeats.obey(self._talk.session.manager, secret)
+                if self._channel is not None:
+                    self._heartbeats.obey(self._channel.session.manager, secret)
                 if self._validity is not None:
                     self._validity.tell_again()
                 if not adopts:
@@ -391,7 +391,7 @@ class Agent:
         fault = self._fault_of_code(start)
         if fault:
             self._backend.discard(start.spare or "")
-            self._say(orders.told(events.UnitDied(unit, fault)))
+            self._say(orders.report_of(events.UnitDied(unit, fault)))
             return
         self._held.units[unit] = orders.HeldUnit(start.label, msgspec.structs.replace(start.order, state=None))
         self._backend.start_unit(start.order, start.spare)
@@ -399,7 +399,7 @@ class Agent:
     def _prepare(self, prepare: orders.PrepareOrder) -> None:
         spare, fault = prepare.order.unit, self._fault_of_code(prepare)
         if fault:
-            self._say(orders.told(events.SpareLost(spare, fault)))
+            self._say(orders.report_of(events.SpareLost(spare, fault)))
             return
         self._held.spares[spare] = orders.HeldUnit(prepare.label, prepare.order)
         self._backend.prepare_unit(prepare.order)
@@ -445,13 +445,13 @@ class Agent:
                 held.spares[spare].labor_us = labor_us
             case events.SpareLost(spare):
                 held.spares.pop(spare, None)
-        self._say(orders.told(event))
+        self._say(orders.report_of(event))
 
     def _tell_usage(self, units: Iterable[str]) -> None:
         usage = {unit: used for unit in units if (used := self._backend.usage(unit)) is not None}
         crossings = self._relay.counts()
         if usage or crossings:
-            self._say(orders.UsageTold(usage, crossings))
+            self._say(orders.UsageReport(usage, crossings))
 
 
 def _supersedes(session: orders.Session, other: orders.Session) -> bool:

@@ -112,8 +112,8 @@ def make(folder: Path, hosts: Mapping[str, Sequence[str]], *, passing_on: Iterab
         _refuse_overwriting(folder / name for name in names)
         listed = tuple(sorted({*known, *names}))
         passing = {*passing_on, *(_access(folder / known[0]).passing_on if known else ())}
-        if strangers := sorted(passing - set(listed)):
-            raise InputError.of(f"{', '.join(strangers)}: no such host", mend=f"hosts are {', '.join(listed)}")
+        if unknown := sorted(passing - set(listed)):
+            raise InputError.of(f"{', '.join(unknown)}: no such host", mend=f"hosts are {', '.join(listed)}")
         access = msgspec.json.encode(_Access(listed, tuple(sorted(passing))))
         authority = _authority(folder)
         for name in names:

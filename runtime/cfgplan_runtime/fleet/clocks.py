@@ -48,7 +48,7 @@ class HostClock:
     now_ns: Callable[[], int]
     day_ns: Callable[[], int] = time.time_ns
 
-    def told(self) -> bytes:
+    def answer(self) -> bytes:
         """The answer to a question for this clock."""
         return f"{self.now_ns()} {self.day_ns()}".encode()
 

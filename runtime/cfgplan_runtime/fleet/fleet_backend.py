@@ -255,7 +255,7 @@ class FleetBackend:
                 self._events.append(events.ClockMoved(host.name, day_ahead_ns // 1000))
             case presence.AgentGone(host, cause):
                 self._lose(host, cause)
-            case presence.AgentSaid(host, message):
+            case presence.AgentMessage(host, message):
                 try:
                     self._understand(host.name, message)
                 except msgspec.MsgspecError as error:
@@ -291,9 +291,9 @@ class FleetBackend:
 
     def _understand(self, host: str, message: orders.FromAgent) -> None:
         match message:
-            case orders.EventTold():
+            case orders.EventReport():
                 self._note(host, orders.event_of(message))
-            case orders.UsageTold(usage, crossings):
+            case orders.UsageReport(usage, crossings):
                 self._told.setdefault(host, _Told()).usage.update(usage)
                 counts = self._counts.after(crossings, self._routes)
                 if counts:

@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from cfgplan_runtime.fleet.links import LEASE_S, sign_period_s
-from cfgplan_runtime.streams.ends import Bell, Ends
+from cfgplan_runtime.streams.ends import Ends, Waker
 
 _DATAGRAM = struct.Struct("<4sQB16s")
 """A mark, the question's number, the kind of datagram, and its signature."""
@@ -81,8 +81,8 @@ class Answering:
         self._latest = 0
         """The highest number that was asked; a recorded question does not count again as a sign of the manager."""
         self._is_closed = False
-        self._ends, self._bell = Ends(), Bell()
-        self._ends.watch(self._bell.socket, self._bell.hear)
+        self._ends, self._waker = Ends(), Waker()
+        self._ends.watch(self._waker.socket, self._waker.hear)
         self._sockets: list[socket.socket] = []
         opened = []
         for place, address in sorted((place, _address(place)) for place in places):
@@ -99,11 +99,11 @@ class Answering:
     def close(self) -> None:
         """End the thread."""
         self._is_closed = True
-        self._bell.ring()
+        self._waker.wake()
         self._thread.join()
         for end in self._sockets:
             end.close()
-        self._bell.close()
+        self._waker.close()
         self._ends.close()
 
     def _open(self, address: tuple[str, int]) -> bool:
@@ -164,8 +164,8 @@ class Asking:
         self._number = 0
         self._sockets: dict[int, socket.socket] = {}
         """By address family."""
-        self._ends, self._bell = Ends(), Bell()
-        self._ends.watch(self._bell.socket, self._bell.hear)
+        self._ends, self._waker = Ends(), Waker()
+        self._ends.watch(self._waker.socket, self._waker.hear)
         self._is_closed = False
         self._thread = threading.Thread(target=self._run, name="cfgplan-heartbeats", daemon=True)
         self._thread.start()
@@ -178,7 +178,7 @@ class Asking:
             self._agents.pop(name, None)
             if addresses:
                 self._agents[name] = _Asked(name, secret, addresses, now_s, now_s)
-        self._bell.ring()
+        self._waker.wake()
 
     def forget(self, name: str) -> None:
         """Ask an agent no more. Thread-safe."""
@@ -188,11 +188,11 @@ class Asking:
     def close(self) -> None:
         """End the thread."""
         self._is_closed = True
-        self._bell.ring()
+        self._waker.wake()
         self._thread.join()
         for end in self._sockets.values():
             end.close()
-        self._bell.close()
+        self._waker.close()
         self._ends.close()
 
     def _run(self) -> None:

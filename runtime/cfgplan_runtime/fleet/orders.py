@@ -238,14 +238,14 @@ class Welcome(msgspec.Struct, tag=True):
     beats: tuple[str, ...] = ()
 
 
-class EventTold(msgspec.Struct, tag=True):
+class EventReport(msgspec.Struct, tag=True):
     """An event of `supervision.events`; `kind` is the name of its class."""
 
     kind: str
     event: msgspec.Raw
 
 
-class UsageTold(msgspec.Struct, tag=True):
+class UsageReport(msgspec.Struct, tag=True):
     """The usage of units so far, and the counts of each crossing from this host."""
 
     usage: dict[str, Usage]
@@ -253,11 +253,11 @@ class UsageTold(msgspec.Struct, tag=True):
 
 
 def topics_key(host: str | None) -> str:
-    """The key at which an agent answers with TopicsTold; None means any host."""
+    """The key at which an agent answers with TopicsReport; None means any host."""
     return f"{crossing.host_key(host)}/topics"
 
 
-class TopicsTold(msgspec.Struct):
+class TopicsReport(msgspec.Struct):
     """An agent's answer to the question for topics: the run that it obeys, the topics on its host, and the difference
     of its clock from the run's.
     """
@@ -272,17 +272,17 @@ def held_key(host: str | None) -> str:
     return f"{crossing.host_key(host)}/held"
 
 
-FromAgent: TypeAlias = Welcome | EventTold | UsageTold | ImportUnused
+FromAgent: TypeAlias = Welcome | EventReport | UsageReport | ImportUnused
 
 _EVENTS = {kind.__name__: kind for kind in events.Event.__subclasses__()}
 
 
-def told(event: events.Event) -> EventTold:
+def report_of(event: events.Event) -> EventReport:
     """An event as a message."""
-    return EventTold(type(event).__name__, msgspec.Raw(msgspec.msgpack.encode(event)))
+    return EventReport(type(event).__name__, msgspec.Raw(msgspec.msgpack.encode(event)))
 
 
-def event_of(message: EventTold) -> events.Event:
+def event_of(message: EventReport) -> events.Event:
     """The event in a message. Raises msgspec.MsgspecError if the message is of another version."""
     if message.kind not in _EVENTS:
         raise msgspec.ValidationError(f"there is no event {message.kind}")
@@ -290,8 +290,8 @@ def event_of(message: EventTold) -> events.Event:
     return event
 
 
-class Talk(Generic[Spoken]):
-    """One end of a session. No method blocks. `pump` sends all messages since its last call as one piece, and repeats
+class ReliableChannel(Generic[Spoken]):
+    """One end of a session. No method blocks. `pump` sends all messages since its last call as one segment, and repeats
     it until it has arrived.
     """
 
@@ -301,7 +301,7 @@ class Talk(Generic[Spoken]):
         """Whether messages are lost for good, so that a new session is needed."""
         self._decoder: msgspec.msgpack.Decoder[list[Spoken]] = msgspec.msgpack.Decoder(list[incoming])  # type: ignore[valid-type]
         self._unsent: list[msgspec.Struct] = []
-        self._both = crossing.Conversation(crossing.Sending(granted=crossing.FRAMES_UNDER_WAY))
+        self._both = crossing.DuplexChannel(crossing.Sending(granted=crossing.FRAMES_UNDER_WAY))
         self._put = link.publisher(crossing.crossing_key(me, SAY, other, str(session)), "orders")
         self._put_credit = link.publisher(crossing.crossing_key(me, HEARD, other, str(session)), "orders")
 
@@ -314,14 +314,14 @@ class Talk(Generic[Spoken]):
 
         Raises msgspec.MsgspecError for a message of another version.
         """
-        pieces = self._both.take(kind == HEARD, head, payload, now_s)
+        segments = self._both.take(kind == HEARD, head, payload, now_s)
         self.is_broken = self.is_broken or self._both.receiving.dropped > 0
-        return [message for piece in pieces for message in self._decoder.decode(piece.payload)]
+        return [message for segment in segments for message in self._decoder.decode(segment.payload)]
 
     def pump(self, now_s: float) -> None:
         """Send the orders that are due."""
         if self._unsent:
-            self._both.sending.offer(crossing.Piece(0, 0, msgspec.msgpack.encode(self._unsent)))
+            self._both.sending.offer(crossing.Segment(0, 0, msgspec.msgpack.encode(self._unsent)))
             self._unsent.clear()
         self._both.pump(self._put, self._put_credit, now_s)
 

@@ -40,7 +40,7 @@ class HostState:
     name: str
     life: str
     """The id of this agent's process; a later agent of the same name has another."""
-    talk: orders.Talk[orders.FromAgent]
+    channel: orders.ReliableChannel[orders.FromAgent]
     pulse: Pulse
     secret: bytes
     """Signs the heartbeats of this session."""
@@ -81,7 +81,7 @@ class AgentGone(AgentNews, frozen=True):
     cause: str
 
 
-class AgentSaid(AgentNews, frozen=True):
+class AgentMessage(AgentNews, frozen=True):
     """An agent has sent a message."""
 
     message: orders.FromAgent
@@ -175,7 +175,7 @@ class Presence:
         """Give an order to a host with the next `wait`. Does nothing if the host is None or has not joined."""
         found = None if host is None else self.find(host)
         if found is not None:
-            found.talk.say(order)
+            found.channel.say(order)
 
     def wake(self) -> None:
         """Make `wait` return. Thread-safe."""
@@ -250,7 +250,7 @@ class Presence:
             self.say(host.name, orders.LeaveOrder())
         end_s = time.monotonic() + _LEAVE_S
         while time.monotonic() < end_s:
-            if all(host.talk.is_done or self._hosts.get(host.name) is not host for host in left):
+            if all(host.channel.is_done or self._hosts.get(host.name) is not host for host in left):
                 break
             self._hear_once(min(end_s, time.monotonic() + 0.05))
         if hosts is not None:
@@ -268,7 +268,7 @@ class Presence:
 
     def _patience_s(self, end_s: float) -> float:
         """Seconds until something is due to be sent, at most until `end_s` and at most a sign's period."""
-        due_s = min((host.talk.due_s() for host in self._hosts.values()), default=inf)
+        due_s = min((host.channel.due_s() for host in self._hosts.values()), default=inf)
         return max(0.0, min(min(end_s, due_s) - time.monotonic(), sign_period_s()))
 
     def _hear_all(self) -> bool:
@@ -278,8 +278,8 @@ class Presence:
             while True:
                 is_awake = self._hear(self._inbox.get_nowait()) or is_awake
         for host in list(self._hosts.values()):
-            host.talk.pump(time.monotonic())
-            if host.talk.is_broken:
+            host.channel.pump(time.monotonic())
+            if host.channel.is_broken:
                 self._greet(host.name, host.life, "messages were lost")
         self._lose_silent()
         return is_awake
@@ -344,10 +344,12 @@ class Presence:
             self._lose(self._hosts[name], cause)
         self._serial += 1
         session = orders.Session(self._term, self._run, self._serial, life)
-        talk: orders.Talk[orders.FromAgent] = orders.Talk(self._link, MANAGER, name, session, orders.FromAgent)
+        channel: orders.ReliableChannel[orders.FromAgent] = orders.ReliableChannel(
+            self._link, MANAGER, name, session, orders.FromAgent
+        )
         now_s = time.monotonic()
-        host = self._hosts[name] = HostState(name, life, talk, Pulse(now_s, now_s), new_secret())
-        talk.say(orders.GreetOrder(adopts=self._is_beginning, secret=host.secret))
+        host = self._hosts[name] = HostState(name, life, channel, Pulse(now_s, now_s), new_secret())
+        channel.say(orders.GreetOrder(adopts=self._is_beginning, secret=host.secret))
 
     def _lose(self, host: HostState, cause: str) -> None:
         del self._hosts[host.name]
@@ -357,17 +359,17 @@ class Presence:
     def _hear_agent(self, key: str, head: bytes, payload: bytes) -> None:
         _, name, kind, _, session = key.split("/")
         host = self._hosts.get(unquote(name))
-        if host is None or host.talk.session != orders.read_session(session):
+        if host is None or host.channel.session != orders.read_session(session):
             return
         if kind == orders.REFUSE:
             self._heed(host, payload)
             return
         try:
-            for message in host.talk.hear(kind, head, payload, time.monotonic()):
+            for message in host.channel.hear(kind, head, payload, time.monotonic()):
                 if isinstance(message, orders.Welcome):
                     self._welcome(host, message)
                 else:
-                    self._happened.append(AgentSaid(host, message))
+                    self._happened.append(AgentMessage(host, message))
         except msgspec.MsgspecError as error:
             self.leave_alone(host, f"its agent is of another version of cfgplan: {error}")
 

@@ -16,7 +16,7 @@ from cfgplan.domain import MANAGER
 from cfgplan_runtime.errors import NoSuchRunError, NoSuchTopicError
 from cfgplan_runtime.fleet.clocks import CALLS, CALLS_AGAIN, CLOCK_S, HostClock, corrected
 from cfgplan_runtime.fleet.links import config
-from cfgplan_runtime.fleet.orders import Held, TopicsTold, held_key, topics_key
+from cfgplan_runtime.fleet.orders import Held, TopicsReport, held_key, topics_key
 from cfgplan_runtime.fleet.tunnels import CONTROL, TunnelClient
 from cfgplan_runtime.fleet.ways import alive_key, host_of
 from cfgplan_runtime.streams.closable import Closable
@@ -147,10 +147,10 @@ class ReachedFleet(Closable):
             known_ns = measured_ns if known_ns is None else corrected(known_ns, measured_ns, reading.doubt_ns)
         self._offsets_ns[host] = time.time_ns() - time.monotonic_ns() if known_ns is None else known_ns
 
-    def _told(self, host: str | None = None) -> dict[str, TopicsTold]:
+    def _told(self, host: str | None = None) -> dict[str, TopicsReport]:
         """Return the topic status that a host reported; of all hosts if None."""
         return {
-            host_of(key): msgspec.json.decode(answer, type=TopicsTold)
+            host_of(key): msgspec.json.decode(answer, type=TopicsReport)
             for key, answer in self._link.ask(topics_key(host), _ANSWER_S if host is None else _REACH_S)
         }
 
@@ -165,11 +165,11 @@ class ReachedFleet(Closable):
             self._client.lose(key.rpartition("/")[2])
 
 
-def _places(told: Mapping[str, TopicsTold], topic: str, run: str | None) -> list[tuple[str, str]]:
+def _places(told: Mapping[str, TopicsReport], topic: str, run: str | None) -> list[tuple[str, str]]:
     return [(of.run, host) for host, of in sorted(told.items()) if topic in of.topics and run in (None, of.run)]
 
 
-def _why_not(topic: str, found: Sequence[tuple[str, str]], told: Mapping[str, TopicsTold]) -> str:
+def _why_not(topic: str, found: Sequence[tuple[str, str]], told: Mapping[str, TopicsReport]) -> str:
     """Why a topic can't be had that was `found` there, or nowhere."""
     if found:
         return f"topic {topic!r} is on {', '.join(host for _, host in found)}, which can't be connected to"

@@ -19,7 +19,7 @@ from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.ports import Ports, UnitInput, UnitOutput
 from cfgplan_runtime.streams import crossing
 from cfgplan_runtime.streams.element import Element, Outgoing
-from cfgplan_runtime.streams.ends import Bell
+from cfgplan_runtime.streams.ends import Waker
 from cfgplan_runtime.streams.inlet import InputQueue
 from cfgplan_runtime.streams.zenoh_link import Lane, PutThread, ZenohLink
 
@@ -68,8 +68,8 @@ class Relay:
         self._imports: dict[str, _Import] = {}
         self._arrived: deque[tuple[str, bytes, bytes]] = deque()
         self._is_closing = self._has_rung = False
-        self._bell = Bell()
-        self._ports.ends.watch(self._bell.socket, self._bell.hear)
+        self._waker = Waker()
+        self._ports.ends.watch(self._waker.socket, self._waker.hear)
         for kind in ("data", "credit"):
             link.hear(crossing.crossing_key(None, kind, host, "*"), self._take)
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -97,7 +97,7 @@ class Relay:
     def close(self) -> None:
         """End the thread and those of all exports."""
         self._is_closing = True
-        self._bell.ring()
+        self._waker.wake()
         self._thread.join()
 
     def _run(self) -> None:
@@ -114,7 +114,7 @@ class Relay:
             due_s = min(look_s if self._imports else inf, self._due_s())
             self._ports.ends.wait(None if due_s == inf else max(0.0, due_s - time.monotonic()))
             now_s = time.monotonic()
-            self._take_what_came(now_s)
+            self._take_arrivals(now_s)
             for name, export in self._exports.items():
                 self._send(name, export, now_s)
             for name, one in self._imports.items():
@@ -129,7 +129,7 @@ class Relay:
         self._arrived.append((key, head, payload))
         if not self._has_rung:
             self._has_rung = True
-            self._bell.ring()
+            self._waker.wake()
 
     def _due_s(self) -> float:
         sent = [one.sending.due_s for one in self._exports.values()]
@@ -146,7 +146,7 @@ class Relay:
                 self._ports.outputs[name] = UnitOutput()
             case messages.TellMark(name, unit) if name in self._exports:
                 self._ports.take_in(name)
-                self._exports[name].sending.offer(crossing.Piece(0, 0, unit.encode(), is_mark=True))
+                self._exports[name].sending.offer(crossing.Segment(0, 0, unit.encode(), is_mark=True))
             case messages.Release(name):
                 self._release(name)
 
@@ -159,7 +159,7 @@ class Relay:
             sending.dropped += inlet.dropped - known
             known = inlet.dropped
             payload = element.payload if isinstance(element.payload, bytes) else bytes(element.payload)
-            sending.offer(crossing.Piece(element.time_ns, element.turn, payload))
+            sending.offer(crossing.Segment(element.time_ns, element.turn, payload))
 
         port = self._ports.inputs[name] = UnitInput(name, inlet, take, lambda: not sending.is_full)
         self._exports[name] = _Export(sending, host, port)
@@ -174,7 +174,7 @@ class Relay:
             self._ports.close_output(name)
             one.put_credit.close()
 
-    def _take_what_came(self, now_s: float) -> None:
+    def _take_arrivals(self, now_s: float) -> None:
         self._has_rung = False
         while self._arrived:
             key, head, payload = self._arrived.popleft()
@@ -188,25 +188,25 @@ class Relay:
 
     def _hand_on(self, name: str, one: _Import, head: bytes, payload: bytes, now_s: float) -> None:
         frame = crossing.read_frame(head, payload)
-        for piece in () if frame is None else one.receiving.take(frame, now_s):
+        for segment in () if frame is None else one.receiving.take(frame, now_s):
             if one.receiving.dropped > one.skipped:
                 self._ports.skip(name, one.receiving.dropped - one.skipped)
                 one.skipped = one.receiving.dropped
-            if piece.is_last:
+            if segment.is_last:
                 one.has_ended = True
-            elif piece.is_mark:
-                one.marks.append(bytes(piece.payload).decode())
+            elif segment.is_mark:
+                one.marks.append(bytes(segment.payload).decode())
             else:
-                self._ports.emit(name, Outgoing(piece.time_ns, piece.turn, [piece.payload]))
+                self._ports.emit(name, Outgoing(segment.time_ns, segment.turn, [segment.payload]))
 
     def _send(self, name: str, export: _Export, now_s: float) -> None:
         if export.input.receivers:
             export.was_fed = True
         elif export.was_fed and not export.has_ended:
             export.has_ended = True
-            export.sending.offer(crossing.LAST_PIECE)
+            export.sending.offer(crossing.LAST_SEGMENT)
         for frame in export.sending.due(now_s):
-            payload = b"" if frame.piece is None else frame.piece.payload
+            payload = b"" if frame.segment is None else frame.segment.payload
             assert isinstance(payload, bytes)
             if export.thread is None:
                 lane: Lane = "large" if frame.has_more or len(payload) > LARGE_BYTES else "small"

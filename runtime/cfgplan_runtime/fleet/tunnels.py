@@ -22,7 +22,7 @@ from pathlib import Path
 from cfgplan.domain import MANAGER
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.streams import crossing
-from cfgplan_runtime.streams.ends import Bell
+from cfgplan_runtime.streams.ends import Waker
 from cfgplan_runtime.streams.run_folder import RunFolder, address, control_address
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 
@@ -53,34 +53,34 @@ class _Tunnel:
     ) -> None:
         self._declare, self._ended, self._find = declare, ended, find
         self._end: socket.socket | None = None
-        self._both = crossing.Conversation(
+        self._both = crossing.DuplexChannel(
             crossing.Sending(blocks=True, most=_MOST_TUNNEL_CHUNKS, granted=crossing.FRAMES_UNDER_WAY)
         )
         self._arrived: deque[tuple[bool, bytes, bytes]] = deque()
         self._unread = bytearray()
         self._is_closing = False
         self._close_s = inf
-        self._bell = Bell()
+        self._waker = Waker()
         self._selector = selectors.DefaultSelector()
-        self._selector.register(self._bell.socket, selectors.EVENT_READ)
+        self._selector.register(self._waker.socket, selectors.EVENT_READ)
 
     def start(self, end: socket.socket | None = None, wanted: str | None = None) -> None:
         """Begin to carry data between `end` and the other end. With `wanted`, ask the other end to connect to that."""
         if end is not None:
             self._join(end)
         if wanted is not None:
-            self._both.sending.offer(crossing.Piece(0, 0, wanted.encode()))
+            self._both.sending.offer(crossing.Segment(0, 0, wanted.encode()))
         threading.Thread(target=self._run, name="cfgplan-tunnel", daemon=True).start()
 
     def take(self, is_credit: bool, head: bytes, payload: bytes) -> None:
         """Queue data from the other end. Thread-safe."""
         self._arrived.append((is_credit, head, payload))
-        self._bell.ring()
+        self._waker.wake()
 
     def close(self) -> None:
         """End at once, since the other end is gone. Thread-safe."""
         self._is_closing = True
-        self._bell.ring()
+        self._waker.wake()
 
     def _run(self) -> None:
         try:
@@ -89,7 +89,7 @@ class _Tunnel:
         finally:
             if self._end is not None:
                 self._end.close()
-            self._bell.close()
+            self._waker.close()
             self._selector.close()
             self._ended()
 
@@ -109,7 +109,7 @@ class _Tunnel:
         self._watch()
         due_s = min(self._both.due_s, self._close_s)
         found = self._selector.select(None if due_s == inf else max(0.0, due_s - time.monotonic()))
-        self._bell.hear()
+        self._waker.hear()
         while self._arrived:
             self._understand(*self._arrived.popleft())
         if any(key.fileobj is self._end and events & selectors.EVENT_READ for key, events in found):
@@ -131,13 +131,13 @@ class _Tunnel:
             self._selector.unregister(self._end)
 
     def _understand(self, is_credit: bool, head: bytes, payload: bytes) -> None:
-        for piece in self._both.take(is_credit, head, payload, time.monotonic()):
-            if piece.is_last:
+        for segment in self._both.take(is_credit, head, payload, time.monotonic()):
+            if segment.is_last:
                 self._begin_close()
             elif self._end is not None:
-                self._unread += piece.payload
+                self._unread += segment.payload
             else:
-                end = self._find(bytes(piece.payload).decode(errors="replace"))
+                end = self._find(bytes(segment.payload).decode(errors="replace"))
                 if end is None:
                     self._finish()
                 else:
@@ -156,7 +156,7 @@ class _Tunnel:
         except OSError:
             chunk = b""
         if chunk:
-            self._both.sending.offer(crossing.Piece(0, 0, chunk))
+            self._both.sending.offer(crossing.Segment(0, 0, chunk))
         else:
             self._finish()
 
@@ -174,7 +174,7 @@ class _Tunnel:
     def _finish(self) -> None:
         """Begin to close after the local end was closed. The other end is told after all data."""
         if self._close_s == inf:
-            self._both.sending.offer(crossing.LAST_PIECE)
+            self._both.sending.offer(crossing.LAST_SEGMENT)
             self._begin_close()
 
     def _begin_close(self) -> None:
@@ -219,7 +219,7 @@ class TunnelServer:
         self._link, self._host, self._life, self._run = link, host, life, run
         self._tunnels = _Tunnels()
         self._ended: set[str] = set()
-        """Names of ended tunnels, until their client is gone: a repeated piece must not make a new tunnel."""
+        """Names of ended tunnels, until their client is gone: a repeated segment must not make a new tunnel."""
         for kind in _TUNNEL_IN:
             link.hear(crossing.crossing_key(MANAGER, kind, host, f"{life}/*/*"), self._take)
         link.watch(_client_key("*"), self._note_client)
@@ -234,7 +234,7 @@ class TunnelServer:
 
         def made() -> _Tunnel | None:
             frame = None if is_credit else crossing.read_frame(head, payload)
-            is_first = frame is not None and frame.number == 0 and frame.piece is not None
+            is_first = frame is not None and frame.number == 0 and frame.segment is not None
             return self._made(name) if is_first and name not in self._ended else None
 
         tunnel = self._tunnels.find(name, made)

@@ -87,12 +87,12 @@ def _endpoint(place: str, protocol: str) -> str | None:
     return None
 
 
-class Way:
-    """The way of a host's agent to the others. A thread updates it until `close`.
+class RouteWatch:
+    """Keeps a host's agent connected with all others, through one of them if direct links are missing. Has a thread.
 
-    Each check asks one of the known agents for the agents that it knows. If that one knows all agents known here, and
-    for a lease also another one, the link goes through it, until this host is linked with all again. If two hosts miss
-    each other, the one whose name comes earlier waits longer, so that normally the other acts for both. `failed` is
+    Each check asks one of the known agents for the agents that it knows. If it knows all agents known here, and for the
+    time of a lease one more, the link goes through it, until this host is linked with all again. If two hosts miss each
+    other, the one whose name comes earlier waits longer, so that normally the other one acts for both. `failed` is
     called with the error if this agent and another connect to each other, `say` with messages for the user.
     """
 

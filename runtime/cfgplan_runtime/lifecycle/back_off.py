@@ -26,8 +26,8 @@ class BackOffRules:
     """Times in seconds. The first failure in a row causes no wait, the second `first_s`, each further one twice the
     wait before.
 
-    The failure of a unit that had lived for `good_life_s` is a first one. A transformation that nothing can replace
-    waits `alone_s` at most.
+    The failure of a unit that had lived for `good_life_s` counts as a first one. No wait is longer than `most_s`. A
+    transformation that nothing can replace waits `alone_s` at most.
     """
 
     first_s: float = 1.0

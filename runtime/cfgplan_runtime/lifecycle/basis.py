@@ -17,8 +17,8 @@ from cfgplan.domain import ChangeSet, Environment
 from cfgplan.errors import Fault
 from cfgplan.formats.plan_file import dump_plan
 from cfgplan.planning import Plan, Problem, Status
-from cfgplan_runtime.lifecycle.configuration import Scene, avoided_now
-from cfgplan_runtime.lifecycle.deliberation import Deliberation, Thought
+from cfgplan_runtime.lifecycle.configuration import PlanInput, avoided_now
+from cfgplan_runtime.lifecycle.deliberation import Deliberation, Findings
 from cfgplan_runtime.lifecycle.reports import Decision
 
 Basis: TypeAlias = Mapping[str, Mapping[str, str]]
@@ -41,25 +41,25 @@ _MOST_REASONS = 6
 class Preview:
     """The change that a review would make now, with its problem and its basis."""
 
-    thought: Thought
+    findings: Findings
     problem: Problem
     basis: Basis
 
-    def holds_for(self, scene: Scene) -> bool:
-        """Whether a review of this scene would plan the same: basis, facts and avoided transformations are equal."""
+    def holds_for(self, plan_input: PlanInput) -> bool:
+        """Whether a review of this input would plan the same: basis, facts and avoided transformations are equal."""
         return (
-            not staleness(self.basis, basis_of(scene.world, scene.running))
-            and scene.world.environment.facts == self.thought.planned.facts
-            and avoided_now(scene) == self.thought.avoided
-            and self.thought.change_set is not None
+            not staleness(self.basis, basis_of(plan_input.world, plan_input.running))
+            and plan_input.world.environment.facts == self.findings.planned.facts
+            and avoided_now(plan_input) == self.findings.avoided
+            and self.findings.change_set is not None
         )
 
 
-def preview_of(deliberation: Deliberation, scene: Scene, stop: threading.Event) -> Preview:
-    """The change that an optimising review of a scene would make. `stop` ends planning early."""
-    thought = deliberation.think(scene, optimises=True, stop=stop)
-    problem = deliberation.problem(thought.planned, scene.world)
-    return Preview(thought, problem, basis_of(scene.world, scene.running))
+def preview_of(deliberation: Deliberation, plan_input: PlanInput, stop: threading.Event) -> Preview:
+    """The change that an optimising review of this input would make. `stop` ends planning early."""
+    findings = deliberation.think(plan_input, optimises=True, stop=stop)
+    problem = deliberation.problem(findings.planned, plan_input.world)
+    return Preview(findings, problem, basis_of(plan_input.world, plan_input.running))
 
 
 def basis_of(world: World, running: Environment) -> Basis:
@@ -88,17 +88,17 @@ def basis_of(world: World, running: Environment) -> Basis:
 
 def previewed(preview: Preview) -> Plan:
     """The change that a review would make, as a plan."""
-    thought = preview.thought
-    status = Status.UNKNOWN if thought.change_set is None else Status.FEASIBLE
+    findings = preview.findings
+    status = Status.UNKNOWN if findings.change_set is None else Status.FEASIBLE
     return Plan(
         "review",
-        Status.OPTIMAL if thought.is_proven else status,
-        thought.change_set if thought.decision is not Decision.KEPT else ChangeSet(),
-        thought.cost_us,
-        thought.bound_us,
-        thought.unmet,
-        undecided=thought.undecided,
-        seconds=thought.seconds,
+        Status.OPTIMAL if findings.is_proven else status,
+        findings.change_set if findings.decision is not Decision.KEPT else ChangeSet(),
+        findings.cost_us,
+        findings.bound_us,
+        findings.unmet,
+        undecided=findings.undecided,
+        seconds=findings.seconds,
     )
 
 

@@ -104,7 +104,7 @@ class LoseHost:
 
 @dataclass(frozen=True, slots=True)
 class RegainHost:
-    """A host has come back."""
+    """Use a host again that was taken out of service."""
 
     host: str
 

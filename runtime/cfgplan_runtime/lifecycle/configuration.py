@@ -17,7 +17,7 @@ from cfgplan.facts import FactValue
 from cfgplan.planning import fresh_units
 from cfgplan.ros.sources import NodeSource
 from cfgplan_runtime.lifecycle.back_off import BackOffs, Place
-from cfgplan_runtime.lifecycle.differences import runs_alike
+from cfgplan_runtime.lifecycle.differences import can_run_as
 from cfgplan_runtime.lifecycle.seams import Estimator
 from cfgplan_runtime.lifecycle.silence import Silence
 
@@ -87,7 +87,7 @@ class Situation:
         return self.code_faults.get(label) or self.back_offs.why_not(label, host)
 
     def as_it_is(self, world: World) -> World:
-        """The world with the facts as they have been set, and outputs as good as streams have said."""
+        """The world with its present facts, learned qualities and measured rates of links."""
         if not (self.facts or self.qualities or self.link_rates):
             return world
         environment = world.environment.with_facts(self.facts).with_qualities(self.qualities)
@@ -121,7 +121,7 @@ class Situation:
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class PlanInput:
     """The input of a plan: the world, the running configuration, and the other knowledge about running units."""
 
     world: World
@@ -182,15 +182,15 @@ def _capped(cost_us: int) -> int:
     return max(0, min(cost_us, LARGEST_ESTIMATE_US))
 
 
-def avoided_now(scene: Scene) -> dict[str, str]:
+def avoided_now(plan_input: PlanInput) -> dict[str, str]:
     """The reasons why transformations are left out, by label. One that backs off is kept while a good unit
     of it runs.
     """
-    world, situation = scene.world.environment, scene.situation
+    world, situation = plan_input.world.environment, plan_input.situation
     avoided = dict(world.left_out)
     for label, transformation in world.transformation.items():
         places = world.hosts_for(transformation) if world.hosts else (transformation.host,)
-        if label in avoided or not places or may_start(scene, transformation):
+        if label in avoided or not places or may_start(plan_input, transformation):
             continue
         lost = [host for host in places if situation.is_lost(host)]
         if len(lost) == len(places):
@@ -202,19 +202,19 @@ def avoided_now(scene: Scene) -> dict[str, str]:
     return avoided
 
 
-def may_start(scene: Scene, transformation: Transformation) -> tuple[str | None, ...]:
-    """The hosts where units of a transformation may be now: nothing speaks against them, or a good one runs there.
+def may_start(plan_input: PlanInput, transformation: Transformation) -> tuple[str | None, ...]:
+    """The hosts where units of a transformation may run now: nothing rules them out, or a unit of it runs well there.
 
     None stands for the only place of a world without hosts.
     """
-    world, situation = scene.world.environment, scene.situation
+    world, situation = plan_input.world.environment, plan_input.situation
     places = world.hosts_for(transformation) if world.hosts else (transformation.host,)
     against = {host for host in places if situation.why_not(transformation.label, host) is not None}
     if not against:
         return places
     sound = {
         unit.host
-        for unit in scene.running.units
+        for unit in plan_input.running.units
         if unit.id in situation.units
         and unit.id not in situation.failing
         and situation.units[unit.id].transformation.label == transformation.label
@@ -223,27 +223,29 @@ def may_start(scene: Scene, transformation: Transformation) -> tuple[str | None,
     return tuple(host for host in places if host not in against or (host in sound and not situation.is_lost(host)))
 
 
-def environment_to_plan(scene: Scene, avoided: Mapping[str, str], costs: Mapping[str, Transformation]) -> Environment:
+def environment_to_plan(
+    plan_input: PlanInput, avoided: Mapping[str, str], costs: Mapping[str, Transformation]
+) -> Environment:
     """The environment that an update is planned for.
 
     It has no host that is lost, and no target there. A unit that can't go on (given up, of a transformation that runs
     otherwise now, or on a host that it does not have) gets a label that the library does not have, so that the planner
     stops it, and replaces it where it is needed.
     """
-    world, situation = scene.world.environment, scene.situation
-    library = tuple(_where_it_may(scene, costs[label]) for label in world.transformation if label not in avoided)
+    world, situation = plan_input.world.environment, plan_input.situation
+    library = tuple(_where_it_may(plan_input, costs[label]) for label in world.transformation if label not in avoided)
     hosts = tuple(host for host in world.hosts if not situation.is_lost(host.name))
     targets = tuple(target for target in world.targets if not situation.is_lost(target.host))
-    units = tuple(_as_planned(unit, world, hosts, situation) for unit in scene.running.units)
+    units = tuple(_as_planned(unit, world, hosts, situation) for unit in plan_input.running.units)
     return replace(world, units=units, library=library, targets=targets, hosts=hosts)
 
 
-def _where_it_may(scene: Scene, transformation: Transformation) -> Transformation:
+def _where_it_may(plan_input: PlanInput, transformation: Transformation) -> Transformation:
     """Return the transformation without the reachable hosts on which it keeps failing."""
-    world, situation = scene.world.environment, scene.situation
+    world, situation = plan_input.world.environment, plan_input.situation
     if not situation.back_offs.places_of(transformation.label) or not world.hosts or transformation.host is not None:
         return transformation
-    allowed = may_start(scene, transformation)
+    allowed = may_start(plan_input, transformation)
     there = [host for host in world.hosts_for(transformation) if not situation.is_lost(host)]
     hosts = tuple(host for host in allowed if host is not None)
     return transformation if len(allowed) == len(there) else replace(transformation, hosts=hosts)
@@ -267,7 +269,7 @@ def _as_planned(
     is_old = (
         now is not None
         and known is not None
-        and not runs_alike(known.transformation, now)
+        and not can_run_as(known.transformation, now)
         and situation.why_not(now.label, unit.host) is None
     )
     is_there = unit.host in [host.name for host in hosts] if hosts else unit.host is None

@@ -19,7 +19,7 @@ from cfgplan_runtime.lifecycle.back_off import BackOffs, Place
 from cfgplan_runtime.lifecycle.basis import basis_of, staleness
 from cfgplan_runtime.lifecycle.changes import ApplyPlan, RestartUnits, Stop
 from cfgplan_runtime.lifecycle.configuration import Situation, external_units, restarting, with_world
-from cfgplan_runtime.lifecycle.deliberation import Looked, Thought
+from cfgplan_runtime.lifecycle.deliberation import Findings, Looked
 from cfgplan_runtime.lifecycle.fact_values import fact_seen, facts_fallen_silent
 from cfgplan_runtime.lifecycle.inbox import Asked, FactSeen, Item, Leave, PreviewAsked, QualityTold, Unusable
 from cfgplan_runtime.lifecycle.kinds import Urgency, kind_of
@@ -37,13 +37,12 @@ from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Decision, Ended, Observed, Review, ReviewBegan, Reviewed
 from cfgplan_runtime.lifecycle.state import Doing, Entry, Gathering, Planning, State, Updating
 from cfgplan_runtime.lifecycle.stream_qualities import qualities_faded, qualities_learned, quality_told
-from cfgplan_runtime.lifecycle.turns import (
+from cfgplan_runtime.lifecycle.transitions import (
     ApplyUpdate,
     Effect,
     Finished,
     GivenJudged,
-    Happened,
-    Happening,
+    Input,
     JudgeGiven,
     MakeLook,
     MakePlan,
@@ -57,11 +56,12 @@ from cfgplan_runtime.lifecycle.turns import (
     StopAll,
     Tell,
     Tick,
-    Turn,
+    TimedInput,
+    Transition,
     Updated,
 )
 from cfgplan_runtime.lifecycle.views import silence_reason
-from cfgplan_runtime.lifecycle.worlds import LivingWorld
+from cfgplan_runtime.lifecycle.worlds import WorldVersion
 from cfgplan_runtime.supervision.delays import doubling_s
 from cfgplan_runtime.supervision.events import Event
 
@@ -95,260 +95,262 @@ def breaks_in(doing: Doing, item: Item) -> BreakIn:
 
 
 def first_state(world: World, policy: Policy) -> State:
-    """Nothing has happened yet."""
+    """Return the state of a manager that has got no input yet."""
     situation = Situation(BackOffs(policy.back_off), awaits_hosts=policy.hosts_s is not None)
-    return State(policy, LivingWorld(world, refuses_hosts=policy.refuses_hosts), situation)
+    return State(policy, WorldVersion(world, refuses_hosts=policy.refuses_hosts), situation)
 
 
-def decide(state: State, happened: Happened) -> tuple[State, tuple[Effect, ...]]:
+def decide(state: State, happened: TimedInput) -> tuple[State, tuple[Effect, ...]]:
     """The state after something has happened, and the effects to carry out, in this order.
 
-    At most one of them is MakePlan, ApplyUpdate or StopAll, as the last, and none before the one before is answered.
-    Match and Observe are answered, by Matched and Seen, before anything else happens.
+    At most one effect is MakePlan, ApplyUpdate or StopAll. It is the last, and the next one of these follows only after
+    its answer. Match and Observe are answered, by Matched and Seen, before any other input.
     """
     if state.running is not happened.running:
         state = replace(state, running=happened.running)
-    turn = _case(Turn(state, happened.at_s), happened.what)
-    return turn.state, turn.effects
+    transition = _case(Transition(state, happened.at_s), happened.what)
+    return transition.state, transition.effects
 
 
-def _case(turn: Turn, what: Happening) -> Turn:
+def _case(transition: Transition, what: Input) -> Transition:
     match what:
         case Started():
-            is_short = bool(turn.state.situation.lost_hosts(turn.state.living.world.environment))
-            return turn.perturbed(what, delay_s=(turn.state.policy.hosts_s or 0.0) if is_short else 0.0)
+            is_short = bool(transition.state.situation.lost_hosts(transition.state.version.world.environment))
+            return transition.perturbed(what, delay_s=(transition.state.policy.hosts_s or 0.0) if is_short else 0.0)
         case Tick():
-            return _tick(turn, what.time_s)
+            return _tick(transition, what.time_s)
         case Asked():
-            return intake.asked(turn, what)
+            return intake.asked(transition, what)
         case Matched():
-            return intake.matched(turn, what)
+            return intake.matched(transition, what)
         case FactSeen(name, value):
-            return fact_seen(turn, name, value)
+            return fact_seen(transition, name, value)
         case QualityTold(statement, value):
-            return quality_told(turn, statement, value)
+            return quality_told(transition, statement, value)
         case PreviewAsked():
-            return turn.to(replace(turn.state, previews=(*turn.state.previews, what.outcome)))
+            return transition.to(replace(transition.state, previews=(*transition.state.previews, what.outcome)))
         case Unusable():
-            return intake.refused(turn, what.by, what.faults)
+            return intake.refused(transition, what.by, what.faults)
         case Leave():
-            return turn.to(replace(turn.state, is_closing=True))
+            return transition.to(replace(transition.state, is_closing=True))
         case Seen():
-            return _seen(turn, what)
+            return _seen(transition, what)
         case Planned():
-            return _planned(turn, what)
+            return _planned(transition, what)
         case GivenJudged():
-            return _given_judged(turn, what.thought)
+            return _given_judged(transition, what.findings)
         case Looked():
-            return _looked(turn, what)
+            return _looked(transition, what)
         case Updated():
-            return _updated(turn, what)
+            return _updated(transition, what)
         case Finished():
-            return _finished(turn, what.cause)
+            return _finished(transition, what.cause)
         case _:
-            return intake.heard(turn, what)
+            return intake.heard(transition, what)
 
 
-def _tick(turn: Turn, time_s: float) -> Turn:
+def _tick(transition: Transition, time_s: float) -> Transition:
     """Begin the work that is due."""
-    state, at_s = turn.state, turn.at_s
+    state, at_s = transition.state, transition.at_s
     if state.is_closing or state.stops:
-        return _ended(turn)
+        return _ended(transition)
     back_offs = state.situation.back_offs.at(at_s)
     ended = state.situation.back_offs.avoided - back_offs.avoided
     if ended:
-        turn = turn.situated(replace(state.situation, back_offs=back_offs))
-        turn = turn.perturbed(MayStartAgain(tuple(sorted({place.label for place in ended}))))
+        transition = transition.situated(replace(state.situation, back_offs=back_offs))
+        transition = transition.perturbed(MayStartAgain(tuple(sorted({place.label for place in ended}))))
     if state.horizon_at_s <= at_s:
-        turn = qualities_faded(turn.to(replace(turn.state, cycle_began_s=inf)))
-        turn = turn.perturbed(HorizonReached(state.living.world.horizon_s))
-    state = (turn := _look_ended(facts_fallen_silent(turn))).state
+        transition = qualities_faded(transition.to(replace(transition.state, cycle_began_s=inf)))
+        transition = transition.perturbed(HorizonReached(state.version.world.horizon_s))
+    state = (transition := _look_ended(facts_fallen_silent(transition))).state
     if state.doing is None and state.due_s <= at_s:
-        turn = turn.to(replace(state, doing=Gathering(at_s + state.policy.gather_s)))
-    match turn.state.doing:
+        transition = transition.to(replace(state, doing=Gathering(at_s + state.policy.gather_s)))
+    match transition.state.doing:
         case Gathering(until_s) if until_s <= at_s:
-            return _begun(turn, time_s)
-        case None if state.has_plans_to_see_to:
-            return _seen_to(turn, time_s)
+            return _begun(transition, time_s)
+        case None if state.has_waiting_plans:
+            return _seen_to(transition, time_s)
         case None if state.observe_at_s <= at_s:
-            return turn.also(Observe())
+            return transition.also(Observe())
         case None if state.look_at_s <= at_s:
-            return _look_begun(turn, time_s)
-    return turn
+            return _look_begun(transition, time_s)
+    return transition
 
 
-def _look_begun(turn: Turn, time_s: float) -> Turn:
+def _look_begun(transition: Transition, time_s: float) -> Transition:
     """Have a look planned at a transformation that was found too bad and was not observed for long."""
-    state, at_s = turn.state, turn.at_s
-    planning = Planning(state.number + 1, at_s, time_s, 0.0, state.living.world, plans=1)
+    state, at_s = transition.state, transition.at_s
+    planning = Planning(state.number + 1, at_s, time_s, 0.0, state.version.world, plans=1)
     unmet = state.reviews[-1].unmet if state.reviews else {}
-    turn = _units_known(turn.to(replace(state, doing=planning)))
+    transition = _units_known(transition.to(replace(state, doing=planning)))
     due = tuple(label for label, due_s in state.looks_due_s.items() if due_s <= at_s)
-    return turn.also(MakeLook(turn.state.scene, due, unmet))
+    return transition.also(MakeLook(transition.state.plan_input, due, unmet))
 
 
-def _looked(turn: Turn, looked: Looked) -> Turn:
+def _looked(transition: Transition, looked: Looked) -> Transition:
     """Start the units of a planned look. If something has happened meanwhile, the look is planned again later."""
-    state, planning = turn.state, turn.state.doing
+    state, planning = transition.state, transition.state.doing
     assert isinstance(planning, Planning)
     if state.entries or state.is_closing or state.stops:
-        return turn.to(replace(state, doing=None))
-    state = replace(state, looks=state.looks.begun(looked.tried, turn.at_s, state.policy.look_every_s or 0.0))
-    if looked.thought is None:
-        return turn.to(replace(state, doing=None))
-    planning = replace(planning, entries=(Entry(LookDue(looked.label), turn.at_s, turn.at_s),))
+        return transition.to(replace(state, doing=None))
+    state = replace(state, looks=state.looks.begun(looked.tried, transition.at_s, state.policy.look_every_s or 0.0))
+    if looked.findings is None:
+        return transition.to(replace(state, doing=None))
+    planning = replace(planning, entries=(Entry(LookDue(looked.label), transition.at_s, transition.at_s),))
     looks = state.looks.at(looked.label, state.situation.qualities)
-    turn = turn.to(replace(state, number=planning.number, doing=planning, looks=looks))
-    turn = turn.also(Tell(ReviewBegan(planning.number, (LookDue(looked.label),))))
-    return _carried_out(turn, planning, looked.thought)
+    transition = transition.to(replace(state, number=planning.number, doing=planning, looks=looks))
+    transition = transition.also(Tell(ReviewBegan(planning.number, (LookDue(looked.label),))))
+    return _carried_out(transition, planning, looked.findings)
 
 
-def _look_ended(turn: Turn) -> Turn:
+def _look_ended(transition: Transition) -> Transition:
     """End a look whose time is over; a review decides whether its units stay."""
-    state, looks = turn.state, turn.state.looks
-    if looks.until_s > turn.at_s:
-        return turn
+    state, looks = transition.state, transition.state.looks
+    if looks.until_s > transition.at_s:
+        return transition
     if (longer := looks.longer(state.running, state.seen)) is not looks:
-        return turn.to(replace(state, looks=longer))
+        return transition.to(replace(state, looks=longer))
     every_s = state.policy.look_every_s or 0.0
-    over = looks.over(state.living.world.environment, state.situation.qualities, every_s)
-    return turn.to(replace(state, looks=over)).perturbed(LookOver(looks.units))
+    over = looks.over(state.version.world.environment, state.situation.qualities, every_s)
+    return transition.to(replace(state, looks=over)).perturbed(LookOver(looks.units))
 
 
-def _begun(turn: Turn, time_s: float) -> Turn:
+def _begun(transition: Transition, time_s: float) -> Transition:
     """A review begins."""
-    state, number = turn.state, turn.state.number + 1
-    detect_s = turn.at_s - min(entry.at_s for entry in state.entries)
-    planning = Planning(number, turn.at_s, time_s, detect_s, state.living.world)
+    state, number = transition.state, transition.state.number + 1
+    detect_s = transition.at_s - min(entry.at_s for entry in state.entries)
+    planning = Planning(number, transition.at_s, time_s, detect_s, state.version.world)
     perturbations = tuple(entry.perturbation for entry in state.entries)
     if any(isinstance(perturbation, HorizonReached) for perturbation in perturbations):
-        turn = turn.also(Observe())
-    turn = turn.also(Tell(ReviewBegan(number, perturbations)))
-    return _planning(turn.to(replace(state, number=number, doing=planning)), planning)
+        transition = transition.also(Observe())
+    transition = transition.also(Tell(ReviewBegan(number, perturbations)))
+    return _planning(transition.to(replace(state, number=number, doing=planning)), planning)
 
 
-def _planning(turn: Turn, planning: Planning) -> Turn:
+def _planning(transition: Transition, planning: Planning) -> Transition:
     """Ask for one plan that answers all perturbations."""
-    state = turn.state
+    state = transition.state
     entries = (*planning.entries, *state.entries)
     planning = replace(
         planning,
-        world=state.living.world,
+        world=state.version.world,
         entries=entries,
         plans=planning.plans + 1,
         optimises=state.owes_optimising or any(kind_of(each.perturbation).optimises for each in entries),
     )
-    turn = _units_known(turn.to(replace(state, doing=planning, entries=())))
-    return turn.also(MakePlan(turn.state.scene, planning.optimises, _is_last(planning, state)))
+    transition = _units_known(transition.to(replace(state, doing=planning, entries=())))
+    return transition.also(MakePlan(transition.state.plan_input, planning.optimises, _is_last(planning, state)))
 
 
-def _units_known(turn: Turn) -> Turn:
+def _units_known(transition: Transition) -> Transition:
     """Record running units that are not known yet, such as those that a manager starts with."""
-    running = turn.state.running
-    return turn.situated(turn.state.situation.with_started(running.units, running, turn.at_s))
+    running = transition.state.running
+    return transition.situated(transition.state.situation.with_started(running.units, running, transition.at_s))
 
 
-def _seen_to(turn: Turn, time_s: float) -> Turn:
+def _seen_to(transition: Transition, time_s: float) -> Transition:
     """Judge the first given plan or restart, unless its basis is stale. Without one, make the previews."""
-    state, at_s = turn.state, turn.at_s
+    state, at_s = transition.state, transition.at_s
     if not state.given:
-        return turn.to(replace(state, previews=())).also(MakePreview(state.scene, state.previews))
+        return transition.to(replace(state, previews=())).also(MakePreview(state.plan_input, state.previews))
     request, *others = state.given
-    turn = turn.to(replace(state, given=tuple(others)))
+    transition = transition.to(replace(state, given=tuple(others)))
     match request.change:
         case ApplyPlan(change_set, basis, by):
             asked: PlanGiven | RestartAsked = PlanGiven(by)
-            if faults := staleness(basis, basis_of(state.scene.world, state.running)):
-                return turn.also(Respond(request.outcome, InputError(faults)))
+            if faults := staleness(basis, basis_of(state.plan_input.world, state.running)):
+                return transition.also(Respond(request.outcome, InputError(faults)))
         case RestartUnits(units, by):
             asked, change_set = RestartAsked(units, by), restarting(state.running, units)
             if not change_set:  # none of them runs any more
-                return turn.also(Respond(request.outcome))
+                return transition.also(Respond(request.outcome))
         case other:
             raise AssertionError(other)
     entry = Entry(asked, at_s, at_s, (request.outcome,))
-    planning = Planning(state.number + 1, at_s, time_s, 0.0, state.living.world, (entry,), plans=1)
-    turn = _units_known(turn.to(replace(turn.state, doing=planning)))
-    return turn.also(JudgeGiven(turn.state.scene, change_set))
+    planning = Planning(state.number + 1, at_s, time_s, 0.0, state.version.world, (entry,), plans=1)
+    transition = _units_known(transition.to(replace(transition.state, doing=planning)))
+    return transition.also(JudgeGiven(transition.state.plan_input, change_set))
 
 
-def _given_judged(turn: Turn, thought: Thought) -> Turn:
+def _given_judged(transition: Transition, findings: Findings) -> Transition:
     """Carry out a plan that was given, if it is valid."""
-    state, planning = turn.state, turn.state.doing
+    state, planning = transition.state, transition.state.doing
     assert isinstance(planning, Planning)
-    if thought.change_set is None:
+    if findings.change_set is None:
         mend = "have another one made: `cfgplan ctl plan --out`"
-        refusal = InputError.of(f"the plan can't be carried out: {thought.cause}", mend=mend)
+        refusal = InputError.of(f"the plan can't be carried out: {findings.cause}", mend=mend)
         outcomes = [outcome for entry in planning.entries for outcome in entry.outcomes]
-        return turn.to(replace(state, doing=None)).also(*(Respond(outcome, refusal) for outcome in outcomes))
+        return transition.to(replace(state, doing=None)).also(*(Respond(outcome, refusal) for outcome in outcomes))
     perturbations = tuple(entry.perturbation for entry in planning.entries)
-    turn = turn.to(replace(state, number=planning.number)).also(Tell(ReviewBegan(planning.number, perturbations)))
-    return _carried_out(turn, planning, thought)
+    transition = transition.to(replace(state, number=planning.number)).also(
+        Tell(ReviewBegan(planning.number, perturbations))
+    )
+    return _carried_out(transition, planning, findings)
 
 
 def _is_last(planning: Planning, state: State) -> bool:
     return planning.plans > state.policy.interruptions
 
 
-def _planned(turn: Turn, planned: Planned) -> Turn:
+def _planned(transition: Transition, planned: Planned) -> Transition:
     """Carry out the new plan, unless an item has come in between."""
-    state, thought, planning = turn.state, planned.thought, turn.state.doing
+    state, findings, planning = transition.state, planned.findings, transition.state.doing
     assert isinstance(planning, Planning)
     if state.is_closing or state.stops:
-        return _ended(turn)
+        return _ended(transition)
     if not _is_last(planning, state) and (state.entries or planned.was_interrupted):
-        return _planning(turn, planning)
-    for label in thought.hurried:
-        turn = _shortened(turn, label)
-    if thought.change_set is None:
-        return _reviewed(turn, planning, thought, UpdateFailed(thought.cause))
-    return _carried_out(turn, planning, thought)
+        return _planning(transition, planning)
+    for label in findings.hurried:
+        transition = _shortened(transition, label)
+    if findings.change_set is None:
+        return _reviewed(transition, planning, findings, UpdateFailed(findings.cause))
+    return _carried_out(transition, planning, findings)
 
 
-def _carried_out(turn: Turn, planning: Planning, thought: Thought) -> Turn:
+def _carried_out(transition: Transition, planning: Planning, findings: Findings) -> Transition:
     """Apply the decision, if it changes anything."""
-    state, library = turn.state, planning.world.environment
-    wanted = thought.change_set if thought.decision is Decision.APPLIED else None
+    state, library = transition.state, planning.world.environment
+    wanted = findings.change_set if findings.decision is Decision.APPLIED else None
     change_set = with_world(wanted or ChangeSet(), library, state.running)
     if not change_set:
-        return _prepared(_reviewed(turn, planning, thought, None))
-    situation = turn.state.situation.without(*(unit.id for unit in change_set.started))
-    turn = turn.situated(situation.with_started(change_set.started, library, turn.at_s))
-    turn = turn.to(replace(turn.state, doing=Updating(planning, thought, change_set)))
-    return turn.also(ApplyUpdate(change_set, thought.running))
+        return _prepared(_reviewed(transition, planning, findings, None))
+    situation = transition.state.situation.without(*(unit.id for unit in change_set.started))
+    transition = transition.situated(situation.with_started(change_set.started, library, transition.at_s))
+    transition = transition.to(replace(transition.state, doing=Updating(planning, findings, change_set)))
+    return transition.also(ApplyUpdate(change_set, findings.running))
 
 
-def _shortened(turn: Turn, label: str) -> Turn:
+def _shortened(transition: Transition, label: str) -> Transition:
     """Shorten the back-off of a transformation that nothing can replace."""
-    situation = turn.state.situation
-    back_offs = situation.back_offs.shortening(label, turn.at_s)
+    situation = transition.state.situation
+    back_offs = situation.back_offs.shortening(label, transition.at_s)
     if back_offs is situation.back_offs:
-        return turn
-    return turn.situated(replace(situation, back_offs=back_offs)).telling_back_off(label)
+        return transition
+    return transition.situated(replace(situation, back_offs=back_offs)).telling_back_off(label)
 
 
-def _updated(turn: Turn, updated: Updated) -> Turn:
+def _updated(transition: Transition, updated: Updated) -> Transition:
     """An update was carried out or not."""
-    updating = turn.state.doing
+    updating = transition.state.doing
     assert isinstance(updating, Updating)
-    thought = replace(updating.thought, seconds={**updating.thought.seconds, "apply": updated.seconds})
+    findings = replace(updating.findings, seconds={**updating.findings.seconds, "apply": updated.seconds})
     if updated.error is not None:
-        turn, failed = _failed(turn, updating, updated.error)
-        return _reviewed(turn, updating.planning, thought, failed)
-    turn = turn.situated(turn.state.situation.without(*updating.change_set.stopped))
+        transition, failed = _failed(transition, updating, updated.error)
+        return _reviewed(transition, updating.planning, findings, failed)
+    transition = transition.situated(transition.state.situation.without(*updating.change_set.stopped))
     started = updating.change_set.started
-    looks = turn.state.looks
+    looks = transition.state.looks
     if _is_look(updating.planning):
-        looks = looks.running(tuple(unit.id for unit in started), turn.at_s)
-    seen = turn.state.seen.after_update(unit.id for unit in started)
-    turn = turn.to(replace(turn.state, seen=seen, looks=looks))
-    turn = _reviewed(turn, updating.planning, thought, None)
+        looks = looks.running(tuple(unit.id for unit in started), transition.at_s)
+    seen = transition.state.seen.after_update(unit.id for unit in started)
+    transition = transition.to(replace(transition.state, seen=seen, looks=looks))
+    transition = _reviewed(transition, updating.planning, findings, None)
     for gone, lived_s in updating.gone:
-        turn = intake.died(turn, gone, lived_s)
-    return _prepared(turn)
+        transition = intake.died(transition, gone, lived_s)
+    return _prepared(transition)
 
 
-def _failed(turn: Turn, updating: Updating, error: Exception) -> tuple[Turn, UpdateFailed]:
+def _failed(transition: Transition, updating: Updating, error: Exception) -> tuple[Transition, UpdateFailed]:
     """The perturbation of a failed update; its transformations are refused, postponed or blamed."""
     slow: tuple[str, ...] = ()
     match error:
@@ -357,131 +359,135 @@ def _failed(turn: Turn, updating: Updating, error: Exception) -> tuple[Turn, Upd
         case errors.NoSourceError(transformations=labels, cause=cause):
             failed = UpdateFailed(str(error), labels)
             for label in labels:
-                situation = turn.state.situation
+                situation = transition.state.situation
                 refusing = situation.back_offs.refusing(label, cause)
-                turn = turn.situated(replace(situation, back_offs=refusing)).telling_back_off(label)
+                transition = transition.situated(replace(situation, back_offs=refusing)).telling_back_off(label)
         case errors.AbandonedError(units=slow):
-            turn, postponed = _postponed(turn, slow)
+            transition, postponed = _postponed(transition, slow)
             failed = UpdateFailed(str(error), postponed)
         case errors.ApplyError(units=slow):
-            turn, blamed = _blamed(turn, updating, slow, str(error))
+            transition, blamed = _blamed(transition, updating, slow, str(error))
             failed = UpdateFailed(str(error), blamed)
         case _:
             failed = UpdateFailed(f"the middleware failed: {type(error).__name__}: {error}", is_fault=True)
-    gone = updating.starting.union(slow).difference(turn.state.running.unit)
-    return turn.situated(turn.state.situation.without(*gone)), failed
+    gone = updating.starting.union(slow).difference(transition.state.running.unit)
+    return transition.situated(transition.state.situation.without(*gone)), failed
 
 
-def _postponed(turn: Turn, units: tuple[str, ...]) -> tuple[Turn, tuple[str, ...]]:
+def _postponed(transition: Transition, units: tuple[str, ...]) -> tuple[Transition, tuple[str, ...]]:
     """Postpone the transformations whose units were starting as the update was abandoned. Returns their labels too."""
-    situation, until_s = turn.state.situation, turn.at_s + turn.state.policy.postpone_s
+    situation, until_s = transition.state.situation, transition.at_s + transition.state.policy.postpone_s
     places = {place for unit in units if (place := situation.place_of(unit)) is not None}
     for place in places:
         situation = replace(situation, back_offs=situation.back_offs.postponing(place, until_s))
-    return turn.situated(situation), tuple(sorted({place.label for place in places}))
+    return transition.situated(situation), tuple(sorted({place.label for place in places}))
 
 
-def _blamed(turn: Turn, updating: Updating, units: tuple[str, ...], cause: str) -> tuple[Turn, tuple[str, ...]]:
+def _blamed(
+    transition: Transition, updating: Updating, units: tuple[str, ...], cause: str
+) -> tuple[Transition, tuple[str, ...]]:
     """Blame the transformations whose units did not start. Returns their labels too."""
     labels = [gone.transformation for gone, _ in updating.gone]
     for gone, lived_s in updating.gone:
         if lived_s is not None:
-            turn = turn.blamed(Place(gone.transformation, gone.host), lived_s, gone.cause, is_costly=True)
+            transition = transition.blamed(Place(gone.transformation, gone.host), lived_s, gone.cause, is_costly=True)
     for unit in units:
-        place = turn.state.situation.place_of(unit)
+        place = transition.state.situation.place_of(unit)
         if place is not None and place.label not in labels:  # it was too slow, but has not died
-            turn = turn.blamed(place, 0.0, cause, is_costly=True)
+            transition = transition.blamed(place, 0.0, cause, is_costly=True)
             labels.append(place.label)
-    return turn, tuple(sorted(set(labels)))
+    return transition, tuple(sorted(set(labels)))
 
 
-def _reviewed(turn: Turn, planning: Planning, thought: Thought, failed: UpdateFailed | None) -> Turn:
+def _reviewed(
+    transition: Transition, planning: Planning, findings: Findings, failed: UpdateFailed | None
+) -> Transition:
     """Record a finished review, answer the requests that wait for it, and request another one if it has failed."""
-    review = _record(turn.state, planning, thought, failed)
-    turn = _followed_up(turn, planning, failed)
-    state, at_s = turn.state, turn.at_s
+    review = _record(transition.state, planning, findings, failed)
+    transition = _followed_up(transition, planning, failed)
+    state, at_s = transition.state, transition.at_s
     is_look = _is_look(planning)
     optimised = failed is None and not is_look and (planning.optimises or review.decision is Decision.APPLIED)
-    turn = turn.to(
+    transition = transition.to(
         replace(
             state,
             doing=None,
             reviews=(*state.reviews, review)[-state.policy.reviews_kept :],
-            costs=thought.planned.transformation,
+            costs=findings.planned.transformation,
             match_s=0.0,
             cycle_began_s=at_s if optimised else state.cycle_began_s,
             observe_at_s=at_s + state.policy.observe_every_s if state.observe_at_s == inf else state.observe_at_s,
         )
     )
     outcomes = [outcome for entry in planning.entries for outcome in entry.outcomes]
-    return turn.also(Tell(Reviewed(review)), *(Respond(outcome, review) for outcome in outcomes))
+    return transition.also(Tell(Reviewed(review)), *(Respond(outcome, review) for outcome in outcomes))
 
 
 def _is_look(planning: Planning) -> bool:
     return any(isinstance(entry.perturbation, LookDue) for entry in planning.entries)
 
 
-def _record(state: State, planning: Planning, thought: Thought, failed: UpdateFailed | None) -> Review:
+def _record(state: State, planning: Planning, findings: Findings, failed: UpdateFailed | None) -> Review:
     silent = {one.target: silence_reason(one, planning.at_s) for one in state.situation.silences}
-    is_failed = failed is not None and thought.change_set is not None
+    is_failed = failed is not None and findings.change_set is not None
     return Review(
         planning.number,
         planning.at_s,
         planning.time_s,
         tuple(entry.perturbation for entry in planning.entries),
-        Decision.FAILED if is_failed else thought.decision,
+        Decision.FAILED if is_failed else findings.decision,
         planning.world.horizon_s,
-        thought.cost_before_us,
-        thought.cost_us,
-        thought.bound_us,
-        thought.is_proven,
-        thought.change_set,
-        tuple(label for label in thought.met if label not in silent),
-        {**{label: reason for label, reason in silent.items() if label in thought.met}, **thought.unmet},
-        dict(sorted(thought.avoided.items())),
-        {"detect": planning.detect_s, "match": state.match_s, **thought.seconds},
-        thought.warnings,
+        findings.cost_before_us,
+        findings.cost_us,
+        findings.bound_us,
+        findings.is_proven,
+        findings.change_set,
+        tuple(label for label in findings.met if label not in silent),
+        {**{label: reason for label, reason in silent.items() if label in findings.met}, **findings.unmet},
+        dict(sorted(findings.avoided.items())),
+        {"detect": planning.detect_s, "match": state.match_s, **findings.seconds},
+        findings.warnings,
         "" if failed is None else failed.cause,
-        thought.undecided,
-        external_units(thought.change_set, thought.planned),
+        findings.undecided,
+        external_units(findings.change_set, findings.planned),
     )
 
 
-def _followed_up(turn: Turn, planning: Planning, failed: UpdateFailed | None) -> Turn:
+def _followed_up(transition: Transition, planning: Planning, failed: UpdateFailed | None) -> Transition:
     """Have another review follow a failed one: at once if its plan is sure to differ, else later."""
     if failed is None:
-        return turn.to(replace(turn.state, failures=0, owes_optimising=False))
-    failures, policy = turn.state.failures + 1, turn.state.policy
+        return transition.to(replace(transition.state, failures=0, owes_optimising=False))
+    failures, policy = transition.state.failures + 1, transition.state.policy
     is_other = bool(failed.transformations) or (failed.is_stale and failures == 1)
     delay_s = 0.0 if is_other else doubling_s(failures + 1, policy.retry_s, policy.most_retry_s)
-    turn = turn.to(replace(turn.state, failures=failures, owes_optimising=planning.optimises))
-    return turn.perturbed(failed, delay_s=delay_s)
+    transition = transition.to(replace(transition.state, failures=failures, owes_optimising=planning.optimises))
+    return transition.perturbed(failed, delay_s=delay_s)
 
 
-def _prepared(turn: Turn) -> Turn:
+def _prepared(transition: Transition) -> Transition:
     """Let the planner prepare for the units that run after an update, unless a review is due."""
-    state = turn.state
-    if state.reviews[-1].decision is not Decision.APPLIED or state.due_s <= turn.at_s:
-        return turn
-    return turn.also(Prepare(state.scene))
+    state = transition.state
+    if state.reviews[-1].decision is not Decision.APPLIED or state.due_s <= transition.at_s:
+        return transition
+    return transition.also(Prepare(state.plan_input))
 
 
-def _seen(turn: Turn, seen: Seen) -> Turn:
+def _seen(transition: Transition, seen: Seen) -> Transition:
     """Units were observed."""
-    found, state = seen.observations, turn.state
-    next_s = turn.at_s + state.policy.observe_every_s
+    found, state = seen.observations, transition.state
+    next_s = transition.at_s + state.policy.observe_every_s
     state = replace(state, observations={one.unit: one for one in found}, observe_at_s=next_s)
-    return qualities_learned(turn.to(state).also(Tell(Observed(found))))
+    return qualities_learned(transition.to(state).also(Tell(Observed(found))))
 
 
-def _ended(turn: Turn) -> Turn:
+def _ended(transition: Transition) -> Transition:
     """The end was asked for."""
-    return _finished(turn, "") if turn.state.is_closing else turn.also(StopAll())
+    return _finished(transition, "") if transition.state.is_closing else transition.also(StopAll())
 
 
-def _finished(turn: Turn, cause: str) -> Turn:
+def _finished(transition: Transition, cause: str) -> Transition:
     """End the manager: answer the requests for the end, and fail all other requests."""
-    state = turn.state
+    state = transition.state
     match state.doing:
         case Planning(entries=begun) | Updating(Planning(entries=begun)):
             entries = (*begun, *state.entries)
@@ -492,6 +498,6 @@ def _finished(turn: Turn, cause: str) -> Turn:
     left += [request.outcome for request in state.given]
     error = errors.RuntimeFaultError("the manager has ended")
     nothing = replace(state, doing=None, entries=(), waiting={}, stops=(), given=(), previews=(), is_over=True)
-    turn = turn.to(nothing).also(*(Respond(outcome, error) for outcome in state.previews))
-    turn = turn.also(*(Respond(outcome) for outcome in state.stops))
-    return turn.also(*(Respond(outcome, error) for outcome in left)).also(Tell(Ended(cause)))
+    transition = transition.to(nothing).also(*(Respond(outcome, error) for outcome in state.previews))
+    transition = transition.also(*(Respond(outcome) for outcome in state.stops))
+    return transition.also(*(Respond(outcome, error) for outcome in left)).also(Tell(Ended(cause)))

@@ -24,7 +24,7 @@ from cfgplan.validity import Rule
 from cfgplan.validity.facts import meeting_targets, needed_by
 from cfgplan_runtime.lifecycle.configuration import (
     EstimatedLibrary,
-    Scene,
+    PlanInput,
     as_it_runs,
     avoided_now,
     environment_to_plan,
@@ -42,7 +42,7 @@ _MOST_AVOIDED_NAMED = 4
 
 
 @dataclass(frozen=True)
-class Thought:
+class Findings:
     """The findings of a review. `change_set` is over units only."""
 
     running: Environment
@@ -73,11 +73,11 @@ class Thought:
 class Looked:
     """The planned look at the last of the `tried` transformations.
 
-    `thought` is None if no plan would use any of them, even if it were as declared.
+    `findings` is None if no plan would use any of them, even if it were as declared.
     """
 
     tried: tuple[str, ...] = ()
-    thought: Thought | None = None
+    findings: Findings | None = None
 
     @property
     def label(self) -> str:
@@ -133,39 +133,41 @@ class Deliberation:
         if self._session is not None:
             threading.Thread(target=_import_solver, name="cfgplan-warm-up", daemon=True).start()
 
-    def think(self, scene: Scene, *, optimises: bool, stop: threading.Event) -> Thought:
+    def think(self, plan_input: PlanInput, *, optimises: bool, stop: threading.Event) -> Findings:
         """The best update of the running units, and whether to carry it out now.
 
         An update that only saves cost is put off, unless the review `optimises`. `stop` ends planning early.
         """
         self._stop = stop
-        thought = self._letting_wait(self._think(scene, optimises=optimises), scene)
+        findings = self._letting_wait(self._think(plan_input, optimises=optimises), plan_input)
         estimates = (self._estimator.warning,) if self._estimator.warning else ()
-        warnings = (*self._matching.warnings, *estimates, *thought.warnings)
+        warnings = (*self._matching.warnings, *estimates, *findings.warnings)
         out_of_reach = {
             target.label: gone_host(target.host)
-            for target in scene.world.environment.targets
-            if scene.situation.is_lost(target.host)
+            for target in plan_input.world.environment.targets
+            if plan_input.situation.is_lost(target.host)
         }
-        return replace(thought, unmet={**out_of_reach, **self._reasons(thought, scene.world)}, warnings=warnings)
+        return replace(findings, unmet={**out_of_reach, **self._reasons(findings, plan_input.world)}, warnings=warnings)
 
-    def judged(self, scene: Scene, change_set: ChangeSet) -> Thought:
+    def judged(self, plan_input: PlanInput, change_set: ChangeSet) -> Findings:
         """The findings about a given change set over units; without a change set if it is not valid."""
-        thought = self._begun(scene)
-        wanted = self.problem(thought.planned, scene.world)
+        findings = self._begun(plan_input)
+        wanted = self.problem(findings.planned, plan_input.world)
         try:
             asked = [_given(problem, change_set) for problem in (wanted, *(less for less, _ in _asking_less(wanted)))]
             valid = (found for found in asked if not validity.plan_violations(found.problem, found.plan))
-            judged = _judged(thought, next(valid, asked[0]), optimises=True)
+            judged = _judged(findings, next(valid, asked[0]), optimises=True)
         except Exception as error:  # the judge's own fault must not end the life-cycle
-            return replace(thought, cause=str(error) or type(error).__name__)
-        unmet = [label for label in thought.planned.target if label not in asked[0].problem.environment.target]
+            return replace(findings, cause=str(error) or type(error).__name__)
+        unmet = [label for label in findings.planned.target if label not in asked[0].problem.environment.target]
         given_up = dict.fromkeys(unmet, "the plan that was given does not meet it")
         return replace(
             judged, decision=Decision.APPLIED, met=tuple(asked[0].problem.environment.target), unmet=given_up
         )
 
-    def look(self, scene: Scene, labels: Iterable[str], unmet: Mapping[str, str], *, stop: threading.Event) -> Looked:
+    def look(
+        self, plan_input: PlanInput, labels: Iterable[str], unmet: Mapping[str, str], *, stop: threading.Event
+    ) -> Looked:
         """Plan a look at the first of some transformations that a plan would use if it were as good as declared.
 
         The new units feed no topic. `unmet` has the targets that are not met now, with the reasons.
@@ -173,41 +175,43 @@ class Deliberation:
         self._stop, tried = stop, list[str]()
         for label in labels:
             tried.append(label)
-            known = {one: seen for one, seen in scene.situation.qualities.items() if one.transformation != label}
-            environment = scene.world.environment.with_qualities(known)
-            hopeful = self._think(replace(scene, world=replace(scene.world, environment=environment)), optimises=True)
-            new = () if hopeful.change_set is None else hopeful.change_set.started
+            known = {one: seen for one, seen in plan_input.situation.qualities.items() if one.transformation != label}
+            environment = plan_input.world.environment.with_qualities(known)
+            optimistic = self._think(
+                replace(plan_input, world=replace(plan_input.world, environment=environment)), optimises=True
+            )
+            new = () if optimistic.change_set is None else optimistic.change_set.started
             started = tuple(replace(unit, publications=()) for unit in new if not unit.standby)
             library = environment.transformation
             if any(isinstance(library[unit.transformation].run.state, str) for unit in started):
                 continue  # its state would take the place of the state that it shares with a mode that runs
-            if hopeful.decision is Decision.APPLIED and any(unit.transformation == label for unit in started):
-                thought = self._run_for_nobody(scene, ChangeSet(started=started))
-                if thought is not None:
-                    return Looked(tuple(tried), replace(thought, unmet=unmet))
+            if optimistic.decision is Decision.APPLIED and any(unit.transformation == label for unit in started):
+                findings = self._run_for_nobody(plan_input, ChangeSet(started=started))
+                if findings is not None:
+                    return Looked(tuple(tried), replace(findings, unmet=unmet))
         return Looked(tuple(tried))
 
-    def _run_for_nobody(self, scene: Scene, change_set: ChangeSet) -> Thought | None:
+    def _run_for_nobody(self, plan_input: PlanInput, change_set: ChangeSet) -> Findings | None:
         """Return the start of units that no target needs; None if it breaks another rule."""
-        thought, new = self._begun(scene), {unit.id for unit in change_set.started}
-        wanted = self.problem(thought.planned, scene.world)
+        findings, new = self._begun(plan_input), {unit.id for unit in change_set.started}
+        wanted = self.problem(findings.planned, plan_input.world)
         for problem in (wanted, *(less for less, _ in _asking_less(wanted))):
             given = _given(problem, change_set)
             broken = validity.plan_violations(given.problem, given.plan)
             if all(violation.rule is Rule.LEAN and violation.unit in new for violation in broken):
                 met = tuple(given.problem.environment.target)
                 decision = Decision.APPLIED
-                return replace(thought, change_set=change_set, cost_us=given.plan.cost_us, decision=decision, met=met)
+                return replace(findings, change_set=change_set, cost_us=given.plan.cost_us, decision=decision, met=met)
         return None
 
-    def prepare(self, scene: Scene, *, stop: threading.Event) -> None:
+    def prepare(self, plan_input: PlanInput, *, stop: threading.Event) -> None:
         """Plan for the running units, so that a planner with a memory is ready for repairs."""
         if self._session is None:
             return
         self._stop = stop
-        planned = self._begun(scene).planned
+        planned = self._begun(plan_input).planned
         with suppress(Exception):  # a review would meet it again, and tell
-            self._plan(self.problem(planned, scene.world), optimises=False)
+            self._plan(self.problem(planned, plan_input.world), optimises=False)
 
     def _remembering(
         self,
@@ -219,26 +223,26 @@ class Deliberation:
         assert self._session is not None
         return self._session.plan(problem, time_limit_s=time_limit_s, report=report, stop=self._stop)
 
-    def _think(self, scene: Scene, *, optimises: bool) -> Thought:
+    def _think(self, plan_input: PlanInput, *, optimises: bool) -> Findings:
         seconds: dict[str, float] = {}
         with _timed("estimate", seconds):
-            thought = replace(self._begun(scene), seconds=seconds)
+            findings = replace(self._begun(plan_input), seconds=seconds)
         with _timed("plan", seconds):
             try:
-                problem = self.problem(thought.planned, scene.world)
+                problem = self.problem(findings.planned, plan_input.world)
                 found, asked, given_up = self._plan(problem, optimises=optimises)
             except CfgplanError as error:
-                return replace(thought, cause=str(error), error=error)
+                return replace(findings, cause=str(error), error=error)
             except Exception as error:  # a planner's own fault must not end the life-cycle
-                return replace(thought, cause=f"{type(error).__name__}: {error}", error=error)
-        thought = replace(thought, planned=asked.environment)
+                return replace(findings, cause=f"{type(error).__name__}: {error}", error=error)
+        findings = replace(findings, planned=asked.environment)
         with _timed("judge", seconds):
             try:
                 found = replace(found, plan=where_spares_are(found.problem, found.plan))
-                judged = _judged(thought, found, optimises=optimises)
+                judged = _judged(findings, found, optimises=optimises)
                 return replace(judged, warnings=(*given_up, *judged.warnings))
             except Exception as error:  # what nobody has judged is not carried out
-                return replace(thought, cause=f"the judge failed: {type(error).__name__}: {error}", error=error)
+                return replace(findings, cause=f"the judge failed: {type(error).__name__}: {error}", error=error)
 
     def problem(self, planned: Environment, world: World) -> Problem:
         """The problem of planning in an environment that `think` has planned in."""
@@ -271,55 +275,55 @@ class Deliberation:
         found = best_effort(problem, self._planner, time_limit_s=self._time_limit_s, impossible=impossible)
         return replace(found, problem=self._planner.known(found.problem))
 
-    def _begun(self, scene: Scene) -> Thought:
+    def _begun(self, plan_input: PlanInput) -> Findings:
         """The findings before planning: the transformations left out, the environment to plan in, and the cost of
         keeping all units.
         """
-        wanted, horizon_s, avoided = scene.world.environment, scene.world.horizon_s, avoided_now(scene)
+        wanted, horizon_s, avoided = plan_input.world.environment, plan_input.world.horizon_s, avoided_now(plan_input)
         costs = self._library.estimated(wanted, self._estimator, horizon_s)
-        now = as_it_runs(replace(wanted, library=tuple(costs.values())), scene.running)
-        planned = environment_to_plan(scene, avoided, costs)
-        return Thought(scene.running, planned, validity.kept_us(now, horizon_s), avoided)
+        now = as_it_runs(replace(wanted, library=tuple(costs.values())), plan_input.running)
+        planned = environment_to_plan(plan_input, avoided, costs)
+        return Findings(plan_input.running, planned, validity.kept_us(now, horizon_s), avoided)
 
-    def _letting_wait(self, thought: Thought, scene: Scene) -> Thought:
+    def _letting_wait(self, findings: Findings, plan_input: PlanInput) -> Findings:
         """If targets fail for transformations that back off, shorten these waits, and keep units that wait for them."""
-        situation = scene.situation
+        situation = plan_input.situation
         refusals = situation.back_offs.refusals()
         waiting = situation.back_offs.avoided - refusals.avoided
-        avoided = {place.label for place in waiting if place.host is not None or place.label in thought.avoided}
-        if thought.change_set is None or not thought.unmet or not avoided:
-            return thought
-        hopeful = replace(scene, situation=replace(situation, back_offs=refusals))
-        hoped = self._think(hopeful, optimises=True)
-        plan_s = thought.seconds["plan"] + hoped.seconds["plan"]
-        thought = replace(thought, seconds={**thought.seconds, "plan": plan_s})
-        if hoped.change_set is None or not set(hoped.met) - set(thought.met):
-            return thought
-        assert thought.change_set is not None
-        spared = set(thought.change_set.stopped).difference(hoped.change_set.stopped, situation.failing)
-        change_set = without_stopping(thought.change_set, thought.running, spared)
-        is_kept = not change_set and thought.decision is Decision.APPLIED
+        avoided = {place.label for place in waiting if place.host is not None or place.label in findings.avoided}
+        if findings.change_set is None or not findings.unmet or not avoided:
+            return findings
+        optimistic = replace(plan_input, situation=replace(situation, back_offs=refusals))
+        hoped = self._think(optimistic, optimises=True)
+        plan_s = findings.seconds["plan"] + hoped.seconds["plan"]
+        findings = replace(findings, seconds={**findings.seconds, "plan": plan_s})
+        if hoped.change_set is None or not set(hoped.met) - set(findings.met):
+            return findings
+        assert findings.change_set is not None
+        spared = set(findings.change_set.stopped).difference(hoped.change_set.stopped, situation.failing)
+        change_set = without_stopping(findings.change_set, findings.running, spared)
+        is_kept = not change_set and findings.decision is Decision.APPLIED
         return replace(
-            thought,
+            findings,
             change_set=change_set,
-            decision=Decision.KEPT if is_kept else thought.decision,
+            decision=Decision.KEPT if is_kept else findings.decision,
             hurried=tuple(sorted({unit.transformation for unit in hoped.change_set.started} & avoided)),
         )
 
-    def _reasons(self, thought: Thought, world: World) -> Mapping[str, str]:
+    def _reasons(self, findings: Findings, world: World) -> Mapping[str, str]:
         """The reasons why targets are given up. If a target fails only for transformations left out for now, its reason
         says so.
         """
-        if not (thought.unmet and thought.avoided):
-            return thought.unmet
+        if not (findings.unmet and findings.avoided):
+            return findings.unmet
         impossible, impossible_now = (
-            unmet_reasons(self.problem(environment, world)) for environment in (world.environment, thought.planned)
+            unmet_reasons(self.problem(environment, world)) for environment in (world.environment, findings.planned)
         )
-        avoided = (f"{label} ({why})" for label, why in sorted(thought.avoided.items()))
+        avoided = (f"{label} ({why})" for label, why in sorted(findings.avoided.items()))
         left_out = f"left out for now: {some(avoided, _MOST_AVOIDED_NAMED)}"
         return {
             label: left_out if label in impossible_now.keys() - impossible.keys() else reason
-            for label, reason in thought.unmet.items()
+            for label, reason in findings.unmet.items()
         }
 
 
@@ -416,16 +420,16 @@ def _exchanged(before: Environment, plan: Plan, new: ComputationUnit, spare: Com
     return replace(plan, change_set=before.change_to(units.values()), ties_proven=False)
 
 
-def _judged(thought: Thought, found: BestEffort, *, optimises: bool) -> Thought:
-    plan, planned = found.plan, thought.planned
+def _judged(findings: Findings, found: BestEffort, *, optimises: bool) -> Findings:
+    plan, planned = found.plan, findings.planned
     # The planner gives reasons without knowing what is left out, which may be all that is missing.
-    left_out = f" (left out for now: {', '.join(sorted(thought.avoided))})" if thought.avoided else ""
+    left_out = f" (left out for now: {', '.join(sorted(findings.avoided))})" if findings.avoided else ""
     given_up = {label: f"{reason}{left_out}" for label, reason in found.given_up.items()}
     asked = found.problem
     violations = validity.violations(planned, asked.similarity, asked.survive, asked.horizon_s)
     unmet_now = {violation.target for violation in violations if violation.rule is Rule.MET}
-    thought = replace(
-        thought,
+    findings = replace(
+        findings,
         found=found,
         undecided=found.undecided,
         warnings=tuple(why for name, why in plan.reasons.items() if name not in found.given_up),
@@ -433,16 +437,16 @@ def _judged(thought: Thought, found: BestEffort, *, optimises: bool) -> Thought:
     )
     if plan.change_set is None:
         if plan.status is not Status.UNKNOWN:
-            return replace(thought, cause=f"the plan is {plan.status}")
+            return replace(findings, cause=f"the plan is {plan.status}")
         is_open = bool(found.undecided)
         cause = "it is not decided whether there is a plan" if is_open else "no plan was found in time"
-        return replace(thought, cause=cause)
+        return replace(findings, cause=cause)
     wrong = validity.plan_violations(found.problem, plan)
     if wrong:
         cause = f"the answer of planner {plan.planner} is wrong: {'; '.join(map(str, wrong))}"
-        return replace(thought, cause=cause)
-    thought = replace(
-        thought,
+        return replace(findings, cause=cause)
+    findings = replace(
+        findings,
         change_set=plan.change_set,
         cost_us=plan.cost_us,
         bound_us=plan.bound_us,
@@ -450,9 +454,9 @@ def _judged(thought: Thought, found: BestEffort, *, optimises: bool) -> Thought:
     )
     met_now = [target.label for target in planned.targets if target.label not in unmet_now]
     met_then = [target.label for target in found.problem.environment.targets]
-    now = {**validity.values_of(asked, planned), Objective.COST: thought.cost_before_us}
+    now = {**validity.values_of(asked, planned), Objective.COST: findings.cost_before_us}
     decision = _decision(
-        thought,
+        findings,
         _served(planned, met_now, planned),
         _served(planned, met_then, found.problem.environment.update(plan.change_set)),
         is_sound=all(violation.rule is Rule.MET for violation in violations),
@@ -460,19 +464,19 @@ def _judged(thought: Thought, found: BestEffort, *, optimises: bool) -> Thought:
         optimises=optimises,
     )
     if decision is Decision.KEPT:
-        return replace(thought, decision=decision, met=tuple(met_now))
-    return replace(thought, decision=decision, met=tuple(met_then), unmet=given_up)
+        return replace(findings, decision=decision, met=tuple(met_now))
+    return replace(findings, decision=decision, met=tuple(met_then), unmet=given_up)
 
 
 def _decision(
-    thought: Thought, before: tuple[int, ...], after: tuple[int, ...], *, is_sound: bool, saves: bool, optimises: bool
+    findings: Findings, before: tuple[int, ...], after: tuple[int, ...], *, is_sound: bool, saves: bool, optimises: bool
 ) -> Decision:
     """The decision, by the targets served before and after the update, and whether it `saves` some of the
     objectives.
     """
-    if is_sound and before > after and not thought.is_proven:
+    if is_sound and before > after and not findings.is_proven:
         return Decision.KEPT  # the planner had no time to find a plan that serves as much
-    if not thought.change_set:
+    if not findings.change_set:
         return Decision.KEPT
     if not is_sound or before < after:
         return Decision.APPLIED

@@ -8,15 +8,15 @@ from typing import TypeVar
 
 from cfgplan.api import World
 from cfgplan.domain import Transformation
-from cfgplan.transformations import what_runs
+from cfgplan.transformations import running_fields
 from cfgplan_runtime.lifecycle.perturbations import Difference
 
 T = TypeVar("T")
 
 
-def runs_alike(one: Transformation, other: Transformation) -> bool:
+def can_run_as(one: Transformation, other: Transformation) -> bool:
     """Whether a unit of `one` can keep running as a unit of `other`: same code, params and ports."""
-    return one is other or what_runs(one) == what_runs(other)
+    return one is other or running_fields(one) == running_fields(other)
 
 
 def difference(before: World, after: World) -> Difference:
@@ -39,8 +39,8 @@ def difference(before: World, after: World) -> Difference:
     return Difference(
         _missing(new_library, library),
         _missing(library, new_library),
-        _labels(both, lambda old, new: not runs_alike(old, new)),
-        _labels(both, lambda old, new: runs_alike(old, new) and not _same_but_for_costs(old, new)),
+        _labels(both, lambda old, new: not can_run_as(old, new)),
+        _labels(both, lambda old, new: can_run_as(old, new) and not _same_but_for_costs(old, new)),
         _labels(both, lambda old, new: old != new and _same_but_for_costs(old, new)),
         _missing(new_targets, targets),
         _missing(targets, new_targets),

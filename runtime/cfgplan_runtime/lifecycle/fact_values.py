@@ -9,78 +9,82 @@ from typing import Final
 
 from cfgplan.domain import Environment
 from cfgplan.errors import InputError, InvalidValueError, known
-from cfgplan.facts import Fact, FactValue, kind_of, said
+from cfgplan.facts import Fact, FactValue, kind_of, value_text
 from cfgplan.noise import NoisyMean
 from cfgplan_runtime.lifecycle.inbox import Asked, Outcome
 from cfgplan_runtime.lifecycle.perturbations import FactsChanged
 from cfgplan_runtime.lifecycle.reports import FactSilent
 from cfgplan_runtime.lifecycle.seen_qualities import SeenQualities
 from cfgplan_runtime.lifecycle.state import Heard, State
-from cfgplan_runtime.lifecycle.turns import Respond, Tell, Turn
+from cfgplan_runtime.lifecycle.transitions import Respond, Tell, Transition
 
 NEWS: Final = Fraction(1, 20)
 """A stream has to change a quality that follows its fact by this share of it; less is no reason for a review."""
 
 
-def fact_set(turn: Turn, name: str, value: str, request: Asked) -> Turn:
-    """A fact has a value by request, until a stream says another. A review is due only if other units may run now."""
-    state, facts = turn.state, turn.state.scene.world.environment.variable
+def fact_set(transition: Transition, name: str, value: str, request: Asked) -> Transition:
+    """Set a fact by request, until a stream says another value. A review is due only if other units may run now."""
+    state, facts = transition.state, transition.state.plan_input.world.environment.variable
     known(name, facts, "fact")
     try:
         values = {**state.situation.facts, name: facts[name].read(value)}
     except InvalidValueError as error:
         raise InputError.of(str(error)) from None
     heard = {other: last for other, last in state.heard.items() if other != name}
-    return _with_facts(turn.to(replace(state, heard=heard)), values, (request.outcome,))
+    return _with_facts(transition.to(replace(state, heard=heard)), values, (request.outcome,))
 
 
-def fact_seen(turn: Turn, name: str, value: FactValue) -> Turn:
-    """A stream says the value of a fact. Values of facts that are gone, or of another kind now, are ignored."""
-    state, world = turn.state, turn.state.living.world.environment
+def fact_seen(transition: Transition, name: str, value: FactValue) -> Transition:
+    """Take in a fact's value from a stream. Values of facts that are gone, or of another kind now, are ignored."""
+    state, world = transition.state, transition.state.version.world.environment
     fact = world.variable.get(name)
     if fact is None or fact.observed_on is None or kind_of(value) != kind_of(fact.declared):
-        return turn
+        return transition
     mean, band, known_value = None, 0.0, fact.being(state.situation.facts.get(name)).value
     if fact.noise is not None and isinstance(value, int):
         known_mean = state.heard[name].mean if name in state.heard else None
-        mean = NoisyMean(value, turn.at_s) if known_mean is None else known_mean.after(value, turn.at_s)
+        mean = NoisyMean(value, transition.at_s) if known_mean is None else known_mean.after(value, transition.at_s)
         assert isinstance(known_value, int)
-        value = mean.told(fact.noise, known_value, world.bounds.get(fact.name, ()))
+        value = mean.planned_value(fact.noise, known_value, world.bounds.get(fact.name, ()))
         band = fact.noise.band(value, mean.variance)
     if fact.name in world.curves and not _is_news(world, fact, known_value, value, band):
         value = known_value
-    turn = turn.to(replace(state, heard={**state.heard, name: Heard(turn.at_s, mean)}))
-    return _with_facts(turn, {**state.situation.facts, name: value})
+    transition = transition.to(replace(state, heard={**state.heard, name: Heard(transition.at_s, mean)}))
+    return _with_facts(transition, {**state.situation.facts, name: value})
 
 
-def facts_fallen_silent(turn: Turn) -> Turn:
-    """Let the declared values count again of the facts that have been silent for too long."""
-    state = turn.state
-    gone = [name for name, at_s in state.silences_of_facts.items() if at_s <= turn.at_s]
+def facts_fallen_silent(transition: Transition) -> Transition:
+    """Return facts that have been silent for too long to their declared values."""
+    state = transition.state
+    gone = [name for name, at_s in state.silences_of_facts.items() if at_s <= transition.at_s]
     if not gone:
-        return turn
-    facts = state.living.world.environment.variable
-    told = [FactSilent(name, turn.at_s - state.heard[name].at_s, said(facts[name].declared)) for name in gone]
+        return transition
+    facts = state.version.world.environment.variable
+    reports = [
+        FactSilent(name, transition.at_s - state.heard[name].at_s, value_text(facts[name].declared)) for name in gone
+    ]
     heard = {name: last for name, last in state.heard.items() if name not in gone}
     values = {name: value for name, value in state.situation.facts.items() if name not in gone}
-    return _with_facts(turn.to(replace(state, heard=heard)).also(*map(Tell, told)), values)
+    return _with_facts(transition.to(replace(state, heard=heard)).also(*map(Tell, reports)), values)
 
 
-def _with_facts(turn: Turn, values: Mapping[str, FactValue], outcomes: Iterable[Outcome] = ()) -> Turn:
+def _with_facts(
+    transition: Transition, values: Mapping[str, FactValue], outcomes: Iterable[Outcome] = ()
+) -> Transition:
     """Let facts have these values: a review is due only if other transformations may run now."""
-    state, declared = turn.state, turn.state.living.world.environment
-    turn = turn.situated(replace(state.situation, facts=values))
+    state, declared = transition.state, transition.state.version.world.environment
+    transition = transition.situated(replace(state.situation, facts=values))
     if not any(_is_other(declared, fact, state.situation.facts, values) for fact in declared.variable.values()):
-        return turn.also(*(Respond(outcome) for outcome in outcomes))
-    before, after = state.scene.world.environment, turn.state.scene.world.environment
+        return transition.also(*(Respond(outcome) for outcome in outcomes))
+    before, after = state.plan_input.world.environment, transition.state.plan_input.world.environment
     was, now = _forbidden(before), _forbidden(after)
     library = before.transformation
     requalified = [label for label in after.following if after.transformation[label] != library[label]]
     if was == now and not requalified:
-        return turn.also(*(Respond(outcome) for outcome in outcomes))
-    turn = turn.to(replace(turn.state, seen=_unheard(turn.state, requalified)))
+        return transition.also(*(Respond(outcome) for outcome in outcomes))
+    transition = transition.to(replace(transition.state, seen=_unheard(transition.state, requalified)))
     changed = FactsChanged(tuple(sorted(now - was)), tuple(sorted(was - now)), tuple(sorted(requalified)))
-    return turn.perturbed(changed, outcomes)
+    return transition.perturbed(changed, outcomes)
 
 
 def _forbidden(world: Environment) -> set[str]:

@@ -75,10 +75,10 @@ class Arrival:
 
 
 class Inbox:
-    """A queue with a bell that rings when an urgent item comes."""
+    """A queue whose `waker` is set when an urgent item comes."""
 
     def __init__(self) -> None:
-        self.bell = threading.Event()
+        self.waker = threading.Event()
         self._lock = threading.Lock()
         self._arrivals: deque[Arrival] = deque()
 
@@ -86,14 +86,14 @@ class Inbox:
         with self._lock:
             self._arrivals.append(Arrival(at_s, item))
             if is_urgent:
-                self.bell.set()
+                self.waker.set()
 
     def take(self) -> Arrival | None:
-        """Remove and return the first arrival; silence the bell and return None if there is none."""
+        """Remove and return the first arrival; if there is none, clear `waker` and return None."""
         with self._lock:
             if self._arrivals:
                 return self._arrivals.popleft()
-            self.bell.clear()
+            self.waker.clear()
             return None
 
     @property

@@ -43,7 +43,7 @@ from cfgplan_runtime.lifecycle.reports import WorldRefused
 from cfgplan_runtime.lifecycle.seen_qualities import losing_streams
 from cfgplan_runtime.lifecycle.state import Note, State, Updating
 from cfgplan_runtime.lifecycle.stream_qualities import qualities_restated
-from cfgplan_runtime.lifecycle.turns import Match, Matched, Respond, Tell, Terminate, Turn
+from cfgplan_runtime.lifecycle.transitions import Match, Matched, Respond, Tell, Terminate, Transition
 from cfgplan_runtime.supervision import events
 from cfgplan_runtime.supervision.delays import doubling_s
 
@@ -51,290 +51,294 @@ IN_A_ROW_S = 10.0
 """Losses of one input are in a row if less than this lies between them."""
 
 
-def heard(turn: Turn, event: events.Event) -> Turn:
+def heard(transition: Transition, event: events.Event) -> Transition:
     """Handle an event of a unit. An event before its death (hung, too large, failed) is recorded as the cause."""
-    state = turn.state
+    state = transition.state
     match event:
         case events.UnitReady(unit):
-            return _unnoted(turn, unit)
+            return _unnoted(transition, unit)
         case events.UnitStopped(unit):
-            return _unnoted(turn, unit).answered(unit)
+            return _unnoted(transition, unit).answered(unit)
         case events.UnitHung(unit) | events.UnitTooLarge(unit):
-            return _noted(turn, unit, replace(_note(state, unit), end=kind_of(event).blame))
+            return _noted(transition, unit, replace(_note(state, unit), end=kind_of(event).blame))
         case events.UnitFailed(unit, text=text) if text:
-            return _noted(turn, unit, replace(_note(state, unit), error=text))
+            return _noted(transition, unit, replace(_note(state, unit), error=text))
         case events.UnitDied(unit, cause):
-            return _gone(turn, unit, cause)
+            return _gone(transition, unit, cause)
         case events.SparePrepared(spare):
-            return turn.situated(replace(state.situation, prepared=state.situation.prepared | {spare}))
+            return transition.situated(replace(state.situation, prepared=state.situation.prepared | {spare}))
         case events.SpareLost(spare) | events.SpareUsed(_, spare):
-            return turn.situated(replace(state.situation, prepared=state.situation.prepared - {spare}))
+            return transition.situated(replace(state.situation, prepared=state.situation.prepared - {spare}))
         case events.HostLost(host, cause):
-            return _host_lost(turn, host, cause)
+            return _host_lost(transition, host, cause)
         case events.HostJoined(host, ahead_us):
-            return _host_joined(turn, host, ahead_us)
+            return _host_joined(transition, host, ahead_us)
         case events.ClockMoved(host, ahead_us):
             clocks = {**state.situation.clocks_ahead_us, host: ahead_us}
-            return turn.situated(replace(state.situation, clocks_ahead_us=clocks))
+            return transition.situated(replace(state.situation, clocks_ahead_us=clocks))
         case events.InputLost(unit_or_none, port):
-            return _lost(turn, SubscriptionLost(unit_or_none, port))
+            return _lost(transition, SubscriptionLost(unit_or_none, port))
         case events.UnitStatus():
-            seen = state.seen.after_status(event, turn.at_s)
-            if losing := losing_streams(state.running, state.living.world.environment):
-                seen = seen.after_counts(event, losing, turn.at_s)
-            turn = turn.to(replace(state, seen=seen))
-            return _still_failing(_giving(turn, event), event)
+            seen = state.seen.after_status(event, transition.at_s)
+            if losing := losing_streams(state.running, state.version.world.environment):
+                seen = seen.after_counts(event, losing, transition.at_s)
+            transition = transition.to(replace(state, seen=seen))
+            return _still_failing(_giving(transition, event), event)
         case events.CrossingsStatus(crossings):
-            return _crossings_counted(turn, crossings)
-        case events.TopicsStatus(flows) if state.living.may_be_silent or state.situation.silences:
-            return _silent(turn, flows)
-    return turn
+            return _crossings_counted(transition, crossings)
+        case events.TopicsStatus(flows) if state.version.may_be_silent or state.situation.silences:
+            return _silent(transition, flows)
+    return transition
 
 
-def died(turn: Turn, gone: UnitGone, lived_s: float | None) -> Turn:
-    """A unit has ended without being told to: blame it unless `lived_s` is None. The review answers requests that wait
-    for its end.
+def died(transition: Transition, gone: UnitGone, lived_s: float | None) -> Transition:
+    """Handle the end of a unit that was not told to end: blame its transformation unless `lived_s` is None.
+
+    The review answers requests that wait for the unit's end.
     """
     if lived_s is not None:
-        turn = turn.blamed(Place(gone.transformation, gone.host), lived_s, gone.cause)
-    outcomes = turn.state.waiting.get(gone.unit, ())
-    return turn.no_more_awaited(gone.unit).perturbed(gone, outcomes)
+        transition = transition.blamed(Place(gone.transformation, gone.host), lived_s, gone.cause)
+    outcomes = transition.state.waiting.get(gone.unit, ())
+    return transition.no_more_awaited(gone.unit).perturbed(gone, outcomes)
 
 
-def asked(turn: Turn, request: Asked) -> Turn:
+def asked(transition: Transition, request: Asked) -> Transition:
     """Handle a request for a change."""
-    state, situation, outcomes = turn.state, turn.state.situation, (request.outcome,)
+    state, situation, outcomes = transition.state, transition.state.situation, (request.outcome,)
     try:
         match request.change:
             case Stop():
-                return turn.to(replace(state, stops=(*state.stops, request.outcome)))
+                return transition.to(replace(state, stops=(*state.stops, request.outcome)))
             case KillUnit(unit):
-                return _killed(turn, unit, request)
+                return _killed(transition, unit, request)
             case RestartUnits(units):
-                return _to_be_restarted(turn, units, request)
+                return _to_be_restarted(transition, units, request)
             case LoseHost(host, cause):
-                check_host(state.living.world.environment, host)
+                check_host(state.version.world.environment, host)
                 given_up = replace(situation, given_up_hosts=situation.given_up_hosts | {host})
-                return turn.situated(given_up).perturbed(HostGone(host, cause), outcomes)
+                return transition.situated(given_up).perturbed(HostGone(host, cause), outcomes)
             case RegainHost(host):
                 if host not in situation.given_up_hosts:
-                    is_lost = host in situation.lost_hosts(state.living.world.environment)
+                    is_lost = host in situation.lost_hosts(state.version.world.environment)
                     mend = "it is used again as soon as it is there" if is_lost else None
                     raise InputError.of(f"host {host!r} was not given up", mend=mend)
                 back = replace(situation, given_up_hosts=situation.given_up_hosts - {host})
-                return turn.situated(back).perturbed(HostBack(host), outcomes)
+                return transition.situated(back).perturbed(HostBack(host), outcomes)
             case SetFact(name, value):
-                return fact_set(turn, name, value, request)
+                return fact_set(transition, name, value, request)
             case FaultyCode(faults, changed):
-                return _code_looked_at(turn, faults, changed, request)
+                return _code_looked_at(transition, faults, changed, request)
             case ReviewNow(by):
                 forgiven = replace(situation, back_offs=situation.back_offs.forgiving_all())
-                return turn.situated(forgiven).perturbed(ReviewRequested(by), outcomes)
+                return transition.situated(forgiven).perturbed(ReviewRequested(by), outcomes)
             case ApplyPlan():
-                return turn.to(replace(state, given=(*state.given, request)))
+                return transition.to(replace(state, given=(*state.given, request)))
             case change:
-                return turn.also(Match(state.living, request, change))
+                return transition.also(Match(state.version, request, change))
     except InputError as error:
-        return turn.also(Respond(request.outcome, error))
+        return transition.also(Respond(request.outcome, error))
 
 
-def _code_looked_at(turn: Turn, faults: Mapping[str, str], changed: tuple[str, ...], request: Asked) -> Turn:
+def _code_looked_at(
+    transition: Transition, faults: Mapping[str, str], changed: tuple[str, ...], request: Asked
+) -> Transition:
     """The code of some transformations can't be started. A review is due only if other ones may start now."""
-    situation = turn.state.situation
+    situation = transition.state.situation
     mended = situation.code_faults.keys() - faults.keys()
     waiting = {place.label for place in situation.back_offs.avoided} & {*changed, *mended}
     left_out, back = faults.keys() - situation.code_faults.keys(), (mended | waiting) - faults.keys()
     back_offs = situation.back_offs.forgiving(*changed, *mended)
-    turn = turn.situated(replace(situation, code_faults=faults, back_offs=back_offs))
+    transition = transition.situated(replace(situation, code_faults=faults, back_offs=back_offs))
     if not (left_out or back):
-        return turn.also(Respond(request.outcome))
-    return turn.perturbed(CodeChanged(tuple(sorted(left_out)), tuple(sorted(back))), (request.outcome,))
+        return transition.also(Respond(request.outcome))
+    return transition.perturbed(CodeChanged(tuple(sorted(left_out)), tuple(sorted(back))), (request.outcome,))
 
 
-def matched(turn: Turn, result: Matched) -> Turn:
-    """The world after a change is known, or the change is bad."""
+def matched(transition: Transition, result: Matched) -> Transition:
+    """Handle the answer to Match: the world after a change, or the error of a bad change."""
     change, outcome, found = result.asked.change, result.asked.outcome, result.found
     if isinstance(found, InputError):
         if isinstance(change, ReplaceWorld):
-            turn = refused(turn, change.by, found.faults)
-        return turn.also(Respond(outcome, found))
-    state, situation = turn.state, turn.state.situation
-    differs = difference(state.living.world, found.world)
+            transition = refused(transition, change.by, found.faults)
+        return transition.also(Respond(outcome, found))
+    state, situation = transition.state, transition.state.situation
+    differs = difference(state.version.world, found.world)
     is_new = (*differs.replaced_transformations, *differs.removed_transformations)
-    turn = turn.to(replace(state, living=found, match_s=state.match_s + result.seconds))
-    turn = turn.situated(replace(situation, back_offs=situation.back_offs.forgiving(*is_new)))
-    turn = qualities_restated(turn, state.living.world.environment)
+    transition = transition.to(replace(state, version=found, match_s=state.match_s + result.seconds))
+    transition = transition.situated(replace(situation, back_offs=situation.back_offs.forgiving(*is_new)))
+    transition = qualities_restated(transition, state.version.world.environment)
     if isinstance(change, ReplaceWorld):
-        turn = refused(turn, change.by, ())
+        transition = refused(transition, change.by, ())
     if not differs:
-        return turn.also(Respond(outcome))
+        return transition.also(Respond(outcome))
     by = change.by if isinstance(change, ReplaceWorld) else type(change).__name__
-    return turn.perturbed(WorldChanged(by, differs), [outcome])
+    return transition.perturbed(WorldChanged(by, differs), [outcome])
 
 
-def refused(turn: Turn, by: str, faults: tuple[Fault, ...]) -> Turn:
+def refused(transition: Transition, by: str, faults: tuple[Fault, ...]) -> Transition:
     """Report that the world's file has errors; without faults, that it is valid again."""
-    if not (faults or turn.state.faults):
-        return turn
-    return turn.to(replace(turn.state, faults=faults)).also(Tell(WorldRefused(by, faults)))
+    if not (faults or transition.state.faults):
+        return transition
+    return transition.to(replace(transition.state, faults=faults)).also(Tell(WorldRefused(by, faults)))
 
 
-def _crossings_counted(turn: Turn, crossings: Crossings) -> Turn:
+def _crossings_counted(transition: Transition, crossings: Crossings) -> Transition:
     """Take in counts of streams between hosts. A review is due if a link is found to have another rate."""
-    state, situation, world = turn.state, turn.state.situation, turn.state.living.world.environment
-    known = state.link_rates.after(crossings, world, turn.at_s)
+    state, situation, world = transition.state, transition.state.situation, transition.state.version.world.environment
+    known = state.link_rates.after(crossings, world, transition.at_s)
     if known is state.link_rates:
-        return turn
+        return transition
     before, now = situation.link_rates, known.rates(world)
-    turn = turn.to(replace(state, link_rates=known))
+    transition = transition.to(replace(state, link_rates=known))
     if now == before:
-        return turn
-    turn = turn.situated(replace(situation, link_rates=now))
+        return transition
+    transition = transition.situated(replace(situation, link_rates=now))
     for ends in sorted(now.keys() | before.keys()):
         if now.get(ends) != before.get(ends):
-            turn = turn.perturbed(LinkMeasured(ends, now.get(ends)))
-    return turn
+            transition = transition.perturbed(LinkMeasured(ends, now.get(ends)))
+    return transition
 
 
 def _note(state: State, unit: str) -> Note:
     return state.notes.get(unit, Note())
 
 
-def _noted(turn: Turn, unit: str, note: Note) -> Turn:
-    return turn.to(replace(turn.state, notes={**turn.state.notes, unit: note}))
+def _noted(transition: Transition, unit: str, note: Note) -> Transition:
+    return transition.to(replace(transition.state, notes={**transition.state.notes, unit: note}))
 
 
-def _unnoted(turn: Turn, unit: str) -> Turn:
+def _unnoted(transition: Transition, unit: str) -> Transition:
     """Forget the notes about a unit that has ended, or whose id another unit has now."""
-    left = {other: note for other, note in turn.state.notes.items() if other != unit}
-    return turn.to(replace(turn.state, notes=left, seen=turn.state.seen.without(unit)))
+    left = {other: note for other, note in transition.state.notes.items() if other != unit}
+    return transition.to(replace(transition.state, notes=left, seen=transition.state.seen.without(unit)))
 
 
-def _gone(turn: Turn, unit: str, cause: str) -> Turn:
-    state, situation, note = turn.state, turn.state.situation, _note(turn.state, unit)
-    turn = _unnoted(turn, unit)
+def _gone(transition: Transition, unit: str, cause: str) -> Transition:
+    state, situation, note = transition.state, transition.state.situation, _note(transition.state, unit)
+    transition = _unnoted(transition, unit)
     if unit not in situation.units:
-        return turn.answered(unit)
+        return transition.answered(unit)
     running, is_killed = situation.units[unit], unit in situation.killed
     gone = UnitGone(
         unit, running.transformation.label, "killed" if is_killed else note.end or "died", cause, running.host
     )
-    lived_s = None if is_killed or unit in situation.failing else turn.at_s - running.since_s
-    turn = turn.situated(situation.without(unit))
+    lived_s = None if is_killed or unit in situation.failing else transition.at_s - running.since_s
+    transition = transition.situated(situation.without(unit))
     if isinstance(state.doing, Updating) and unit in state.doing.starting:  # the update's end tells what it means
         doing = replace(state.doing, gone=(*state.doing.gone, (gone, lived_s)))
-        return turn.to(replace(turn.state, doing=doing)).answered(unit)
-    return died(turn, gone, lived_s)
+        return transition.to(replace(transition.state, doing=doing)).answered(unit)
+    return died(transition, gone, lived_s)
 
 
-def _host_lost(turn: Turn, host: str, cause: str) -> Turn:
+def _host_lost(transition: Transition, host: str, cause: str) -> Transition:
     """A host is lost with its units; no transformation is blamed. The review answers requests that wait for
     their end.
     """
-    state, situation = turn.state, turn.state.situation
+    state, situation = transition.state, transition.state.situation
     gone = [unit for unit, running in situation.units.items() if running.host == host]
     outcomes = [outcome for unit in gone for outcome in state.waiting.get(unit, ())]
     for unit in gone:
-        turn = _unnoted(turn, unit).no_more_awaited(unit)
+        transition = _unnoted(transition, unit).no_more_awaited(unit)
     clocks = {other: ahead_us for other, ahead_us in situation.clocks_ahead_us.items() if other != host}
     presence = {**situation.presence, host: False}
-    turn = turn.situated(replace(situation.without(*gone), presence=presence, clocks_ahead_us=clocks))
-    is_ours = host in hosts_of(state.living.world.environment)
-    return _told_of_host(turn, HostGone(host, cause), outcomes) if is_ours else turn
+    transition = transition.situated(replace(situation.without(*gone), presence=presence, clocks_ahead_us=clocks))
+    is_ours = host in hosts_of(state.version.world.environment)
+    return _told_of_host(transition, HostGone(host, cause), outcomes) if is_ours else transition
 
 
-def _host_joined(turn: Turn, host: str, ahead_us: int) -> Turn:
+def _host_joined(transition: Transition, host: str, ahead_us: int) -> Transition:
     """A host has joined."""
-    situation, world = turn.state.situation, turn.state.living.world.environment
+    situation, world = transition.state.situation, transition.state.version.world.environment
     was_lost = host in situation.lost_hosts(world)
     situation = replace(
         situation,
         presence={**situation.presence, host: True},
         clocks_ahead_us={**situation.clocks_ahead_us, host: ahead_us},
     )
-    turn = turn.situated(situation)
-    return _told_of_host(turn, HostBack(host)) if was_lost and not situation.is_lost(host) else turn
+    transition = transition.situated(situation)
+    return _told_of_host(transition, HostBack(host)) if was_lost and not situation.is_lost(host) else transition
 
 
-def _told_of_host(turn: Turn, told: HostGone | HostBack, outcomes: Sequence[Outcome] = ()) -> Turn:
+def _told_of_host(transition: Transition, told: HostGone | HostBack, outcomes: Sequence[Outcome] = ()) -> Transition:
     """Ask for a review. The very first one waits until the middleware has spoken of each host."""
-    state = turn.state
+    state = transition.state
     if outcomes or not any(isinstance(entry.perturbation, Started) for entry in state.entries):
-        return turn.perturbed(told, outcomes)
-    if not state.situation.presence.keys() >= set(hosts_of(state.living.world.environment)):
-        return turn
+        return transition.perturbed(told, outcomes)
+    if not state.situation.presence.keys() >= set(hosts_of(state.version.world.environment)):
+        return transition
     entries = (
-        replace(entry, due_s=turn.at_s) if isinstance(entry.perturbation, Started) else entry for entry in state.entries
+        replace(entry, due_s=transition.at_s) if isinstance(entry.perturbation, Started) else entry
+        for entry in state.entries
     )
-    return turn.to(replace(state, entries=tuple(entries)))
+    return transition.to(replace(state, entries=tuple(entries)))
 
 
-def _lost(turn: Turn, lost: SubscriptionLost) -> Turn:
+def _lost(transition: Transition, lost: SubscriptionLost) -> Transition:
     """Delay the review until the death that explains the loss may have come, and longer after losses in a row."""
-    state, policy = turn.state, turn.state.policy
-    times, last_s = state.losses.get(lost, (0, turn.at_s))
-    times = times + 1 if turn.at_s - last_s < IN_A_ROW_S else 1
+    state, policy = transition.state, transition.state.policy
+    times, last_s = state.losses.get(lost, (0, transition.at_s))
+    times = times + 1 if transition.at_s - last_s < IN_A_ROW_S else 1
     delay_s = max(policy.explain_s, doubling_s(times - 1, policy.retry_s, policy.most_loss_s))
-    turn = turn.to(replace(state, losses={**state.losses, lost: (times, turn.at_s)}))
-    return turn.perturbed(lost, delay_s=delay_s)
+    transition = transition.to(replace(state, losses={**state.losses, lost: (times, transition.at_s)}))
+    return transition.perturbed(lost, delay_s=delay_s)
 
 
-def _giving(turn: Turn, status: events.UnitStatus) -> Turn:
-    state = turn.state
-    if not state.living.may_be_silent:
-        return turn
-    return turn.to(replace(state, giving=state.giving.after_status(status, turn.at_s)))
+def _giving(transition: Transition, status: events.UnitStatus) -> Transition:
+    state = transition.state
+    if not state.version.may_be_silent:
+        return transition
+    return transition.to(replace(state, giving=state.giving.after_status(status, transition.at_s)))
 
 
-def _still_failing(turn: Turn, status: events.UnitStatus) -> Turn:
-    state, unit, policy = turn.state, status.unit, turn.state.policy
-    label, note = state.situation.label_of(unit), _note(turn.state, status.unit)
+def _still_failing(transition: Transition, status: events.UnitStatus) -> Transition:
+    state, unit, policy = transition.state, status.unit, transition.state.policy
+    label, note = state.situation.label_of(unit), _note(transition.state, status.unit)
     if label is None or unit in state.situation.failing:
-        return turn
-    well_s, steps, well_errors = note.well or (turn.at_s, status.steps, status.errors)
+        return transition
+    well_s, steps, well_errors = note.well or (transition.at_s, status.steps, status.errors)
     errors = status.errors - well_errors
     if note.well is not None and errors == 0:
-        return turn  # nothing is noted while nothing fails: notes on a thousand units take time
+        return transition  # nothing is noted while nothing fails: notes on a thousand units take time
     # The step that has begun last may not have failed yet.
     if errors == 0 or status.steps - steps > errors + 1:
-        return _noted(turn, unit, replace(note, well=(turn.at_s, status.steps, status.errors)))
-    if errors < policy.failing_steps or turn.at_s - well_s < policy.failing_s:
-        return turn
-    return _given_up(turn, unit, note.error).perturbed(UnitKeepsFailing(unit, label, errors, note.error))
+        return _noted(transition, unit, replace(note, well=(transition.at_s, status.steps, status.errors)))
+    if errors < policy.failing_steps or transition.at_s - well_s < policy.failing_s:
+        return transition
+    return _given_up(transition, unit, note.error).perturbed(UnitKeepsFailing(unit, label, errors, note.error))
 
 
-def _given_up(turn: Turn, unit: str, cause: str) -> Turn:
+def _given_up(transition: Transition, unit: str, cause: str) -> Transition:
     """Blame a running unit, and have the next review replace it."""
-    running, failing = turn.state.situation.units.get(unit), turn.state.situation.failing
+    running, failing = transition.state.situation.units.get(unit), transition.state.situation.failing
     if running is None or unit in failing:
-        return turn
+        return transition
     place = Place(running.transformation.label, running.host)
-    turn = turn.blamed(place, turn.at_s - running.since_s, cause)
-    return turn.situated(replace(turn.state.situation, failing=failing | {unit}))
+    transition = transition.blamed(place, transition.at_s - running.since_s, cause)
+    return transition.situated(replace(transition.state.situation, failing=failing | {unit}))
 
 
-def _silent(turn: Turn, flows: Mapping[str, Flow]) -> Turn:
+def _silent(transition: Transition, flows: Mapping[str, Flow]) -> Transition:
     """Request a review for each target that is silent for too long, repeatedly until it is not."""
-    state, wanted, at_s = turn.state, turn.state.living.world.environment, turn.at_s
+    state, wanted, at_s = transition.state, transition.state.version.world.environment, transition.at_s
     giving = state.giving.after_look(state.running, at_s)
     silences = giving.silences(wanted, state.running, flows, at_s)
     giving = giving.after_silences(silences)
-    turn = turn.situated(replace(state.situation, silences=silences))
+    transition = transition.situated(replace(state.situation, silences=silences))
     for silence in silences:
         if at_s - giving.silent_s[silence.target] <= (wanted.target[silence.target].silent_us or 0) / 1e6:
             continue
         giving = giving.after_asking(silence.target, at_s)
         silent_s = at_s - silence.since_s
         for unit in silence.units:
-            turn = _given_up(turn, unit, f"it has given nothing for {silent_s:.1f} s")
-        turn = turn.perturbed(TargetSilent(silence.target, silence.topic, silent_s, silence.units))
-    return turn.to(replace(turn.state, giving=giving))
+            transition = _given_up(transition, unit, f"it has given nothing for {silent_s:.1f} s")
+        transition = transition.perturbed(TargetSilent(silence.target, silence.topic, silent_s, silence.units))
+    return transition.to(replace(transition.state, giving=giving))
 
 
-def _to_be_restarted(turn: Turn, units: tuple[str, ...], request: Asked) -> Turn:
+def _to_be_restarted(transition: Transition, units: tuple[str, ...], request: Asked) -> Transition:
     """Record the units to restart, as soon as no review is due or under way."""
-    state, situation = turn.state, turn.state.situation
-    library = state.living.world.environment.transformation
+    state, situation = transition.state, transition.state.situation
+    library = state.version.world.environment.transformation
     for unit in units:
         _check_runs(state, unit)
         label = state.running.unit[unit].transformation
@@ -348,15 +352,15 @@ def _to_be_restarted(turn: Turn, units: tuple[str, ...], request: Asked) -> Turn
         if label in situation.code_faults:
             mend = "it keeps running the old code; correct the new code"
             raise InputError.of(f"unit {unit!r} can't be restarted: {situation.code_faults[label]}", mend=mend)
-    return turn.to(replace(state, given=(*state.given, request)))
+    return transition.to(replace(state, given=(*state.given, request)))
 
 
-def _killed(turn: Turn, unit: str, request: Asked) -> Turn:
-    state, situation = turn.state, turn.state.situation
+def _killed(transition: Transition, unit: str, request: Asked) -> Transition:
+    state, situation = transition.state, transition.state.situation
     _check_runs(state, unit)
     waiting = {**state.waiting, unit: (*state.waiting.get(unit, ()), request.outcome)}
-    turn = turn.to(replace(state, waiting=waiting))
-    return turn.situated(replace(situation, killed=situation.killed | {unit})).also(Terminate(unit))
+    transition = transition.to(replace(state, waiting=waiting))
+    return transition.situated(replace(situation, killed=situation.killed | {unit})).also(Terminate(unit))
 
 
 def _check_runs(state: State, unit: str) -> None:

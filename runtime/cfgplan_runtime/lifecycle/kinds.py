@@ -27,7 +27,7 @@ T = TypeVar("T", bound=events.Event | perturbations.Perturbation | reports.Repor
 
 
 class Level(IntEnum):
-    """How grave something is; the numbers are those of `foxglove.Log`."""
+    """The severity of something; the numbers are those of `foxglove.Log`."""
 
     INFORMATION = 2
     WARNING = 3
@@ -68,7 +68,7 @@ def _nothing(_: object) -> None:
 
 
 def always(_: object) -> bool:
-    """Whether a thing of a kind is always as grave as the kind's level says."""
+    """Return True, for kinds whose things all have the severity of the kind's level."""
     return True
 
 
@@ -404,7 +404,7 @@ def kind_of(what: object) -> Kind[Any]:
 
 
 def kind_named(name: str) -> Kind[Any]:
-    """The same for the name of a kind, as records say it."""
+    """The row of the kind with a name, as in records."""
     return _NAMED.get(name, _UNKNOWN)
 
 
@@ -425,7 +425,7 @@ def sentence(report: reports.Report) -> str | None:
 
 
 def level(report: reports.Report) -> Level:
-    """How grave a report is."""
+    """The severity of a report."""
     what = subject(report)
     row = kind_of(what)
     return row.level if row.is_grave(what) else Level.INFORMATION

@@ -29,7 +29,9 @@ Ends = tuple[str, str]
 
 
 class Use(NamedTuple):
-    """The bytes that streams had to send over a link and those that arrived, and by stream dropped and all elements."""
+    """The use of a link: bytes that streams `offered`, bytes that `arrived`, and by stream the dropped and all
+    elements.
+    """
 
     offered: int
     arrived: int

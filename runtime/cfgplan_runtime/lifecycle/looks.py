@@ -19,7 +19,7 @@ from cfgplan_runtime.lifecycle.seen_qualities import SeenQualities
 LOOK_S: Final = 3.0
 LONGEST_LOOK_S: Final = 60.0
 """A stream that has said too little by then is not waited for."""
-LONGEST_GAP_S: Final = 960.0
+LONGEST_INTERVAL_S: Final = 960.0
 NEW: Final = 0.2
 """A look finds something new if a quality differs by more than this share from its known value."""
 
@@ -28,7 +28,7 @@ class Pause(NamedTuple):
     """When a transformation was looked at last, or was of no use, and the seconds from then to its next look."""
 
     since_s: float
-    gap_s: float
+    interval_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,15 +46,18 @@ class Looks:
     known: Mapping[Statement, int] = field(default_factory=dict)
     """The deviations of the observed outputs that were known before the look, in micro-units."""
 
-    def due_s(self, label: str, seen_s: float, least_gap_s: float) -> float:
+    def due_s(self, label: str, seen_s: float, least_interval_s: float) -> float:
         """Return when the next look is due at a transformation that was observed last at `seen_s`."""
         pause = self.pauses.get(label)
-        return max(seen_s + least_gap_s, -inf if pause is None else pause.since_s + pause.gap_s)
+        return max(seen_s + least_interval_s, -inf if pause is None else pause.since_s + pause.interval_s)
 
-    def begun(self, labels: Iterable[str], at_s: float, least_gap_s: float) -> Looks:
-        """Note that looks at transformations were planned: the next ones come after twice their gaps, at least."""
-        gaps_s = {label: 2 * self.pauses[label].gap_s if label in self.pauses else 0.0 for label in labels}
-        new = {label: Pause(at_s, min(max(gap_s, least_gap_s), LONGEST_GAP_S)) for label, gap_s in gaps_s.items()}
+    def begun(self, labels: Iterable[str], at_s: float, least_interval_s: float) -> Looks:
+        """Note that looks at transformations were planned: the next ones come after twice their intervals, at least."""
+        doubled_s = {label: 2 * self.pauses[label].interval_s if label in self.pauses else 0.0 for label in labels}
+        new = {
+            label: Pause(at_s, min(max(next_s, least_interval_s), LONGEST_INTERVAL_S))
+            for label, next_s in doubled_s.items()
+        }
         return Looks({**self.pauses, **new})
 
     def at(self, label: str, qualities: Mapping[Statement, int]) -> Looks:
@@ -79,7 +82,7 @@ class Looks:
             return self
         return replace(self, until_s=self.until_s + LOOK_S)
 
-    def over(self, world: Environment, qualities: Mapping[Statement, int], least_gap_s: float) -> Looks:
+    def over(self, world: Environment, qualities: Mapping[Statement, int], least_interval_s: float) -> Looks:
         """End the look; if it has found something new, the next one comes sooner."""
         has_taught = any(
             abs(qualities.get(one, 0) - seen) > NEW * abs(stated.stated + seen)
@@ -89,7 +92,7 @@ class Looks:
         pause = self.pauses.get(self.label)
         if pause is None or not has_taught:
             return Looks(self.pauses)
-        sooner = pause._replace(gap_s=max(pause.gap_s / 4, least_gap_s))
+        sooner = pause._replace(interval_s=max(pause.interval_s / 4, least_interval_s))
         return Looks({**self.pauses, self.label: sooner})
 
 

@@ -27,12 +27,12 @@ from cfgplan_runtime.errors import (
     RuntimeFaultError,
     StaleChangeSetError,
 )
-from cfgplan_runtime.lifecycle import turns
+from cfgplan_runtime.lifecycle import transitions
 from cfgplan_runtime.lifecycle.basis import Preview, preview_of
 from cfgplan_runtime.lifecycle.changes import Change, Stop
 from cfgplan_runtime.lifecycle.configuration import as_it_runs
 from cfgplan_runtime.lifecycle.decisions import BreakIn, breaks_in, decide, first_state
-from cfgplan_runtime.lifecycle.deliberation import Deliberation, Thought
+from cfgplan_runtime.lifecycle.deliberation import Deliberation, Findings
 from cfgplan_runtime.lifecycle.guarded_estimator import GuardedEstimator
 from cfgplan_runtime.lifecycle.inbox import (
     Asked,
@@ -53,10 +53,10 @@ from cfgplan_runtime.lifecycle.seams import DeclaredCosts, Estimator, Middleware
 from cfgplan_runtime.lifecycle.state import State
 from cfgplan_runtime.lifecycle.stream_qualities import quality_views
 from cfgplan_runtime.lifecycle.supposing import Supposing
-from cfgplan_runtime.lifecycle.turns import Effect, Happened, Happening
+from cfgplan_runtime.lifecycle.transitions import Effect, Input, TimedInput
 from cfgplan_runtime.lifecycle.views import saving_us, target_views, unit_views
 from cfgplan_runtime.lifecycle.warm_matching import WarmMatching
-from cfgplan_runtime.lifecycle.worlds import LivingWorld
+from cfgplan_runtime.lifecycle.worlds import WorldVersion
 from cfgplan_runtime.supervision.events import Event
 from cfgplan_runtime.supervision.listeners import Listeners
 
@@ -141,7 +141,7 @@ class Manager:
             self._turn_away()
         return outcome
 
-    def suppose(self, change: Change) -> Thought:
+    def suppose(self, change: Change) -> Findings:
         """Return the plan of a review after a change, with the costs of the last review. The run is not changed.
 
         It is made in the calling thread, and no review waits for it. Only changes of the world and of the hosts in
@@ -171,7 +171,7 @@ class Manager:
     def snapshot(self) -> Snapshot:
         """A frozen view of the configuration, targets, hosts and reviews at this moment."""
         state, running, now = self._state, self._middleware.environment, self._clock.now()
-        world, situation, seen = state.living.world, state.situation, state.scene.world.environment
+        world, situation, seen = state.version.world, state.situation, state.plan_input.world.environment
         return Snapshot(
             now,
             state.phase,
@@ -182,13 +182,13 @@ class Manager:
             state.reviews,
             situation.back_offs.view(now),
             situation.lost_hosts(world.environment),
-            tuple(sorted(state.living.declared)),
+            tuple(sorted(state.version.declared)),
             world.horizon_s,
             max(0.0, state.horizon_at_s - now),
             _running_cost_us(running, state),
             saving_us(state.reviews),
             state.faults,
-            state.living.removed,
+            state.version.removed,
             situation.clocks_ahead_us,
             tuple(seen.variable.values()),
             seen.left_out,
@@ -202,13 +202,13 @@ class Manager:
     def targets(self) -> tuple[TargetView, ...]:
         """Each target as it is at this moment: a small part of `snapshot`."""
         state, running = self._state, self._middleware.environment
-        wanted = state.living.world.environment
+        wanted = state.version.world.environment
         return target_views(wanted, running, state.reviews, state.situation.silences, self._clock.now())
 
     @property
     def world(self) -> World:
         """The world that holds now."""
-        return self._state.living.world
+        return self._state.version.world
 
     @property
     def silent(self) -> frozenset[str]:
@@ -276,105 +276,105 @@ class Manager:
         while self._state.doing is not None:  # a review that gathers what comes
             self._wait(inf)
             self._take_in()
-        self._come_to_rest()
+        self._settle()
 
     def _wait(self, until_s: float) -> None:
         """Wait until something comes in or is due, or until `until_s`."""
         now = self._clock.now()
         until_s = min(until_s, self._state.wake_s, now + _LONG_S)
         if until_s > now:
-            self._clock.wait(self._inbox.bell, until_s - now)
+            self._clock.wait(self._inbox.waker, until_s - now)
 
     def _take_in(self) -> None:
         """Decide about everything that has come, then about the work that is due."""
         self._interrupt.clear()
         self._decide_arrivals()
         if not self._state.is_over:
-            self._decide(turns.Tick(time.time()))
+            self._decide(transitions.Tick(time.time()))
 
     def _decide_arrivals(self) -> None:
         while arrival := self._inbox.take():
             self._decide(arrival.item, arrival.at_s)
 
-    def _decide(self, what: Happening, at_s: float | None = None) -> None:
+    def _decide(self, what: Input, at_s: float | None = None) -> None:
         """Decide about an item that comes now, or came at `at_s`, and carry out the effects."""
         at_s = self._clock.now() if at_s is None else at_s
-        self._state, effects = decide(self._state, Happened(at_s, what, self._middleware.environment))
+        self._state, effects = decide(self._state, TimedInput(at_s, what, self._middleware.environment))
         for effect in effects:
             self._carry_out(effect)
 
     def _carry_out(self, effect: Effect) -> None:
         match effect:
-            case turns.Tell(report):
+            case transitions.Tell(report):
                 self._tell(report)
-            case turns.Respond(outcome, answer):
+            case transitions.Respond(outcome, answer):
                 if isinstance(answer, Exception):
                     outcome.set_exception(answer)
                 else:
                     outcome.set_result(answer)
-            case turns.Match():
+            case transitions.Match():
                 self._match(effect)
-            case turns.Terminate(unit):
+            case transitions.Terminate(unit):
                 self._middleware.kill(unit)
-            case turns.Observe():
+            case transitions.Observe():
                 found = tuple(self._middleware.observe())
                 self._estimator.observe(found, self._clock.now())
-                self._decide(turns.Seen(found))
-            case turns.LearnOfFailure(label):
+                self._decide(transitions.Seen(found))
+            case transitions.LearnOfFailure(label):
                 self._estimator.failed(label, self._clock.now())
-            case turns.MakePlan():
+            case transitions.MakePlan():
                 self._plan(effect)
-            case turns.MakePreview():
+            case transitions.MakePreview():
                 self._preview(effect)
-            case turns.JudgeGiven(scene, change_set):
-                self._decide(turns.GivenJudged(self._deliberation.judged(scene, change_set)))
-            case turns.MakeLook(scene, labels, unmet):
+            case transitions.JudgeGiven(plan_input, change_set):
+                self._decide(transitions.GivenJudged(self._deliberation.judged(plan_input, change_set)))
+            case transitions.MakeLook(plan_input, labels, unmet):
                 self._interrupt.clear()
-                looked = self._deliberation.look(scene, labels, unmet, stop=self._interrupt)
+                looked = self._deliberation.look(plan_input, labels, unmet, stop=self._interrupt)
                 self._interrupt.clear()
                 self._decide_arrivals()
                 self._decide(looked)
-            case turns.ApplyUpdate():
+            case transitions.ApplyUpdate():
                 self._apply(effect)
-            case turns.Prepare(scene):
+            case transitions.Prepare(plan_input):
                 self._interrupt.clear()
                 if self._inbox.is_empty:
-                    self._deliberation.prepare(scene, stop=self._interrupt)
-            case turns.StopAll():
+                    self._deliberation.prepare(plan_input, stop=self._interrupt)
+            case transitions.StopAll():
                 self._middleware.stop()
-                self._decide(turns.Finished())
+                self._decide(transitions.Finished())
 
-    def _match(self, order: turns.Match) -> None:
+    def _match(self, order: transitions.Match) -> None:
         start = time.perf_counter()
-        found: LivingWorld | InputError
+        found: WorldVersion | InputError
         try:
-            found = order.living.after(order.change)
+            found = order.version.after(order.change)
             self._matching.take(found.world)
         except InputError as error:
             found = error
-        self._decide(turns.Matched(order.asked, found, time.perf_counter() - start))
+        self._decide(transitions.Matched(order.asked, found, time.perf_counter() - start))
 
-    def _plan(self, order: turns.MakePlan) -> None:
+    def _plan(self, order: transitions.MakePlan) -> None:
         stop = self._ending if order.is_last else self._interrupt
         first, self._first = self._first, None
-        if first is not None and first.holds_for(order.scene):
-            thought = first.thought
+        if first is not None and first.holds_for(order.plan_input):
+            findings = first.findings
         else:
-            thought = self._deliberation.think(order.scene, optimises=order.optimises, stop=stop)
+            findings = self._deliberation.think(order.plan_input, optimises=order.optimises, stop=stop)
         was_interrupted = self._interrupt.is_set()
         self._interrupt.clear()
         self._decide_arrivals()
-        self._decide(turns.Planned(thought, was_interrupted))
+        self._decide(transitions.Planned(findings, was_interrupted))
 
-    def _preview(self, order: turns.MakePreview) -> None:
-        preview = preview_of(self._deliberation, order.scene, self._interrupt)
+    def _preview(self, order: transitions.MakePreview) -> None:
+        preview = preview_of(self._deliberation, order.plan_input, self._interrupt)
         for outcome in order.outcomes:
             if self._interrupt.is_set():
                 self._put(PreviewAsked(outcome))
             else:
                 outcome.set_result(preview)
 
-    def _apply(self, order: turns.ApplyUpdate) -> None:
+    def _apply(self, order: transitions.ApplyUpdate) -> None:
         start, failed = time.perf_counter(), None
         try:
             if self._ending.is_set():  # it came before there was an update to abandon
@@ -386,7 +386,7 @@ class Manager:
             failed = error
         seconds = time.perf_counter() - start
         self._decide_arrivals()
-        self._decide(turns.Updated(seconds, failed))
+        self._decide(transitions.Updated(seconds, failed))
 
     def _work(self) -> None:
         self._deliberation.warm_up()
@@ -399,10 +399,10 @@ class Manager:
             raise
 
     def _finish(self, cause: str) -> None:
-        self._decide(turns.Finished(cause))
-        self._come_to_rest()
+        self._decide(transitions.Finished(cause))
+        self._settle()
 
-    def _come_to_rest(self) -> None:
+    def _settle(self) -> None:
         """Wake the threads that wait until the manager is settled or has ended."""
         self._is_busy = False
         if self._state.is_over:
@@ -443,6 +443,6 @@ class Manager:
 
 def _running_cost_us(running: Environment, state: State) -> int:
     """The cost of the running units over the horizon, by the estimates of the last review."""
-    world = state.living.world
+    world = state.version.world
     library = tuple(state.costs.get(known.label, known) for known in world.environment.library)
     return kept_us(as_it_runs(replace(world.environment, library=library), running), world.horizon_s)

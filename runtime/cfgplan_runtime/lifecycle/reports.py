@@ -41,9 +41,9 @@ class Review:
 
     It began at `at_s` on the manager's clock, which is `time_s` since 1970. `seconds` is the wall time of each of
     PHASES: `detect` from the first perturbation to the beginning, `plan` with the questions to the reasoner about open
-    pairs. Costs are over the horizon, in microseconds of CPU time: `cost_before_us` of keeping what ran (gaps and all),
-    `cost_us` of the plan, its labor included. `change_set` was applied, or would be. `unmet` gives the reason for each
-    target that is given up. `is_proven` is true if no plan is cheaper.
+    pairs. Costs are over the horizon, in microseconds of CPU time: `cost_before_us` of keeping the configuration as it
+    was, gaps included, `cost_us` of the plan, its labor included. `change_set` was applied, or would be. `unmet` gives
+    the reason for each target that is given up. `is_proven` is true if no plan is cheaper.
     """
 
     number: int
@@ -104,7 +104,7 @@ class UnitView:
 class BackingOff:
     """A transformation that keeps failing; it is not started again for `left_s` seconds (inf: until it changes).
 
-    It may be started elsewhere if it has failed on a `host`.
+    If it has failed on a `host`, it may be started on other ones.
     """
 
     transformation: str

@@ -12,7 +12,7 @@ from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.lifecycle.reports import Decision, Review, Snapshot
 
 if TYPE_CHECKING:
-    from cfgplan_runtime.lifecycle.deliberation import Thought
+    from cfgplan_runtime.lifecycle.deliberation import Findings
 
 named = partial(some, most=4)
 """Some names, and how many more there are."""
@@ -36,35 +36,35 @@ def decision(review: Review) -> str:
     return f"no decision: {short(review.cause)}"
 
 
-def preview_sentence(thought: Thought) -> str:
+def preview_sentence(findings: Findings) -> str:
     """The change that a review would make now, and its cost."""
     from cfgplan_runtime.lifecycle.configuration import external_units  # clients that only show need none of it
 
-    changes = thought.change_set
+    changes = findings.change_set
     if changes is None:
-        return f"A review would now decide nothing: {thought.cause}"
-    external = external_units(changes, thought.planned)
-    is_kept = thought.decision is Decision.KEPT or not changes
+        return f"A review would now decide nothing: {findings.cause}"
+    external = external_units(changes, findings.planned)
+    is_kept = findings.decision is Decision.KEPT or not changes
     parts = [f"A review would now {'change nothing' if is_kept else _changes(changes, external, _INFINITIVES)}"]
-    if thought.cost_us is not None:
-        before_us = thought.cost_before_us
-        parts.append(f"{thought.cost_us / 1e6:.4g} s of CPU over the horizon, now {before_us / 1e6:.4g} s")
-    parts += [f"{label} is not met: {reason}" for label, reason in sorted(thought.unmet.items())]
+    if findings.cost_us is not None:
+        before_us = findings.cost_before_us
+        parts.append(f"{findings.cost_us / 1e6:.4g} s of CPU over the horizon, now {before_us / 1e6:.4g} s")
+    parts += [f"{label} is not met: {reason}" for label, reason in sorted(findings.unmet.items())]
     return "; ".join(parts)
 
 
-def supposed_sentence(thought: Thought, now: Snapshot) -> str:
+def supposed_sentence(findings: Findings, now: Snapshot) -> str:
     """The plan for a supposed change: the units it changes, its cost and the present one, and unmet targets."""
-    if thought.change_set is None:
-        return f"No plan was found: {thought.cause}"
-    is_kept = thought.decision is Decision.KEPT or not thought.change_set
-    parts = ["No other unit would change" if is_kept else f"It would {_changes(thought.change_set, (), _INFINITIVES)}"]
-    if thought.cost_us is not None:
-        more_us = thought.cost_us - now.cost_us
+    if findings.change_set is None:
+        return f"No plan was found: {findings.cause}"
+    is_kept = findings.decision is Decision.KEPT or not findings.change_set
+    parts = ["No other unit would change" if is_kept else f"It would {_changes(findings.change_set, (), _INFINITIVES)}"]
+    if findings.cost_us is not None:
+        more_us = findings.cost_us - now.cost_us
         more = f"{abs(more_us) / 1e6:.3g} s {'more' if more_us > 0 else 'less'} than now" if more_us else "as now"
-        parts.append(f"{thought.cost_us / 1e6:.4g} s of CPU over the horizon, {more}")
-    parts.append("proven: no plan is cheaper" if thought.is_proven else "not proven to be the cheapest")
-    parts += [f"{label} would not be met: {reason}" for label, reason in sorted(thought.unmet.items())]
+        parts.append(f"{findings.cost_us / 1e6:.4g} s of CPU over the horizon, {more}")
+    parts.append("proven: no plan is cheaper" if findings.is_proven else "not proven to be the cheapest")
+    parts += [f"{label} would not be met: {reason}" for label, reason in sorted(findings.unmet.items())]
     return "; ".join(parts)
 
 

@@ -82,8 +82,8 @@ class TimeSource(Protocol):
     def now(self) -> float:
         """Seconds on a monotonic clock."""
 
-    def wait(self, bell: threading.Event, timeout_s: float) -> None:
-        """Return when the bell rings, or after `timeout_s`."""
+    def wait(self, waker: threading.Event, timeout_s: float) -> None:
+        """Return when `waker` is set, or after `timeout_s`."""
 
 
 class SystemClock:
@@ -92,8 +92,8 @@ class SystemClock:
     def now(self) -> float:
         return time.monotonic()
 
-    def wait(self, bell: threading.Event, timeout_s: float) -> None:
-        bell.wait(timeout_s)
+    def wait(self, waker: threading.Event, timeout_s: float) -> None:
+        waker.wait(timeout_s)
 
 
 class DeclaredCosts:

@@ -22,11 +22,11 @@ def losing_streams(running: Environment, library: Environment) -> Losing:
     for statement in library.losing:
         for unit in running.units:
             for port, streams in unit.feeds.items():
-                giver = running.unit.get(streams[0].unit)
+                provider = running.unit.get(streams[0].unit)
                 if (
                     len(streams) == 1
-                    and giver is not None
-                    and (giver.transformation, streams[0].port) == (statement.transformation, statement.output)
+                    and provider is not None
+                    and (provider.transformation, streams[0].port) == (statement.transformation, statement.output)
                 ):
                     found[unit.id, port] = streams[0], statement.attribute
     return found
@@ -85,7 +85,7 @@ class SeenQualities:
         return replace(self, counts=counts, windows=windows, is_new=is_new)
 
     def after_lesson(self, lesson: Lesson, fresh: Collection[Said], at_s: float) -> SeenQualities:
-        """Keep the learned estimates. Clear the windows of streams with news: their means then follow it."""
+        """Keep the learned estimates. Clear the windows of streams with news, so that old values no longer count."""
         windows = {said: window for said, window in self.windows.items() if said not in lesson.news}
         taught_s = {**self.taught_s, **dict.fromkeys(fresh, at_s)}
         return replace(self, windows=windows, taught_s=taught_s, is_new=False, estimates=lesson.estimates)

@@ -45,7 +45,7 @@ class Giving:
     looked_at: tuple[ComputationUnit, ...] = ()
 
     def after_status(self, status: UnitStatus, at_s: float) -> Giving:
-        """A unit has told its counts."""
+        """Take in a unit's counts."""
         elements = sum(counts.elements for counts in status.outputs.values())
         known = self.units.get(status.unit)
         if known is not None and known[0] == elements:
@@ -67,11 +67,11 @@ class Giving:
         return Giving(units, topics, dict.fromkeys(self.silent_s, at_s) if is_new else self.silent_s, running.units)
 
     def after_silences(self, silences: Sequence[Silence]) -> Giving:
-        """Only these targets are silent."""
+        """Note that these targets are silent, and no others."""
         return replace(self, silent_s={one.target: self.silent_s.get(one.target, one.since_s) for one in silences})
 
     def after_asking(self, target: str, at_s: float) -> Giving:
-        """A review is asked for since a target is silent."""
+        """Note that a review was requested because a target is silent."""
         return replace(self, silent_s={**self.silent_s, target: at_s})
 
     def silences(

@@ -15,8 +15,8 @@ from cfgplan.domain import ChangeSet, Environment, Transformation
 from cfgplan.errors import Fault
 from cfgplan.noise import NoisyMean
 from cfgplan_runtime.lifecycle.basis import Preview
-from cfgplan_runtime.lifecycle.configuration import Scene, Situation
-from cfgplan_runtime.lifecycle.deliberation import Thought
+from cfgplan_runtime.lifecycle.configuration import PlanInput, Situation
+from cfgplan_runtime.lifecycle.deliberation import Findings
 from cfgplan_runtime.lifecycle.inbox import Asked, Outcome
 from cfgplan_runtime.lifecycle.link_rates import LinkRates
 from cfgplan_runtime.lifecycle.looks import Looks, worse_seen_s
@@ -25,7 +25,7 @@ from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Phase, Review
 from cfgplan_runtime.lifecycle.seen_qualities import SeenQualities
 from cfgplan_runtime.lifecycle.silence import Giving
-from cfgplan_runtime.lifecycle.worlds import LivingWorld
+from cfgplan_runtime.lifecycle.worlds import WorldVersion
 from cfgplan_runtime.supervision.observation import Observation
 
 
@@ -89,7 +89,7 @@ class Updating:
     """An update is under way. `gone` are new units of it that have died, with how long each lived (None: blameless)."""
 
     planning: Planning
-    thought: Thought
+    findings: Findings
     change_set: ChangeSet
     gone: tuple[tuple[UnitGone, float | None], ...] = ()
 
@@ -104,10 +104,10 @@ Doing: TypeAlias = Gathering | Planning | Updating | None
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """All that decides what a manager does next; a value. Times are in seconds on the manager's clock."""
+    """Everything that the next decision of a manager depends on; a value. Times: seconds on the manager's clock."""
 
     policy: Policy
-    living: LivingWorld
+    version: WorldVersion
     situation: Situation
     running: Environment = field(default_factory=Environment)
     """The running configuration, as of the last event."""
@@ -151,9 +151,9 @@ class State:
     observations: Mapping[str, Observation] = field(default_factory=dict)
 
     @property
-    def scene(self) -> Scene:
+    def plan_input(self) -> PlanInput:
         """The input of a plan that is made now."""
-        return Scene(self.situation.as_it_is(self.living.world), self.running, self.situation)
+        return PlanInput(self.situation.as_it_is(self.version.world), self.running, self.situation)
 
     @property
     def phase(self) -> Phase:
@@ -168,7 +168,7 @@ class State:
 
     @property
     def horizon_at_s(self) -> float:
-        return self.cycle_began_s + (self.living.world.horizon_s or inf)
+        return self.cycle_began_s + (self.version.world.horizon_s or inf)
 
     @property
     def silence_at_s(self) -> float:
@@ -178,7 +178,7 @@ class State:
     @property
     def silences_of_facts(self) -> dict[str, float]:
         """By fact that was heard of and may not be silent for ever: when it will have been silent for too long."""
-        facts = self.living.world.environment.variable
+        facts = self.version.world.environment.variable
         limits = {name: facts[name].silent_us for name in self.heard if name in facts}
         return {
             name: self.heard[name].at_s + limit_us / 1e6 for name, limit_us in limits.items() if limit_us is not None
@@ -190,7 +190,7 @@ class State:
         every_s, qualities = self.policy.look_every_s, self.situation.qualities
         if every_s is None or not qualities:
             return {}
-        seen_s = worse_seen_s(self.living.world.environment, qualities, self.seen.estimates)
+        seen_s = worse_seen_s(self.version.world.environment, qualities, self.seen.estimates)
         due_s = {label: self.looks.due_s(label, last_s, every_s) for label, last_s in seen_s.items()}
         return dict(sorted(due_s.items(), key=lambda one: (one[1], one[0])))
 
@@ -206,7 +206,7 @@ class State:
         """The time at which the manager has to act if no item comes in."""
         if isinstance(self.doing, Gathering):
             return self.doing.until_s
-        if self.has_plans_to_see_to:
+        if self.has_waiting_plans:
             return min(self.due_s, 0.0)
         return min(
             self.due_s,
@@ -219,7 +219,7 @@ class State:
         )
 
     @property
-    def has_plans_to_see_to(self) -> bool:
+    def has_waiting_plans(self) -> bool:
         """Whether a plan was requested or given, and no change of the configuration is imminent."""
         return self.doing is None and not self.waiting and bool(self.previews or self.given)
 

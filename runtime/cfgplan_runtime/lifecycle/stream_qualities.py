@@ -8,12 +8,12 @@ from math import inf
 from typing import Final
 
 from cfgplan.domain import Environment, Statement
-from cfgplan.observed import TEACHES_S, learned, own_part, told
+from cfgplan.observed import TEACHES_S, learned, own_part, planned_deviations
 from cfgplan.validity.quality import quality_violations
 from cfgplan_runtime.lifecycle.perturbations import QualitiesObserved
 from cfgplan_runtime.lifecycle.reports import Decision, QualityView
 from cfgplan_runtime.lifecycle.state import State
-from cfgplan_runtime.lifecycle.turns import Turn
+from cfgplan_runtime.lifecycle.transitions import Transition
 from cfgplan_runtime.streams.measured_stream import Quality
 from cfgplan_runtime.supervision.delays import doubling_s
 
@@ -24,36 +24,38 @@ A plan that would be cheaper comes later by this at most; experiments/observed/d
 """
 
 
-def quality_told(turn: Turn, statement: Statement, value: float) -> Turn:
+def quality_told(transition: Transition, statement: Statement, value: float) -> Transition:
     """Take in the quality that a topic tells of an output, for all running units of its transformation."""
-    seen = turn.state.seen
-    for unit in turn.state.running.units:
+    seen = transition.state.seen
+    for unit in transition.state.running.units:
         if unit.transformation == statement.transformation and not unit.standby:
             said = {statement.output: {statement.attribute: Quality(1, value, 0.0)}}
-            seen = seen.after_said(unit.id, said, turn.at_s)
-    return turn.to(replace(turn.state, seen=seen))
+            seen = seen.after_said(unit.id, said, transition.at_s)
+    return transition.to(replace(transition.state, seen=seen))
 
 
-def qualities_learned(turn: Turn) -> Turn:
+def qualities_learned(transition: Transition) -> Transition:
     """Learn from the qualities that streams have said. A significant change makes a review due."""
-    state, at_s = turn.state, turn.at_s
+    state, at_s = transition.state, transition.at_s
     seen, situation = state.seen, state.situation
     if not seen.is_new:
-        return turn
-    world = state.living.world.environment.with_facts(situation.facts)
+        return transition
+    world = state.version.world.environment.with_facts(situation.facts)
     running = replace(world, units=tuple(unit for unit in state.running.units if not unit.standby), targets=())
     samples = {said: sample for said, window in seen.windows.items() if (sample := window.sample) is not None}
     fresh = frozenset(said for said in samples if at_s - seen.taught_s.get(said, -TEACHES_S) >= TEACHES_S)
     lesson = learned(running, samples, seen.estimates, at_s, fresh=fresh)
-    turn = turn.to(replace(state, seen=seen.after_lesson(lesson, fresh, at_s)))
+    transition = transition.to(replace(state, seen=seen.after_lesson(lesson, fresh, at_s)))
     before = situation.qualities  # a slow drift is never news: it is confirmed little by little
-    now = told(world, lesson.estimates, before, at_s, only_sure=not lesson.news)
-    if now == before or (at_s < _calm_until_s(state) and not _bounds_are_crossed(turn, running, now)):
-        return turn
-    turn = turn.situated(replace(situation, qualities=now))
+    now = planned_deviations(world, lesson.estimates, before, at_s, only_sure=not lesson.news)
+    if now == before or (at_s < _calm_until_s(state) and not _bounds_are_crossed(transition, running, now)):
+        return transition
+    transition = transition.situated(replace(situation, qualities=now))
     said_now = world.with_qualities(now).qualities_now
     changed = sorted(one for one in now.keys() | before.keys() if now.get(one) != before.get(one))
-    return turn.perturbed(QualitiesObserved(tuple(f"{one} {said_now.get(str(one), 'as declared')}" for one in changed)))
+    return transition.perturbed(
+        QualitiesObserved(tuple(f"{one} {said_now.get(str(one), 'as declared')}" for one in changed))
+    )
 
 
 def _calm_until_s(state: State) -> float:
@@ -66,10 +68,10 @@ def _calm_until_s(state: State) -> float:
     return state.reviews[-1].at_s + doubling_s(idle + 1, FIRST_CALM_S, LONGEST_CALM_S) if idle else -inf
 
 
-def _bounds_are_crossed(turn: Turn, running: Environment, now: Mapping[Statement, int]) -> bool:
+def _bounds_are_crossed(transition: Transition, running: Environment, now: Mapping[Statement, int]) -> bool:
     """Whether running streams meet other bounds of targets with the qualities known now than with those used so far."""
-    running = replace(running, targets=turn.state.living.world.environment.targets)
-    used, known = (running.with_qualities(seen) for seen in (turn.state.situation.qualities, now))
+    running = replace(running, targets=transition.state.version.world.environment.targets)
+    used, known = (running.with_qualities(seen) for seen in (transition.state.situation.qualities, now))
     return _missed(used) != _missed(known)
 
 
@@ -77,19 +79,19 @@ def _missed(environment: Environment) -> set[str | None]:
     return {violation.target for violation in quality_violations(environment)}
 
 
-def qualities_faded(turn: Turn) -> Turn:
+def qualities_faded(transition: Transition) -> Transition:
     """Use the faded estimates of streams that were not observed for long in the next plan."""
-    state, situation = turn.state, turn.state.situation
+    state, situation = transition.state, transition.state.situation
     if not state.seen.estimates:
-        return turn
-    world = state.living.world.environment.with_facts(situation.facts)
-    now = told(world, state.seen.estimates, situation.qualities, turn.at_s, fades=True)
-    return turn.situated(replace(situation, qualities=now))
+        return transition
+    world = state.version.world.environment.with_facts(situation.facts)
+    now = planned_deviations(world, state.seen.estimates, situation.qualities, transition.at_s, fades=True)
+    return transition.situated(replace(situation, qualities=now))
 
 
-def qualities_restated(turn: Turn, before: Environment) -> Turn:
-    """Forget what was learned of outputs that the world states otherwise than before: it was measured with that."""
-    state, now = turn.state, turn.state.living.world.environment
+def qualities_restated(transition: Transition, before: Environment) -> Transition:
+    """Forget the deviations of outputs whose stated quality has changed: they were learned relative to the old one."""
+    state, now = transition.state, transition.state.version.world.environment
 
     def is_as_before(one: Statement) -> bool:
         is_same_scale = now.quality.get(one.attribute) == before.quality.get(one.attribute)
@@ -97,11 +99,11 @@ def qualities_restated(turn: Turn, before: Environment) -> Turn:
 
     known, told_now = state.seen.estimates, state.situation.qualities
     if all(map(is_as_before, known)):
-        return turn
+        return transition
     estimates = {one: estimate for one, estimate in known.items() if is_as_before(one)}
     qualities = {one: seen for one, seen in told_now.items() if is_as_before(one)}
-    turn = turn.to(replace(state, seen=replace(state.seen, estimates=estimates)))
-    return turn.situated(replace(state.situation, qualities=qualities))
+    transition = transition.to(replace(state, seen=replace(state.seen, estimates=estimates)))
+    return transition.situated(replace(state.situation, qualities=qualities))
 
 
 def quality_views(world: Environment, state: State, at_s: float) -> tuple[QualityView, ...]:

@@ -11,8 +11,8 @@ from cfgplan.domain import Host, Transformation
 from cfgplan.errors import InputError
 from cfgplan.planning import Planner
 from cfgplan_runtime.lifecycle import changes
-from cfgplan_runtime.lifecycle.configuration import Scene, check_host
-from cfgplan_runtime.lifecycle.deliberation import Deliberation, Thought
+from cfgplan_runtime.lifecycle.configuration import PlanInput, check_host
+from cfgplan_runtime.lifecycle.deliberation import Deliberation, Findings
 from cfgplan_runtime.lifecycle.guarded_estimator import GuardedEstimator
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.state import State
@@ -53,32 +53,34 @@ class Supposing:
         self._matching: WarmMatching | None = None
         self._deliberation: Deliberation | None = None
 
-    def think(self, state: State, change: changes.Change) -> Thought:
+    def think(self, state: State, change: changes.Change) -> Findings:
         """Return the findings of an optimising review after a change. Raises InputError for a change that is bad, or
         that can't be supposed.
         """
-        scene = supposed_scene(state, change)
+        plan_input = supposed_input(state, change)
         with self._lock:
             if self._matching is None or self._deliberation is None:
                 self._matching = WarmMatching(self._policy.reasoner, self._policy.match_limit_s)
                 guarded = GuardedEstimator(self._estimates)
                 self._deliberation = Deliberation(self._planner, guarded, self._policy, self._matching)
             self._estimates.known = state.costs
-            self._matching.take(scene.world)
-            return self._deliberation.think(scene, optimises=True, stop=threading.Event())
+            self._matching.take(plan_input.world)
+            return self._deliberation.think(plan_input, optimises=True, stop=threading.Event())
 
 
-def supposed_scene(state: State, change: changes.Change) -> Scene:
+def supposed_input(state: State, change: changes.Change) -> PlanInput:
     """Return the input of a plan after a change of the world, or of the hosts in service. Raises InputError."""
     situation = state.situation
     match change:
         case changes.LoseHost(host):
-            check_host(state.living.world.environment, host)
+            check_host(state.version.world.environment, host)
             given_up = replace(situation, given_up_hosts=situation.given_up_hosts | {host})
-            return replace(state.scene, situation=given_up)
+            return replace(state.plan_input, situation=given_up)
         case changes.RegainHost(host):
-            check_host(state.living.world.environment, host)
-            return replace(state.scene, situation=replace(situation, given_up_hosts=situation.given_up_hosts - {host}))
+            check_host(state.version.world.environment, host)
+            return replace(
+                state.plan_input, situation=replace(situation, given_up_hosts=situation.given_up_hosts - {host})
+            )
         case (
             changes.KillUnit()
             | changes.RestartUnits()
@@ -91,4 +93,4 @@ def supposed_scene(state: State, change: changes.Change) -> Scene:
             mend = "suppose a change of targets, transformations, individuals or hosts"
             raise InputError.of(f"{type(change).__name__} can't be supposed", mend=mend)
         case change:
-            return replace(state.scene, world=situation.as_it_is(state.living.after(change).world))
+            return replace(state.plan_input, world=situation.as_it_is(state.version.after(change).world))

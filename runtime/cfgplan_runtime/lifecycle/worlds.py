@@ -46,7 +46,7 @@ class Requested(Generic[T]):
 
 
 @dataclass(frozen=True)
-class LivingWorld:
+class WorldVersion:
     """A world and the changes requested since. Immutable: `after` returns the next one.
 
     The latest change of a label holds: an added value replaces that of the base, and a removed label stays away, both
@@ -60,7 +60,7 @@ class LivingWorld:
     declared: Mapping[str, changes.Declare] = field(default_factory=dict)
     refuses_hosts: bool = False
 
-    def after(self, change: changes.WorldChange) -> LivingWorld:
+    def after(self, change: changes.WorldChange) -> WorldVersion:
         """The world after a change. Raises InputError if the change, or the world after it, is bad."""
         changed = self._changed(change)
         _ = changed.world  # it is made now, and is bad or not
@@ -127,7 +127,7 @@ class LivingWorld:
         except InvalidValueError as error:
             raise InputError.of(str(error), mend="give each a name of its own") from None
 
-    def _changed(self, change: changes.WorldChange) -> LivingWorld:
+    def _changed(self, change: changes.WorldChange) -> WorldVersion:
         world = self.world.environment
         match change:
             case changes.Add(targets, transformations, individuals):
@@ -169,7 +169,7 @@ class LivingWorld:
 
     def _restoring(
         self, targets: Iterable[str], transformations: Iterable[str], individuals: Iterable[str]
-    ) -> LivingWorld:
+    ) -> WorldVersion:
         return replace(
             self,
             targets=self.targets.restoring(targets),
@@ -177,7 +177,7 @@ class LivingWorld:
             individuals=self.individuals.restoring(individuals),
         )
 
-    def _declaring(self, name: str, change: changes.Declare) -> LivingWorld:
+    def _declaring(self, name: str, change: changes.Declare) -> WorldVersion:
         """Add a declaration. Its declarations come back, even after a request has removed them."""
         declared = replace(self, declared={**self.declared, name: change})
         after = declared._restoring((), (), [one.name for one in change.individuals])

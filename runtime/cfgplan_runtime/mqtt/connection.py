@@ -158,7 +158,7 @@ class Connection:
         self._client = None
 
     def check(self) -> None:
-        """Raises MqttRefusedError if the broker refuses this client."""
+        """Raise MqttRefusedError if the broker refuses this client."""
         if self.refusal:
             raise MqttRefusedError(f"{self.name}: {self.refusal}")
 
@@ -298,7 +298,7 @@ def _context(ca: str | None, certificate: str | None, key: str | None) -> ssl.SS
 
 
 def check_parameters(connection: Mapping[str, Any]) -> None:
-    """Raises InputError for parameters that no connection can have."""
+    """Raise InputError for parameters that no connection can have."""
     known = [name for name in inspect.signature(Connection).parameters if name not in ("broker", "say", "will")]
     check_names("MQTT", known, connection)
     if "keepalive" in connection and not 1 <= connection["keepalive"] <= _LONGEST_S:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from cfgplan.errors import InputError
 from cfgplan.mqtt.discovery import DISCOVERY
-from cfgplan.mqtt.traffic import Ear, Traffic
+from cfgplan.mqtt.traffic import Traffic, TrafficCollector
 from cfgplan.summary import some
 from cfgplan_runtime.mqtt.connection import Connection, check_parameters
 from cfgplan_runtime.mqtt.topics import topic_filter
@@ -33,7 +33,7 @@ class Listening:
         check_parameters(connection)
         self._asked = tuple(map(topic_filter, topics))
         self._topics = self._asked if "#" in self._asked else (*self._asked, f"{DISCOVERY}#")
-        self._ear = Ear()
+        self._heard = TrafficCollector()
         self._refused: list[str] = []
         self._is_subscribed = self._was_there = False
         self._woken = threading.Event()
@@ -58,7 +58,7 @@ class Listening:
                 notes = [f"what came after the broker {away}"] if away else []
                 if refused:
                     notes.append(f"{some(refused)}: the broker lets this client read nothing of it")
-                found = self._ear.traffic(name, span_s, self._is_asked, tuple(notes))
+                found = self._heard.traffic(name, span_s, self._is_asked, tuple(notes))
         finally:
             self._connection.close()
         if found.is_empty:
@@ -72,7 +72,7 @@ class Listening:
         return any(topic_matches_sub(asked, topic) for asked in self._asked)
 
     def _refuse(self) -> None:
-        """Raises InputError if this client can't listen."""
+        """Raise InputError if this client can't listen."""
         name, away, refusal = self._connection.name, self._connection.away, self._connection.refusal
         if refusal:
             mend = "name it by --username, with --password-env or --password-file; certificates by --certificate, --key"
@@ -101,4 +101,6 @@ class Listening:
 
     def _hear(self, _client: Client, _data: object, message: MQTTMessage) -> None:
         with self._connection.changed:
-            self._ear.take(message.topic, bytes(message.payload), is_retained=message.retain, time_s=message.timestamp)
+            self._heard.take(
+                message.topic, bytes(message.payload), is_retained=message.retain, time_s=message.timestamp
+            )

@@ -47,7 +47,7 @@ class MqttTargets:
         return environment.stream_targets
 
     def begin(self, target: Target) -> bool:
-        """Tell if a target can't be published. Returns whether it can."""
+        """Report a target that can't be published. Returns whether it can."""
         try:
             plain_topic(target.topic)
         except InputError as error:
@@ -83,7 +83,7 @@ class MqttTargets:
 
 
 def check_targets(environment: Environment) -> None:
-    """Raises InputError for targets whose topics MQTT does not allow."""
+    """Raise InputError for targets whose topics MQTT does not allow."""
     faults = list[Fault]()
     for target in environment.stream_targets:
         try:

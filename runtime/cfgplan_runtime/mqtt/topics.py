@@ -31,7 +31,7 @@ def _is_plain(topic: object) -> bool:
 
 
 def check_will(will: Mapping[str, Any]) -> None:
-    """Raises InputError for a last will that no broker takes."""
+    """Raise InputError for a last will that no broker takes."""
     if not isinstance(will, Mapping) or set(will) - {"topic", "payload", "qos", "retain"}:
         raise InputError.of("`will` is a mapping with a topic", mend="it has topic, payload, qos and retain")
     if not _is_plain(will.get("topic")) or will.get("qos", 1) not in (0, 1, 2):

@@ -47,7 +47,7 @@ class Subscriber:
         self._with_topic = any(mark in topic for mark in "+#") if with_topic is None else with_topic
         self._waiting: deque[MQTTMessage] = deque()
         self._connections = 0
-        """Numbers of messages begin anew with each connection: what an earlier one brought is confirmed no more."""
+        """Numbers of messages start again with each connection: what an earlier one brought is confirmed no more."""
         self._dropped = 0
         self._connection = Connection(broker, say, **connection)
         self._connection.on_begin = self._subscribe
@@ -142,6 +142,6 @@ class Publisher:
 
 
 def _check_qos(qos: int) -> None:
-    """Raises InputError."""
+    """Raise InputError."""
     if qos not in (0, 1, 2):
         raise InputError.of(f"`{qos}` is no quality of service of MQTT", mend="write 0, 1 or 2")

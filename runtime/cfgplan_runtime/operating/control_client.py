@@ -16,7 +16,7 @@ import msgspec
 from cfgplan_runtime.errors import ControlError, NoSuchRunError
 from cfgplan_runtime.operating.protocol import VERSION, Record, line, refused
 from cfgplan_runtime.streams.closable import Closable
-from cfgplan_runtime.streams.run_folder import base_folder, control_address, is_called, live_runs, said
+from cfgplan_runtime.streams.run_folder import base_folder, control_address, id_and_name, is_called, live_runs
 
 if TYPE_CHECKING:
     from cfgplan_runtime.fleet.reached import ReachedFleet
@@ -167,7 +167,7 @@ def _listed(folders: list[Path]) -> str:
             with connect_to(folder) as control:
                 system = control.system
                 about = f"{Path(system.environment).name}, pid {system.pid}"
-                parts.append(f"{said(folder)} of {about}" if system.name else f"{folder.name} ({about})")
+                parts.append(f"{id_and_name(folder)} of {about}" if system.name else f"{folder.name} ({about})")
         except ControlError:
-            parts.append(said(folder))
+            parts.append(id_and_name(folder))
     return ", ".join(parts)

@@ -19,7 +19,7 @@ class CrowdedLinks:
         self._before: tuple[float, Crossings] | None = None
         self._told: set[tuple[str, str]] = set()
 
-    def told(self, crossings: Crossings, now_s: float) -> Iterator[str]:
+    def warnings(self, crossings: Crossings, now_s: float) -> Iterator[str]:
         """Add counts. Yields a warning for each link that was not reported yet."""
         if self._before is None:
             self._before = now_s, crossings

@@ -21,7 +21,7 @@ from cfgplan.formats.plan_file import read_run_plan
 from cfgplan_runtime.children.messages import Flow
 from cfgplan_runtime.lifecycle import changes
 from cfgplan_runtime.lifecycle.basis import Preview, plan_text, previewed
-from cfgplan_runtime.lifecycle.deliberation import Thought
+from cfgplan_runtime.lifecycle.deliberation import Findings
 from cfgplan_runtime.lifecycle.reports import Review, Snapshot
 from cfgplan_runtime.lifecycle.review_sentences import preview_sentence, supposed_sentence
 from cfgplan_runtime.operating.control_server import Method
@@ -51,7 +51,7 @@ class Controlled(Protocol):
 
     def preview(self) -> Future[Preview]: ...
 
-    def suppose(self, change: changes.Change) -> Thought: ...
+    def suppose(self, change: changes.Change) -> Findings: ...
 
     def snapshot(self) -> Snapshot: ...
 
@@ -168,12 +168,12 @@ class Methods:
         except FutureTimeoutError:
             mend = "wait longer, or ask again when the reviews are over"
             raise RefusedError("busy", "no plan was made in time", mend) from None
-        thought = preview.thought
+        findings = preview.findings
         return {
             "plan": json.loads(plan_text(preview)),
-            "says": preview_sentence(thought),
-            "unmet": dict(thought.unmet),
-            "running": [wired(unit) for unit in thought.running.units],
+            "says": preview_sentence(findings),
+            "unmet": dict(findings.unmet),
+            "running": [wired(unit) for unit in findings.running.units],
         }
 
     def _why(self, params: Mapping[str, Any]) -> Record:
@@ -183,8 +183,8 @@ class Methods:
             preview = _waited_for(self._manager.preview(), params)
         except FutureTimeoutError:
             raise RefusedError("busy", "no plan was made in time", "ask again when the reviews are over") from None
-        if preview.thought.change_set is None:
-            raise RefusedError("refused", f"there is no plan to ask about: {preview.thought.cause}")
+        if preview.findings.change_set is None:
+            raise RefusedError("refused", f"there is no plan to ask about: {preview.findings.cause}")
         try:
             why = answers.why(preview.problem, previewed(preview), "unit", unit, time_limit_s=_WHY_S)
         except CfgplanError as error:
@@ -287,19 +287,19 @@ class Methods:
     def _supposed(self, change: changes.Change) -> Record:
         snapshot = self._manager.snapshot()
         try:
-            thought = self._manager.suppose(change)
+            findings = self._manager.suppose(change)
         except CfgplanError as error:
             raise _refusal(error) from None
         met = {target.label for target in snapshot.targets if target.is_met}
         return {
-            "says": supposed_sentence(thought, snapshot),
-            "cost_us": thought.cost_us,
+            "says": supposed_sentence(findings, snapshot),
+            "cost_us": findings.cost_us,
             "cost_now_us": snapshot.cost_us,
-            "bound_us": thought.bound_us,
-            "is_proven": thought.is_proven,
-            "change_set": None if thought.change_set is None else change_record(thought.change_set),
-            "unmet": dict(thought.unmet),
-            "newly_unmet": sorted(met & thought.unmet.keys()),
+            "bound_us": findings.bound_us,
+            "is_proven": findings.is_proven,
+            "change_set": None if findings.change_set is None else change_record(findings.change_set),
+            "unmet": dict(findings.unmet),
+            "newly_unmet": sorted(met & findings.unmet.keys()),
         }
 
     def _apply(self, params: Mapping[str, Any]) -> Record:

@@ -286,9 +286,9 @@ class Operation(Closable):
                 self._silent = self.manager.silent
                 self._tell_of_silence()
                 library = self.manager.world.environment.transformation
-                for warning in self._spinning.told(observations, library, time.monotonic()):
+                for warning in self._spinning.warnings(observations, library, time.monotonic()):
                     self.show(warning)
-                for warning in self._crowded.told(self.flows.crossings, time.monotonic()):
+                for warning in self._crowded.warnings(self.flows.crossings, time.monotonic()):
                     self.show(warning)
                 return
             case Ended(cause):
@@ -320,7 +320,7 @@ class Operation(Closable):
                 self.show(f"{target.label} is met by {target.stream}, but nothing comes on {target.topic}")
 
     def show(self, news: News) -> None:
-        """Have something shown."""
+        """Queue a report or a warning for showing."""
         while True:
             try:
                 self.news.put_nowait(news)
@@ -369,12 +369,12 @@ class Operation(Closable):
 
 
 class Spinning:
-    """Since when sources without a rate spin, by unit; infinite once that was told."""
+    """Finds sources that spin: they have no rate, and give elements without a pause."""
 
     def __init__(self) -> None:
         self._since_s: dict[str, float] = {}
 
-    def told(
+    def warnings(
         self, observations: Iterable[Observation], library: Mapping[str, Transformation], now_s: float
     ) -> Iterator[str]:
         """Take in observations. Returns a warning for each unit that has spun for long enough, once."""

@@ -68,7 +68,7 @@ def refused(told: Mapping[str, Any]) -> RefusedError:
 
 
 def parse_request(data: bytes) -> Request:
-    """Raises RefusedError for a line that is no request."""
+    """Raise RefusedError for a line that is no request."""
     form = 'write {"id": 1, "method": "state", "params": {}} on one line'
     try:
         request = msgspec.json.decode(data, type=Request)

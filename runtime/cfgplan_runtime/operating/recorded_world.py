@@ -13,9 +13,10 @@ from cfgplan_runtime.operating.recorded import ENVIRONMENT, ONTOLOGY
 
 
 def world_files(world: World, folder: Path) -> Iterator[tuple[str, str]]:
-    """The names and texts of files that say a world again: templates expanded, includes and imports taken in.
+    """Yield names and texts of files from which a world can be loaded again: no templates, includes or imports are
+    left.
 
-    Unit code in `folder` is named by its whole path. The ontology has the axioms that reasoners were told.
+    Unit code in `folder` is named by its whole path. The ontology has the axioms that reasoners got.
     """
     environment = world.environment
     library = tuple(replace(one, source=_whole(one, folder)) for one in environment.library)

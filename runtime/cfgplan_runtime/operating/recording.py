@@ -46,7 +46,7 @@ class Recording:
     """
 
     def __init__(self, path: Path) -> None:
-        """Raises InputError if the file exists, or can't be made."""
+        """Raise InputError if the file exists, or can't be made."""
         needed("recordings", "mcap")
         from mcap.writer import Writer
 

@@ -15,7 +15,7 @@ from typing import Any
 import msgspec
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Stream
-from cfgplan.facts import said
+from cfgplan.facts import value_text
 from cfgplan.formats.dump import plain_unit
 from cfgplan.qualities import MICRO
 from cfgplan_runtime.lifecycle import reports
@@ -40,7 +40,7 @@ def snapshot_record(snapshot: reports.Snapshot, flows: Mapping[str, Record] | No
         "reviews": [review_record(review) for review in snapshot.reviews],
         "backing_off": [plain(backing_off) for backing_off in snapshot.backing_off],
         "lost_hosts": list(snapshot.lost_hosts),
-        "facts": {fact.key: said(fact.value) for fact in snapshot.facts},
+        "facts": {fact.key: value_text(fact.value) for fact in snapshot.facts},
         "facts_heard_s": {name: round(ago_s, 3) for name, ago_s in snapshot.facts_heard_s.items()},
         "left_out": dict(snapshot.left_out),
         "barred": {label: dict(hosts) for label, hosts in snapshot.barred.items()},

@@ -25,7 +25,7 @@ class Tapped(Protocol):
 
 
 class LeasedTaps:
-    """Opens taps and closes those that nobody has renewed. `run` is the folder of the run. Thread-safe."""
+    """Opens taps, and closes those that were not renewed in time. `run` is the folder of the run. Thread-safe."""
 
     def __init__(self, runtime: Tapped, run: Path, now_s: Callable[[], float] = time.monotonic) -> None:
         self._run = run

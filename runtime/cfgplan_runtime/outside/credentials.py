@@ -10,7 +10,7 @@ from cfgplan.errors import InputError, did_you_mean
 
 
 def check_names(protocol: str, known: Iterable[str], given: Mapping[str, object]) -> None:
-    """Raises InputError for a parameter that is not known, and for a password that stands there or has no name."""
+    """Raise InputError for an unknown parameter, a password in the environment file, or one without a `username`."""
     known = tuple(known)
     if "password" in given:
         mend = "write `password_env: VARIABLE` or `password_file: FILE`"

@@ -36,7 +36,7 @@ class PayloadReader:
 
 
 def check_form(form: str) -> None:
-    """Raises InputError for an unknown form."""
+    """Raise InputError for an unknown form."""
     if form not in get_args(PayloadForm):
         mend = f"write one of {', '.join(get_args(PayloadForm))}"
         raise InputError.of(f"`{form}` is no form of a payload", mend=mend)

@@ -67,9 +67,9 @@ class Nursery:
         """Whether the supervisor is gone."""
         self._sign_s = 0.0
         """The time at which the next sign of life is due."""
-        self._bell, self._bell_rope = socket.socketpair()
-        for bell in (self._bell, self._bell_rope):
-            bell.setblocking(False)
+        self._waker, self._bell_rope = socket.socketpair()
+        for waker in (self._waker, self._bell_rope):
+            waker.setblocking(False)
 
     def run(self) -> None:
         # A kill from the kernel would leave what the children have started: their groups are killed first.
@@ -78,7 +78,7 @@ class Nursery:
         adopt_orphans()
         signal.signal(signal.SIGCHLD, lambda *_: None)
         signal.set_wakeup_fd(self._bell_rope.fileno(), warn_on_full_buffer=False)
-        self._selector.register(self._bell, selectors.EVENT_READ)
+        self._selector.register(self._waker, selectors.EVENT_READ)
         self._selector.register(self._control.socket, selectors.EVENT_READ)
         while not (self._control.has_ended or self._is_left):
             if time.monotonic() >= self._sign_s:
@@ -86,7 +86,7 @@ class Nursery:
                 self._control.send(messages.Alive())
             self._selector.select(max(0.0, self._sign_s - time.monotonic()))
             with contextlib.suppress(BlockingIOError):
-                self._bell.recv(4096)
+                self._waker.recv(4096)
             self._reap()
             for message, sockets in self._control.receive():
                 match message:
@@ -140,8 +140,8 @@ class Nursery:
         self._selector.close()
         self._control.close()
         os.close(self._guard)
-        for bell in (self._bell, self._bell_rope):
-            bell.close()
+        for waker in (self._waker, self._bell_rope):
+            waker.close()
 
     def _signal(self, serial: int, number: signal.Signals) -> None:
         for pid, other in self._serials.items():

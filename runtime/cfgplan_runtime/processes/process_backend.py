@@ -28,7 +28,7 @@ from cfgplan_runtime.processes.child_process import (
 from cfgplan_runtime.processes.cpu_group import CpuGroup
 from cfgplan_runtime.processes.nursery_link import NurseryLink
 from cfgplan_runtime.streams.channel import socket_pair
-from cfgplan_runtime.streams.ends import Bell, Ends
+from cfgplan_runtime.streams.ends import Ends, Waker
 from cfgplan_runtime.streams.run_folder import RunFolder
 from cfgplan_runtime.supervision import events
 from cfgplan_runtime.supervision.backend import Inlet, Usage
@@ -73,13 +73,13 @@ class ProcessBackend:
         self._cpu = cpu
         self._code_folder = str((folder or Path.cwd()).resolve())
         self._ends = Ends()
-        self._bell = Bell()
-        self._ends.watch(self._bell.socket, self._bell.hear)
+        self._waker = Waker()
+        self._ends.watch(self._waker.socket, self._waker.hear)
         try:
             self.run_folder = RunFolder(base)  # last: where no descriptor is left, no folder is
         except BaseException:
             self._ends.close()
-            self._bell.close()
+            self._waker.close()
             raise
         self._events: list[events.Event] = []
         self._children: dict[int, ChildProcess] = {}
@@ -123,7 +123,7 @@ class ProcessBackend:
         return time.monotonic()
 
     def wake(self) -> None:
-        self._bell.ring()
+        self._waker.wake()
 
     def wait(self, timeout_s: float | None) -> Sequence[events.Event]:
         if self._outlets_due_s is not None:
@@ -319,7 +319,7 @@ class ProcessBackend:
         for child in list(self._children.values()):
             self._forget(child)
         self._ends.close()
-        self._bell.close()
+        self._waker.close()
         self.run_folder.close()
         if self._cpu is not None:
             self._cpu.close()
@@ -398,10 +398,10 @@ class ProcessBackend:
                         self._cpu.take(pid)
                     self._tell_ready(child)
                 case messages.Gone(_, status) if child is not None:
-                    self._bury(child, status)
+                    self._remove_dead(child, status)
                 case messages.NotForked(_, cause) if child is not None:
                     child.trouble = cause
-                    self._bury(child, 0)
+                    self._remove_dead(child, 0)
         if self._nursery.has_died:
             self._lose_nursery()
 
@@ -414,9 +414,9 @@ class ProcessBackend:
             if child.pid is not None:
                 kill_group(child.pid)  # the child is dead, but what it has started may live
             child.trouble = child.trouble or "killed together with the nursery"
-            self._bury(child, 0)
+            self._remove_dead(child, 0)
 
-    def _bury(self, child: ChildProcess, status: int) -> None:
+    def _remove_dead(self, child: ChildProcess, status: int) -> None:
         """Read the last messages of a dead child, then report its death."""
         for message, _ in child.control.receive():
             self._understand(child, message)

@@ -96,7 +96,7 @@ class Engine:
                 thread.join()
             if self._has_targets:
                 self._take_down([target.label for target in added])
-        self._tell_what_is_left()
+        self._report_waiting()
         self._report(answer)
         return answer
 
@@ -244,7 +244,7 @@ class Engine:
             sum(self._dropped.values()),
         )
 
-    def _tell_what_is_left(self) -> None:
+    def _report_waiting(self) -> None:
         with suppress(queue.Empty):
             while True:
                 found = self._inbox.get_nowait()

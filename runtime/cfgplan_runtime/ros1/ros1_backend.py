@@ -240,7 +240,7 @@ class Ros1Backend:
         for node in list(self._nodes.values()):
             if node.process is not None:
                 self._processes.last_words(node.process, node.unit)
-            self._bury(node, "")
+            self._remove_dead(node, "")
         self._wires.close()
         is_own = self.master.ended is not None
         if not is_own and self._relay_address:
@@ -302,7 +302,7 @@ class Ros1Backend:
 
     def _note_silence(self, node: _UnitNode) -> None:
         if node.process is None and (node.group is None or node.group.process is None):
-            self._bury(node, f"{node.ros.name} does not answer any more")
+            self._remove_dead(node, f"{node.ros.name} does not answer any more")
 
     # Nodes.
 
@@ -345,9 +345,9 @@ class Ros1Backend:
 
     def _end_of(self, node: _UnitNode, process: NodeProcess) -> None:
         """Read the last lines of a process that has ended, then report its end."""
-        self._bury(node, self._processes.last_words(process, node.unit))
+        self._remove_dead(node, self._processes.last_words(process, node.unit))
 
-    def _bury(self, node: _UnitNode, cause: str) -> None:
+    def _remove_dead(self, node: _UnitNode, cause: str) -> None:
         """Forget a node that has ended or was given up."""
         del self._nodes[node.unit], self._units[node.ros.name]
         if node.watch is not None:
@@ -364,7 +364,7 @@ class Ros1Backend:
         if node.group is not None:
             self._unload(node, node.group)
         elif node.process is None:
-            self._bury(node, "is given up")
+            self._remove_dead(node, "is given up")
         else:
             end(node.process)
 
@@ -393,7 +393,7 @@ class Ros1Backend:
 
         def do(known: _UnitNode) -> None:
             if known is node and cause:
-                self._bury(node, cause)
+                self._remove_dead(node, cause)
             elif known is node:
                 node.is_loaded = True
                 self._events.append(events.UnitReady(node.unit, labor_us))
@@ -414,7 +414,7 @@ class Ros1Backend:
             if known is not node:
                 return
             if is_done:
-                self._bury(node, "was unloaded")
+                self._remove_dead(node, "was unloaded")
             else:
                 self._end_group(group)
 
@@ -443,7 +443,7 @@ class Ros1Backend:
         for node in [self._nodes[unit] for unit in list(group.units) if unit in self._nodes]:
             if group.process is None:
                 group.unloads(node.ros)
-            self._bury(node, f"was in the nodelet manager {group.name}, which {clause_of(end)}")
+            self._remove_dead(node, f"was in the nodelet manager {group.name}, which {clause_of(end)}")
 
     def _watch_master(self) -> None:
         if self.master.ended is not None:
@@ -458,7 +458,7 @@ class Ros1Backend:
         for node in list(self._nodes.values()):
             if node.process is not None:
                 self._processes.last_words(node.process, node.unit)
-            self._bury(node, "is ended, since the ROS master has died, to which it tells of itself only once")
+            self._remove_dead(node, "is ended, since the ROS master has died, to which it tells of itself only once")
         self._wires.lose()
         self.master.restart()
         self._watch_master()

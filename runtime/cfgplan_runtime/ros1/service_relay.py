@@ -67,8 +67,8 @@ class ServiceRelay:
 def _pass_on(source: socket.socket, target: socket.socket) -> None:
     """Forward all data, then the end of it."""
     with suppress(OSError):
-        while piece := source.recv(_PIECE_BYTES):
-            target.sendall(piece)
+        while segment := source.recv(_PIECE_BYTES):
+            target.sendall(segment)
     for end in (source, target):
         with suppress(OSError):
             end.shutdown(socket.SHUT_RDWR)

@@ -41,13 +41,13 @@ class RelayedPublication:
 
 @dataclass(slots=True, eq=False)
 class RelayedInlet:
-    """An inlet with its output topic; `told` is the wire that was last reported as its source."""
+    """An inlet with its output topic; `reported` is the wire that was last reported as its source."""
 
     unit: str
     name: str
     queue: InputQueue
     publication: RelayedPublication
-    told: int | None = None
+    reported: int | None = None
     elements: int = 0
 
 

@@ -221,7 +221,7 @@ class TopicRelay:
         was_active = wire == inlet.queue.active
         self._hand_on(inlet, inlet.queue.end(wire))
         if was_active and inlet.queue.active is None and drains:
-            inlet.told = None
+            inlet.reported = None
             self._say(Lost(inlet.name, wire))
         self._drop_unused(found)
 
@@ -351,11 +351,11 @@ class TopicRelay:
     def _tell_switch(self, inlet: RelayedInlet) -> None:
         """Report that an inlet has switched to another wire, once the wire's type is known."""
         active = inlet.queue.active
-        if active is None or active == inlet.told:
+        if active is None or active == inlet.reported:
             return
         source = next(one for one in self._sources.values() if active in one.wires)
         if source.header is not None:
-            inlet.told = active
+            inlet.reported = active
             self._advertise(inlet.publication, source.header, partial(self._say, Switched(inlet.name, active)))
 
     # What goes to nodes.

@@ -39,7 +39,7 @@ from cfgplan_runtime.ros2.ros2_unit import SIM_TIME, Ros2Unit, message_of, node_
 from cfgplan_runtime.ros2.ros_python import RosPython, ros_python
 from cfgplan_runtime.ros2.tapped_values import TappedValues
 from cfgplan_runtime.ros2.warm_nodes import WarmNode, WarmNodes
-from cfgplan_runtime.streams.ends import Bell, Ends
+from cfgplan_runtime.streams.ends import Ends, Waker
 from cfgplan_runtime.streams.run_folder import RunFolder
 from cfgplan_runtime.supervision import events
 from cfgplan_runtime.supervision.backend import Inlet, Usage
@@ -86,8 +86,8 @@ class Ros2Backend:
         self.run_folder = RunFolder()
         self._folder = (folder or Path.cwd()).resolve()
         self._profiles = FastDdsProfiles(self.run_folder.path, self._python.environment)
-        self._ends, self._bell = Ends(), Bell()
-        self._ends.watch(self._bell.socket, self._bell.hear)
+        self._ends, self._waker = Ends(), Waker()
+        self._ends.watch(self._waker.socket, self._waker.hear)
         self._events: list[events.Event] = []
         self._nodes: dict[str, _UnitNode] = {}
         self._warm = WarmNodes(self._start_warm, self._events, self.now(), keeps_one=warm)
@@ -121,7 +121,7 @@ class Ros2Backend:
         return time.monotonic()
 
     def wake(self) -> None:
-        self._bell.ring()
+        self._waker.wake()
 
     def wait(self, timeout_s: float | None) -> Sequence[events.Event]:
         left_s = max(0.0, self._sign_due_s - self.now())
@@ -272,11 +272,11 @@ class Ros2Backend:
         for node in list(self._nodes.values()):
             if node.process is not None:
                 self._processes.last_words(node.process, node.unit)
-            self._bury(node, "")
+            self._remove_dead(node, "")
         self._wires.close()
         clean_memory()
         self._ends.close()
-        self._bell.close()
+        self._waker.close()
         self.run_folder.close()
 
     # The helper.
@@ -325,7 +325,7 @@ class Ros2Backend:
             case Unloaded(unit, is_done):
                 self._containers.note_unloaded(unit, is_done=is_done)
             case Failed(unit, cause) if unit in self._containers:
-                self._bury(self._nodes[unit], cause)
+                self._remove_dead(self._nodes[unit], cause)
             case Failed(unit, cause) if unit in self._nodes:
                 self._events.append(events.UnitPrinted(unit, f"cfgplan: {cause}"))
                 self.kill(unit)
@@ -336,7 +336,7 @@ class Ros2Backend:
             case Gone(unit) if unit in self._nodes:
                 node = self._nodes[unit]
                 gone = "is not there any more" if node.is_ready else "can't be started: no such node is there"
-                self._bury(node, f"{node.ros.name} {gone}")
+                self._remove_dead(node, f"{node.ros.name} {gone}")
             case Tapped(data=data, topic=topic, message=kind, time_ns=time_ns, skipped=skipped):
                 self._wires.taps.show(topic, time_ns, self._values.of(kind, data), skipped)
             case Told(unit, text) if unit in self._nodes:
@@ -412,7 +412,7 @@ class Ros2Backend:
     def _lose(self, unit: str, cause: str) -> None:
         """Forget a unit whose component is gone."""
         clean_memory()
-        self._bury(self._nodes[unit], cause)
+        self._remove_dead(self._nodes[unit], cause)
 
     def _begin_spare(self, unit: str, node: _UnitNode) -> None:
         """Turn a configured spare into a unit. It keeps its name and its topics."""
@@ -442,7 +442,7 @@ class Ros2Backend:
             return
         if not node.is_ready and not node.is_stopping and not node.is_spare:
             (self._warm.refuse if node.was_warm else self._unnumbered.add)(node.ros.transformation.label)
-        self._bury(node, cause)
+        self._remove_dead(node, cause)
 
     def _start_warm(self, spare: str, messages: Iterable[str], tell_ready: Callable[[], None]) -> WarmNode:
         environment = {**self._python.environment, **self._profiles.environment(f"warm_{word(spare or 'run')}")}
@@ -458,7 +458,7 @@ class Ros2Backend:
         node = self._nodes.get(unit)
         return line if node is None else self._warnings.line(unit, line, node.ros.remappings)
 
-    def _bury(self, node: _UnitNode, cause: str) -> None:
+    def _remove_dead(self, node: _UnitNode, cause: str) -> None:
         """Forget a node that has ended or was given up."""
         del self._nodes[node.unit]
         self._warnings.forget(node.unit)
@@ -475,7 +475,7 @@ class Ros2Backend:
     def _end(self, node: _UnitNode, end: Callable[[NodeProcess], None]) -> None:
         """Call `end` with a node's process, or forget a foreign node."""
         if node.process is None:
-            self._bury(node, "is given up")
+            self._remove_dead(node, "is given up")
         else:
             end(node.process)
 

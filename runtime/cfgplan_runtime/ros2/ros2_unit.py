@@ -111,7 +111,7 @@ class Ros2Unit:
 
 
 def message_of(port: InputPort | OutputPort) -> str | None:
-    """The message type of a port as ROS 2 writes it, if the file says it and it is a topic's."""
+    """The message type of a port as ROS 2 writes it; None for a service, and if the file does not say the type."""
     if port.type is None:
         return None
     kind = MessageType.read(port.type, "srv" if isinstance(port, InputPort) and port.service else "msg")
@@ -138,14 +138,14 @@ def node_source(transformation: Transformation) -> NodeSource:
 
 
 def check_start(transformation: Transformation, folder: Path) -> None:
-    """Raises InputError if what starts a node can't be found; files are relative to `folder`."""
+    """Raise InputError if the program of a node can't be found; files are relative to `folder`."""
     source = node_source(transformation)
     if source.kind != "external":
         Ros2Unit("/name", source, transformation).program(folder)
 
 
 def _check_component(label: str, source: NodeSource) -> None:
-    """Raises InputError for what no container can load."""
+    """Raise InputError for what no container can load."""
     other = next((each for each in source.arguments if REMAPS not in each), None)
     if other is not None:
         what = f"{label}: a component takes no argument `{other}`, only remappings"
@@ -192,7 +192,7 @@ def _own_name(port: InputPort | OutputPort) -> str:
 
 
 def _check_parameter(place: str, value: object) -> None:
-    """Raises InputError for a value that no parameter of ROS 2 can have."""
+    """Raise InputError for a value that no parameter of ROS 2 can have."""
     if isinstance(value, Mapping):
         for name, part in value.items():
             _check_parameter(f"{place}.{name}", part)

@@ -72,7 +72,7 @@ class RosTargets:
 
 
 def check_targets(environment: Environment, folder: Path) -> None:
-    """Raises InputError if no target can be published, or one can't that says its message type."""
+    """Raise InputError if no target names a message type, or if a target that names one can't be published."""
     check_installed()
     typed = _typed(environment)
     if not typed:

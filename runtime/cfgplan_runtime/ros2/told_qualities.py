@@ -82,7 +82,7 @@ class ToldQualities(Closable):
 
 
 def told_in(teller: Teller, message: Mapping[str, Any]) -> Iterator[tuple[Told, float | None]]:
-    """Yield what a message tells, each with its number, of statistics in seconds; None if a text is no number."""
+    """Yield each quality in a message with its number (statistics: in seconds), or None if its text is no number."""
     if teller is Teller.DIAGNOSTICS:
         for status in message["status"]:
             for pair in status["values"]:

@@ -118,8 +118,8 @@ class RosTopics:
         self._orders: deque[msgspec.Struct] = deque()
         self._lock = threading.Lock()
         self._is_over = False
-        self._bell, self._heard_bell = socket.socketpair()
-        for end in (self._bell, self._heard_bell):
+        self._waker, self._heard_bell = socket.socketpair()
+        for end in (self._waker, self._heard_bell):
             end.setblocking(False)
         self._thread = threading.Thread(target=self._work, name="cfgplan-ros2", daemon=True)
         self._thread.start()
@@ -129,7 +129,8 @@ class RosTopics:
         return RosPublisher(self, self._begin(Publish, topic, form, quality, depth, None))
 
     def read(self, topic: str, form: MessageForm, quality: ServiceQuality, depth: int, take: Take) -> int:
-        """Call `take` with each message of a topic from now on, with transient local also with the last ones before.
+        """Call `take` with each message of a topic; if `quality` is transient local, first with those kept by
+        publishers.
 
         Returns the number by which `end` ends it. Raises InputError.
         """
@@ -161,7 +162,7 @@ class RosTopics:
         self._is_over = True
         self._ring()
         self._thread.join()
-        self._bell.close()
+        self._waker.close()
         self._heard_bell.close()
 
     def _begin(
@@ -183,8 +184,8 @@ class RosTopics:
         return number
 
     def _ring(self) -> None:
-        with suppress(OSError):  # it rings already, or is closed
-            self._bell.send(b"\0")
+        with suppress(OSError):  # it is set already, or closed
+            self._waker.send(b"\0")
 
     def _work(self) -> None:
         while not self._is_over:
@@ -283,12 +284,12 @@ class RosPublisher:
 
 
 def check_installed() -> None:
-    """Raises InputError, which names the extra, if what ROS 2 topics need is not installed."""
+    """Raise InputError, which names the extra, if what ROS 2 topics need is not installed."""
     needed("ROS 2 topics", "rosbags")
 
 
 def checked_name(name: str, what: str) -> str:
-    """A name with its namespace, from the root. Raises InputError if ROS 2 allows none such."""
+    """Return a name with its namespace, from the root. Raises InputError if ROS 2 does not allow it."""
     parts = name.removeprefix("/").split("/")
     if not all(map(_ROS_NAME.fullmatch, parts)):
         mend = "it is made of letters, digits and underscores, each part after a `/`, none with a digit first"
@@ -297,7 +298,7 @@ def checked_name(name: str, what: str) -> str:
 
 
 def checked_domain(domain: int | None = None) -> int:
-    """A domain, ROS_DOMAIN_ID if it is None. Raises InputError for one that there is not."""
+    """Return a domain; for None, that of ROS_DOMAIN_ID. Raises InputError for a number that is no domain."""
     said = str(domain) if domain is not None else os.environ.get("ROS_DOMAIN_ID") or "0"
     if not said.isdecimal() or int(said) > LARGEST_DOMAIN:
         raise InputError.of(f"`{said}` is no domain of ROS 2", mend=f"write a number from 0 to {LARGEST_DOMAIN}")

@@ -67,7 +67,7 @@ class PublisherParams(msgspec.Struct, forbid_unknown_fields=True):
         return Definitions(self.distribution, files, folder).form(MessageType.read(self.type))
 
     def open(self) -> RosTopics:
-        """Begin a node, which prints what goes wrong. Raises InputError."""
+        """Start a node that prints its faults. Raises InputError."""
         return RosTopics(self.node or f"cfgplan_{re.sub('/+', '_', self.topic.strip('/'))}", say, domain=self.domain)
 
 
@@ -141,7 +141,7 @@ class Publisher:
 
 
 def check_unit(transformation: Transformation, folder: Path) -> None:
-    """Raises InputError if a transformation whose source is in this module can't be started as it is said."""
+    """Raise InputError if a transformation with a source of this module can't be started with its parameters."""
     params_of = {SUBSCRIBER: SubscriberParams, PUBLISHER: PublisherParams}.get(transformation.source or "")
     if params_of is None:
         return

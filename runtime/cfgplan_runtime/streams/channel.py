@@ -98,7 +98,7 @@ class Sender:
         return self.is_closed or not self.depth
 
     def attend(self) -> None:
-        """The socket is ready: discard what the receiver says, then send waiting elements; give up if it is gone."""
+        """Handle a ready socket: discard what the receiver sent, send waiting elements; give up if it is gone."""
         try:
             is_gone = not self.socket.recv(_MOST_SAID, socket.MSG_DONTWAIT)
         except BlockingIOError:

@@ -1,11 +1,11 @@
 """Crossings: streams from one computer to another, in order and without repeats, over links that may lose or repeat
 frames.
 
-The sender cuts pieces into numbered frames, and keeps each frame until the receiver has acknowledged it. The number of
-unacknowledged frames is limited, also by the receiver's room. Pieces that wait meanwhile are bounded, too: beyond the
-bound they are dropped, or the producer waits. So a cut, a full link and a slow receiver have the same effect, and each
-crossing is independent of the others. The bytes in flight follow the measured rate of the link, since data that waits
-in a slow link delays all other streams of the link.
+The sender cuts segments into numbered frames, and keeps each frame until the receiver has acknowledged it. The number
+of unacknowledged frames is limited, also by the receiver's room. Segments that wait meanwhile are bounded, too: beyond
+the bound they are dropped, or the producer waits. So a cut, a full link and a slow receiver have the same effect, and
+each crossing is independent of the others. The bytes in flight follow the measured rate of the link, since data that
+waits in a slow link delays all other streams of the link.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ of rounds.
 _WAITING_S, _LEAST_WAITING = 2.0, 1 << 22
 """The seconds (a lease) of a full link's rate that may wait for it, and the least number of bytes."""
 MOST_PIECES = 4096
-"""The most pieces that wait to be sent: two seconds (a lease) at 2,000 Hz."""
+"""The most segments that wait to be sent: two seconds (a lease) at 2,000 Hz."""
 _TOLD_EVERY, _TOLD_EVERY_BYTES = FRAMES_UNDER_WAY // 32, BYTES_UNDER_WAY // 8
 _LATEST_CREDIT_S, _SOON_CREDIT_S = 0.05, 0.01
 """The most seconds until a frame is acknowledged, and those for a large frame."""
@@ -85,10 +85,10 @@ _CREDIT = struct.Struct("<QQ")
 _MISSING_NUMBER = struct.Struct("<Q")
 
 
-class Piece(NamedTuple):
+class Segment(NamedTuple):
     """An element on its way between hosts; with `is_last`, the end of its stream, which has no payload.
 
-    With `is_mark` it reports to the run named in it that all earlier pieces have arrived.
+    With `is_mark` it reports to the run named in it that all earlier segments have arrived.
     """
 
     time_ns: int
@@ -102,30 +102,30 @@ class Piece(NamedTuple):
         return not (self.is_last or self.is_mark)
 
 
-LAST_PIECE = Piece(0, 0, b"", is_last=True)
+LAST_SEGMENT = Segment(0, 0, b"", is_last=True)
 _ELEMENT, _LAST, _QUESTION, _MARKER, _PART = range(5)
 """Kinds of frames."""
 
 
 class Frame(NamedTuple):
-    """A piece with its number; `dropped` counts all earlier pieces that had no room. Without a piece, the frame asks
-    for a credit.
+    """A segment with its number; `dropped` counts all earlier segments that had no room. Without a segment, the frame
+    asks for a credit.
 
     With `has_more` it is a part of an element that continues in the next frame.
     """
 
     number: int
     dropped: int
-    piece: Piece | None
+    segment: Segment | None
     has_more: bool = False
 
     def head(self) -> bytes:
         """The frame without its payload, as bytes."""
-        piece = self.piece
-        if piece is None:
+        segment = self.segment
+        if segment is None:
             return _HEAD.pack(self.number, self.dropped, 0, 0, _QUESTION)
-        kind = _LAST if piece.is_last else _MARKER if piece.is_mark else _PART if self.has_more else _ELEMENT
-        return _HEAD.pack(self.number, self.dropped, piece.time_ns, piece.turn, kind)
+        kind = _LAST if segment.is_last else _MARKER if segment.is_mark else _PART if self.has_more else _ELEMENT
+        return _HEAD.pack(self.number, self.dropped, segment.time_ns, segment.turn, kind)
 
 
 def read_frame(head: bytes, payload: bytes) -> Frame | None:
@@ -133,8 +133,8 @@ def read_frame(head: bytes, payload: bytes) -> Frame | None:
     if len(head) != _HEAD.size:
         return None
     number, dropped, time_ns, turn, kind = _HEAD.unpack(head)
-    piece = None if kind == _QUESTION else Piece(time_ns, turn, payload, kind == _LAST, kind == _MARKER)
-    return Frame(number, dropped, piece, kind == _PART)
+    segment = None if kind == _QUESTION else Segment(time_ns, turn, payload, kind == _LAST, kind == _MARKER)
+    return Frame(number, dropped, segment, kind == _PART)
 
 
 @dataclass(frozen=True, slots=True)
@@ -286,7 +286,7 @@ class Pace:
 
 
 class Sending:
-    """The sender's end. With `blocks`, `is_full` tells the producer to wait; otherwise the oldest pieces are dropped.
+    """The sender's end. With `blocks`, `is_full` tells the producer to wait; otherwise the oldest segments are dropped.
 
     `granted` frames may be sent before the receiver's first credit.
     """
@@ -294,14 +294,14 @@ class Sending:
     def __init__(self, *, blocks: bool = False, most: int = MOST_PIECES, granted: int = 0) -> None:
         self.dropped = 0
         self.crowded = 0
-        """The number of pieces dropped for lack of room in the link; the other drops lacked room at the receiver."""
+        """The number of segments dropped for lack of room in the link; the other drops lacked room at the receiver."""
         self.offered_bytes = self.arrived_bytes = 0
         self._blocks = blocks
         self._most = most
-        self._waiting: deque[Piece] = deque()
+        self._waiting: deque[Segment] = deque()
         self._waiting_bytes = 0
         self._begun = 0
-        """The bytes of the first waiting piece that were sent."""
+        """The bytes of the first waiting segment that were sent."""
         self._is_within = False
         """Whether the last frame was a part of an element that is not over."""
         self._under_way: dict[int, Frame] = {}
@@ -309,7 +309,7 @@ class Sending:
         self._pace = Pace()
         self._next = 0
         self._dropped_before = 0
-        """The number of drops before the last piece that arrived: the receiver knows of them."""
+        """The number of drops before the last segment that arrived: the receiver knows of them."""
         self._limit = granted
         self._missing: set[int] = set()
         self._repeated: dict[int, tuple[float, int]] = {}
@@ -322,7 +322,7 @@ class Sending:
 
     @property
     def depth(self) -> int:
-        """The number of pieces that have not arrived, as far as known."""
+        """The number of segments that have not arrived, as far as known."""
         return len(self._waiting) + sum(not frame.has_more for frame in self._under_way.values())
 
     @property
@@ -330,19 +330,19 @@ class Sending:
         """The number of elements lost if no more is sent: those that have not arrived, and drops after the last
         arrival.
         """
-        last_ones = (frame.piece for frame in self._under_way.values() if not frame.has_more)
-        pieces = [*self._waiting, *(piece for piece in last_ones if piece is not None)]
-        return sum(piece.is_element for piece in pieces) + self.dropped - self._dropped_before
+        last_ones = (frame.segment for frame in self._under_way.values() if not frame.has_more)
+        segments = [*self._waiting, *(segment for segment in last_ones if segment is not None)]
+        return sum(segment.is_element for segment in segments) + self.dropped - self._dropped_before
 
     @property
     def is_full(self) -> bool:
         return self._blocks and (len(self._waiting) >= self._most or self._waiting_bytes > MOST_WAITING_BYTES)
 
-    def offer(self, piece: Piece) -> None:
-        """Queue a piece. An element is sent whole or dropped whole."""
-        self._waiting.append(piece)
-        self._waiting_bytes += len(piece.payload)
-        self.offered_bytes += len(piece.payload)
+    def offer(self, segment: Segment) -> None:
+        """Queue a segment. An element is sent whole or dropped whole."""
+        self._waiting.append(segment)
+        self._waiting_bytes += len(segment.payload)
+        self.offered_bytes += len(segment.payload)
         while not self._blocks and len(self._waiting) > 1 and self._has_too_many:
             first = 1 if self._begun else 0
             elements = (number for number, one in enumerate(self._waiting) if number >= first and one.is_element)
@@ -414,16 +414,16 @@ class Sending:
         return True
 
     def _cut(self) -> Frame:
-        """The next frame of the waiting pieces: a piece, or a part of one that is larger than a frame."""
-        piece = self._waiting[0]
-        end = min(len(piece.payload), self._begun + self._pace.frame)
-        part = piece.payload if end - self._begun == len(piece.payload) else piece.payload[self._begun : end]
-        has_more = end < len(piece.payload)
+        """The next frame of the waiting segments: a segment, or a part of one that is larger than a frame."""
+        segment = self._waiting[0]
+        end = min(len(segment.payload), self._begun + self._pace.frame)
+        part = segment.payload if end - self._begun == len(segment.payload) else segment.payload[self._begun : end]
+        has_more = end < len(segment.payload)
         self._waiting_bytes -= end - self._begun
         self._begun = end if has_more else 0
         if not has_more:
             self._waiting.popleft()
-        return Frame(self._next, self.dropped, piece._replace(payload=part), has_more)
+        return Frame(self._next, self.dropped, segment._replace(payload=part), has_more)
 
     @property
     def _has_window(self) -> bool:
@@ -436,7 +436,7 @@ class Sending:
 
     @staticmethod
     def _size(frame: Frame) -> int:
-        return 0 if frame.piece is None else len(frame.piece.payload)
+        return 0 if frame.segment is None else len(frame.segment.payload)
 
 
 class Receiving:
@@ -444,7 +444,7 @@ class Receiving:
 
     def __init__(self) -> None:
         self.dropped = 0
-        """The number of dropped pieces before the last one that was delivered."""
+        """The number of dropped segments before the last one that was delivered."""
         self._expected = 0
         self._held: dict[int, Frame] = {}
         self._parts: list[Buffer] = []
@@ -456,33 +456,33 @@ class Receiving:
         """Missing numbers before this one have been asked for."""
         self._limit = 0
 
-    def take(self, frame: Frame, now_s: float) -> list[Piece]:
-        """Take a frame. Returns the pieces to deliver now, in order."""
-        if frame.piece is None or frame.number < self._expected or frame.number in self._held:
+    def take(self, frame: Frame, now_s: float) -> list[Segment]:
+        """Take a frame. Returns the segments to deliver now, in order."""
+        if frame.segment is None or frame.number < self._expected or frame.number in self._held:
             self._tell_s = now_s  # the sender does not know what has come
             return []
         if frame.number >= self._expected + 2 * FRAMES_UNDER_WAY:
             return []
         self._held[frame.number] = frame
-        is_large = len(frame.piece.payload) > SMALL_FRAME or frame.has_more or bool(self._parts)
-        pieces, before = [], self._expected
+        is_large = len(frame.segment.payload) > SMALL_FRAME or frame.has_more or bool(self._parts)
+        segments, before = [], self._expected
         while (next_one := self._held.pop(self._expected, None)) is not None:
             self._expected += 1
-            piece = next_one.piece
-            assert piece is not None
-            self._untold_bytes += len(piece.payload)
+            segment = next_one.segment
+            assert segment is not None
+            self._untold_bytes += len(segment.payload)
             if next_one.has_more or self._parts:
-                self._parts.append(piece.payload)
+                self._parts.append(segment.payload)
             if next_one.has_more:
                 continue
             self.dropped = next_one.dropped
-            pieces.append(piece._replace(payload=b"".join(self._parts)) if self._parts else piece)
+            segments.append(segment._replace(payload=b"".join(self._parts)) if self._parts else segment)
             self._parts = []
         self._untold += self._expected - before
         is_much = self._untold >= _TOLD_EVERY or self._untold_bytes >= _TOLD_EVERY_BYTES
         due_s = now_s if is_much or self._held else now_s + (_SOON_CREDIT_S if is_large else _LATEST_CREDIT_S)
         self._tell_s = due_s if self._tell_s is None else min(self._tell_s, due_s)
-        return pieces
+        return segments
 
     def credit(self, now_s: float, *, has_room: bool = True) -> Credit | None:
         """The credit to send now; None if it would say nothing new, or one was sent just now."""
@@ -509,8 +509,8 @@ class Receiving:
         return self._tell_s
 
 
-class Conversation:
-    """One end of a two-way channel: offered pieces are sent until they have arrived, and received ones are
+class DuplexChannel:
+    """One end of a two-way channel: offered segments are sent until they have arrived, and received ones are
     acknowledged.
     """
 
@@ -518,8 +518,8 @@ class Conversation:
         self.sending = sending
         self.receiving = Receiving()
 
-    def take(self, is_credit: bool, head: bytes, payload: bytes, now_s: float) -> list[Piece]:
-        """Take a credit or a frame. Returns the pieces to deliver now, in order."""
+    def take(self, is_credit: bool, head: bytes, payload: bytes, now_s: float) -> list[Segment]:
+        """Take a credit or a frame. Returns the segments to deliver now, in order."""
         if is_credit:
             credit = read_credit(payload)
             if credit is not None:
@@ -531,7 +531,7 @@ class Conversation:
     def pump(self, put: Put, put_credit: Put, now_s: float, *, has_room: bool = True) -> None:
         """Send the frames that are due. Without room, the other end is told to pause."""
         for frame in self.sending.due(now_s):
-            put(frame.head(), b"" if frame.piece is None else bytes(frame.piece.payload))
+            put(frame.head(), b"" if frame.segment is None else bytes(frame.segment.payload))
         credit = self.receiving.credit(now_s, has_room=has_room)
         if credit is not None:
             put_credit(b"", credit.packed())

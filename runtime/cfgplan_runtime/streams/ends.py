@@ -45,7 +45,7 @@ class Ends:
         self._selector.close()
 
 
-class Bell:
+class Waker:
     """Lets any thread wake the thread that waits for `socket`."""
 
     def __init__(self) -> None:
@@ -53,9 +53,9 @@ class Bell:
         for end in (self.socket, self._rope):
             end.setblocking(False)
 
-    def ring(self) -> None:
+    def wake(self) -> None:
         """Wake the waiting thread. Thread-safe."""
-        with suppress(OSError):  # it rings already, or is closed
+        with suppress(OSError):  # it is set already, or closed
             self._rope.send(b"!")
 
     def hear(self) -> None:
@@ -73,8 +73,8 @@ class Posted:
 
     def __init__(self, ends: Ends) -> None:
         self._calls: deque[Callable[[], object]] = deque()
-        self._bell = Bell()
-        ends.watch(self._bell.socket, self._bell.hear)
+        self._waker = Waker()
+        ends.watch(self._waker.socket, self._waker.hear)
 
     def __bool__(self) -> bool:
         return bool(self._calls)
@@ -85,7 +85,7 @@ class Posted:
         self.wake()
 
     def wake(self) -> None:
-        self._bell.ring()
+        self._waker.wake()
 
     def do(self) -> None:
         """Make all posted calls, in order."""
@@ -93,4 +93,4 @@ class Posted:
             self._calls.popleft()()
 
     def close(self) -> None:
-        self._bell.close()
+        self._waker.close()

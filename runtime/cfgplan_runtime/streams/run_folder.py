@@ -141,7 +141,7 @@ def is_called(run: Path, wanted: str) -> bool:
     return wanted in (run.name, name_of(run))
 
 
-def said(run: Path) -> str:
+def id_and_name(run: Path) -> str:
     """A run's id, with its name if it has one."""
     name = name_of(run)
     return run.name if name is None else f"{name} ({run.name})"

@@ -19,10 +19,10 @@ from cfgplan_runtime.streams.run_folder import (
     address,
     base_folder,
     clock_offset_ns,
+    id_and_name,
     is_alive,
     is_called,
     live_runs,
-    said,
     topics_of,
 )
 
@@ -39,7 +39,7 @@ class Received:
 
 
 class TopicPlace(Protocol):
-    """The place of topics. A topic may move to another host meanwhile."""
+    """Connects to topics of a run, wherever they are. A topic may move to another host between two connections."""
 
     @property
     def name(self) -> str: ...
@@ -194,12 +194,12 @@ def _live(run: str | None) -> list[Path]:
 
 def _why_not(topic: str, run: str | None, found: list[Path]) -> str:
     if found:
-        return f"several runs have topic {topic!r}: name one of {', '.join(map(said, found))} (--run)"
+        return f"several runs have topic {topic!r}: name one of {', '.join(map(id_and_name, found))} (--run)"
     live = list(live_runs(base_folder()))
     if not live:
         return f"nothing publishes topic {topic!r}: no run is live; start one with `cfgplan run ENV`"
     meant = _live(run)
     if not meant:
-        return f"no run {run!r} is live; there is {', '.join(map(said, live))}"
+        return f"no run {run!r} is live; there is {', '.join(map(id_and_name, live))}"
     there = sorted({name for path in meant for name in topics_of(path)})
     return f"nothing publishes topic {topic!r}; there is {', '.join(there) or 'no topic at all'}"

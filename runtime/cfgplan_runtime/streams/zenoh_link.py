@@ -216,7 +216,7 @@ class ZenohLink:
         self._declare(declare)
 
     def live(self, key: str) -> None:
-        """Be alive under a key until the link is closed or cut."""
+        """Show others that this link is alive, by a key, until it is closed or cut."""
         self._declare(lambda session: session.liveliness().declare_token(key))
 
     def give_signs(self, key: str, period_s: float, sign: Callable[[], bytes] = bytes) -> None:

@@ -34,8 +34,8 @@ class Behaviour:
     Costs are the transformation's own unless given: `labor_us` in microseconds of CPU time; `upkeep_us` in microseconds
     per second, a function of the clock that is called once per second. `dies_s` counts from readiness. A `quiet` unit
     sends no element; a `hung` one gives no sign of life and does not stop when told; each step of a `failing` one has
-    an error; a unit with `heir` leaves a process behind that holds its sockets open. `says` gives, at a
-    time of the clock, the quality of the outputs since the last sign of life.
+    an error; one that `leaves_process` leaves one behind that holds its sockets open. `says` gives,
+    for a time of the clock, the quality of the outputs since the last sign of life.
     """
 
     start_s: float = 0.01
@@ -45,7 +45,7 @@ class Behaviour:
     quiet: bool = False
     hung: bool = False
     failing: bool = False
-    heir: bool = False
+    leaves_process: bool = False
     memory_bytes: int = 10 << 20
     labor_us: int | None = None
     upkeep_us: Callable[[float], float] | None = None
@@ -329,8 +329,8 @@ class SimulatedBackend:
             case UnitReady(unit) if unit in self.units:
                 self.units[unit].is_ready = True
             case UnitDied(unit) | UnitStopped(unit) if unit in self.units:
-                has_heir = self.units.pop(unit).behaviour.heir
-                for wire in [w for w, (stream, _) in self.wires.items() if stream.unit == unit and not has_heir]:
+                has_orphan = self.units.pop(unit).behaviour.leaves_process
+                for wire in [w for w, (stream, _) in self.wires.items() if stream.unit == unit and not has_orphan]:
                     self._end(wire)
                 for wire in [wire for wire, (_, inlet) in self.wires.items() if inlet.unit == unit]:
                     self._inputs.pop(self.wires.pop(wire)[1], None)

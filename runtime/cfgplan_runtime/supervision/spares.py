@@ -92,16 +92,14 @@ class Spares:
         return taken
 
     def note_prepared(self, prepared: SparePrepared, now_s: float) -> bool:
-        """A spare is prepared. Returns whether it is still wanted."""
+        """Note that a spare is prepared. Returns whether it is still wanted."""
         spare = self._spares.get(prepared.unit)
         if spare is not None:
             spare.prepared, spare.prepared_s = prepared, now_s
         return spare is not None
 
     def note_loss(self, unit: str, now_s: float) -> bool:
-        """A spare was lost: it is prepared again, with growing waits after losses in a row. Returns whether it is
-        wanted.
-        """
+        """Note the loss of a spare: it is prepared again, after growing waits. Returns whether it is still wanted."""
         spare = self._spares.get(unit)
         if spare is not None:
             lived_well = spare.prepared is not None and now_s - spare.prepared_s >= _WELL_S

@@ -29,7 +29,7 @@ WATCH_PERIOD_S = 0.25
 _HOSTS_S = 5.0
 """Seconds that an update waits until the backend has told of each host that it adds."""
 _LONGEST_ROUND_S = 1.0
-"""A longer round is a gap: this process was suspended, and has seen nothing meanwhile."""
+"""After a longer round, this process was suspended, and has noticed nothing meanwhile."""
 _DRY_S = 2.5
 _MOST_REMEMBERED = 1000
 """The number of change sets that are remembered by their ids."""
@@ -69,15 +69,15 @@ class Supervisor:
         self._patience: dict[str, tuple[float, float]] = {}
         """By helper process of the backend: when it gave its last sign of life, and how long it may be silent."""
         self._round_s = backend.now()
-        self._gaps_s = 0.0
+        self._suspended_s = 0.0
         self._watched_s = self.now()
         found = backend.found()
         if found is not None:
             self._adopt(found)
 
     def now(self) -> float:
-        """The backend's clock without the gaps in which this process was suspended, so that these make no unit late."""
-        return self.backend.now() - self._gaps_s
+        """The backend's clock without the times in which this process was suspended, so that they make no unit late."""
+        return self.backend.now() - self._suspended_s
 
     def apply(
         self,
@@ -284,9 +284,9 @@ class Supervisor:
                 self.wiring.connect(stream, inlet, self._library.get(inlet.unit))
             case updates.Disconnect(inlet):
                 self.wiring.disconnect(inlet)
-            case updates.GoOver(inlet):
+            case updates.SwitchNow(inlet):
                 self.backend.switch_now(inlet)
-            case updates.Believe(environment):
+            case updates.SetEnvironment(environment):
                 self.environment = environment
             case updates.WaitUntil():
                 self._wait(command)
@@ -326,14 +326,14 @@ class Supervisor:
                 unit.id, transformation, self._states.get(transformation.state_name or ""), unit.host, spare
             )
         except Exception:
-            self._bury(unit.id)
+            self._remove_dead(unit.id)
             raise
 
     def _hear(self, timeout_s: float) -> None:
         happened = self.backend.wait(timeout_s)
         now = self.backend.now()
         if now - self._round_s > _LONGEST_ROUND_S:
-            self._gaps_s += now - self._round_s
+            self._suspended_s += now - self._round_s
         self._round_s = now
         for event in happened:
             if self._understand(event):
@@ -348,10 +348,10 @@ class Supervisor:
                 record.labor_us, record.sign_s = labor_us, self.now()
             case events.UnitDied(unit, cause):
                 self.cause_of_death[unit] = cause
-                self._bury(unit)
+                self._remove_dead(unit)
                 self.environment = self.environment.without_unit(unit)
             case events.UnitStopped(unit):
-                self._bury(unit)
+                self._remove_dead(unit)
             case events.SparePrepared():
                 return self.spares.note_prepared(event, self.now())
             case events.SpareLost(unit):
@@ -394,7 +394,7 @@ class Supervisor:
         if status.state is not None and name is not None:
             self._states[name] = status.state
 
-    def _bury(self, unit: str) -> None:
+    def _remove_dead(self, unit: str) -> None:
         self.alive.discard(unit)
         self.ready.discard(unit)
         self._stopping.pop(unit, None)
@@ -411,9 +411,9 @@ class Supervisor:
         """Forget the units and cold spares on a lost host, and close the wires to its topics."""
         for unit in [unit for unit, record in self._records.items() if record.host == host]:
             self.cause_of_death[unit] = f"host {host} is gone: {cause}"
-            self._bury(unit)
+            self._remove_dead(unit)
         for unit in [unit for unit, (at, _) in self._stopping.items() if at == host]:
-            self._bury(unit)
+            self._remove_dead(unit)
         self.spares.lose_host(host)
         self.taps.lose_host(host)
         for unit_there in [unit for unit in self.environment.units if unit.host == host]:

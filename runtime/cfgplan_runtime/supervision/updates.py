@@ -158,20 +158,20 @@ class Disconnect(Command, frozen=True):
     inlet: Inlet
 
 
-class GoOver(Command, frozen=True):
+class SwitchNow(Command, frozen=True):
     """Switch an inlet to its new source without waiting for the old one."""
 
     inlet: Inlet
 
 
-class Believe(Command, frozen=True):
+class SetEnvironment(Command, frozen=True):
     """Take this environment as the running configuration."""
 
     environment: Environment
 
 
 class Commit(Command, frozen=True):
-    """All new units are ready and connected: nothing is undone from here on."""
+    """Note that all new units are ready and connected: from here on nothing is undone."""
 
 
 class WaitUntil(Command, frozen=True):
@@ -367,7 +367,7 @@ class _Update:
         stopped = set(self.change_set.stopped)
         for inlet in self.switching():
             if self.rewired[inlet] is not None and not self.replaces_one_of(stopped, inlet):
-                yield GoOver(inlet)
+                yield SwitchNow(inlet)
         yield from self.stop_units(self.change_set.stopped)
 
     def undo(self, failed: list[str], *, keeps_new: bool) -> Commands:
@@ -378,7 +378,7 @@ class _Update:
         """
         actual, wanted = self.actual, self.wanted
         kept = actual.alive & set(self.started) - set(failed) if keeps_new else set[str]()
-        yield Believe(self.with_unconnected(kept))
+        yield SetEnvironment(self.with_unconnected(kept))
         back = {inlet: old for inlet, old in reversed(self.rewired.items()) if inlet.unit not in self.started}
         self.rewired.clear()
         for inlet, old in back.items():
@@ -390,12 +390,12 @@ class _Update:
                 yield Disconnect(inlet)
         yield WaitUntil(self.may_end, self.patience.switch_s)
         for inlet in self.switching():
-            yield GoOver(inlet)
+            yield SwitchNow(inlet)
         for inlet in [inlet for inlet in actual.feeds if inlet.unit in kept]:
             yield Disconnect(inlet)
         yield from self.stop_units(sorted({*self.started, *failed} - kept))
         for unit in failed:
-            yield Believe(actual.environment.without_unit(unit))
+            yield SetEnvironment(actual.environment.without_unit(unit))
         yield from self.close_topics(self.opened)
 
     def stop_units(self, units: Iterable[str]) -> Commands:
@@ -424,7 +424,7 @@ class _Update:
         outlet = Inlet("", topic)
         if outlet in self.actual.feeds:
             yield Disconnect(outlet)
-            yield Believe(wiring.without_feed(self.actual.environment, outlet))
+            yield SetEnvironment(wiring.without_feed(self.actual.environment, outlet))
         yield CloseTopic(topic)
 
     def close_topics(self, topics: Iterable[str]) -> Commands:

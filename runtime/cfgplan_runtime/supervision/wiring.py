@@ -65,7 +65,7 @@ class Wiring:
         self._backend.disconnect(wire.id, wire.inlet)
 
     def note_switch(self, wire_id: int) -> None:
-        """An inlet has switched to a wire."""
+        """Note that an inlet has switched to a wire."""
         wire = self._wires.get(wire_id)
         if wire is not None:
             wire.has_switched = True
@@ -101,7 +101,7 @@ class Wiring:
             self._backend.end_wire(wire.id, wire.stream, wire.inlet)
 
     def settle(self) -> None:
-        """After an update: forget the wires that were replaced."""
+        """Forget the wires that the last update has replaced."""
         for wire in self.feeds.values():
             wire.replaces = None
         self._wires = {wire.id: wire for wire in self.feeds.values()}
@@ -179,7 +179,7 @@ def _starves(unit: ComputationUnit, environment: Environment, starved: set[str])
 
 
 def without_feed(environment: Environment, inlet: Inlet, stream: Stream | None = None) -> Environment:
-    """The environment with a gap at one inlet, which `stream` has fed; a topic's needs none."""
+    """Return the environment without the subscription of `stream` at an inlet, or without a topic's publication."""
     left = tuple(_with_gap(unit, inlet, stream) for unit in environment.units)
     return replace(environment, units=left)
 

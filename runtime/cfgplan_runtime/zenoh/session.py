@@ -84,7 +84,7 @@ class ZenohUnitSession:
         self.check()
 
     def check(self) -> None:
-        """Raises InputError if the endpoints can't be used."""
+        """Raise InputError if the endpoints can't be used."""
         if self._fault is not None:
             raise self._fault
 
@@ -150,7 +150,7 @@ class ZenohUnitSession:
 
 
 def check_parameters(session: Mapping[str, Any]) -> None:
-    """Raises InputError for parameters that no session can have."""
+    """Raise InputError for parameters that no session can have."""
     check_names("Zenoh", list(inspect.signature(ZenohUnitSession).parameters)[1:], session)
 
 

@@ -29,7 +29,7 @@ _INFINITE_S = 1e9
 
 
 class GraphLook:
-    """Answers the order `DescribeGraph` by one message `Graph`, once the graph has come to rest."""
+    """Answers the order `DescribeGraph` by one message `Graph`, once the graph no longer changes."""
 
     def __init__(self, host: Host) -> None:
         self._host, self._node = host, host.node

@@ -65,7 +65,7 @@ class OutsideTopics:
         self._outputs = [one for one in self._outputs if one.unit != unit]
 
     def rename(self, old: str, new: str) -> None:
-        """A spare is a unit from now on."""
+        """Note that the spare `old` is the unit `new` from now on."""
         for output in self._outputs:
             if output.unit == old:
                 if self._is_heard(output):

@@ -28,7 +28,7 @@ _SAME_CLOCK_S = 60.0
 
 
 class LedInlet:
-    """An inlet with the topic that it comes out on; `told` is the wire that was last told as its source.
+    """An inlet with the topic on which its messages are published; `reported` is the last wire reported as its source.
 
     The moment of a message is decided once for the inlet: its own stamp, if the first messages of all sources have
     one, else when it was sent. `by_stamp` is None until the first message.
@@ -37,7 +37,7 @@ class LedInlet:
     def __init__(self, unit: str, name: str, publication: Publication, limit: int) -> None:
         self.unit, self.name, self.publication = unit, name, publication
         self.queue = InputQueue(limit)
-        self.told: int | None = None
+        self.reported: int | None = None
         self.elements = 0
         self._by_stamp: bool | None = None
         self._last: Sample | None = None
@@ -121,7 +121,7 @@ class Relays:
     # For those who attend nodes.
 
     def hold_source(self, unit: str, topic: str, key: str, kind: str | None) -> Source:
-        """Listen to a topic that a unit is about to publish on, until it is let go."""
+        """Listen to a topic that a unit is about to publish on, until `let_go`."""
         source = self._source(topic, key, kind)
         source.holders.add(unit)
         self._look_at(source)
@@ -137,7 +137,7 @@ class Relays:
         return publication
 
     def let_go(self, unit: str, topic: str) -> None:
-        """Listen to a topic no longer for a unit's sake."""
+        """Undo `hold_source` for a unit: the topic is still listened to if something else needs it."""
         source = self._sources.get(topic)
         if source is not None:
             source.holders.discard(unit)
@@ -148,7 +148,7 @@ class Relays:
         return topic in self._publications or topic in self._meters
 
     def rename_holder(self, old: str, new: str) -> None:
-        """A spare is a unit from now on."""
+        """Note that the spare `old` is the unit `new` from now on."""
         self.outside.rename(old, new)
         ends: list[Source | Publication] = [*self._sources.values(), *self._publications.values()]
         for end in ends:
@@ -238,7 +238,7 @@ class Relays:
         was_active = wire == inlet.queue.active
         self._hand_on(inlet, inlet.end(wire))
         if was_active and inlet.queue.active is None and drains:
-            inlet.told = None
+            inlet.reported = None
             self._host.say("Lost", port=inlet.name, wire=wire)
         self._drop_unused(source)
 
@@ -364,13 +364,13 @@ class Relays:
     def _tell_switch(self, inlet: LedInlet) -> None:
         """Report that an inlet has switched to another wire, once the type of that is known."""
         active = inlet.queue.active
-        if active is None or active == inlet.told:
+        if active is None or active == inlet.reported:
             return
         source, _ = self._wires[active]
         publication = inlet.publication
         if not source.is_open:
             return
-        inlet.told = active
+        inlet.reported = active
         if source.topic != publication.topic:
             publication.kind, publication.is_latched = source.kind, source.quality.is_latched
             try:
@@ -407,8 +407,8 @@ class Relays:
         self._host.waiting.later(SIGN_S, self._sign)
         self.look()
         for inlet in self._inlets.values():
-            if inlet.told is not None and inlet.told in self._wires:
-                self._tell_of_ends(self._wires[inlet.told][0], inlet.publication)
+            if inlet.reported is not None and inlet.reported in self._wires:
+                self._tell_of_ends(self._wires[inlet.reported][0], inlet.publication)
         now_s = time.monotonic()
         self._host.say(
             "Passed",

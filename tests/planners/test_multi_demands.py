@@ -1,4 +1,4 @@
-"""Distinct inputs: facts that take several givers, and landmarks that demand several members."""
+"""Distinct inputs: facts that take several providers, and landmarks that demand several members."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ def plans(stage: Stage, problem: Problem) -> Iterator[set[int]]:
     for size in range(len(stage.network.labels) + 1):
         for chosen in combinations(stage.network.transformations, size):
             labels = {t.label for t in chosen}
-            if startable(replace(environment, units=(), library=chosen), stage.givers) == labels and all(
-                not labels.isdisjoint(stage.givers.of(target.tag)) for target in environment.targets
+            if startable(replace(environment, units=(), library=chosen), stage.providers) == labels and all(
+                not labels.isdisjoint(stage.providers.of(target.tag)) for target in environment.targets
             ):
                 yield stage.numbers(labels)
 
@@ -89,8 +89,8 @@ def test_bounds_by_them_do_not_exceed_the_optimum_and_fixing_keeps_cheap_plans(p
     bound = charged(bound, Clock())
     assert before <= bound.value <= optimum
     assert (bound.residual >= 0).all()
-    dearest = int(cheapest_way(stage.network.core, stage.cost)[1][-1])
-    assert dearest <= chained_bound(stage.network.core, stage.cost, stage.network.pinned, lambda: False) <= optimum
+    max_need = int(cheapest_way(stage.network.core, stage.cost)[1][-1])
+    assert max_need <= chained_bound(stage.network.core, stage.cost, stage.network.pinned, lambda: False) <= optimum
     dearer = bound.at(stage.cost + 1)
     for plan in plans(stage, problem):
         cost = int(stage.cost[sorted(plan)].sum())

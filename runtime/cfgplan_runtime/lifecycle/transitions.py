@@ -1,4 +1,4 @@
-"""The values of decisions: the inputs of a manager, its effects, and a turn from the one to the other."""
+"""The values of decisions: the inputs of a manager, its effects, and the transition from a state to the next."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from cfgplan.errors import InputError
 from cfgplan_runtime.lifecycle.back_off import Place
 from cfgplan_runtime.lifecycle.basis import Preview
 from cfgplan_runtime.lifecycle.changes import WorldChange
-from cfgplan_runtime.lifecycle.configuration import Scene, Situation
-from cfgplan_runtime.lifecycle.deliberation import Looked, Thought
+from cfgplan_runtime.lifecycle.configuration import PlanInput, Situation
+from cfgplan_runtime.lifecycle.deliberation import Findings, Looked
 from cfgplan_runtime.lifecycle.inbox import Asked, Item, Outcome
 from cfgplan_runtime.lifecycle.perturbations import Perturbation, Started
 from cfgplan_runtime.lifecycle.reports import BackedOff, Perturbed, Report, Review
 from cfgplan_runtime.lifecycle.state import Entry, State
-from cfgplan_runtime.lifecycle.worlds import LivingWorld
+from cfgplan_runtime.lifecycle.worlds import WorldVersion
 from cfgplan_runtime.supervision.observation import Observation
 
-# What happens, besides what comes into the inbox.
+# Inputs, besides the items of the inbox.
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ class Matched:
     """The world after a change was matched within `seconds`; or the change is bad, and `found` is the error."""
 
     asked: Asked
-    found: LivingWorld | InputError
+    found: WorldVersion | InputError
     seconds: float = 0.0
 
 
@@ -53,15 +53,15 @@ class Seen:
 class Planned:
     """A plan was made; if it `was_interrupted`, an item has come that it does not know."""
 
-    thought: Thought
+    findings: Findings
     was_interrupted: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class GivenJudged:
-    """The findings about a given plan; without a change set it is not valid here, for the thought's `cause`."""
+    """The findings about a given plan; without a change set it is not valid here, for the reason in `cause`."""
 
-    thought: Thought
+    findings: Findings
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,19 +79,19 @@ class Finished:
     cause: str = ""
 
 
-Happening: TypeAlias = Item | Started | Tick | Matched | Seen | Planned | GivenJudged | Looked | Updated | Finished
+Input: TypeAlias = Item | Started | Tick | Matched | Seen | Planned | GivenJudged | Looked | Updated | Finished
 
 
 @dataclass(frozen=True, slots=True)
-class Happened:
-    """A happening at a time on the manager's clock, and the units that run then."""
+class TimedInput:
+    """An input, its time on the manager's clock, and the configuration that runs then."""
 
     at_s: float
-    what: Happening
+    what: Input
     running: Environment
 
 
-# What is to be done about it.
+# Effects.
 
 
 class Effect(msgspec.Struct, frozen=True):
@@ -114,7 +114,7 @@ class Respond(Effect, frozen=True):
 class Match(Effect, frozen=True):
     """Make and match the world after a change: Matched follows at once."""
 
-    living: LivingWorld
+    version: WorldVersion
     asked: Asked
     change: WorldChange
 
@@ -138,7 +138,7 @@ class LearnOfFailure(Effect, frozen=True):
 class MakePlan(Effect, frozen=True):
     """Plan an update: Planned follows. If it `is_last` of its review, only the manager's end interrupts it."""
 
-    scene: Scene
+    plan_input: PlanInput
     optimises: bool
     is_last: bool
 
@@ -146,21 +146,21 @@ class MakePlan(Effect, frozen=True):
 class MakePreview(Effect, frozen=True):
     """Answer a request for a preview, unless an item comes in between: then it is requested again."""
 
-    scene: Scene
+    plan_input: PlanInput
     outcomes: tuple[Future[Preview], ...]
 
 
 class JudgeGiven(Effect, frozen=True):
     """Judge a change set that was given: GivenJudged follows at once."""
 
-    scene: Scene
+    plan_input: PlanInput
     change_set: ChangeSet
 
 
 class MakeLook(Effect, frozen=True):
     """Plan as if one of these transformations were as good as declared, to run it for a moment: Looked follows."""
 
-    scene: Scene
+    plan_input: PlanInput
     labels: tuple[str, ...]
     unmet: Mapping[str, str]
 
@@ -175,7 +175,7 @@ class ApplyUpdate(Effect, frozen=True):
 class Prepare(Effect, frozen=True):
     """Let the planner prepare to repair the running units, unless an item has come."""
 
-    scene: Scene
+    plan_input: PlanInput
 
 
 class StopAll(Effect, frozen=True):
@@ -183,46 +183,48 @@ class StopAll(Effect, frozen=True):
 
 
 @dataclass(frozen=True, slots=True)
-class Turn:
-    """The state at a time, and the effects that lead there. Immutable: each method returns a new turn."""
+class Transition:
+    """A step of the manager: its next state, and the effects to carry out. Immutable: each method returns a new one."""
 
     state: State
     at_s: float
     effects: tuple[Effect, ...] = ()
 
-    def to(self, state: State) -> Turn:
+    def to(self, state: State) -> Transition:
         return replace(self, state=state)
 
-    def also(self, *effects: Effect) -> Turn:
+    def also(self, *effects: Effect) -> Transition:
         return replace(self, effects=(*self.effects, *effects))
 
-    def situated(self, situation: Situation) -> Turn:
+    def situated(self, situation: Situation) -> Transition:
         return self.to(replace(self.state, situation=situation))
 
-    def perturbed(self, perturbation: Perturbation, outcomes: Iterable[Outcome] = (), *, delay_s: float = 0.0) -> Turn:
+    def perturbed(
+        self, perturbation: Perturbation, outcomes: Iterable[Outcome] = (), *, delay_s: float = 0.0
+    ) -> Transition:
         """Tell of a perturbation, and have a review answer it after a delay."""
         entry = Entry(perturbation, self.at_s, self.at_s + delay_s, tuple(outcomes))
         entries = (*self.state.entries, entry)
         return self.to(replace(self.state, entries=entries)).also(Tell(Perturbed(perturbation)))
 
-    def blamed(self, place: Place, lived_s: float, cause: str, *, is_costly: bool = False) -> Turn:
+    def blamed(self, place: Place, lived_s: float, cause: str, *, is_costly: bool = False) -> Transition:
         """Note a failure of a transformation whose unit has lived so long; see `BackOffs.after_failure`."""
         situation, label = self.state.situation, place.label
         back_offs = situation.back_offs.after_failure(place, lived_s, self.at_s, cause, is_costly=is_costly)
-        turn = self.also(LearnOfFailure(label)).situated(replace(situation, back_offs=back_offs))
-        return turn.telling_back_off(label)
+        transition = self.also(LearnOfFailure(label)).situated(replace(situation, back_offs=back_offs))
+        return transition.telling_back_off(label)
 
-    def telling_back_off(self, label: str) -> Turn:
+    def telling_back_off(self, label: str) -> Transition:
         """Report the back-off of a transformation, if it has one now."""
         views = self.state.situation.back_offs.view(self.at_s)
         return self.also(*(Tell(BackedOff(view)) for view in views if view.transformation == label))
 
-    def answered(self, unit: str) -> Turn:
+    def answered(self, unit: str) -> Transition:
         """Tell those who wait for a unit's end that no review will follow."""
         outcomes = self.state.waiting.get(unit, ())
         return self.no_more_awaited(unit).also(*(Respond(outcome) for outcome in outcomes))
 
-    def no_more_awaited(self, unit: str) -> Turn:
+    def no_more_awaited(self, unit: str) -> Transition:
         """Forget who waits for a unit's end."""
         left = {other: outcomes for other, outcomes in self.state.waiting.items() if other != unit}
         return self.to(replace(self.state, waiting=left)) if len(left) < len(self.state.waiting) else self

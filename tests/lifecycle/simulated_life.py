@@ -1,4 +1,4 @@
-"""A manager of units that run only in thought, for the tests of the life-cycle."""
+"""A manager of simulated units, for the tests of the life-cycle."""
 
 from __future__ import annotations
 
