@@ -91,8 +91,8 @@ def blurred(environment: Environment, similarity: Similarity) -> Iterator[str]:
             bands = [fact.noise.band(bound, variance) for bound in (low, high)]
             if sum(bands) > 2 * (high - low) * MOST_OF_THE_WAY:
                 yield (
-                    f"{fact.key} does not tell {said(low)} from {said(high)} in time: a noise of {fact.noise} at "
-                    f"{_rate_text(rate_hz)} takes {max(bands) / MICRO:.2g} beyond a bound to be sure; "
+                    f"{fact.key} is too noisy to tell {said(low)} from {said(high)} in time: noise of {fact.noise} at "
+                    f"{_rate_text(rate_hz)} needs values {max(bands) / MICRO:.2g} beyond a bound to be sure; "
                     "observe it more often, or compare it with numbers further apart"
                 )
 

@@ -74,13 +74,13 @@ def test_a_feature_without_a_value_is_unknown_and_decides_only_what_depends_on_i
         ("robot.hands[2].open", "robot.hands has only 1 members"),
         ("ball[0] > 3", "ball is a dict, no list"),
         ("ball.seen > 3", "True and 3.0 are compared by >"),
-        ("robot.state + 1 > 3", 'robot.state is "play", no number'),
+        ("robot.state + 1 > 3", 'robot.state is "play", not a number'),
         ("robot.state > 1", '"play" and 1.0 are compared by >'),
         ("robot.state", 'robot.state is "play", not true or false'),
         ("1 / ball.y > 3", "ball.y is 0"),
         ("in(robot.state, goal)", "robot.state is no point: it has neither x and y nor two numbers"),
-        ("in(ball, ball.x)", "ball.x is no region: a polygon is a list of three or more points"),
-        ("ec(robot.at, goal)", "robot.at is no region"),
+        ("in(ball, ball.x)", "ball.x is not a region: a polygon is a list of three or more points"),
+        ("ec(robot.at, goal)", "robot.at is not a region"),
     ],
 )
 def test_a_value_that_does_not_suit_is_unknown_and_told_once(text: str, told: str) -> None:

@@ -277,7 +277,7 @@ def _given_judged(turn: Turn, thought: Thought) -> Turn:
     state, planning = turn.state, turn.state.doing
     assert isinstance(planning, Planning)
     if thought.change_set is None:
-        mend = "have another one made: `cfgplan ctl plan --out`"
+        mend = "make a new plan by `cfgplan ctl plan --out`"
         refusal = InputError.of(f"the plan can't be carried out: {thought.cause}", mend=mend)
         outcomes = [outcome for entry in planning.entries for outcome in entry.outcomes]
         return turn.to(replace(state, doing=None)).also(*(Respond(outcome, refusal) for outcome in outcomes))
