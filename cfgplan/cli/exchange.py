@@ -98,7 +98,7 @@ def _import(options: argparse.Namespace, screen: Screen) -> Exit:
     path, *more = options.path
     if more:
         one = "broker" if options.what == "mqtt" else "file or folder"
-        raise InputError.of("`import {options.what}` takes one path", file=more[0], mend=f"name one {one}")
+        raise InputError.of(f"`import {options.what}` takes one path", file=more[0], mend=f"name one {one}")
     if options.what == "mqtt":
         return _import_mqtt(path, options, screen)
     if options.what == "xml":
