@@ -72,7 +72,7 @@ def test_a_feature_without_a_value_is_unknown_and_decides_only_what_depends_on_i
         ("ball.z > 3", "ball has no field `z`; it has hull, nan, seen, x, y"),
         ("ball.x.z > 3", "ball.x is 3.5 and has no field `z`"),
         ("robot.hands[2].open", "robot.hands has only 1 members"),
-        ("ball[0] > 3", "ball is a dict, no list"),
+        ("ball[0] > 3", "ball is a dict, not a list"),
         ("ball.seen > 3", "True and 3.0 are compared by >"),
         ("robot.state + 1 > 3", 'robot.state is "play", not a number'),
         ("robot.state > 1", '"play" and 1.0 are compared by >'),
