@@ -319,9 +319,9 @@ def refuse_circles(world: World, similarity: Similarity) -> None:
 
 
 def _fault_of_circle(circle: Circle, file: EnvironmentFile | None) -> Fault:
-    mend = f"let what observes `{circle.fact}` run whatever it is: give it a tag of its own, or remove the comparison"
+    mend = f"give the observer of `{circle.fact}` a tag that only it has, or remove the comparison"
     origin = None if file is None else file.origins.get(("transformation", circle.transformation))
-    message = f"{circle}: once left out, it would never be known that it may run again"
+    message = f"{circle}: once it is left out, no unit would observe when it may run again"
     if origin is None:
         return Fault(message, mend=mend)
     entry = origin.at("requires")

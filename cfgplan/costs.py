@@ -49,7 +49,7 @@ def horizon_s(text: str) -> int:
     """A horizon in whole seconds: 60, 60s, 10m or 1h; raises InvalidValueError for anything else."""
     seconds = Decimal(text) if text.isdecimal() else span_s(text)
     if seconds is None or seconds != int(seconds):
-        raise InvalidValueError(f"{text!r} is no horizon: write whole seconds, or 30s, 10m or 1h")
+        raise InvalidValueError(f"{text!r} is not a horizon: write whole seconds, or 30s, 10m or 1h")
     if seconds > LONGEST_HORIZON_S:
         raise InvalidValueError(f"{text!r} is too long: write at most {LONGEST_HORIZON_S} seconds")
     return int(seconds)

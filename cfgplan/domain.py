@@ -110,12 +110,12 @@ class ComputationUnit:
     spare: it is neither wired nor running, only ready.
     """
 
-    id: Annotated[str, Row("unique")]
-    transformation: Annotated[str, Row("the label of its transformation, templates expanded")]
+    id: Annotated[str, Row("the name of the unit; unique")]
+    transformation: Annotated[str, Row("the label of its transformation, with template variables filled in")]
     subscriptions: Annotated[
         tuple[Subscription, ...],
         Row(
-            "input port to stream (unit/port), or to a list of several; null: a gap",
+            "input port to the stream that feeds it, as UNIT/PORT, or to a list of streams; null: nothing feeds it",
             key="inputs",
             form="dict[PortName, OneOrMoreStreams | None]",
             xml=ELEMENT,
@@ -123,10 +123,15 @@ class ComputationUnit:
     ] = ()
     publications: Annotated[
         tuple[Publication, ...],
-        Row("output port to the topics it is published on", key="topics", form="dict[PortName, Names]", xml=ELEMENT),
+        Row(
+            "output port to a list of topics on which it is published",
+            key="topics",
+            form="dict[PortName, Names]",
+            xml=ELEMENT,
+        ),
     ] = ()
-    host: Annotated[str | None, Row("the host it runs on, if hosts are declared")] = None
-    standby: Annotated[bool, Row("it is a spare that does not run", feature=Feature.SURVIVAL)] = False
+    host: Annotated[str | None, Row("the host that it runs on; needed if hosts are declared")] = None
+    standby: Annotated[bool, Row("true: it is a cold spare, which does not run", feature=Feature.SURVIVAL)] = False
 
     def __post_init__(self) -> None:
         store_sorted(self, "subscriptions", self.subscriptions, attrgetter("port", "stream"))
@@ -314,18 +319,20 @@ class Environment:
         refuse_duplicates("topic of a target", [target.topic for target in self.stream_targets])
         for attribute in [link.adds for link in self.links if link.adds is not None]:
             if attribute not in self.quality or self.quality[attribute].better is Better.HIGHER:
-                raise InvalidValueError(
-                    f"a link adds to {attribute}, which is no attribute whose lower values are better"
-                )
+                raise InvalidValueError(f"a link adds to {attribute}, which is not an attribute with `better: lower`")
         placed = next((unit for unit in self.units if unit.host is not None), None)
         if placed is not None and not self.hosts:
             raise InvalidValueError(f"unit {placed.id!r} runs on {placed.host}, but the environment has no hosts")
         for target in self.targets:
             for wish in target.quality:
                 if wish.attribute not in self.quality:
-                    raise InvalidValueError(f"target {target.label!r} asks for {wish.attribute}, which is no attribute")
+                    raise InvalidValueError(
+                        f"target {target.label!r} asks for {wish.attribute}, which is not declared under `qualities:`"
+                    )
             if target.host is not None and target.host not in self.host:
-                raise InvalidValueError(f"target {target.label!r} is at {target.host}, which is no host")
+                raise InvalidValueError(
+                    f"target {target.label!r} is at {target.host}, which is not declared under `hosts:`"
+                )
 
     __getstate__ = fields_of
 

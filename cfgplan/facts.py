@@ -68,30 +68,34 @@ class Fact:
     name: str
     declared: Annotated[
         FactValue,
-        Row("its value unless another one is observed or set: a number, true, false or a word", form="Fact"),
+        Row("the value of the fact until another one is observed or set: a number, true, false or a word", form="Fact"),
     ]
-    unit: Annotated[str | None, Row("its unit of measure, free text", use=Use.NONE)] = None
+    unit: Annotated[str | None, Row("the unit of measure, as free text; none if absent", use=Use.NONE)] = None
     by: Annotated[
         str | None,
-        Row("the tag of the stream that observes it in a run; the stream is planned as for a target", form="TagText"),
+        Row(
+            "the tag of the stream that observes the fact in a run; a run plans for it as for a target", form="TagText"
+        ),
     ] = None
     topic: Annotated[
         str | None,
-        Row("in place of `by`: the topic of a target, whose stream observes it", use=Use.RUNNING),
+        Row(
+            "the topic that observes the fact in a run, in place of `by`: of a target, or with `type` of ROS 2",
+            use=Use.RUNNING,
+        ),
     ] = None
     field: Annotated[
         str | None,
         Row(
-            "the field of an element that holds the value; `pose.x` is a nested field, `values.volt` the part of a "
-            "list with that `name` or `key`",
+            "the field of an element that has the value: `range`, `pose.x` in a nested mapping, or `values.volt` "
+            "for the item of a list with this `name` or `key`; the whole element if absent",
             use=Use.RUNNING,
         ),
     ] = None
     type: Annotated[
         str | None,
         Row(
-            "the topic is one of ROS 2 with this message type, such as `std_msgs/Float32`, published by whoever it may "
-            "be",
+            "the message type of `topic`, such as `std_msgs/Float32`, which is then a topic of ROS 2 of any publisher",
             use=Use.RUNNING,
             xml="message",
         ),
@@ -99,12 +103,17 @@ class Fact:
     qos: Annotated[str | None, QOS] = None
     noise: Annotated[
         Noise | None,
-        Row("the standard deviation of a value, or `20 %` of it", form="NoiseText", use=Use.RUNNING),
+        Row(
+            "the standard deviation of an observed number, or `20 %` of it; exact if absent",
+            form="NoiseText",
+            use=Use.RUNNING,
+        ),
     ] = None
     silent_us: Annotated[
         Natural | None,
         Row(
-            "the declared value counts again after so long without an element: seconds, or 500ms, 5s",
+            "the fact has its declared value again after this time without an element: seconds, or 500ms, 5s; never if "
+            "absent",
             form="TimeSpan",
             use=Use.RUNNING,
         ),
@@ -112,13 +121,17 @@ class Fact:
     of: Annotated[
         Literal["host"] | None,
         Row(
-            "`host`: each host has a value of its own; `{host}` in `by` and `topic` stands for its name",
+            "`host`: each host has its own value, and `{host}` in `by` and `topic` is its name; if absent, all hosts "
+            "have one value",
             form='Literal["host"]',
         ),
     ] = None
     hosts: Annotated[
         Mapping[str, FactValue],
-        Row("with `of: host`: declared values of hosts that differ from `declared`, by host", form="dict[Name, Fact]"),
+        Row(
+            "with `of: host`: name of a host to its declared value, where it differs from `declared`",
+            form="dict[Name, Fact]",
+        ),
     ] = dataclasses.field(default_factory=dict, hash=False)
     now: Annotated[FactValue | None, FOUND] = None
     """The present value, if it is known to differ from the declared one."""
@@ -218,20 +231,20 @@ def misfit_of_fact(said: Mapping[str, object]) -> tuple[str, str, str] | None:
         return "hosts", "a fact of the world has one value for all hosts", "add `of: host`, or remove it"
     for key, text in (("by", by), ("topic", topic)):
         if said.get("of") and not said.get("host") and isinstance(text, str) and HOST_MARK not in text:
-            message = f"all hosts would have the value of one stream: `{HOST_MARK}` stands for the host's name"
+            message = f"all hosts would get the value of one stream: `{HOST_MARK}` stands for the host's name"
             return key, message, f"write `{key}: {text}{'_' if key == 'by' else '/'}{HOST_MARK}`"
     if by is not None and topic is not None:
         return "topic", "a fact is observed `by` a tag or on a `topic`, not by both", "remove one of the two"
     if said.get("type") is not None and topic is None:
-        return "type", "a message type is that of a topic, which the fact does not name", "add `topic: /NAME`"
+        return "type", "`type` is the message type of a `topic`, which this fact does not have", "add `topic: /NAME`"
     if said.get("qos") is not None and said.get("type") is None:
-        return "qos", "the quality of service is that of a ROS 2 topic", "add its message `type`"
+        return "qos", "`qos` is for ROS 2 topics, which have a message `type`", "add its message `type`"
     for key, name in (("field", "field"), ("noise", "noise"), ("silent", "silent_us")):
         if said.get(name) is not None and by is None and topic is None:
-            return key, f"nothing observes the fact, so it has no `{key}`", "add `by: TAG`, or remove it"
+            return key, f"`{key}` is only for facts with `by` or `topic`", "add `by: TAG`, or remove it"
     declared = said["declared"]
     if said.get("noise") is not None and (isinstance(declared, bool) or not isinstance(declared, int)):
-        return "noise", "only a number is noisy", "remove it"
+        return "noise", "`noise` is only for facts that are numbers", "remove it"
     return None
 
 
@@ -281,7 +294,7 @@ class Comparison:
         if kind == kind_of(self.value):
             if self.sign != "==" or facts[self.fact].noise is None:
                 return None
-            return f"fact `{self.fact}` is noisy, and equals no number for long", f"write `{self.fact} >= 1`"
+            return f"fact `{self.fact}` has noise, so it can't be compared by `==`", f"write `{self.fact} >= 1`"
         example = {"a number": f"{self.fact} >= 1", "a word": f"{self.fact} == WORD"}.get(kind, self.fact)
         return f"fact `{self.fact}` is {kind}, but is compared with {value_text(self.value)}", f"write `{example}`"
 
@@ -360,7 +373,7 @@ class _RequirementReader(ExpressionReader[Requirement]):
             self._at += 1
             value = self._written()
             if value[:1] in ("", "<", ">", "=", "(", ")"):
-                raise self._error(f"a value is wanted after {sign}", "write a number, true, false or a word")
+                raise self._error(f"a value is missing after {sign}", "write a number, true, false or a word")
             self._at += 1
         try:
             comparison = Comparison(fact, sign, _value(value))
@@ -368,7 +381,9 @@ class _RequirementReader(ExpressionReader[Requirement]):
             message, _, mend = str(error).partition(": ")
             raise self._error(message, mend, self._at - 1) from None
         if sign in _SIGNS and kind_of(comparison.value) != "a number":
-            raise self._error(f"{value!r} is no number", f"only == takes a word; {sign} takes a number", self._at - 1)
+            raise self._error(
+                f"{value!r} is not a number", f"only == takes a word; {sign} takes a number", self._at - 1
+            )
         return Requirement((comparison,), lambda values: None if comparison.holds(values[fact]) else (fact,))
 
 

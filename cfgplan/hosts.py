@@ -30,27 +30,38 @@ class Host:
     has `energy` (watt seconds; None: no limit) for the power that its units take over the horizon.
     """
 
-    name: Annotated[str, Row("unique")]
+    name: Annotated[str, Row("the name of the host; unique")]
     cpu_us: Annotated[
-        Natural | None, Row("CPU seconds per second that units may take; no limit if absent", is_limit=True)
+        Natural | None,
+        Row("CPU seconds per second (cores) that its units may take together; no limit if absent", is_limit=True),
     ] = None
-    memory_mb: Annotated[Natural | None, Row("megabytes that units may take; no limit if absent", is_limit=True)] = None
+    memory_mb: Annotated[
+        Natural | None, Row("megabytes that its units may take together; no limit if absent", is_limit=True)
+    ] = None
     offers: Annotated[
         Mapping[str, Natural],
-        Row("amounts of other resources that it has, by name; 0 of a resource that is absent"),
+        Row("other resources that the host has: name to amount, a whole number; none of a resource that is absent"),
     ] = field(default_factory=dict, hash=False)
     speed: Annotated[
         Annotated[int, AtLeast(1)],
-        Row("CPU seconds of labor, upkeep and standby are divided by this number on it", form="Speed", below="energy"),
+        Row(
+            "how fast the host is: CPU seconds of labor, upkeep and standby are divided by this number there",
+            form="Speed",
+            below="energy",
+        ),
     ] = MICRO
     labels: Annotated[
-        tuple[str, ...], Row("words by which selectors such as `on` choose it, besides its name", below="name")
+        tuple[str, ...],
+        Row("words by which selectors such as `on` choose the host, besides its name; none if absent", below="name"),
     ] = ()
-    rent_us: Annotated[Natural, Row("CPU seconds per second that it costs while it has a unit or a spare")] = 0
+    rent_us: Annotated[
+        Natural, Row("cost of using the host, in CPU seconds per second, while it has a unit or a spare")
+    ] = 0
     energy: Annotated[
         Natural | None,
         Row(
-            "watt seconds for the `power` (watts) that units there need over the horizon; no limit if absent",
+            "watt seconds that its units may take over the horizon, by the watts that they state as `power` under "
+            "`needs`; no limit if absent",
             most=LARGEST_AMOUNT**2,
             is_limit=True,
         ),
@@ -90,14 +101,32 @@ class Link:
     transfer adds `latency` (micro-units) to a stream's value of the quality attribute `adds`.
     """
 
-    between: Annotated[tuple[str, str], Row("two selectors of hosts, for its two ends", form="TwoSelectors")]
+    between: Annotated[
+        tuple[str, str],
+        Row("the two ends of the link: two selectors of hosts, such as `[robot, base]`", form="TwoSelectors"),
+    ]
     bandwidth: Annotated[
         Natural | None,
-        Row("bytes per second of all streams over it; no limit if absent", most=LARGEST_AMOUNT**2, is_limit=True),
+        Row(
+            "bytes per second that all streams over the link may take together; no limit if absent",
+            most=LARGEST_AMOUNT**2,
+            is_limit=True,
+        ),
     ] = None
-    price_us: Annotated[Natural | None, Row("CPU seconds for each megabyte over it; `transfer` if absent")] = None
-    latency: Annotated[Natural, Row("added to a quality of each stream that it carries", form="PositiveMicro")] = 0
-    adds: Annotated[str | None, Row("the attribute to which `latency` is added; its `better` is `lower`")] = None
+    price_us: Annotated[
+        Natural | None, Row("CPU seconds for each megabyte sent over the link; the environment's `transfer` if absent")
+    ] = None
+    latency: Annotated[
+        Natural,
+        Row(
+            "added to the quality `adds` of each stream over the link, in the unit of that quality",
+            form="PositiveMicro",
+        ),
+    ] = 0
+    adds: Annotated[
+        str | None,
+        Row("the quality attribute to which `latency` is added, one with `better: lower`; needed with `latency`"),
+    ] = None
     is_measured: Annotated[bool, FOUND] = False
     declared: Annotated[Natural | None, FOUND] = None
     """The declared bandwidth, if the link was found to carry less."""

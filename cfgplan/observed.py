@@ -243,8 +243,8 @@ def hidden(environment: Environment, similarity: Similarity) -> Iterator[str]:
                 ]
                 if silent:
                     yield (
-                        f"{transformation.label}/{port.name} says its {stated.attribute}, but may stay as declared: "
-                        f"only its {stated.over} input counts, and {some(silent)} says nothing of its own; "
+                        f"{transformation.label}/{port.name} observes its {stated.attribute}, but may not learn it: "
+                        f"only its {stated.over} input counts, and {some(silent)} observes none; "
                         "add `observe:` there, or count the inputs by `of: mean` or `of: sum`"
                     )
 

@@ -384,7 +384,7 @@ def refuse_features(problem: Problem, who: str) -> None:
     """Raise InputError if a problem has features that only `cpsat` and `exhaustive` know."""
     if problem.features:
         known = " and ".join(sorted(problem.features))
-        raise InputError.of(f"{who} does not know {known}", mend="use the planner cpsat")
+        raise InputError.of(f"{who} does not support {known}", mend="use the planner cpsat")
 
 
 def _free_id(label: str, taken: set[str]) -> str:

@@ -83,16 +83,33 @@ class QualityAttribute:
     behind values. `rule` applies to outputs that state only a value.
     """
 
-    name: Annotated[str, Row("unique")]
-    better: Annotated[Better, Row("which values are better", form="BetterName")]
-    rule: Annotated[QualityRule, Row("the rule of outputs that state only a number", form="RuleName", use=Use.NONE)] = (
-        QualityRule.ADD
-    )
-    unit: Annotated[str | None, Row("its unit of measure, free text", use=Use.NONE)] = None
+    name: Annotated[str, Row("the name of the attribute; unique")]
+    better: Annotated[Better, Row("`lower` or `higher`: which values are better", form="BetterName")]
+    rule: Annotated[
+        QualityRule,
+        Row(
+            "`add`, `limit`, `scale` or `set`: how the number counts of an output that states only a number",
+            form="RuleName",
+            use=Use.NONE,
+        ),
+    ] = QualityRule.ADD
+    unit: Annotated[str | None, Row("the unit of measure, as free text; none if absent", use=Use.NONE)] = None
     worst: Annotated[
-        int, Row("the worst value, which sources have that state none", form="PositiveMicro", absent=None)
+        int,
+        Row(
+            "the worst value, which a source has that states none; if absent 0, or 100000 with `better: lower`",
+            form="PositiveMicro",
+            absent=None,
+        ),
     ] = -1
-    best: Annotated[int, Row("the best value, from which weights count", form="PositiveMicro", absent=None)] = -1
+    best: Annotated[
+        int,
+        Row(
+            "the best value, from which `weight` counts; if absent 100000, or 0 with `better: lower`",
+            form="PositiveMicro",
+            absent=None,
+        ),
+    ] = -1
 
     def __post_init__(self) -> None:
         low, high = 0, LARGEST_QUALITY
@@ -207,8 +224,9 @@ class Contribution:
     observe: Annotated[
         str | None,
         Row(
-            "the field in which an element says its quality; `pose.error` is a nested field, `covariance.0` a list's "
-            "value; or `measured.NAME`, `diagnostics.STATUS.KEY`, `statistics.NODE.NAME`",
+            "where a run observes the quality: the field of an element, such as `error`, `pose.error` in a mapping "
+            "or `covariance.0` in a list; or `measured.NAME`, `diagnostics.STATUS.KEY`, `statistics.NODE.NAME`; not "
+            "observed if absent",
             use=Use.RUNNING,
         ),
     ] = None
@@ -289,7 +307,7 @@ class Wish:
     attribute: str
     bound: int | None = None
     weight_us: Annotated[
-        Natural, Row("CPU seconds for each unit of the attribute between the value and the best one")
+        Natural, Row("CPU seconds that each unit of the attribute between the value and the best one costs")
     ] = 0
 
 

@@ -294,4 +294,4 @@ def _reason(who: str, tag: str, environment: Environment, providers: Providers, 
             names = " and ".join(port.name for group in groups for port in group)
             return f"{wanted}, but inputs {names} of {label} need different transformations, and too few can be fed"
     cycle = ", ".join(ahead[:4]) + (" ..." if len(ahead) > 4 else "")
-    return f"{wanted}, but what could give it is fed only by itself: {cycle}"
+    return f"{wanted}, but the transformations that offer it are fed only by each other: {cycle}"

@@ -118,7 +118,7 @@ class ExpressionReader(ABC, Generic[Meaning]):
             what = f"{self._written()!r} stands" if token else f"the {self.what} ends"
             quoted = f"; a name is written \"'{self._written()}'\"" if self._is_keyword() else ""
             mend = self._mend_of_order(token) or f"write {self.examples}{quoted}"
-            raise self._error(f"{what} where {self.wanted} is wanted", mend)
+            raise self._error(f"{what} where {self.wanted} is expected", mend)
         self._at += 1
         found = self.other(self._words[self._at - 1]) if is_name else self._compound(token)
         self._depth -= 1
@@ -173,14 +173,14 @@ class ExpressionReader(ABC, Generic[Meaning]):
             return token[1:-1]
         if first.isalnum() or (first in ("_", ":", "<") and len(token) > 1):
             return token
-        what = f"{token!r} is no name" if token else f"the {self.what} ends where a name is wanted"
+        what = f"{token!r} is no name" if token else f"the {self.what} ends where a name is expected"
         raise self._error(what, "names are letters, digits, _ and -; write others as 'name' or <IRI>", at)
 
     def _expect(self, token: str, purpose: str) -> None:
         found = self._tokens[self._at]
         if found != token:
             stands = f", not {self._written()!r}" if found else ""
-            raise self._error(f"{token!r} is wanted {purpose}{stands}", self._mend_here(f"write {token} here"))
+            raise self._error(f"{token!r} is expected {purpose}{stands}", self._mend_here(f"write {token} here"))
         self._at += 1
 
     def _written(self) -> str:

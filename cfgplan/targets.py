@@ -29,11 +29,13 @@ class Target:
     transformation as its tag.
     """
 
-    label: Annotated[str, Row("unique; mentions every template variable of the target", xml=ELEMENT)]
+    label: Annotated[
+        str, Row("the name of the target; unique; has every template variable of the target in it", xml=ELEMENT)
+    ]
     tag: Annotated[
         str,
         Row(
-            "the information that is wanted: a concept in description logic, or the paper's P(a)",
+            "the wanted information: a concept in description logic, or the paper's P(a); needed without `run`",
             form="TagText",
             absent=None,
             xml=ELEMENT,
@@ -41,20 +43,33 @@ class Target:
         ),
     ] = ""
     topic: Annotated[
-        str, Row("the topic on which its stream is published; unique", absent=None, xml=ELEMENT, below="label")
+        str,
+        Row(
+            "the topic on which the stream is published; unique; needed without `run`",
+            absent=None,
+            xml=ELEMENT,
+            below="label",
+        ),
     ] = ""
-    priority: Annotated[int, Row("larger matters more", least=-LARGEST_AMOUNT)] = 0
+    priority: Annotated[
+        int,
+        Row("a whole number: if not all targets can be met, those of larger priority are kept", least=-LARGEST_AMOUNT),
+    ] = 0
     quality: Annotated[
         tuple[Wish, ...],
         Row(
-            "quality attribute to the demand on it", form="dict[Name, WishPart]", feature=Feature.QUALITY, is_limit=True
+            "demands on the stream: quality attribute to a mapping; none if absent",
+            form="dict[Name, WishPart]",
+            feature=Feature.QUALITY,
+            is_limit=True,
         ),
     ] = ()
-    host: Annotated[str | None, Row("the host to which the stream is sent")] = None
+    host: Annotated[str | None, Row("the host to which the stream is sent; to none if absent")] = None
     silent_us: Annotated[
         Natural | None,
         Row(
-            "in a run, it counts as unmet after so long without an element: seconds, or 500ms, 5s",
+            "in a run, the target counts as unmet after this time without an element: seconds, or 500ms, 5s; never if "
+            "absent",
             form="TimeSpan",
             use=Use.RUNNING,
         ),
@@ -62,7 +77,7 @@ class Target:
     run: Annotated[
         str | None,
         Row(
-            "the label of a transformation that has to run, in place of `topic` and `tag`",
+            "the label of a transformation of which a unit must run; takes the place of `topic` and `tag`",
             below="type",
             feature=Feature.RUNS,
         ),

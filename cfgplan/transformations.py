@@ -27,8 +27,10 @@ ProgramFormat: TypeAlias = Literal["json", "msgpack"]
 ContainerKind: TypeAlias = Literal["plain", "mt", "isolated"]
 """How a container of ROS 2 components runs them: in one thread, in several, or each by an executor of its own."""
 
-_MESSAGE_TYPE = Row("in ROS: the message type, such as `nav_msgs/Odometry`", use=Use.RUNNING, xml="message")
-_REMAP = Row("in ROS: the node's own name of the topic or service; the port's name if absent", use=Use.RUNNING)
+_MESSAGE_TYPE = Row(
+    "in ROS: the message type of the topic, such as `nav_msgs/Odometry`", use=Use.RUNNING, xml="message"
+)
+_REMAP = Row("in ROS: the name of the topic or service in the node's code; the port's name if absent", use=Use.RUNNING)
 
 MOST_INSTANCES = 64
 """A plan starts at most this many units of one transformation, or as many as one input takes streams."""
@@ -57,23 +59,31 @@ class InputPort:
     tag: Annotated[
         str,
         Row(
-            "the information it needs: a concept in description logic, or the paper's P(a)", form="TagText", xml=ELEMENT
+            "the information that the input needs: a concept in description logic, or the paper's P(a)",
+            form="TagText",
+            xml=ELEMENT,
         ),
     ]
     distinct: Annotated[
         str | None,
-        Row("name of a group of ports; the ports of a group are fed by different transformations", is_limit=True),
+        Row(
+            "the name of a group of inputs, which must be fed by different transformations; in no group if absent",
+            is_limit=True,
+        ),
     ] = None
-    feedback: Annotated[bool, Row("this input may close a cycle of the wiring")] = False
+    feedback: Annotated[bool, Row("true: this input may close a cycle of streams")] = False
     optional: Annotated[
         bool,
-        Row("it may stay unfed; it is fed by units that run anyway, and starts none", feature=Feature.OPTIONAL),
+        Row(
+            "true: the input may stay unfed; only units that run anyway feed it, unless it has a `worth`",
+            feature=Feature.OPTIONAL,
+        ),
     ] = False
-    worth_us: Annotated[Natural, Row("feeding this optional input is worth so many CPU seconds per second")] = 0
+    worth_us: Annotated[Natural, Row("how many CPU seconds per second it is worth to feed this optional input")] = 0
     count: Annotated[
         Natural,
         Row(
-            "number of streams, of different units, that feed it; `all`: every stream that matches",
+            "the number of streams, each of another unit, that feed the input; `all`: every stream that matches",
             form="Count",
             feature=Feature.COUNTS,
             is_limit=True,
@@ -81,7 +91,12 @@ class InputPort:
     ] = 1
     service: Annotated[
         bool,
-        Row("a service's replies start no step, and may close a cycle", key="kind", form="InputKind", below="worth"),
+        Row(
+            "`stream`, or `service` for the replies of a service, which start no step and may close a cycle",
+            key="kind",
+            form="InputKind",
+            below="worth",
+        ),
     ] = False
     type: Annotated[str | None, _MESSAGE_TYPE] = None
     remap: Annotated[str | None, _REMAP] = None
@@ -125,24 +140,31 @@ class OutputPort:
     tag: Annotated[
         str,
         Row(
-            "the information it gives: a concept in description logic, or the paper's P(a)", form="TagText", xml=ELEMENT
+            "the information that the output has: a concept in description logic, or the paper's P(a)",
+            form="TagText",
+            xml=ELEMENT,
         ),
     ]
     quality: Annotated[
         tuple[Contribution, ...],
         Row(
-            "quality attribute to its contribution: a number, or a mapping", form="dict[Name, QualityGiven]", xml=UNSAID
+            "what the output adds to the quality of its stream: quality attribute to a number, or to a mapping",
+            form="dict[Name, QualityGiven]",
+            xml=UNSAID,
         ),
     ] = ()
     rate_uhz: Annotated[
         Natural,
-        Row("elements per second; with `size`, for the cost of streams between hosts", form="PositiveMicro"),
+        Row(
+            "elements per second; with `size` it gives the cost of sending the stream to other hosts",
+            form="PositiveMicro",
+        ),
     ] = 0
-    size_bytes: Annotated[Natural, Row("bytes of one element")] = 0
+    size_bytes: Annotated[Natural, Row("the size of one element in bytes")] = 0
     serves: Annotated[
         Annotated[int, AtLeast(1)] | None,
         Row(
-            "the most inputs and topics that its stream may feed",
+            "the largest number of inputs and topics that its stream may feed; any number if absent",
             most=MOST_IN_A_QUEUE,
             feature=Feature.LIMITS,
             is_limit=True,
@@ -153,7 +175,9 @@ class OutputPort:
     qos: Annotated[str | None, QOS] = None
     topic: Annotated[
         str | None,
-        Row("in ROS 2: the topic for nodes outside of the run, published while one subscribes", use=Use.RUNNING),
+        Row(
+            "in ROS 2: the topic on which nodes outside of the run can get the stream; none if absent", use=Use.RUNNING
+        ),
     ] = None
 
     def __post_init__(self) -> None:
@@ -203,42 +227,60 @@ class RunOptions:
     start: Annotated[
         str,
         Row(
-            "what starts a step: `all` inputs fresh, `any` input, inputs `aligned` in time, or a port's name",
+            "when a step starts: `all`: each input has a new element; `any`: one input has; `aligned`: the inputs have "
+            "elements of one time; PORT: this input has",
             form="PortName",
             use=Use.RUNNING,
         ),
     ] = "all"
     tolerance_us: Annotated[
         Natural,
-        Row("the largest difference between the times of aligned inputs, in seconds", form="Seconds", use=Use.RUNNING),
+        Row(
+            "with `start: aligned`: how many seconds the elements of a step may be apart",
+            form="Seconds",
+            use=Use.RUNNING,
+        ),
     ] = 0
     rate_hz: Annotated[
         Annotated[float, AtLeast(0)] | None,
-        Row("elements per second of a source, which has no inputs", form="Rate", use=Use.RUNNING),
+        Row(
+            "for a source: elements per second; as fast as its code gives them if absent", form="Rate", use=Use.RUNNING
+        ),
     ] = None
     queue: Annotated[
-        Annotated[int, AtLeast(1)], Row("how many elements may wait at an input", most=MOST_IN_A_QUEUE, use=Use.RUNNING)
+        Annotated[int, AtLeast(1)],
+        Row("the largest number of elements that may wait at an input", most=MOST_IN_A_QUEUE, use=Use.RUNNING),
     ] = 256
     blocks: Annotated[
         bool,
-        Row("drop the oldest element, or let the producer wait", key="when_full", form="WhenFull", use=Use.RUNNING),
+        Row(
+            "if an input's queue is full: `drop_oldest`, or `block`, which lets the producer wait",
+            key="when_full",
+            form="WhenFull",
+            use=Use.RUNNING,
+        ),
     ] = False
     hang_us: Annotated[
         Natural | None,
         Row(
-            "seconds of silence after which a unit is killed, at least 2; 0: never; 10 if absent",
+            "the unit is killed after this many seconds without a sign of life: 2 or more; 0: never; 10 if absent",
             form="HangTime",
             use=Use.RUNNING,
         ),
     ] = None
     memory_mb: Annotated[
         Natural | None,
-        Row("the most memory that a unit may take, in megabytes", least=1, most=MOST_IN_A_QUEUE, use=Use.BOTH),
+        Row(
+            "the unit is killed if it takes more than this many megabytes; no limit if absent",
+            least=1,
+            most=MOST_IN_A_QUEUE,
+            use=Use.BOTH,
+        ),
     ] = None
     state: Annotated[
         bool | str,
         Row(
-            "true: a new unit continues with the state of the last one; a name: with the last state under this name",
+            "true: a new unit continues with the state of the old one; NAME: with the last state saved under NAME",
             form="StateName",
             use=Use.RUNNING,
         ),
@@ -246,14 +288,14 @@ class RunOptions:
     lifecycle: Annotated[
         bool,
         Row(
-            "cold spares of this ROS 2 node are configured, and activated when they are needed",
+            "true: this ROS 2 node has a lifecycle; its cold spares are configured, and activated when they are needed",
             use=Use.RUNNING,
         ),
     ] = False
     stop_us: Annotated[
         Natural | None,
         Row(
-            "time for a unit to end after it was told to, such as 500ms; then it is killed; 2s if absent",
+            "how long a unit may take to end, such as 500ms, before it is killed; 2s if absent",
             form="TimeSpan",
             below="hang",
             use=Use.RUNNING,
@@ -261,20 +303,20 @@ class RunOptions:
     ] = None
     format: Annotated[
         ProgramFormat,
-        Row("how a program reads and writes: lines of JSON, or frames of msgpack", use=Use.RUNNING, below="stop"),
+        Row("for a program: `json`, lines of JSON, or `msgpack`, frames of msgpack", use=Use.RUNNING, below="stop"),
     ] = "json"
     container: Annotated[
         ContainerKind,
         Row(
-            "the container of this ROS 2 component: rclcpp's plain one, one with several threads (`mt`), or one that"
-            " runs each component by itself (`isolated`)",
+            "for a ROS 2 component: its container: `plain`, `mt` with several threads, or `isolated`, an executor for "
+            "each component",
             use=Use.RUNNING,
         ),
     ] = "plain"
 
     def __post_init__(self) -> None:
         if isinstance(self.state, str) and not re.fullmatch(STATE_NAME, self.state):
-            raise InvalidValueError(f"{self.state!r} is no name of a state: letters, digits and underscores make one")
+            raise InvalidValueError(f"{self.state!r} can't name a state: write letters, digits and underscores")
         if self.hang_us is not None and self.hang_us != 0 and self.hang_us < LEAST_HANG_S * 1_000_000:
             raise InvalidValueError(
                 f"signs of life come once a second, and {self.hang_us / 1e6:g} s is too short to miss one: "
@@ -307,35 +349,59 @@ class Transformation:
     """
 
     label: Annotated[
-        str, Row("unique; mentions every template variable of the transformation", use=Use.BOTH, xml=ELEMENT)
+        str,
+        Row(
+            "the name of the transformation; unique; has every template variable of the transformation in it",
+            use=Use.BOTH,
+            xml=ELEMENT,
+        ),
     ]
     inputs: Annotated[
         tuple[InputPort, ...],
-        Row("input ports: name to tag", form="dict[PortName, InputGiven]", xml=ELEMENT, below="run"),
+        Row(
+            "input ports: name to tag, or to a mapping; none if absent",
+            form="dict[PortName, InputGiven]",
+            xml=ELEMENT,
+            below="run",
+        ),
     ] = ()
     outputs: Annotated[
         tuple[OutputPort, ...],
-        Row("output ports: name to tag", form="dict[PortName, OutputGiven]", xml=ELEMENT, below="inputs"),
+        Row(
+            "output ports: name to tag, or to a mapping; none if absent",
+            form="dict[PortName, OutputGiven]",
+            xml=ELEMENT,
+            below="inputs",
+        ),
     ] = ()
-    labor_us: Annotated[Natural, Row("CPU seconds of one start", absent=None, below="params")] = DEFAULT_LABOR_US
+    labor_us: Annotated[
+        Natural, Row("CPU seconds of one start; `labor` of `defaults` if absent", absent=None, below="params")
+    ] = DEFAULT_LABOR_US
     upkeep_us: Annotated[
-        Natural, Row("CPU seconds that a running unit takes per second", absent=None, below="labor")
+        Natural,
+        Row(
+            "CPU seconds per second of a running unit: 0.05 is 5 % of a core; `upkeep` of `defaults` if absent",
+            absent=None,
+            below="labor",
+        ),
     ] = 0
     _: KW_ONLY
     source: Annotated[
         str | None,
         Row(
-            "package.module:Class, units.py:Class relative to this file, or program:./FILE; in ROS "
-            "node:PACKAGE/EXECUTABLE and others",
+            "the unit code: package.module:Class, units.py:Class relative to this file, or program:./FILE; in ROS "
+            "node:PACKAGE/EXECUTABLE and others; needed for a run",
             use=Use.RUNNING,
             xml=ELEMENT,
         ),
     ] = None
-    kind: Annotated[str | None, Row("free text, the paper's type attribute", use=Use.RUNNING, xml="type")] = None
+    kind: Annotated[
+        str | None, Row("free text for people, the paper's type attribute", use=Use.RUNNING, xml="type")
+    ] = None
     host: Annotated[
         str | None,
         Row(
-            "where its units run: a host, or a list to choose from",
+            "the host that its units run on, or a list to choose from; any host if absent",
             form="OneOrMoreNames",
             use=Use.BOTH,
             xml="host",
@@ -346,7 +412,7 @@ class Transformation:
     on: Annotated[
         str | None,
         Row(
-            "the hosts that its units may run on: an expression such as `robot and not spot`",
+            "the hosts that its units may run on: an expression such as `robot and not spot`; any host if absent",
             form="SelectorText",
             is_limit=True,
             is_of_hosts=True,
@@ -354,30 +420,39 @@ class Transformation:
     ] = None
     params: Annotated[
         Mapping[str, object],
-        Row("the parameters of its unit code", form="Params", use=Use.RUNNING, absent={}, xml=ELEMENT),
+        Row(
+            "the parameters of its unit code: name to value; none if absent",
+            form="Params",
+            use=Use.RUNNING,
+            absent={},
+            xml=ELEMENT,
+        ),
     ] = field(default_factory=dict, hash=False)
     requires: Annotated[
         str | None,
         Row(
-            "its units run only while facts meet it: an expression such as `visibility >= 2.25 and not night`",
+            "when its units may run: an expression over facts, `visibility >= 2.25 and not night`; always if absent",
             form="RequirementText",
             xml=UNSAID,
         ),
     ] = None
-    pinned: Annotated[bool, Row("running units are kept even where no target needs them")] = False
-    required: Annotated[bool, Row("must be used if any valid plan can use it")] = False
+    pinned: Annotated[bool, Row("true: keep its running units even if no target needs them")] = False
+    required: Annotated[bool, Row("true: use it if any valid plan can use it")] = False
     memory_mb: Annotated[
         Natural | None,
-        Row("megabytes that a unit takes on its host; run.memory if absent", most=MOST_IN_A_QUEUE),
+        Row("megabytes that a unit takes on its host; `memory` of `run` if absent, else 0", most=MOST_IN_A_QUEUE),
     ] = None
     needs: Annotated[
         Mapping[str, Natural],
-        Row("amounts of other resources of its host that a unit takes, by name: whole numbers", is_limit=True),
+        Row(
+            "other resources of its host that a unit takes: name to amount, a whole number; none if absent",
+            is_limit=True,
+        ),
     ] = field(default_factory=dict, hash=False)
     beside: Annotated[
         tuple[str, ...],
         Row(
-            "transformations: on each host where a unit of it runs, a unit of each of these runs too",
+            "labels of transformations: each needs a unit on every host where a unit of this one runs; none if absent",
             key="with",
             feature=Feature.BESIDE,
             is_limit=True,
@@ -386,7 +461,7 @@ class Transformation:
     conflicts: Annotated[
         tuple[str, ...],
         Row(
-            "transformations whose units may not run together with its units",
+            "labels of transformations whose units may not run together with its units; none if absent",
             form="ConflictsGiven",
             feature=Feature.CONFLICTS,
             is_limit=True,
@@ -397,16 +472,21 @@ class Transformation:
     ] = ()
     min_instances: Annotated[
         Natural,
-        Row("the least number of its units that run", most=MOST_INSTANCES, feature=Feature.INSTANCES, is_limit=True),
+        Row("the smallest number of its units that run", most=MOST_INSTANCES, feature=Feature.INSTANCES, is_limit=True),
     ] = 0
     max_instances: Annotated[
         Natural | None,
-        Row("the most units of it, spares included", feature=Feature.INSTANCES, is_limit=True, limits_units=True),
+        Row(
+            "the largest number of its units, spares included; no limit if absent",
+            feature=Feature.INSTANCES,
+            is_limit=True,
+            limits_units=True,
+        ),
     ] = None
     per_host: Annotated[
         Annotated[int, AtLeast(1)] | None,
         Row(
-            "the most units of it on one host",
+            "the largest number of its units on one host, spares included; no limit if absent",
             feature=Feature.INSTANCES,
             is_limit=True,
             limits_units=True,
@@ -416,7 +496,7 @@ class Transformation:
     at_most: Annotated[
         Mapping[str, Natural],
         Row(
-            "the most units of it on all hosts together that a selector chooses: selector to number",
+            "selector of hosts to the largest number of its units on these hosts together; no limit if absent",
             form="dict[SelectorText, AtMost]",
             feature=Feature.INSTANCES,
             is_limit=True,
@@ -426,10 +506,20 @@ class Transformation:
             shown=lambda most: [f"(at most {number} on {text})" for text, number in most.items()],
         ),
     ] = field(default_factory=dict, hash=False)
-    standby_us: Annotated[Natural | None, Row("CPU seconds per second of a spare that does not run")] = None
-    run: Annotated[RunOptions, Row("how its units run", form="RunPart", use=Use.BOTH, absent=None, xml=ELEMENT)] = (
-        RunOptions()
-    )
+    standby_us: Annotated[
+        Natural | None,
+        Row("CPU seconds per second of a cold spare, which does not run; it has no cold spares if absent"),
+    ] = None
+    run: Annotated[
+        RunOptions,
+        Row(
+            "how its units run: a mapping; the defaults below if absent",
+            form="RunPart",
+            use=Use.BOTH,
+            absent=None,
+            xml=ELEMENT,
+        ),
+    ] = RunOptions()
     seen_us: Annotated[Mapping[str, tuple[Natural, Natural]], Row(use=Use.NONE, is_of_hosts=True)] = field(
         default_factory=dict, hash=False
     )

@@ -30,7 +30,7 @@ RERUNS = int(os.environ.get("CFGPLAN_RERUNS", "0"))
 ALLOWED_SKIPS = (
     "reelay is not installed",
     "it has no bound for long",
-    "does not know .*use the planner cpsat",
+    "does not support .*use the planner cpsat",
     "Web Service Challenge|the WSC 2008 sets|the sets are not beside the checkout",
     "no control groups",
     "no network namespaces",

@@ -118,10 +118,10 @@ def test_a_running_unit_that_may_not_run_any_more_is_stopped(survey: Path) -> No
     [
         ("nihgt", "there is no fact `nihgt`"),
         ("visibility", "fact `visibility` is a number, but is compared with true"),
-        ("visibility > deep", "'deep' is no number"),
-        ("visibility >", "a value is wanted after >"),
+        ("visibility > deep", "'deep' is not a number"),
+        ("visibility >", "a value is missing after >"),
         ("mode >= 3", "fact `mode` is a word, but is compared with 3"),
-        ("not (night or", "the requirement ends where a fact is wanted"),
+        ("not (night or", "the requirement ends where a fact is expected"),
         ("night == 1", "fact `night` is true or false, but is compared with 1"),
     ],
 )
@@ -139,7 +139,7 @@ def test_a_fact_that_is_none_hides_no_other_fault_and_makes_none(survey: Path) -
     survey.write_text(SURVEY.replace("declared: false", "declared: []"), encoding="utf-8")
     with pytest.raises(InputError) as refused:
         api.load(survey)
-    assert [fault.message for fault in refused.value.faults] == ["this is no value of a fact"]
+    assert [fault.message for fault in refused.value.faults] == ["this can't be the value of a fact"]
 
 
 def test_an_environment_made_in_python_asks_only_about_its_facts() -> None:
@@ -226,8 +226,8 @@ def test_what_feeds_only_an_optional_input_of_what_observes_may_require_it(obser
     ("fact", "message"),
     [
         ("declared: 1, by: Visibility, topic: /path", "a fact is observed `by` a tag or on a `topic`, not by both"),
-        ("declared: 1, field: range", "nothing observes the fact, so it has no `field`"),
-        ("declared: 1, silent: 5s", "nothing observes the fact, so it has no `silent`"),
+        ("declared: 1, field: range", "`field` is only for facts with `by` or `topic`"),
+        ("declared: 1, silent: 5s", "`silent` is only for facts with `by` or `topic`"),
         ("declared: 1, topic: /pth", "no target has the topic `/pth`"),
         ("declared: 1, by: Visibility and", "the tag ends where"),
     ],
@@ -325,7 +325,7 @@ def test_a_quality_that_follows_a_fact_is_written_so(following: Path, tmp_path: 
     ("old", "new", "message"),
     [
         ("by: light", "by: lihgt", "there is no fact `lihgt`"),
-        ("by: light", "by: night", "no value follows fact `night`: it is true or false"),
+        ("by: light", "by: night", "a quality can't follow fact `night`, which is true or false"),
         ("[0.2, 0.9], [1", "[1, 0.9], [0.2", "the points by light do not rise"),
         ("[0.2, 0.9], [1", "[1, 0.9], [1", "the points by light do not rise"),
         ("0.9]", "-0.9]", "the value -0.9 of error is out of range"),

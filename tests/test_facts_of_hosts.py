@@ -150,8 +150,8 @@ def test_what_observes_a_fact_of_a_host_may_not_require_it(fleet: Path) -> None:
         ("of: host, ", "", "a fact of the world has one value for all hosts"),
         ("r2: 90", "r3: 90", "there is no host `r3`"),
         ("r2: 90", "r2: full", "the value on r2 is a word, but its `declared` is a number"),
-        ("declared: 100", "declared: 100, by: Battery", "all hosts would have the value of one stream"),
-        ("declared: 100", "declared: 100, topic: /battery", "all hosts would have the value of one stream"),
+        ("declared: 100", "declared: 100, by: Battery", "all hosts would get the value of one stream"),
+        ("declared: 100", "declared: 100, topic: /battery", "all hosts would get the value of one stream"),
         ("of: host", "of: robot", "this must be host"),
         (
             "hosts: [{name: r1}, {name: r2, speed: 0.5}, {name: base, copies: 2, speed: 0.1}]",
@@ -175,7 +175,9 @@ def test_no_quality_follows_a_fact_of_hosts(fleet: Path) -> None:
     fleet.write_text(
         FLEET.replace("outputs: {m: Map}", quality) + "qualities: [{name: error, better: lower}]\n", encoding="utf-8"
     )
-    with pytest.raises(InputError, match="no value follows fact `battery`: it differs from host to host"):
+    with pytest.raises(
+        InputError, match="a quality can't follow fact `battery`, whose value differs from host to host"
+    ):
         api.load(fleet)
 
 

@@ -172,14 +172,23 @@ def tables() -> str:
     """The tables of all keys, made from the rows of the fields."""
     text = ""
     for title, part in PARTS.items():
-        text += f"\n### {title}\n\n| key | meaning | if absent | XML | for |\n|---|---|---|---|---|\n"
+        text += f"\n### {title}\n\n| key | meaning | default | XML | for |\n|---|---|---|---|---|\n"
         for key, row in part.rows().items():
             field = part.all_keys()[key]
-            absent = "not allowed" if field.default is ... else f"`{row.default}`" if row.default else ""
+            default = "required" if field.default is ... else _default(row.default)
             xml = "no" if not row.xml or part in YAML_ONLY else "element" if row.xml == ELEMENT else f"`{row.xml}`"
             uses = ", ".join(str(use.name).lower() for use in (Use.PLANNING, Use.RUNNING) if use in row.use)
-            text += f"| `{key}` | {field.meaning} | {absent} | {xml} | {uses} |\n"
+            text += f"| `{key}` | {field.meaning} | {default} | {xml} | {uses} |\n"
     return text
+
+
+def _default(value: object) -> str:
+    """A default as the file would say it; empty for one that only the meaning of the key tells."""
+    if isinstance(value, list):
+        return f"`[{', '.join(map(str, value))}]`" if value else ""
+    if value is None or value in ("", {}):
+        return ""
+    return f"`{str(value).lower() if isinstance(value, bool) else value}`"
 
 
 def verbs() -> str:
@@ -203,7 +212,7 @@ def made_anew() -> dict[str, str]:
     """The pages with tables, these made from the code."""
     before, _, _ = TEXT["environment"].partition(f"\n### {next(iter(PARTS))}\n")
     environment = before + tables()
-    commands = re.sub(r"(?<=\| verb \| does \|\n\|---\|---\|\n)(\|.*\n)*", verbs(), TEXT["commands"])
+    commands = re.sub(r"(?<=\| command \| does \|\n\|---\|---\|\n)(\|.*\n)*", verbs(), TEXT["commands"])
     rows = r"(?<=\| {} \| level \| fields \| meaning \|\n\|---\|---\|---\|---\|\n)(\|.*\n)*"
     events = TEXT["events"]
     for name, families in {"event": (Event, Report), "perturbation": (Perturbation,)}.items():

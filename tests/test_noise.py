@@ -93,13 +93,13 @@ def test_a_noise_is_a_number_or_a_percentage(tmp_path: Path, text: str, noise: N
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("20 %", "0", "this is no noise"),
-        ("20 %", "0.0 %", "this is no noise"),
-        ("20 %", "101 %", "this is no noise"),
-        ("20 %", "loud", "this is no noise"),
-        ("declared: 3", "declared: clear", "only a number is noisy"),
-        ("by: Visibility, ", "", "nothing observes the fact, so it has no `noise`"),
-        (">= 3.25", "== 3.25", "fact `visibility` is noisy, and equals no number for long"),
+        ("20 %", "0", "this can't be a noise"),
+        ("20 %", "0.0 %", "this can't be a noise"),
+        ("20 %", "101 %", "this can't be a noise"),
+        ("20 %", "loud", "this can't be a noise"),
+        ("declared: 3", "declared: clear", "`noise` is only for facts that are numbers"),
+        ("by: Visibility, ", "", "`noise` is only for facts with `by` or `topic`"),
+        (">= 3.25", "== 3.25", "fact `visibility` has noise, so it can't be compared by `==`"),
     ],
 )
 def test_a_noise_that_means_nothing_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
@@ -120,7 +120,7 @@ def test_check_names_bounds_that_noise_blurs(
     path = tmp_path / "env.yaml"
     path.write_text(WORLD.replace("rate: 1", f"rate: {rate}").replace("20 %", noise), encoding="utf-8")
     assert main(["check", str(path)]) == 0
-    assert ("visibility does not tell 2.25 from 3.25 in time" in capsys.readouterr().err) == told
+    assert ("visibility is too noisy to tell 2.25 from 3.25 in time" in capsys.readouterr().err) == told
 
 
 def test_bounds_are_those_of_all_comparisons() -> None:

@@ -32,7 +32,7 @@ def test_the_input_without_a_producer_is_named_through_any_number_of_steps() -> 
 
 def test_circular_support_is_named() -> None:
     text = reason("A", make("left", "B", "A"), make("right", "A", "B"))
-    assert text == "target q wants A, but what could give it is fed only by itself: left, right"
+    assert text == "target q wants A, but the transformations that offer it are fed only by each other: left, right"
 
 
 def test_a_distinct_group_with_too_few_feeders_is_named() -> None:

@@ -200,7 +200,7 @@ WORDS: Mapping[str, Word] = {
         ),
         sink={"min_instances": 2},
         feature=Feature.LIMITS,
-        broken="1 more than it serves take the stream source.1/a",
+        broken="stream source.1/a feeds too many inputs and topics: 1 more than its output serves",
         never={"max_instances": 1},
         limit="`serves` of output source/a",
         shown="serves 1",
@@ -328,7 +328,7 @@ WORDS: Mapping[str, Word] = {
         units=APART,
         top={"links": [{"between": ["h", "k"], "bandwidth": 9}]},
         feature=Feature.HOSTS,
-        broken="the link between h and k carries 1000000 bytes a second, but bears 9",
+        broken="the link between h and k carries 1000000 bytes per second, but has a bandwidth of 9",
         never={},
         limit="`bandwidth` of link h - k",
     ),
@@ -409,7 +409,7 @@ def test_a_planner_that_does_not_know_the_word_refuses_it_by_name(word: Word, tm
     if word.feature is None:
         assert problem.is_plain
         return
-    with pytest.raises(InputError, match=f"does not know .*{word.feature}"):
+    with pytest.raises(InputError, match=f"does not support .*{word.feature}"):
         PLANNERS["branch-and-bound"](problem)
 
 

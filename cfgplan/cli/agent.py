@@ -18,27 +18,32 @@ if TYPE_CHECKING:
     from cfgplan_runtime.processes.cpu_group import CpuGroup
 
 _EXAMPLE = """\
-example, on the base station, on the robot r1, and then on either:
-  cfgplan agent --name base --certificates /etc/cfgplan/base
-  cfgplan agent --name r1 --certificates /etc/cfgplan/r1 --connect tls/10.0.0.3:7447
+example:
+  cfgplan agent --name base --certificates /etc/cfgplan/base      (on the base station)
+  cfgplan agent --name r1 --certificates /etc/cfgplan/r1 --connect tls/10.0.0.3:7447      (on the robot r1)
   cfgplan run env.yaml --certificates /etc/cfgplan/manager --connect tls/10.0.0.3:7447 --connect tls/10.0.0.1:7447
+                                                                (on either; it plans and starts units on both)
 
-Without certificates an agent listens on loopback only. Units keep running when `cfgplan run` ends."""
+Connect each pair of agents only once: if A connects to B, B need not connect to A. Without certificates an
+agent listens on loopback only. Units keep running when `cfgplan run` ends."""
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _EXAMPLE
     parser.add_argument(
-        "--name", required=True, metavar="HOST", help="the name of this computer among the file's hosts"
+        "--name", required=True, metavar="HOST", help="this computer's name under `hosts:` in the environment file"
     )
     add_links(parser)
-    reach = "where others reach this agent (tcp/127.0.0.1:7447; with certificates tls/0.0.0.0:7447)"
+    reach = "address on which this agent listens (default: tcp/127.0.0.1:7447, with certificates tls/0.0.0.0:7447)"
     shared.add_several(parser, "--listen", "ENDPOINT", reach)
     parser.add_argument(
-        "--folder", default=".", metavar="DIR", help="the folder for relative sources such as `units.py:Class` (.)"
+        "--folder",
+        default=".",
+        metavar="DIR",
+        help="folder of unit code with a relative `source`, such as `units.py:Class` (default: this folder)",
     )
-    shared.add_several(parser, "--preload", "MODULE", "import it before units start")
-    limit = "the most CPU seconds per second that units here take together (Linux, in a control group of its own)"
+    shared.add_several(parser, "--preload", "MODULE", "import this module before units start; may be repeated")
+    limit = "limit all units here together to this many CPU cores, such as 1.5 (Linux only; default: no limit)"
     parser.add_argument("--cpu", type=shared.positive, metavar="SECONDS", help=limit)
     parser.set_defaults(run=run)
 
@@ -49,11 +54,11 @@ def add_links(parser: argparse.ArgumentParser, **more: Any) -> None:
         "--connect",
         action="append",
         metavar="ENDPOINT",
-        help="an agent, such as tcp/127.0.0.1:7447 (several: once for each; not one that connects to this one)",
+        help="address of an agent to connect to, such as tcp/127.0.0.1:7447; may be repeated",
         **{"default": [], **more},
     )
     parser.add_argument(
-        "--certificates", metavar="DIR", help="this computer's certificate and the run's authority", **more
+        "--certificates", metavar="DIR", help="folder of this computer, as made by `cfgplan certificates`", **more
     )
 
 
@@ -113,24 +118,26 @@ def add_certificates(parser: argparse.ArgumentParser) -> None:
         "example:\n"
         "  cfgplan certificates secrets r1=10.0.0.1 r2=10.0.0.2 base=base.local,10.0.0.3 --passes-on base\n"
         "  scp -r secrets/r1 r1:/etc/cfgplan\n\n"
-        "Keep FOLDER/authority.key secret: its holder can make certificates. Called again with other hosts it\n"
-        "adds them; then copy the access.json of each host again. Hosts reach each other directly, or through those\n"
-        "that --passes-on names."
+        "Keep FOLDER/authority.key secret: whoever has it can make certificates. To add hosts later, call the command\n"
+        "again with the new hosts, and copy the new access.json to every host. Hosts reach each other directly, or\n"
+        "through a host named by --passes-on."
     )
-    parser.add_argument(
-        "folder", type=Path, metavar="FOLDER", help="the folder to write; it gets a folder for each host"
-    )
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder to write; each host gets a folder in it")
     parser.add_argument(
         "hosts",
         nargs="+",
         metavar="HOST[=ADDRESS,...]",
-        help="a host's name, and the addresses by which others reach it",
+        help="name of a host, and the addresses at which others reach it",
     )
     shared.add_several(
-        parser, "--passes-on", "HOST", "this host may pass on messages of other hosts; only for a host you trust"
+        parser, "--passes-on", "HOST", "allow this trusted host to relay messages between other hosts; may be repeated"
     )
     parser.add_argument(
-        "--days", type=shared.count, default=365, metavar="N", help="days for which they are valid (365)"
+        "--days",
+        type=shared.count,
+        default=365,
+        metavar="N",
+        help="days for which the certificates are valid (default: 365)",
     )
     parser.set_defaults(run=_make_certificates)
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 
 _CONNECTION = (
-    ("username", "NAME", "the name that the broker knows"),
-    ("password_env", "VARIABLE", "the variable of the environment that holds the password"),
+    ("username", "NAME", "the user name at the broker"),
+    ("password_env", "VARIABLE", "the environment variable that holds the password"),
     ("password_file", "FILE", "the file that holds the password"),
-    ("ca", "FILE", "certificate of the trusted authority (TLS)"),
-    ("certificate", "FILE", "certificate of this client (TLS)"),
-    ("key", "FILE", "the key of the certificate"),
+    ("ca", "FILE", "TLS: certificate of the authority to trust (PEM)"),
+    ("certificate", "FILE", "TLS: certificate of this client (PEM)"),
+    ("key", "FILE", "TLS: private key of this client's certificate (PEM)"),
 )
 
 

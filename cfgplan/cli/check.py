@@ -28,7 +28,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--against",
         metavar="OTHER",
-        help="show only findings that this environment file, such as the one before a change, does not have",
+        help="report only what is wrong in ENV but not in this file, such as ENV before a change",
     )
     shared.add_survive(parser)
     shared.add_observed(parser)
@@ -74,7 +74,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
             if fault.suspicion is not Suspicion.UNTAKEN:
                 screen.show(_text(world, fault))
         if untaken:
-            screen.show(f"no input takes {counted(len(untaken), 'stream')}: {some(untaken)}")
+            screen.show(f"{counted(len(untaken), 'stream')} without a subscriber: {some(untaken)}")
         for line in left_out_lines(world.environment):
             screen.show(line)
         screen.show(_verdict(options, world, broken, gone))

@@ -34,20 +34,26 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         "  cfgplan compare env.yaml --planner cpsat --planner my_planners:greedy --timeout 2\n"
         "  cfgplan compare env.yaml --plot planners.svg"
     )
-    parser.add_argument("envs", metavar="ENV", nargs="+", help="environment files to plan for")
+    parser.add_argument("envs", metavar="ENV", nargs="+", help="environment files; each planner plans for each of them")
     parser.add_argument(
         "--planner",
         action="append",
         metavar="NAME",
-        help="only this planner; one of your own as module:function (repeat)",
+        help="compare only this planner, or your own as module:function; may be repeated (default: all)",
     )
-    parser.add_argument("--timeout", type=shared.positive, default=10.0, metavar="S", help="seconds for each run (10)")
     parser.add_argument(
-        "--memory", type=shared.count, metavar="MB", help="largest address space of a run, in megabytes"
+        "--timeout",
+        type=shared.positive,
+        default=10.0,
+        metavar="S",
+        help="time limit of each run in seconds (default: 10)",
     )
-    plot = "draw the best cost and the bound of each planner over time (SVG, PNG or PDF; extra `plots`)"
+    parser.add_argument(
+        "--memory", type=shared.count, metavar="MB", help="limit of a run's address space in megabytes (default: none)"
+    )
+    plot = "draw each planner's best cost and bound over time, as .svg, .png or .pdf (needs the extra `plots`)"
     parser.add_argument("--plot", type=shared.plot_file, metavar="FILE", help=plot)
-    parser.add_argument("--traceback", action="store_true", help="show where a planner crashed")
+    parser.add_argument("--traceback", action="store_true", help="print the traceback of a planner that crashed")
     shared.add_observed(parser)
     shared.add_matching(parser)
     shared.add_json(parser)
@@ -93,7 +99,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         if options.traceback:
             screen.show(Text("\n".join(each["traceback"] for each in crashes)))
         elif crashes:
-            screen.note("`--traceback` shows where.")
+            screen.note("Add --traceback to see where.")
     elif any(each["proof_s"] is not None for each in runs):
         screen.show(Text("All proofs agree, and every plan passes the judge.", style="bold green"))
     return Exit.INVALID if contradictions or crashes else Exit.OK
@@ -113,7 +119,7 @@ def _table(env: str, runs: Sequence[Run]) -> Table:
         times = (each.first_s, each.best_s, each.proof_s, each.total_s)
         table.add_row(
             each.planner,
-            "judged false" if each.violations else f"{each.outcome}: {each.message}" if each.message else each.outcome,
+            "wrong plan" if each.violations else f"{each.outcome}: {each.message}" if each.message else each.outcome,
             "" if each.cost_us is None else cpu(each.cost_us),
             cpu(each.bound_us),
             *("" if time_s is None else span(time_s) for time_s in times),

@@ -17,7 +17,7 @@ _FOLDER_METAVARS = ("DIR", "FOLDER")
 
 def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = "example:\n  cfgplan completion bash > ~/.local/share/bash-completion/completions/cfgplan"
-    parser.add_argument("shell", choices=("bash", "zsh"), help="the shell")
+    parser.add_argument("shell", choices=("bash", "zsh"), help="the shell to write the script for")
     parser.set_defaults(run=run)
 
 

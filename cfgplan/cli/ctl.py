@@ -30,23 +30,23 @@ example:
   cfgplan ctl withdraw robot2
   cfgplan ctl remove-target ball
   cfgplan ctl kill camera.1            (it is replaced at once)
-  cfgplan ctl restart camera.1         (with its present code; the old unit stays if the new one fails)
+  cfgplan ctl restart camera.1         (starts its present code; if that fails, the old unit stays)
   cfgplan ctl fact visibility=1.5      (transformations may require it)
   cfgplan ctl observed --out now.json  (for `cfgplan solve --observed now.json`)
   cfgplan ctl review
-  cfgplan ctl plan --out plan.json     (the plan of a review now)
+  cfgplan ctl plan --out plan.json     (what `review` would do now)
   cfgplan ctl why camera.1
-  cfgplan ctl logs camera --follow     (output of its units, also of dead ones)
+  cfgplan ctl logs camera --follow     (output of all units of camera, also of ended ones)
   cfgplan ctl events --since 10m       (past events)
-  cfgplan ctl topics                   (publishers, rates, ages)
-  cfgplan ctl hz /result               (its rate and jitter)
-  cfgplan ctl --name robot state       (the run that `run --name robot` has started)
+  cfgplan ctl topics                   (publisher, rate and age of each)
+  cfgplan ctl hz /result               (rate and jitter of a topic)
+  cfgplan ctl --name robot state       (of the run that `cfgplan run --name robot` has started)
   cfgplan ctl apply plan.json          (refused if something has changed since)
   cfgplan ctl stop
   cfgplan ctl state --connect tls/10.0.0.3:7447 --certificates /etc/cfgplan/manager      (from another computer)
 
 Additions stay until they are withdrawn or the run ends, also if the environment file changes.
-Exit codes: 0 done, 12 done and a target is not met, 30 refused, failed and undone, or no run."""
+Exit codes: 0 done, 12 done but a target is not met, 30 refused, failed and undone, or no run is live."""
 
 
 @dataclass(frozen=True)
@@ -67,44 +67,78 @@ _COMMANDS = (
         "add",
         "add the individuals, transformations and targets of a file, under its name",
         "FILE",
-        "YAML or JSON; - is standard input",
+        "file in YAML or JSON; - reads standard input",
     ),
-    _Command("withdraw", "remove everything that was added under a name", "NAME", "see `state`", "withdraw", "name"),
-    _Command("remove-target", "remove a target", "LABEL", "its label", "remove_target", "label"),
+    _Command("withdraw", "remove all that `add` added under a name", "NAME", "the name", "withdraw", "name"),
+    _Command("remove-target", "remove a target", "LABEL", "label of the target", "remove_target", "label"),
     _Command(
-        "remove-transformation", "remove a transformation", "LABEL", "its label", "remove_transformation", "label"
+        "remove-transformation",
+        "remove a transformation",
+        "LABEL",
+        "label of the transformation",
+        "remove_transformation",
+        "label",
     ),
-    _Command("remove-individual", "remove an individual", "NAME", "its name", "remove_individual", "name"),
-    _Command("restore", "undo a removal", "NAME", "the label or name that was removed", "restore", "name"),
-    _Command("kill", "end a unit at once", "UNIT", "its id, such as camera.1", "kill", "unit"),
-    _Command("restart", "replace a unit by a new one, without a gap", "UNIT", "its id", "restart", "unit"),
-    _Command("lose-host", "take a host out of service", "HOST", "its name", "lose_host", "host"),
-    _Command("regain-host", "take a host into service again", "HOST", "its name", "regain_host", "host"),
-    _Command("fact", "set the value of a fact of the world", "NAME=VALUE", "such as visibility=1.5"),
-    _Command("observed", "show the qualities that streams say, and the learned ones"),
-    _Command("review", "plan now, as if the horizon were reached", method="review"),
-    _Command("plan", "say what a review would do now, and change nothing"),
-    _Command("why", "say why a unit runs, and what doing without it would cost", "UNIT", "its id, such as camera.1"),
-    _Command("logs", "print the output of a unit", "UNIT", "its id, or a label: all its units, ended ones too"),
     _Command(
-        "apply", "apply a plan that was made for the running configuration", "FILE", "a plan saved by `ctl plan --out`"
+        "remove-individual", "remove an individual", "NAME", "name of the individual", "remove_individual", "name"
     ),
-    _Command("events", "print events as they happen, or past ones"),
-    _Command("topics", "list the topics of targets and the streams of units, with publisher, rate and age"),
+    _Command("restore", "undo a removal", "NAME", "label or name of what was removed", "restore", "name"),
+    _Command(
+        "kill",
+        "kill a unit's process at once; the run replaces it",
+        "UNIT",
+        "id of the unit, such as camera.1",
+        "kill",
+        "unit",
+    ),
+    _Command(
+        "restart",
+        "replace a unit by a new one without a gap",
+        "UNIT",
+        "id of the unit, such as camera.1",
+        "restart",
+        "unit",
+    ),
+    _Command("lose-host", "take a host out of service", "HOST", "name of the host", "lose_host", "host"),
+    _Command("regain-host", "take a host into service again", "HOST", "name of the host", "regain_host", "host"),
+    _Command("fact", "set the value of a fact", "NAME=VALUE", "the fact and its value, such as visibility=1.5"),
+    _Command("observed", "show the observed facts, and the qualities that streams report and the run has learned"),
+    _Command("review", "plan now, without waiting for the horizon, and carry the plan out", method="review"),
+    _Command("plan", "show what `review` would do now, and change nothing"),
+    _Command(
+        "why",
+        "say why a unit runs and how much more a plan without it costs",
+        "UNIT",
+        "id of the unit, such as camera.1",
+    ),
+    _Command(
+        "logs",
+        "print the output of a unit",
+        "UNIT",
+        "id of a unit, or label of a transformation for all of its units, also ended ones",
+    ),
+    _Command(
+        "apply",
+        "carry out a plan that was made for the running configuration",
+        "FILE",
+        "plan saved by `ctl plan --out`",
+    ),
+    _Command("events", "print new events as they happen, or past ones"),
+    _Command("topics", "list topics of targets and streams of units, with publisher, rate and age"),
     _Command(
         "hz",
-        "measure the rate and jitter of a topic, the rate of a unit or stream",
+        "measure the rate and jitter of a topic, or the rate of a unit or stream",
         "NAME",
-        "as `topics` lists them",
+        "a topic or stream as `topics` lists it, or the id of a unit",
     ),
     _Command("socket", "print the path of the run's control socket, for other programs"),
-    _Command("stop", "stop the run, letting units finish"),
+    _Command("stop", "stop the run; units may finish first"),
 )
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _CTL_EXAMPLE
-    which = "the run, by its name (`run --name`) or id, if several are live"
+    which = "name (of `cfgplan run --name`) or id of the run; needed if several are live"
     parser.add_argument("--name", "-n", "--run", dest="run_id", metavar="NAME", help=which)
     add_links(parser)
     shared.add_json(parser)
@@ -116,22 +150,28 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         )
         # Also behind the command, where people put them; absent there, what stands before it holds.
         spelled = ("-n", "--run") if command.name == "add" else ("--name", "-n", "--run")
-        each.add_argument(*spelled, dest="run_id", metavar="NAME", default=argparse.SUPPRESS, help="the run")
+        each.add_argument(
+            *spelled, dest="run_id", metavar="NAME", default=argparse.SUPPRESS, help="name or id of the run"
+        )
         add_links(each, default=argparse.SUPPRESS)
-        each.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="print JSON for machines")
+        each.add_argument(
+            "--json", action="store_true", default=argparse.SUPPRESS, help="print JSON for programs instead of text"
+        )
         if command.operand:
             kinds: dict[str, Callable[[str], Any]] = {"FILE": str, "NAME=VALUE": shared.setting}
             kind = kinds.get(command.operand, normal)
             each.add_argument("operand", type=kind, metavar=command.operand, help=command.means)
         if command.name == "add":
-            under = "the name to add it under (the file's)"
+            under = "name of the addition, for `withdraw` (default: the file's name without ending)"
             each.add_argument("--name", dest="added_as", type=normal, metavar="NAME", help=under)
         if command.name in ("plan", "observed"):
             shared.add_out(each)
         if command.name in ctl_views.OPTIONS:
             ctl_views.OPTIONS[command.name](each)
         if command.method or command.name in ("add", "fact", "plan", "why", "apply"):
-            shared.add_time(each, "--wait", 60.0, "how long to wait for the review (60s)")
+            shared.add_time(
+                each, "--wait", 60.0, "how long to wait until the change is planned and carried out (default: 60s)"
+            )
 
 
 def run(options: argparse.Namespace, screen: Screen) -> Exit:

@@ -29,15 +29,20 @@ _TELLS_S = 1.0
 
 
 def _add_logs(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--follow", action="store_true", help="keep printing until the run ends")
-    parser.add_argument("--last", type=shared.count, metavar="N", help="only the last N lines (up to 1,000 of a unit)")
+    parser.add_argument("--follow", action="store_true", help="keep printing new lines until the run ends")
+    parser.add_argument(
+        "--last",
+        type=shared.count,
+        metavar="N",
+        help="print only the last N lines (default: all; 1,000 are kept of a unit)",
+    )
 
 
 def _add_events(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--last", type=shared.count, metavar="N", help="the last N events that the run remembers")
-    since = "the events of the last 30s, 10m or 2h that the run remembers (1,000)"
+    parser.add_argument("--last", type=shared.count, metavar="N", help="print the last N events (1,000 are kept)")
+    since = "print the events of the last 30s, 10m or 2h (1,000 are kept)"
     parser.add_argument("--since", type=shared.duration, metavar="TIME", help=since)
-    parser.add_argument("--follow", action="store_true", help="keep printing new events, after --last or --since")
+    parser.add_argument("--follow", action="store_true", help="with --last or --since: go on with new events")
 
 
 def _add_hz(parser: argparse.ArgumentParser) -> None:
@@ -156,8 +161,8 @@ def _hz(control: Control, screen: Screen, options: argparse.Namespace) -> Exit:
     name = options.operand
     if name not in {*topics, *streams, *units}:
         known = [*topics, *units, *streams]
-        mend = did_you_mean(name, known, f"there is {', '.join(known)}" if known else "nothing runs yet")
-        raise InputError.of(f"{name!r} is neither a topic nor a unit that runs, nor a stream of one", mend=mend)
+        mend = did_you_mean(name, known, f"write one of {', '.join(known)}" if known else "nothing runs yet")
+        raise InputError.of(f"{name!r} is not a topic, a running unit or a stream", mend=mend)
     try:
         if name in topics and _is_shown(control, name):
             _measure_topic(control, screen, options, end_s)

@@ -21,11 +21,13 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "example:\n  cfgplan demo nao\n  cfgplan demo nao --page\n  cfgplan demo nao --step 2s --report page.html"
     )
-    parser.add_argument("world", metavar="WORLD", nargs="?", choices=("nao",), default="nao", help="nao (the only one)")
-    shared.add_time(parser, "--step", 6.0, "how long each step is shown (6s)")
-    page = "the page to write (nao.html)"
+    parser.add_argument(
+        "world", metavar="WORLD", nargs="?", choices=("nao",), default="nao", help="the demo to play (only: nao)"
+    )
+    shared.add_time(parser, "--step", 6.0, "how long to show each step (default: 6s)")
+    page = "HTML report to write (default: nao.html)"
     parser.add_argument("--report", type=shared.out_file, metavar="FILE", default="nao.html", help=page)
-    shared.add_page(parser, "the play")
+    shared.add_page(parser, "the demo")
     shared.add_json(parser)
     parser.set_defaults(run=run)
 

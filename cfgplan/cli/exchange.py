@@ -34,38 +34,44 @@ def add_import(parser: argparse.ArgumentParser) -> None:
         "  cfgplan import mqtt localhost --for 1m --out house.yaml\n"
         "  cfgplan import wot lamp.td.json thermostat.td.json --out house.yaml"
     )
-    parser.add_argument("what", choices=("xml", "wsc", "ros1", "ros2", "mqtt", "wot"), help="what to read")
+    parser.add_argument("what", choices=("xml", "wsc", "ros1", "ros2", "mqtt", "wot"), help="the kind of source")
     parser.add_argument(
         "path",
         metavar="PATH",
         nargs="+",
-        help="xml: file or folder of them. wsc: folder of a test set. ros1: `live` (the master of ROS_MASTER_URI), "
-        "a master's address, or a launch file and its arguments (NAME:=VALUE). ros2: `live`, a launch file in XML or "
-        "YAML and its arguments, or what `ros2 node info` and `ros2 topic info -v` "
-        "print (FILE.txt, or `-` for standard input; ros1: `rosnode info`). Both: recordings (bags, MCAP); several are "
-        "put together. mqtt: a broker (HOST, HOST:PORT, mqtt://HOST:PORT, or mqtts://HOST:PORT for TLS). wot: "
-        "Thing Descriptions of the W3C (JSON)",
+        help="xml: one file, or a folder of files. wsc: the folder of a test set. "
+        "ros1: `live` for the master of ROS_MASTER_URI, the address of a master, a launch file and its arguments "
+        "(NAME:=VALUE), the output of `rosnode info` (FILE.txt, or `-` for standard input), or bags. "
+        "ros2: `live`, a launch file in XML or YAML and its arguments, the output of `ros2 node info` and "
+        "`ros2 topic info -v` (FILE.txt, or `-`), or recordings (bags, MCAP). ros1 and ros2 join several PATHs. "
+        "mqtt: a broker, as HOST, HOST:PORT, mqtt://HOST:PORT, or mqtts://HOST:PORT for TLS. "
+        "wot: Thing Descriptions of the W3C (JSON)",
     )
     parser.add_argument(
         "--objective",
         choices=("services", "length"),
-        help="wsc: fewest services, or fewest among the compositions of the shortest length (services)",
+        help="wsc: minimise the number of services, or first the length of the composition and then their number "
+        "(default: services)",
     )
     shared.add_several(
         parser,
         "--guesses",
         "FILE",
-        "ros1, ros2: a table of types, topics and nodes that is believed; see `cfgplan help ros`",
+        "ros1, ros2: a table of what you know of types, topics and nodes, "
+        "used instead of guesses; see `cfgplan help ros`; may be repeated",
     )
     parser.add_argument(
         "--works",
         action="store_true",
-        help="ros1, ros2: the graph works as it is: unfed inputs become optional, and all publishers are intended",
+        help="ros1, ros2: take the graph as correct: "
+        "inputs without a publisher become optional, and a topic may have several publishers",
     )
-    python = "ros2 live: the Python that has rclpy (CFGPLAN_ROS_PYTHON, or that of a sourced setup.bash, or python3)"
+    python = (
+        "ros2 live: the Python with rclpy (default: CFGPLAN_ROS_PYTHON, the Python of a sourced setup.bash, or python3)"
+    )
     parser.add_argument("--ros-python", metavar="PYTHON", help=python)
     _add_mqtt(parser)
-    context = "wot: the file of a context, since contexts are never fetched"
+    context = "wot: read the JSON-LD context URL from FILE, since contexts are never fetched; may be repeated"
     shared.add_several(parser, "--context", "URL=FILE", context, kind=_context)
     shared.add_out(parser)
     parser.set_defaults(run=_import)
@@ -81,7 +87,9 @@ def _import(options: argparse.Namespace, screen: Screen) -> Exit:
     given |= {"--context": options.context and options.what != "wot"}
     given |= {f"--{name.replace('_', '-')}": value for name, value in _of_mqtt(options) if options.what != "mqtt"}
     if foreign := [name for name, is_foreign in given.items() if is_foreign]:
-        raise InputError.of(f"{', '.join(foreign)}: not for `import {options.what}`", mend="leave it out")
+        raise InputError.of(
+            f"{', '.join(foreign)}: `import {options.what}` does not take this option", mend="leave it out"
+        )
     _refuse_ending(options.out, "yaml")
     if is_ros:
         return _import_ros(options, screen)
@@ -90,7 +98,7 @@ def _import(options: argparse.Namespace, screen: Screen) -> Exit:
     path, *more = options.path
     if more:
         one = "broker" if options.what == "mqtt" else "file or folder"
-        raise InputError.of("this is one path too many", file=more[0], mend=f"name one {one}")
+        raise InputError.of(f"`import {options.what}` takes one path", file=more[0], mend=f"name one {one}")
     if options.what == "mqtt":
         return _import_mqtt(path, options, screen)
     if options.what == "xml":
@@ -99,7 +107,7 @@ def _import(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan.formats.wsc import wsc_texts
     from cfgplan.formats.wsc_files import unread
 
-    ontology = _beside(options.out, "a test set becomes two files, the environment and its ontology", ".ofn")
+    ontology = _beside(options.out, "this import writes two files, the environment and its ontology", ".ofn")
     environment_text, ontology_text = wsc_texts(path, options.objective or "services", ontology=ontology.name)
     shared.put(ontology_text, str(ontology), screen)
     shared.put(environment_text, options.out, screen)
@@ -109,9 +117,14 @@ def _import(options: argparse.Namespace, screen: Screen) -> Exit:
 
 
 def _add_mqtt(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("mqtt", "the options of the connection are written into the file too")
-    shared.add_span(group, f"listen so long ({_LISTEN_S:g}s)")
-    shared.add_several(group, "--topic", "FILTER", "listen to these topics only, such as house/# (all)")
+    group = parser.add_argument_group("mqtt", "the written file gets the options of the connection too")
+    shared.add_span(group, f"how long to listen, such as 10s or 1m (default: {_LISTEN_S:g}s)")
+    shared.add_several(
+        group,
+        "--topic",
+        "FILTER",
+        "listen only to this topic filter, such as house/#; may be repeated (default: all topics)",
+    )
     add_connection(group)
 
 
@@ -127,7 +140,7 @@ def _import_mqtt(broker: str, options: argparse.Namespace, screen: Screen) -> Ex
 
     from cfgplan.mqtt.environments import mqtt_imported
 
-    ontology = _beside(options.out, "a broker becomes two files, the environment and its ontology", ".ttl")
+    ontology = _beside(options.out, "this import writes two files, the environment and its ontology", ".ttl")
     params = connection(options)
     span_s = _LISTEN_S if options.span is None else options.span
     listening = Listening(broker, options.topic or ("#",), **params)
@@ -150,7 +163,7 @@ def _written(found: ImportedSources, ontology: Path, options: argparse.Namespace
     shared.put(found.ontology, str(ontology), screen)
     shared.put(found.text(ontology.name), options.out, screen)
     for note in found.notes:
-        screen.warn(f"not taken over: {note}")
+        screen.warn(f"not imported: {note}")
     for hint in found.hints:
         screen.note(f"hint: {hint}")
     screen.note(f"{found.size}. It has no targets yet: the head of {options.out} shows how to add them.")
@@ -161,14 +174,14 @@ def _context(text: str) -> tuple[str, Path]:
     """A context's URL and the file that stands for it."""
     url, sign, file = text.rpartition("=")
     if not (url and sign and file):
-        raise argparse.ArgumentTypeError(f"{text!r} is no URL=FILE")
+        raise argparse.ArgumentTypeError(f"{text!r} is not URL=FILE")
     return url, Path(file)
 
 
 def _import_wot(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan.wot.environments import wot_imported
 
-    ontology = _beside(options.out, "things become two files, the environment and its ontology", ".ttl")
+    ontology = _beside(options.out, "this import writes two files, the environment and its ontology", ".ttl")
     return _written(wot_imported(map(Path, options.path), dict(options.context)), ontology, options, screen)
 
 
@@ -193,7 +206,7 @@ def _import_ros(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan.ros.guesses import guess_table
     from cfgplan.ros.origins import ros1_graph, ros2_graph
 
-    ontology = _beside(options.out, "a graph becomes two files, the environment and its ontology", ".ttl")
+    ontology = _beside(options.out, "this import writes two files, the environment and its ontology", ".ttl")
     table = guess_table(map(Path, options.guesses))
     with screen.phase("read"):
         graph = (
@@ -208,9 +221,9 @@ def _import_ros(options: argparse.Namespace, screen: Screen) -> Exit:
             shown.add_row(guess.about, guess.guess, guess.why)
         screen.show(shown)
     for note in found.graph.notes:
-        screen.warn(f"not known: {note}")
+        screen.warn(f"unknown: {note}")
     for each in found.graph.dropped:
-        screen.warn(f"not taken over: {each}")
+        screen.warn(f"not imported: {each}")
     screen.note(f"{found.size}. `cfgplan check {options.out}` lists its faults.")
     return Exit.OK
 
@@ -232,15 +245,21 @@ def add_export(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "what",
         choices=("schema", "xml", "yaml", "launch"),
-        help="the format; launch: a ROS 2 launch file of the configuration after the optimal update",
+        help="the format to write; launch: a ROS 2 launch file that starts the configuration after the optimal update",
     )
-    parser.add_argument("env", metavar="ENV", nargs="?", help="environment file (but for schema)")
+    parser.add_argument("env", metavar="ENV", nargs="?", help="environment file; leave it out for schema")
     launch = parser.add_argument_group("launch")
-    launch.add_argument("--plan", metavar="FILE", help="a plan saved by `cfgplan solve --out FILE`")
-    launch.add_argument("--only", choices=("nodes", "components"), help="nodes alone, or containers of components")
-    include = "a launch file for the exported one to include, such as that of drivers; 'FILE NAME:=VALUE' (repeat)"
+    launch.add_argument("--plan", metavar="FILE", help="a plan saved by `cfgplan solve --out FILE` (default: plan now)")
+    launch.add_argument(
+        "--only",
+        choices=("nodes", "components"),
+        help="write only the nodes, or only the containers with their components (default: both)",
+    )
+    include = "another launch file to include, such as one of drivers, as FILE or 'FILE NAME:=VALUE'; may be repeated"
     shared.add_several(launch, "--include", "FILE", include)
-    launch.add_argument("--host", metavar="NAME", help="only the units of this host, if the file has hosts")
+    launch.add_argument(
+        "--host", metavar="NAME", help="write only the units of this host; needed if the file has hosts"
+    )
     shared.add_out(parser)
     parser.set_defaults(run=_export)
 
@@ -250,7 +269,8 @@ def _export(options: argparse.Namespace, screen: Screen) -> Exit:
 
     if options.what != "launch" and (options.plan or options.only or options.host or options.include):
         raise InputError.of(
-            "--plan, --only, --include and --host say what to launch", mend="write `cfgplan export launch ENV`"
+            "--plan, --only, --include and --host are only for `export launch`",
+            mend="write `cfgplan export launch ENV`",
         )
     if options.what == "schema":
         if options.env is not None:
@@ -282,8 +302,8 @@ def _export_launch(options: argparse.Namespace, screen: Screen) -> Exit:
         screen.warn(f"there is no update to launch ({plan.status}): `cfgplan explain {options.env}` says why")
         return OF_STATUS[plan.status]
     about = [
-        f"What runs after the update of {Path(options.env).name} ({plan.status}), by cfgplan {__version__}.",
-        "Edit that file and export it again: this one is written over.",
+        f"The configuration after the update of {Path(options.env).name} ({plan.status}), by cfgplan {__version__}.",
+        "Edit that file and export it again: an export overwrites this one.",
     ]
     env = Path(options.env)
     folder = env if env.is_dir() else env.parent

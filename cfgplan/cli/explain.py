@@ -39,12 +39,19 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         type=normal,
         metavar="NAME",
         nargs="?",
-        help="a unit, transformation or stream: why it is used, or not",
+        help="explain why this unit, transformation or stream is used or not (default: all that the plan uses)",
     )
-    subject.add_argument("--unit", type=normal, metavar="U", help="why this unit is started, kept, rewired or stopped")
-    subject.add_argument("--transformation", type=normal, metavar="T", help="why this transformation is used, or not")
     subject.add_argument(
-        "--stream", type=normal, metavar="S", help="why this output is used: unit/port or transformation/port"
+        "--unit", type=normal, metavar="U", help="explain why this unit is started, kept, rewired or stopped"
+    )
+    subject.add_argument(
+        "--transformation", type=normal, metavar="T", help="explain why this transformation is used or not"
+    )
+    subject.add_argument(
+        "--stream",
+        type=normal,
+        metavar="S",
+        help="explain why this output is used, as unit/port or transformation/port",
     )
     shared.add_planning(parser)
     shared.add_survive(parser)
@@ -165,7 +172,7 @@ def why_not_text(problem: Problem, why: WhyNot) -> Text:
         lines.append(Text(clash_line(why.clash)))
         if why.clash.limits:
             named = ", ".join(map(str, why.clash.limits))
-            lines.append(Text(f"  of all limits these forbid it: {named}"))
+            lines.append(Text(f"  limits that forbid it: {named}"))
         told = {reason.target for reason in why.unreachable}
         lines += [Text(f"  {reason}") for label, reason in why.plan.reasons.items() if label not in told]
     for unused in why.unused:
@@ -187,7 +194,7 @@ def clash_line(clash: Clash) -> str:
     parts += [named_labels("required", demands.required)] if demands.required else []
     parts += [named_labels("pinned", demands.pinned)] if demands.pinned else []
     number = len(demands.targets) + len(demands.required) + len(demands.pinned)
-    who = " with ".join(parts) or "whatever is wanted"
+    who = " with ".join(parts) or "even without targets"
     if clash.cost_us is None or clash.max_cost_us is None:
         return (
             f"{who}: no valid configuration meets {'them together' if number > 1 else 'it' if number else 'the rules'}"
@@ -219,10 +226,10 @@ def _why_useless(problem: Problem, label: str) -> str:
     environment = problem.environment
     given = sorted({port.tag for port in environment.transformation[label].outputs})
     if not given:
-        return "it gives nothing, and no target wants a unit of it (`run:`)"
+        return "it has no output, and no target asks for a unit of it by `run:`"
     wanted = {*environment.demands.values()}
     if not any(problem.similarity.optimistic.holds(offered, tag) for offered in given for tag in wanted):
-        return f"it can run, but nothing takes {' or '.join(given)}"
+        return f"it can run, but no input and no target matches {' or '.join(given)}"
     return f"it can run, but no wiring leads from it to a target; it gives {some(given)}"
 
 
@@ -305,7 +312,7 @@ def _blocked(environment: Environment, blocked: Blocked) -> Iterator[str]:
 
 def _demand(environment: Environment, unfed: Unfed, opening: str) -> Iterator[str]:
     if unfed.providers:
-        yield f"{opening} {unfed.tag}, but what would give it can't run"
+        yield f"{opening} {unfed.tag}, but no transformation that offers it can run"
         if unfed.undecided:
             yield f"    not decided yet whether {some(unfed.undecided)} matches"
         return

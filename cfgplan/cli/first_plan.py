@@ -71,7 +71,7 @@ class FirstPlan:
     def _notes(self, found: BestEffort) -> Iterator[str]:
         if self.ended:
             ended = ", ".join(self.ended)
-            yield f"{ended}: left by an earlier run, and ended, since the file starts them otherwise now"
+            yield f"{ended}: left by an earlier run; they are ended, since the file has changed how they start"
         if found.plan.change_set is None:
             return
         library = self.world.environment.transformation

@@ -30,7 +30,7 @@ def add_front(parser: argparse._MutuallyExclusiveGroup) -> None:
         nargs="?",
         const="",
         metavar="TARGET:ATTRIBUTE",
-        help="show what better quality costs instead of one plan; the name may be left out if there is only one",
+        help="list what each better quality of a target's stream costs; leave the value out if only one is possible",
     )
 
 
@@ -63,7 +63,11 @@ def _asked(text: str, environment: Environment, env: str) -> tuple[str, str]:
     for pairs in (fitting, asked):
         if len(pairs) == 1:
             return pairs[0][0].label, pairs[0][1]
-    message = "several targets and attributes could be meant" if fitting else f"there is no {text!r}"
+    message = (
+        "--front must name a target and an attribute, since several are possible"
+        if fitting
+        else f"there is no {text!r}"
+    )
     raise InputError.of(message, mend=f"write --front with one of {', '.join(f'{t.label}:{a}' for t, a in known)}")
 
 
@@ -86,7 +90,7 @@ def _show(screen: Screen, problem: Problem, found: Front) -> None:
             ", ".join(unit.id for unit in changes.started),
         )
     screen.show(table)
-    how = "all that are not dominated, proven" if found.complete else "there may be more of better quality"
+    how = "the complete front, proven" if found.complete else "better ones may exist"
     points = counted(len(found.points), "configuration")
     screen.show(Text(f"Target {found.target}, horizon {problem.horizon_s} s: {points}; {how}.", style="bold"))
     screen.times()
@@ -146,5 +150,5 @@ def _draw(found: Front, axis: Axes) -> None:
     unit = f" ({found.attribute.unit})" if found.attribute.unit else ""
     axis.set_xlabel("cost over the horizon (CPU seconds)")
     axis.set_ylabel(f"{found.attribute.name}{unit}, {found.attribute.better} is better")
-    axis.set_title(f"What better quality of {found.target} costs", fontsize=11)
+    axis.set_title(f"Cost of better quality of {found.target}", fontsize=11)
     axis.grid(alpha=0.3)

@@ -24,10 +24,15 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     )
     shared.add_environment(parser)
     parser.add_argument(
-        "--out", type=shared.out_file, metavar="FILE", help="file to write; its ending says the format (stdout)"
+        "--out",
+        type=shared.out_file,
+        metavar="FILE",
+        help="file to write; its ending gives the format (default: standard output)",
     )
-    parser.add_argument("--format", choices=FORMATS, help="format, where no file's ending says it (svg)")
-    parser.add_argument("--running", action="store_true", help="draw only what runs now; do not plan")
+    parser.add_argument(
+        "--format", choices=FORMATS, help="format of the picture (default: by the file's ending, else svg)"
+    )
+    parser.add_argument("--running", action="store_true", help="draw only the running configuration, without planning")
     shared.add_planning(parser)
     shared.add_survive(parser)
     shared.add_matching(parser)
@@ -50,7 +55,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
             _, plan = api.solved(task.problem, **task.planning, report=work.report)
         code, change_set = OF_STATUS[plan.status], plan.change_set
         if change_set is None:
-            screen.warn(f"there is no update to draw ({plan.status}): the picture shows what runs now")
+            screen.warn(f"there is no update to draw ({plan.status}): the picture shows the running configuration")
     image = drawing.picture(world.environment, change_set).render(kind)
     if options.out:
         api.write_file(Path(options.out), image)
@@ -65,6 +70,10 @@ def _kind_of(out: str | None) -> str:
         return "svg"
     ending = Path(out).suffix.lower()
     if ending not in _ENDINGS:
-        what = f"no picture format ends in {ending!r}" if ending else "no ending says the format of the picture"
+        what = (
+            f"no picture format ends in {ending!r}"
+            if ending
+            else "the file name has no ending that gives the picture's format"
+        )
         raise InputError.of(what, file=out, mend=f"end it in one of {', '.join(_ENDINGS)}, or add --format")
     return _ENDINGS[ending]

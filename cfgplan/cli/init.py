@@ -75,8 +75,10 @@ TEMPLATES: Mapping[str, _Template] = MappingProxyType(
 def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = "templates:\n" + "".join(f"  {name:11}{each.subject}\n" for name, each in TEMPLATES.items())
     parser.epilog += "\nexample:\n  cfgplan init kitchen\n  cfgplan init myrobot --template robot"
-    parser.add_argument("folder", metavar="FOLDER", nargs="?", default=".", help="where to write it (this folder)")
-    told = f"what to begin with ({_FIRST})"
+    parser.add_argument(
+        "folder", metavar="FOLDER", nargs="?", default=".", help="folder to write to (default: this folder)"
+    )
+    told = f"the environment to write, listed below (default: {_FIRST})"
     parser.add_argument("--template", choices=list(TEMPLATES), default=_FIRST, metavar="NAME", help=told)
     parser.set_defaults(run=run)
 

@@ -27,10 +27,12 @@ example:
 def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _LISTEN_EXAMPLE
     parser.add_argument("topic", type=normal, metavar="TOPIC", help="the topic of a target, such as /result")
-    parser.add_argument("--run", dest="run_id", metavar="ID", help="the run's id or name, if several have the topic")
-    parser.add_argument("--count", type=shared.count, metavar="N", help="end after N elements")
+    parser.add_argument(
+        "--run", dest="run_id", metavar="ID", help="id or name of the run; needed if several runs have the topic"
+    )
+    parser.add_argument("--count", type=shared.count, metavar="N", help="stop after N elements (default: no limit)")
     shared.add_span(parser)
-    shared.add_time(parser, "--wait", 0.0, "how long to wait for the topic (0)")
+    shared.add_time(parser, "--wait", 0.0, "how long to wait until the topic exists, such as 10s (default: 0)")
     add_links(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)

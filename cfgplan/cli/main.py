@@ -23,28 +23,28 @@ from cfgplan.summary import some
 
 VERBS: Mapping[str, str] = MappingProxyType(
     {
-        "check": "judge the running configuration of an environment, alone or against another file",
-        "match": "print which outputs may feed which inputs and targets, all or those of one port, or explain one pair",
-        "suggest": "propose tags for ports from their names, message types and units, with what each would match",
-        "ontology": "write a first ontology: a taxonomy of the names that an environment's tags use",
-        "solve": "find the cheapest update that meets every target, and prove it",
+        "check": "check the running configuration of an environment file, and list what is wrong with it",
+        "match": "show which outputs match which inputs and targets, or explain why one pair does or does not match",
+        "suggest": "propose tags for ports by their names, message types and units, and show what each would match",
+        "ontology": "write a first ontology, with the names that an environment's tags use as classes",
+        "solve": "find the cheapest update that meets every target, and prove that none is cheaper",
         "explain": "say why no plan exists, or why the plan uses a unit and how much more a plan without it costs",
-        "sensitivity": "find the optimal plan for each horizon, or each upkeep of a transformation",
-        "graph": "draw the configuration before and after the optimal update, the changes coloured",
-        "run": "start units that meet the targets, as processes, and keep the configuration optimal",
-        "agent": "run units on this computer for a run of several computers",
-        "ctl": "steer a run that is under way",
-        "page": "serve a page about a run that is under way",
-        "listen": "print the elements of a topic of a running system",
-        "replay": "play a recording again: its topics as sources, alone or for the units of an environment",
-        "query": "answer a temporal formula over the streams of semantic subscriptions",
-        "certificates": "make a fleet's own authority, and a certificate for each of its hosts",
-        "demo": "play the paper's case study: two robots, one ball, a failure and a fusion",
-        "compare": "run planners side by side, each run in a process of its own, and check them against each other",
-        "import": "make an environment file of ROS, MQTT, Thing Descriptions, the paper's XML or a composition set",
+        "sensitivity": "show at which horizon, or which upkeep of a transformation, the optimal plan changes",
+        "graph": "draw the configuration with the changes of the optimal update in colour",
+        "run": "start the units that meet the targets, and replan when something fails or changes",
+        "agent": "let a run on another computer start units on this one",
+        "ctl": "show and change a live run",
+        "page": "serve a web page that shows and changes a live run",
+        "listen": "print the elements of a topic of a live run",
+        "replay": "play the topics of a recording, alone or as inputs of an environment's units",
+        "query": "tell whether a temporal formula over streams becomes true or false",
+        "certificates": "make a certificate authority for a fleet, and a certificate for each of its hosts",
+        "demo": "play the paper's case study: two robots track a ball, a unit fails, two estimates are fused",
+        "compare": "run several planners on the same files, and check that their answers agree",
+        "import": "make an environment file from ROS, MQTT, Thing Descriptions, the paper's XML or a WSC test set",
         "export": "write an environment file as YAML, the paper's XML or a ROS 2 launch file, or its JSON Schema",
-        "init": "write a small environment of one's own, with its ontology and unit code",
-        "completion": "print a script that completes these commands in bash or zsh",
+        "init": "write a small example to start from: an environment with its ontology and unit code",
+        "completion": "print a script that makes bash or zsh complete cfgplan's commands",
         "help": "show a page of the manual, or search all pages for words",
     }
 )
@@ -223,7 +223,7 @@ def parser_of(arguments: Sequence[str]) -> Parser:
     """The parser of a command line: only the command that it names knows its options. Raises InputError."""
     asked = next((each for each in arguments if not each.startswith("-")), None)
     if asked is not None:
-        known(asked, VERBS, "verb", "cfgplan --help lists the verbs")
+        known(asked, VERBS, "command", "cfgplan --help lists the commands")
     return parser_with((asked,))
 
 
@@ -233,12 +233,14 @@ def parser_with(filled: Collection[str | None]) -> Parser:
         prog="cfgplan",
         description="Wire stream-processing components by meaning: the cheapest update of a running system, "
         "proven optimal.",
-        epilog="Exit codes: 0 done, 1 check found a violation, 2 changes (--detailed-exitcode), 10 no plan, "
-        "11 too expensive, 12 best effort with targets given up, "
-        "20 stopped with an unproven plan, 21 stopped with none, 30 bad input, 31 internal error.",
+        epilog="Exit codes: 0 done, 1 check found something wrong, 2 the plan changes something (--detailed-exitcode), "
+        "10 no plan exists, 11 every plan costs more than allowed, 12 some targets are given up, "
+        "20 the plan is not proven optimal, 21 time ran out without a plan, 30 bad input, 31 internal error.",
     )
-    parser.add_argument("--version", action=_Version, nargs=0, help="show the versions of cfgplan, solver and reasoner")
-    verbs = parser.add_subparsers(metavar="VERB")
+    parser.add_argument(
+        "--version", action=_Version, nargs=0, help="show the versions of cfgplan, its solver, its reasoner and Python"
+    )
+    verbs = parser.add_subparsers(metavar="COMMAND")
     for name, summary in VERBS.items():
         sentence = f"{summary[0].upper()}{summary[1:]}."
         verb = verbs.add_parser(

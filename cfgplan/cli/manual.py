@@ -31,9 +31,9 @@ _LONGEST_SHOWN = 200
 def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "example:\n  cfgplan help\n  cfgplan help environment\n  cfgplan help restart a unit\n\n"
-        "`cfgplan VERB --help` has the options of a verb."
+        "`cfgplan COMMAND --help` lists the options of a command."
     )
-    told = "a page, or words to search for; without any the pages are listed"
+    told = "name of a page, or words to search for (default: list the pages)"
     parser.add_argument("manual_page", metavar="TOPIC", nargs="*", help=told)
     parser.set_defaults(run=run)
 
@@ -44,8 +44,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     pages, topic = manual_pages(), options.manual_page
     if not topic:
         screen.write(
-            f"`cfgplan help TOPIC` shows a page, `cfgplan help WORDS` searches them, `cfgplan VERB --help` shows the "
-            f"options of a verb.\n{_listed(pages)}"
+            f"`cfgplan help TOPIC` shows a page, `cfgplan help WORDS` searches them, `cfgplan COMMAND --help` lists "
+            f"the options of a command.\n{_listed(pages)}"
         )
     elif len(topic) == 1 and topic[0] in pages:
         page = pages[topic[0]]

@@ -31,11 +31,16 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     )
     shared.add_environment(parser)
     parser.add_argument(
-        "output", nargs="?", type=normal, help="an output as transformation/port; alone, any port or target (all)"
+        "output",
+        nargs="?",
+        type=normal,
+        help="an output as transformation/port; if no input follows, any port or target (default: all)",
     )
-    parser.add_argument("input", nargs="?", type=normal, help="an input as transformation/port, or a target's label")
     parser.add_argument(
-        "--decide", action="store_true", help="let the reasoner decide all pairs, however many are open"
+        "input", nargs="?", type=normal, help="an input as transformation/port, or the label of a target"
+    )
+    parser.add_argument(
+        "--decide", action="store_true", help="let the reasoner decide every open pair of tags, even if that takes long"
     )
     shared.add_matching(parser)
     shared.add_json(parser)
@@ -52,7 +57,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         _show_matrix(world.environment, matches.similarity, screen, one)
         if matches.similarity.open and not options.decide:
             screen.note(
-                f"More than {FEW_PAIRS} pairs are open: a plan decides those that it needs, --decide decides all."
+                f"More than {FEW_PAIRS} pairs of tags are open: `solve` decides those it needs, --decide decides all."
             )
         return Exit.OK
     environment, label = world.environment, f"target {options.input}"

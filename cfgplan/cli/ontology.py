@@ -16,7 +16,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         "  cfgplan ontology new env.yaml --out env.ttl\n"
         "then write `ontology: env.ttl` into the environment, and add subclass axioms to env.ttl."
     )
-    parser.add_argument("what", choices=("new",), help="new: a taxonomy of the names in the tags of an environment")
+    parser.add_argument("what", choices=("new",), help="new: write a taxonomy of the names in ENV's tags")
     shared.add_environment(parser)
     shared.add_out(parser)
     parser.set_defaults(run=run)
@@ -33,5 +33,5 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     text, left_out = taxonomy(sorted(tags))
     shared.put(text, options.out, screen)
     if left_out:
-        screen.warn(f"not written, since no IRI ends in such a name: {', '.join(left_out)}; rename them in the tags")
+        screen.warn(f"not written: {', '.join(left_out)}; an IRI can't end in these names, so rename them in the tags")
     return Exit.OK

@@ -34,18 +34,20 @@ _LARGEST_NUMBER = 9_007_199_254
 
 
 def add_environment(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("env", metavar="ENV", help="environment file (YAML or JSON), or the paper's XML")
+    parser.add_argument("env", metavar="ENV", help="environment file in YAML or JSON, or in the paper's XML")
 
 
 def add_page(parser: argparse.ArgumentParser, about: str) -> None:
     """`--page`: serve a page while the command works; None if it is not asked for."""
-    means = f"serve a page about {about} on 127.0.0.1:N (0: any that is free)"
+    means = f"serve a web page about {about} on port N of 127.0.0.1 (default: any free port)"
     parser.add_argument("--page", type=port, nargs="?", const=0, metavar="N", help=means)
 
 
 def add_allow_code(parser: argparse.ArgumentParser) -> None:
     """`--allow-code`: the page may add unit code."""
-    means = "let holders of the page's token add transformations with a `source`, which run with your rights"
+    means = (
+        "allow the page to add transformations with a `source`: whoever has the page's token can then run code as you"
+    )
     parser.add_argument("--allow-code", action="store_true", help=means)
 
 
@@ -55,7 +57,7 @@ def needed_for_pages() -> None:
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--json", action="store_true", help="print JSON for machines")
+    parser.add_argument("--json", action="store_true", help="print JSON for programs instead of text")
 
 
 def add_matching(parser: argparse.ArgumentParser) -> None:
@@ -63,16 +65,22 @@ def add_matching(parser: argparse.ArgumentParser) -> None:
     from cfgplan.api import REASONER_NAMES
 
     parser.add_argument(
-        "--reasoner", choices=REASONER_NAMES, default="auto", help="the reasoner that decides which tags match (auto)"
+        "--reasoner",
+        choices=REASONER_NAMES,
+        default="auto",
+        help="reasoner that decides which tags match; el: a fast one that may leave pairs open; hermit: HermiT, "
+        "which is slow and complete; auto: HermiT for what the fast one leaves open (default: auto)",
     )
     parser.add_argument(
         "--reasoner-timeout",
         type=positive,
         default=60.0,
         metavar="S",
-        help="seconds for HermiT; pairs not decided by then stay undecided (60)",
+        help="seconds for HermiT; pairs of tags that it has not decided by then stay undecided (default: 60)",
     )
-    parser.add_argument("--no-cache", action="store_true", help="neither read nor write the cache of matches")
+    parser.add_argument(
+        "--no-cache", action="store_true", help="do not read or write the cache of decided pairs of tags"
+    )
 
 
 def add_planning(parser: argparse.ArgumentParser, what_if: str | None = None) -> None:
@@ -81,24 +89,29 @@ def add_planning(parser: argparse.ArgumentParser, what_if: str | None = None) ->
     """
     from cfgplan.api import PLANNER_NAMES
 
-    names = f"the planner: {', '.join(PLANNER_NAMES)}, or one of your own as module:function (cpsat)"
+    names = f"the planner: {', '.join(PLANNER_NAMES)}, or your own as module:function (default: cpsat)"
     parser.add_argument("--planner", type=planner, default="cpsat", metavar="NAME", help=names)
     parser.add_argument(
-        "--horizon", type=horizon, metavar="TIME", help="plan for 60, 10m or 1h instead of the file's horizon"
+        "--horizon",
+        type=horizon,
+        metavar="TIME",
+        help="how far ahead to plan: seconds, or 10m, 1h (default: the file's)",
     )
-    parser.add_argument("--max-cost", type=cost, metavar="S", help="largest cost in CPU seconds, instead of the file's")
+    parser.add_argument(
+        "--max-cost", type=cost, metavar="S", help="the most CPU seconds that a plan may cost (default: the file's)"
+    )
     parser.add_argument(
         "--timeout",
         type=not_negative,
         metavar="S",
-        help="stop planning after S seconds with the best plan so far, or else the first (0: the first)",
+        help="stop planning after S seconds, once there is a plan; 0: stop at the first plan (default: no limit)",
     )
     supposing = parser.add_argument_group("what if", what_if)
-    gone = "plan as if this transformation, running unit or target were gone"
-    also = "plan as if the environment included this file of transformations or targets"
+    gone = "plan without this transformation, running unit or target; may be repeated"
+    also = "plan with the transformations and targets of this file too; may be repeated"
     others = (
-        "plan with another horizon, max_cost, facts.NAME, T.labor, T.upkeep, T.pinned, T.required, "
-        "or T.priority of a target"
+        "plan with another value; KEY is horizon, max_cost, facts.NAME, T.labor, T.upkeep, T.pinned or T.required "
+        "for a transformation T, or T.priority for a target T; may be repeated"
     )
     add_several(supposing, "--without", "NAME", gone, kind=normal)
     add_several(supposing, "--with", "FILE", also, dest="also")
@@ -108,7 +121,7 @@ def add_planning(parser: argparse.ArgumentParser, what_if: str | None = None) ->
 
 def add_observed(parser: argparse._ActionsContainer) -> None:
     """`--observed`: plan with the facts and qualities of a run in place of the declared ones."""
-    means = "use the facts and qualities that a run has observed; `cfgplan ctl observed --out FILE` writes the file"
+    means = "replace declared facts and qualities by those in FILE, written by `cfgplan ctl observed --out FILE`"
     parser.add_argument("--observed", metavar="FILE", help=means)
 
 
@@ -131,7 +144,9 @@ def add_time(parser: argparse.ArgumentParser, name: str, default_s: float, means
     parser.add_argument(name, type=duration, default=default_s, metavar="TIME", help=means)
 
 
-def add_span(parser: argparse._ActionsContainer, means: str = "stop after 30s, 5m, 1h") -> None:
+def add_span(
+    parser: argparse._ActionsContainer, means: str = "stop after this time, such as 30s, 5m or 1h (default: no limit)"
+) -> None:
     """Add `--for`: how long a command runs; None for no limit."""
     parser.add_argument("--for", dest="span", type=duration, metavar="TIME", help=means)
 
@@ -140,7 +155,8 @@ def add_survive(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--survive",
         choices=("0", "1", "units", "hosts"),
-        help="single failures to survive, instead of the file's: 0 none, 1 of hosts where there are any, else of units",
+        help="keep every target met if any one unit or host fails; 1: hosts if the file has any, else units; "
+        "0: neither (default: the file's)",
     )
 
 
@@ -278,7 +294,7 @@ def horizon(text: str) -> int:
 
 def port(text: str) -> int:
     if not text.isdecimal() or int(text) > 65535:
-        raise argparse.ArgumentTypeError(f"{text!r} is no port: write a number from 0 to 65535")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a port: write a number from 0 to 65535")
     return int(text)
 
 
@@ -331,7 +347,7 @@ def progress_report(screen: Screen) -> Callable[[Progress], None]:
 
 
 def add_out(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--out", type=out_file, metavar="FILE", help="file to write (stdout)")
+    parser.add_argument("--out", type=out_file, metavar="FILE", help="file to write (default: standard output)")
 
 
 def out_file(text: str) -> str:
@@ -369,7 +385,7 @@ _PLOTS = {".svg": {"Date": None}, ".png": {"Software": None}, ".pdf": {"Creation
 def plot_file(text: str) -> str:
     """The name of a plot to write, checked before any work is done. Raises ArgumentTypeError."""
     if Path(out_file(text)).suffix.lower() not in _PLOTS:
-        raise argparse.ArgumentTypeError(f"{text!r} is no kind of plot: end it in one of {', '.join(_PLOTS)}")
+        raise argparse.ArgumentTypeError(f"{text!r} does not end as a plot does: end it in one of {', '.join(_PLOTS)}")
     needed("plots", "matplotlib")
     return text
 
@@ -403,7 +419,7 @@ def duration(text: str) -> float:
 
     seconds = Decimal(text) if re.fullmatch(r"\d+(\.\d+)?", text) else span_s(text)
     if seconds is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is no span of time: write 30s, 5m or 1h")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a span of time: write 30s, 5m or 1h")
     return float(seconds)
 
 
@@ -417,7 +433,7 @@ def field_faults(world: api.World) -> Iterator[Fault]:
     for one in faults_of(world.environment, path if path.is_dir() else path.parent):
         label, port, attribute = one.statement
         at = world.file.place(transformation=label, port=port) or Place(str(path), 1, 1)
-        message = f"{label}/{port} can't say its {attribute} by `{one.field}`: {one.cause}"
+        message = f"{label}/{port} can't report its {attribute} in field `{one.field}`: {one.cause}"
         yield Fault(message, at.file, at.line, at.column, mend="correct `observe`")
 
 

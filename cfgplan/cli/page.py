@@ -14,19 +14,24 @@ from cfgplan.cli.screen import Screen
 _OF_A_PAGE = """\
 example:
   cfgplan run env.yaml --page
-  cfgplan page                (for a run that goes on)
+  cfgplan page                (for a run that is live)
   cfgplan page --address 10.0.0.3 --certificates /etc/cfgplan/base
 
-The printed address allows to steer the run; without the part after its #, it only shows the run."""
+Whoever has the printed address can steer the run. Without the part after #, the address only shows it."""
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _OF_A_PAGE
-    parser.add_argument("--run", dest="run_id", metavar="ID", help="the run's id or name, if several are live")
+    parser.add_argument("--run", dest="run_id", metavar="ID", help="id or name of the run; needed if several are live")
     parser.add_argument(
-        "--address", default="127.0.0.1", metavar="IP", help="where to serve it (127.0.0.1); by TLS elsewhere"
+        "--address",
+        default="127.0.0.1",
+        metavar="IP",
+        help="address to serve on; others than loopback need --certificates (default: 127.0.0.1)",
     )
-    parser.add_argument("--port", type=shared.port, default=0, metavar="N", help="(0: any that is free)")
+    parser.add_argument(
+        "--port", type=shared.port, default=0, metavar="N", help="port to serve on; 0: any free port (default: 0)"
+    )
     shared.add_allow_code(parser)
     add_links(parser)
     parser.set_defaults(run=run)

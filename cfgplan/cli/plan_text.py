@@ -182,7 +182,7 @@ def _summary(problem: Problem, plan: Plan, given_up: Collection[str]) -> Iterato
             parts = cost_parts(problem, before.update(changes).units)
         yield Text(
             f"Cost over the horizon of {horizon_s} s: {cpu(plan.cost_us)} of CPU = {_terms(parts)}. "
-            f"What runs now costs {cpu(now)} of upkeep."
+            f"The running configuration costs {cpu(now)} of upkeep."
         )
         yield from fleet_lines(problem, before.update(changes))
         if plan.objectives:
@@ -209,7 +209,7 @@ def nothing_wanted(environment: Environment) -> str:
     """Return a hint that `targets:` may be missing; empty if the environment wants something to run."""
     if environment.targets or any(one.min_instances for one in environment.library):
         return ""
-    return "The environment has no targets, so that nothing is wanted and nothing runs for it. Is `targets:` missing?"
+    return "The environment has no targets, so no unit needs to run. Is `targets:` missing?"
 
 
 def undecided_lines(problem: Problem, plan: Plan) -> Iterator[Text]:
@@ -235,7 +235,7 @@ def why_unused(plan: Plan) -> str:
     if plan.required_proven:
         return "no valid configuration can use it with the others"
     if plan.planner in IGNORING_REQUIRED:
-        return f"{plan.planner} does not know `required`"
+        return f"{plan.planner} does not support `required`"
     return "no plan that uses it was found in time"
 
 
@@ -331,7 +331,7 @@ def _hosts(problem: Problem, after: Environment) -> Iterator[Text]:
         if amounts:
             yield Text(f"Host {name}: {', '.join([counted(number[name], 'unit'), *amounts])}.")
     if empty := [host.name for host in after.hosts if not number[host.name]]:
-        yield Text(f"Nothing on {', '.join(empty)}.")
+        yield Text(f"No unit on {', '.join(empty)}.")
     for link, carried in link_loads(problem, after.units).items():
         limit = "" if link.bandwidth is None else f" of {link.bandwidth}"
         yield Text(f"Link {' - '.join(link.between)}: {carried}{limit} bytes/s.")

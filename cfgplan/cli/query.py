@@ -35,34 +35,44 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         "example:\n"
         '  cfgplan query env.yaml "always (not in(ball, opponent_half) -> eventually[0,10s] in(ball, opponent_half))"\n'
         "  cfgplan query env.yaml 'eventually[0,1min] ball.x > 3' --feature ball='Position and hasSource some Ball'\n\n"
-        "exit codes: 0 true, 1 false, 20 open still, 21 unknown (values were missing), 10 a feature can't be had"
+        "Exit codes: 0 true, 1 false, 10 a feature has no stream, 20 still open, 21 values were missing, 30 bad input."
     )
     parser.add_argument(
         "env",
         metavar="ENV",
         nargs="?",
-        help="environment file with the library; without it, or with --run or --connect, a run answers",
+        help="environment file whose units to start; without ENV, or with --run or --connect, a live run answers",
     )
     parser.add_argument(
         "formula",
         type=normal,
         metavar="FORMULA",
-        help="not, and, or, ->, always[a,b], eventually[a,b], until[a,b] over comparisons, in(point, region), RCC8",
+        help="comparisons, in(point, region) and RCC8 relations, joined by not, and, or, ->, always[a,b], "
+        "eventually[a,b] and until[a,b]; see `cfgplan help queries`",
     )
-    parser.add_argument("--features", metavar="FILE", help="names of features and regions (features.yaml beside ENV)")
-    named = "name the stream that a tag describes (repeat)"
+    parser.add_argument(
+        "--features", metavar="FILE", help="file that declares features and regions (default: features.yaml beside ENV)"
+    )
+    named = "declare a feature: the stream that matches TAG; may be repeated"
     shared.add_several(parser, "--feature", "NAME=TAG", named, kind=normal)
-    region = "name a region, such as goal='{circle: [4, 0], radius: 1}' (repeat)"
+    region = "declare a region, such as goal='{circle: [4, 0], radius: 1}'; may be repeated"
     shared.add_several(parser, "--region", "NAME=REGION", region, kind=normal)
-    parser.add_argument("--run", dest="run_id", metavar="ID", help="ask this run instead of starting units here")
+    parser.add_argument(
+        "--run", dest="run_id", metavar="ID", help="ask the run of this id or name; start no units here"
+    )
     shared.add_span(parser)
-    parser.add_argument("--rate", type=shared.positive, metavar="HZ", help="states per second (one for each sample)")
-    shared.add_time(parser, "--delay", 0.2, "how long a state waits for its samples (200ms)")
-    shared.add_time(parser, "--hold", 1.0, "how long a value holds; then it counts as missing (1s)")
-    shared.add_time(parser, "--tolerance", 0.0, "samples within this time make one state (0)")
-    shared.add_time(parser, "--wait", 0.0, "how long to wait for features without a stream (0)")
+    parser.add_argument(
+        "--rate",
+        type=shared.positive,
+        metavar="HZ",
+        help="evaluate HZ states per second (default: one state for each sample)",
+    )
+    shared.add_time(parser, "--delay", 0.2, "how long a state waits for samples that arrive late (default: 200ms)")
+    shared.add_time(parser, "--hold", 1.0, "age at which a feature's last value counts as missing (default: 1s)")
+    shared.add_time(parser, "--tolerance", 0.0, "put samples within this time into one state (default: 0)")
+    shared.add_time(parser, "--wait", 0.0, "how long to wait for features that have no stream yet (default: 0)")
     add_links(parser)
-    parser.add_argument("--verbose", action="store_true", help="print the events of the units")
+    parser.add_argument("--verbose", action="store_true", help="show the events of the units in yellow, not dimmed")
     shared.add_json(parser)
     parser.set_defaults(run=run)
 
@@ -71,7 +81,9 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan_runtime.reasoning import features
 
     if options.env is None and os.path.isfile(options.formula):  # noqa: PTH113 - a long formula is no path
-        raise InputError.of("a file is given and no formula", file=options.formula, mend="write FORMULA after ENV")
+        raise InputError.of(
+            "the formula is missing: only a file is given", file=options.formula, mend="write FORMULA after ENV"
+        )
     if options.env is None or options.run_id is not None or options.connect:
         from cfgplan_runtime.operating.control_client import connect
         from cfgplan_runtime.reasoning.managed import RemoteSubscriptions

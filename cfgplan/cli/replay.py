@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 
 _REPLAY_EXAMPLE = """\
 example:
-  cfgplan replay run.mcap                           (its topics again, for `cfgplan listen`)
+  cfgplan replay run.mcap                           (plays its topics, for `cfgplan listen`)
   cfgplan replay run.mcap detector.yaml --speed 4   (its topics feed the units of detector.yaml)
   cfgplan replay run.mcap --out recorded.yaml       (sources to include, or for `cfgplan ctl add`)
   cfgplan replay run.mcap --extract again           (the run's environment: plan it, run it again)
 
-Exit codes: as of run."""
+Exit codes: those of `cfgplan run`."""
 _BEGINS_S = 3.0
 """Seconds that sources are given to start before the recording begins."""
 _LABOR_US, _UPKEEP_US = 1_000, 100
@@ -38,22 +38,29 @@ _LABOR_US, _UPKEEP_US = 1_000, 100
 
 def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _REPLAY_EXAMPLE
-    parser.add_argument("path", metavar="FILE", help="a recording of `cfgplan run --record` (MCAP)")
-    fed = "an environment whose units the recorded topics feed; without it the topics are only played"
+    parser.add_argument("path", metavar="FILE", help="recording made by `cfgplan run --record` (MCAP)")
+    fed = "environment whose units get the recorded topics as inputs (default: only play the topics)"
     parser.add_argument("env", metavar="ENV", nargs="?", help=fed)
-    parser.add_argument("--speed", type=shared.positive, default=1.0, metavar="X", help="play X times as fast (1)")
-    parser.add_argument("--loop", action="store_true", help="repeat the recording when it is over")
-    shared.add_several(parser, "--topic", "TOPIC", "only this topic (repeat)")
+    parser.add_argument(
+        "--speed", type=shared.positive, default=1.0, metavar="X", help="play X times as fast as recorded (default: 1)"
+    )
+    parser.add_argument("--loop", action="store_true", help="start again at the end of the recording")
+    shared.add_several(parser, "--topic", "TOPIC", "play only this topic; may be repeated (default: all topics)")
     written = parser.add_mutually_exclusive_group()
-    part = "write the sources as a file to include in an environment, and run nothing"
+    part = "run nothing; write the topics as sources into a file that an environment can include"
     written.add_argument("--out", type=shared.out_file, metavar="FILE", help=part)
-    again = "write the environment of the recorded run, with its ontology, into this folder, and run nothing"
+    again = "run nothing; write the environment and ontology of the recorded run into this folder"
     written.add_argument("--extract", type=Path, metavar="FOLDER", help=again)
     shared.add_span(parser)
-    parser.add_argument("--name", type=shared.run_name, metavar="NAME", help="name of the run")
-    parser.add_argument("--dry-run", action="store_true", help="say what would be started, and start nothing")
-    parser.add_argument("--record", metavar="FILE", help="record the results to FILE (MCAP)")
-    parser.add_argument("--plain", action="store_true", help="print lines instead of the live view, as when piped")
+    parser.add_argument(
+        "--name",
+        type=shared.run_name,
+        metavar="NAME",
+        help="name of the run, for `cfgplan ctl --name NAME` and `cfgplan listen --run NAME`",
+    )
+    parser.add_argument("--dry-run", action="store_true", help="show what would be started, and start nothing")
+    parser.add_argument("--record", metavar="FILE", help="record the targets' streams and all events into FILE (MCAP)")
+    parser.add_argument("--plain", action="store_true", help="print one line for each event, instead of the live view")
     shared.add_json(parser)
     parser.set_defaults(run=run)
 

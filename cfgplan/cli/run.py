@@ -48,68 +48,75 @@ _RUN_EXAMPLE = """\
 example:
   cfgplan run env.yaml --for 30s --record run.mcap
   cfgplan listen /result      (in another terminal)
-  cfgplan ctl state           (likewise)
+  cfgplan ctl state           (in another terminal)
 
 Editing ENV changes the run. `units:` of ENV is ignored: a run starts from nothing.
-Ctrl-C stops and lets units finish, a second one ends them at once.
-Exit codes: 0 stopped with every target met, 12 with one that was not, 30 bad input, 31 internal error,
-130 interrupted at once; --strict and --dry-run: as of solve."""
+Ctrl-C stops the run and lets units finish; a second Ctrl-C kills them.
+Exit codes: 0 stopped with every target met, 12 stopped with a target not met, 30 bad input, 31 internal error,
+130 stopped by a second Ctrl-C. With --strict and --dry-run: those of `cfgplan solve` too."""
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _RUN_EXAMPLE
     shared.add_environment(parser)
     shared.add_span(parser)
-    parser.add_argument("--dry-run", action="store_true", help="say what would be started, and start nothing")
-    differing = "show how the run's first configuration differs from the file's `units:`, which are not adopted"
+    parser.add_argument("--dry-run", action="store_true", help="show what would be started, and start nothing")
+    differing = "list how the first configuration differs from the file's `units:`, which a run ignores"
     parser.add_argument("--from", dest="compared", choices=("units",), help=differing)
-    parser.add_argument("--strict", action="store_true", help="start nothing unless every target can be met")
-    named = "name of the run, for `cfgplan ctl --name NAME` and `listen --run NAME`"
+    parser.add_argument("--strict", action="store_true", help="start nothing if some target can't be met")
+    named = "name of the run, for `cfgplan ctl --name NAME` and `cfgplan listen --run NAME`"
     parser.add_argument("--name", type=shared.run_name, metavar="NAME", help=named)
-    yes = "without asking, stop units that an earlier run has left"
+    yes = "stop units that an earlier run left running, without asking"
     parser.add_argument("--yes", action="store_true", help=yes)
-    parser.add_argument("--plain", action="store_true", help="print lines instead of the live view, as when piped")
-    parser.add_argument("--log", metavar="FILE", help="add every event to FILE, one JSON line each")
-    parser.add_argument("--record", metavar="FILE", help="record the targets' streams and all events to FILE (MCAP)")
+    parser.add_argument("--plain", action="store_true", help="print one line for each event, instead of the live view")
+    parser.add_argument("--log", metavar="FILE", help="append every event to FILE, as one line of JSON each")
+    parser.add_argument("--record", metavar="FILE", help="record the targets' streams and all events into FILE (MCAP)")
     parser.add_argument(
         "--metrics-port",
         type=shared.port,
         metavar="N",
-        help="serve metrics for Prometheus on 127.0.0.1:N (0: any port)",
+        help="serve metrics for Prometheus on port N of 127.0.0.1; 0: any free port (default: no metrics)",
     )
     parser.add_argument(
-        "--estimator", choices=_ESTIMATORS, default="trend", help="how costs are forecast from observations (trend)"
+        "--estimator",
+        choices=_ESTIMATORS,
+        default="trend",
+        help="costs to plan with: as declared, as observed last, or by the trend (default: trend)",
     )
     parser.add_argument(
         "--guess",
         choices=_GUESSES,
         default="declared",
-        help="the cost of a transformation that never ran: as declared, low (it is tried soon), or high (declared)",
+        help="cost of a transformation that never ran; optimistic: low, so that it is tried soon (default: declared)",
     )
     kept = parser.add_mutually_exclusive_group()
-    kept.add_argument("--estimates", metavar="FILE", help="where estimates are kept between runs (the state folder)")
-    kept.add_argument("--no-estimates", action="store_true", help="neither read nor keep estimates")
-    longest = "longest wait until a failing transformation that nothing can replace is started again (3s)"
+    kept.add_argument(
+        "--estimates",
+        metavar="FILE",
+        help="JSON file that keeps learned costs between runs (default: a file in ~/.local/state/cfgplan)",
+    )
+    kept.add_argument("--no-estimates", action="store_true", help="do not read or keep learned costs")
+    longest = "longest wait before a failing transformation without a replacement is started again (default: 3s)"
     shared.add_time(parser, "--back-off", 3.0, longest)
-    shared.add_several(parser, "--preload", "MODULE", "import this module before units start (repeat)")
+    shared.add_several(parser, "--preload", "MODULE", "import this module before units start; may be repeated")
     parser.add_argument(
-        "--reload", action="store_true", help="replace units whose code has changed by new ones, without a gap"
+        "--reload", action="store_true", help="when a unit's code changes, replace the unit without a gap in its stream"
     )
     shared.add_page(parser, "the run")
     shared.add_allow_code(parser)
     run_targets.add_to(parser)
-    parser.add_argument("--local", action="store_true", help="run all of the file's hosts on this computer")
-    runs = "run units as processes, or as nodes of ROS 1 or ROS 2 (processes)"
+    parser.add_argument("--local", action="store_true", help="run the units of all hosts on this computer")
+    runs = "run units as processes, or as nodes of ROS 1 or ROS 2 (default: processes)"
     parser.add_argument("--middleware", choices=("processes", *_ROS), default="processes", help=runs)
-    python = "the Python that has rclpy (CFGPLAN_ROS_PYTHON, or that of a sourced setup.bash, or python3)"
+    python = "the Python with rclpy (default: CFGPLAN_ROS_PYTHON, the Python of a sourced setup.bash, or python3)"
     parser.add_argument("--ros-python", metavar="PYTHON", help=python)
     add_links(parser)
     parser.add_argument(
         "--take-over",
         action="store_true",
-        help="take the hosts, with their units, from a run that is still live elsewhere",
+        help="take over the hosts and their units from a run that is still live on another computer",
     )
-    shared.add_planning(parser, "with --dry-run only; a run is changed by editing the file, or by `cfgplan ctl`")
+    shared.add_planning(parser, "only with --dry-run; to change a run, edit ENV or use `cfgplan ctl`")
     shared.add_matching(parser)
     shared.add_json(parser)
     # A life-cycle's planner remembers from plan to plan; one of PLANNERS is used if it is named.
@@ -129,13 +136,13 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     for name in options.preload:
         top = name.partition(".")[0]
         if top not in sys.builtin_module_names and PathFinder.find_spec(top, ["", *sys.path]) is None:
-            raise InputError.of(f"--preload: there is no module {name!r}", mend="name it as after `import`")
+            raise InputError.of(f"--preload: there is no module {name!r}", mend="write it as in an `import` statement")
     if options.reload and (options.connect or options.middleware in _ROS):
         what = "files of this computer" if options.connect else "unit code, and not nodes of ROS"
         raise InputError.of(f"--reload watches {what}", mend="use `cfgplan ctl restart UNIT`")
     if not options.dry_run and (options.without or options.also or options.settings or options.observed):
         mend = "add --dry-run; or edit the file, or use `cfgplan ctl` while it runs"
-        raise InputError.of("--without, --with, --set and --observed only try a plan out", mend=mend)
+        raise InputError.of("--without, --with, --set and --observed are allowed only with --dry-run", mend=mend)
     loaded = shared.load(options, screen)
     if not options.dry_run and _fleet(options) is None:
         refuse_hosts(loaded)
@@ -219,7 +226,7 @@ def _check_places(options: argparse.Namespace) -> None:
 
     if options.record is not None and not Path(options.record).absolute().parent.is_dir():
         mend = "make the folder, or name a file in another one"
-        raise InputError.of("it can't be recorded to: there is no such folder", file=options.record, mend=mend)
+        raise InputError.of("the recording can't be written: its folder does not exist", file=options.record, mend=mend)
     if options.metrics_port:
         with socket.socket() as tried:
             tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -275,25 +282,29 @@ def _check_nodes(options: argparse.Namespace, world: World) -> None:
 
     ros, bag = _ROS[options.middleware], "rosbag record" if options.middleware == ROS1 else "ros2 bag record"
     if options.record is not None:
-        raise InputError.of(f"--record knows no messages of {ros}", mend=f"use `{bag}` on the targets' topics")
+        raise InputError.of(f"--record can't record messages of {ros}", mend=f"use `{bag}` on the targets' topics")
     if options.ros2:
         mend = "leave it out" if options.middleware == ROS2 else "leave it out, and use a bridge"
-        raise InputError.of(f"--ros2 does not know what nodes of {ros} publish", mend=mend)
+        raise InputError.of(f"--ros2 is for units that are processes, not for nodes of {ros}", mend=mend)
     if options.mqtt is not None:
-        raise InputError.of(f"--mqtt does not know what nodes of {ros} publish", mend="leave it out, and use a bridge")
+        raise InputError.of(
+            f"--mqtt is for units that are processes, not for nodes of {ros}", mend="leave it out, and use a bridge"
+        )
     if _fleet(options) is not None:
         raise InputError.of(f"{ros} nodes are started on this computer only", mend="leave out --local and --connect")
     is_read = options.middleware == ROS2
     for statement in () if is_read else world.environment.told:
         mend = "observe a field of its messages, or what the run measures"
-        raise InputError.of(f"topics of ROS 1 tell no qualities ({statement})", file=options.env, mend=mend)
+        raise InputError.of(
+            f"qualities can't be observed on topics of ROS 1 ({statement})", file=options.env, mend=mend
+        )
     facts = [fact for fact in world.environment.facts if fact.observed_on and not (is_read and fact.type)]
     if facts:
         name = facts[0].name
         by_type = "name the message `type` of its `topic`, or " if is_read else ""
         mend = f"{by_type}remove its `by` or `topic`, and set it by `cfgplan ctl fact {name}=VALUE`"
         only = " without a message type" if is_read else ""
-        raise InputError.of(f"a run of {ros} nodes observes no facts{only} ({name})", file=options.env, mend=mend)
+        raise InputError.of(f"a run of {ros} nodes can't observe facts{only} ({name})", file=options.env, mend=mend)
     check_nodes(world.environment, options.env, _ros_unit(options).node_source, ros)
 
 
@@ -382,8 +393,8 @@ def difference_text(said: Environment, running: Environment) -> str:
 
     changes = said.change_to(with_declared_ids(said, running))
     if not changes:
-        return "What runs is what `units:` says."
-    return f"From `units:` to what runs:\n{changes_text(said, changes).plain.rstrip()}"
+        return "The running units are those of `units:`."
+    return f"Changes from `units:` to the running units:\n{changes_text(said, changes).plain.rstrip()}"
 
 
 def with_declared_ids(said: Environment, running: Environment) -> tuple[ComputationUnit, ...]:

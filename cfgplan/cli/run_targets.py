@@ -24,14 +24,12 @@ _MQTT = "mqtt-"
 
 def add_to(parser: argparse.ArgumentParser) -> None:
     """Add the options that say where targets are published."""
-    parser.add_argument(
-        "--ros2", action="store_true", help="publish targets that say their message type as ROS 2 topics"
-    )
-    group = parser.add_argument_group("mqtt", "publish targets at a broker; see `cfgplan help mqtt`")
-    broker = "publish targets under their topics (HOST, HOST:PORT, mqtt://HOST:PORT, or mqtts://HOST:PORT for TLS)"
+    parser.add_argument("--ros2", action="store_true", help="publish targets with a message `type` as ROS 2 topics")
+    group = parser.add_argument_group("mqtt", "publish targets at an MQTT broker; see `cfgplan help mqtt`")
+    broker = "publish targets at this broker: HOST, HOST:PORT, mqtt://HOST:PORT, or mqtts://HOST:PORT for TLS"
     group.add_argument("--mqtt", metavar="BROKER", help=broker)
     group.add_argument("--mqtt-retain", action="store_true", help="have the broker keep the last value of each target")
-    status = "the topic that says whether the run is online or offline (cfgplan/FILE/status, by the file's name)"
+    status = "topic with the run's status, online or offline (default: cfgplan/NAME/status for a file NAME.yaml)"
     group.add_argument("--mqtt-status", metavar="TOPIC", help=status)
     add_connection(group, _MQTT)
 

@@ -154,7 +154,7 @@ class Screen:
                 raise
             if not self._is_full:
                 self._is_full = True
-                self.warn(f"standard output takes no more: {error.strerror}")
+                self.warn(f"standard output can't be written any more: {error.strerror}")
 
     def write_bytes(self, data: bytes) -> None:
         """Write a file's bytes to stdout as they are."""

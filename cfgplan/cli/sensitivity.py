@@ -29,9 +29,9 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     )
     shared.add_environment(parser)
     parser.add_argument(
-        "--upkeep-of", type=normal, metavar="T", help="vary the upkeep of this transformation, not the horizon"
+        "--upkeep-of", type=normal, metavar="T", help="vary the upkeep of transformation T (default: vary the horizon)"
     )
-    picture = "draw the least cost with its break points (svg, png or pdf)"
+    picture = "draw the least cost and where the optimal plan changes, as .svg, .png or .pdf (needs the extra `plots`)"
     parser.add_argument("--out", type=shared.plot_file, metavar="FILE", help=picture)
     shared.add_planning(parser)
     shared.add_matching(parser)
@@ -51,7 +51,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     else:
         screen.show(sensitivity_text(found))
         if task.problem.max_cost_us is not None:
-            screen.note("The largest cost is left out: it may forbid a plan, but makes no other one cheaper.")
+            screen.note("The largest cost is ignored: it can forbid plans, but makes none cheaper.")
     if not found.spans:
         return Exit.NO_PLAN if found.exact else Exit.NO_ANSWER
     if options.out:
@@ -74,7 +74,7 @@ def value_text(value: Fraction, found: Sensitivity) -> str:
 def headline(found: Sensitivity) -> str:
     """Where the plan for the present value stays optimal."""
     if found.here is None:
-        return f"The present value is beyond {value_text(Fraction(found.last), found)}, where costs end to be exact."
+        return f"The present value is above {value_text(Fraction(found.last), found)}: costs are no longer exact there."
     value = value_text(Fraction(found.value), found)
     best = "optimal" if found.exact else "the best that was found"
     return f"The plan {_given(found)} of {value} is {best} {_reach(found, found.here)}."
@@ -106,7 +106,7 @@ def _given(found: Sensitivity) -> str:
 def _reach(found: Sensitivity, span: Span) -> str:
     begin = value_text(span.begin, found)
     if span.end is None:
-        return f"from {begin} on" if span.begin else f"whatever {found.parameter} is"
+        return f"from {begin} on" if span.begin else f"for every value of {found.parameter}"
     return f"from {begin} to {value_text(span.end, found)}"
 
 

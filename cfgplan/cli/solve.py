@@ -36,26 +36,29 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     shared.add_planning(parser)
     shared.add_survive(parser)
     shared.add_matching(parser)
-    parser.add_argument("--out", type=shared.out_file, metavar="FILE", help="write the plan to FILE (JSON)")
+    parser.add_argument("--out", type=shared.out_file, metavar="FILE", help="write the plan to FILE as JSON")
     parser.add_argument(
-        "--progress", action="store_true", help="print each better cost or bound as a JSON line on stderr"
+        "--progress", action="store_true", help="print each better cost or bound on standard error, as a line of JSON"
     )
     parser.add_argument(
-        "--detailed-exitcode", action="store_true", help="exit with 2 instead of 0 if the update changes something"
+        "--detailed-exitcode", action="store_true", help="exit with 2 instead of 0 if the plan changes something"
     )
     also = parser.add_mutually_exclusive_group()
     also.add_argument(
-        "--alternatives", type=shared.count, metavar="K", help="show the K best configurations that differ in what runs"
+        "--alternatives",
+        type=shared.count,
+        metavar="K",
+        help="show the K best plans that differ in which transformations run",
     )
     add_front(also)
     also.add_argument(
         "--best-effort",
         action="store_true",
-        help="if not all targets can be met, meet the most important ones; exits with 12 if some are not met",
+        help="if not every target can be met, give up those of lowest priority; exits with 12 then",
     )
-    plot = "with --front: draw it (SVG, PNG or PDF; extra `plots`)"
+    plot = "with --front: draw it, as .svg, .png or .pdf (needs the extra `plots`)"
     parser.add_argument("--plot", type=shared.plot_file, metavar="FILE", help=plot)
-    parser.add_argument("-v", "--verbose", action="store_true", help="show what each step of the planner did")
+    parser.add_argument("-v", "--verbose", action="store_true", help="show how much work each step of the planner did")
     shared.add_json(parser)
     parser.set_defaults(run=run)
 

@@ -25,11 +25,14 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "example:\n"
         "  cfgplan suggest models/nao/1-piff-registered.yaml 'ball_localization(piff)/position'\n"
-        "A port that has no tag yet has the tag ⊤ (Thing)."
+        "Write the tag ⊤ (Thing) for a port that has no tag yet."
     )
     shared.add_environment(parser)
     parser.add_argument(
-        "port", nargs="?", type=normal, help="an input or output as transformation/port, or a target's label (all)"
+        "port",
+        nargs="?",
+        type=normal,
+        help="an input or output as transformation/port, or the label of a target (default: all)",
     )
     shared.add_matching(parser)
     shared.add_json(parser)
@@ -43,7 +46,9 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     world = shared.load(options, screen)
     if world.ontology.is_open:
         mend = f"`cfgplan ontology new {options.env}` writes one of the names in use"
-        raise InputError.of("no `ontology:` says which tags there can be", file=options.env, mend=mend)
+        raise InputError.of(
+            "the environment has no `ontology:` whose names tags could use", file=options.env, mend=mend
+        )
     names = None if options.port is None else [port_named(world.environment, options.port)]
     with screen.phase("match"):
         found = api.suggested_tags(
@@ -72,7 +77,7 @@ def port_named(environment: Environment, name: str) -> str:
 def _lines(name: str, tag: str, suggestions: Sequence[Suggestion]) -> Iterable[str]:
     yield f"{name}  now {tag}"
     if not suggestions:
-        yield "  no name of the ontology is in its words: name it otherwise, or declare a class for it"
+        yield "  no name of the ontology fits its name, type or unit: rename the port, or declare a class for it"
     for number, each in enumerate(suggestions, start=1):
         yield f"  {number}. {each.tag}" + ("  (as it is)" if each.tag == tag else "")
         yield f"     {each.because}"

@@ -74,7 +74,7 @@ def _run(entrant: Entrant, problem: bytes, time_limit_s: float, out: TextIO) -> 
     run = sorted(runs, key=lambda run: run.total_s)[len(runs) // 2]
     plan = run.plan
     if not isinstance(plan, Plan):
-        return {"outcome": RunFailure.CRASHED, "message": f"it gave no cfgplan.Plan, but {plan!r:.60}"}
+        return {"outcome": RunFailure.CRASHED, "message": f"it returned {plan!r:.60}, not a cfgplan.Plan"}
     return {
         "outcome": plan.status,
         "cost_us": plan.cost_us,

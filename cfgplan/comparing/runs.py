@@ -141,9 +141,9 @@ def contradictions(runs: Sequence[Run]) -> Iterator[str]:
         if cheapest is not None and cheapest.cost_us is not None:
             least = f"{cheapest.planner} has a plan of {cheapest.cost_us} us"
             if run in plans and run.proven and (run.cost_us or 0) > cheapest.cost_us:
-                yield f"{run.planner}: says that {run.cost_us} us is the least, but {least}"
+                yield f"{run.planner}: claims that no plan costs less than {run.cost_us} us, but {least}"
             if run.bound_us > cheapest.cost_us and not run.unused_required:
-                yield f"{run.planner}: says that none costs less than {run.bound_us} us, but {least}"
+                yield f"{run.planner}: claims that no plan costs less than {run.bound_us} us, but {least}"
         if run.outcome in REFUSED:
             for other in runs:
                 if other.has_plan or (other.proven and other.outcome != run.outcome):

@@ -66,8 +66,8 @@ def alternatives(problem: Problem, planner: Planner, count: int, *, time_limit_s
     refuse_order(problem, "alternatives")
     if Feature.SURVIVAL in problem.features:
         raise InputError.of(
-            "alternatives differ in what serves targets, and the spares of a plan that survives failures serve none",
-            mend="solve with --without NAME for what else there is, or with --survive 0",
+            "alternatives differ in the units that serve targets, so they can't be listed for plans with spares",
+            mend="solve with --survive 0, or with --without NAME to see another plan",
         )
     end_s = None if time_limit_s is None else time.monotonic() + time_limit_s
     best = planner(problem, time_limit_s=time_limit_s)

@@ -31,7 +31,7 @@ def forced_by(why: Why) -> str:
     """Return, in words, the demands that can't be met without the subject."""
     if why.otherwise.reasons:
         return f"without it, {'; '.join(why.otherwise.reasons.values())}"
-    demands = f"{named_labels('target', why.targets)} with the others" if why.targets else "all that has to run"
+    demands = f"{named_labels('target', why.targets)} with the others" if why.targets else "all demands"
     return f"no valid configuration without it meets {demands}"
 
 
@@ -65,9 +65,9 @@ def choice_line(why: Why) -> str:
         case Choice.IMPOSSIBLE:
             return "Not used: no plan for these targets can use it."
         case Choice.UNREAD:
-            return f"{why.subject} is read by nothing that the plan runs."
+            return f"{why.subject} is used by no unit or target of the plan."
         case Choice.UNDECIDED:
-            return "Not decided: the planner did not prove both plans."
+            return "Not decided: the plans with it and without it are not both proven optimal."
 
 
 def named_labels(what: str, labels: frozenset[str] | tuple[str, ...]) -> str:

@@ -80,7 +80,7 @@ class NearStream:
         """Its tag, the missing parts, and whether it is free, in words."""
         if not self.runs:
             return f"{self.offer.offered}: {self.offer.verdict}, but does not run"
-        return f"{self.offer.offered}: {self.offer.verdict}{'' if self.is_taken else '; no input takes it'}"
+        return f"{self.offer.offered}: {self.offer.verdict}{'' if self.is_taken else '; nothing subscribes to it'}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,7 +191,7 @@ class _Wiring:
                 yield WiringFault(Suspicion.PERHAPS, text, None, unit.id, port.name, near)
         for stream in sorted(s for streams in self._offering.values() for s in streams):
             if stream not in self._taken and stream not in paired:
-                text = f"no input takes {stream}"
+                text = f"{stream} has no subscriber"
                 yield WiringFault(Suspicion.UNTAKEN, text, None, stream.unit, stream.port)
 
     def _of_rule(self, violation: Violation) -> WiringFault:

@@ -249,7 +249,8 @@ class Expander:
         said = port.values()
         if isinstance(port, fields.InputPart) and port.worth and not port.optional:
             entry.at("worth").note(
-                f"the input `{entry.path[-1]}` is never unfed", "add `optional: true`, or remove `worth`"
+                f"`worth` is only for optional inputs, and `{entry.path[-1]}` is not optional",
+                "add `optional: true`, or remove `worth`",
             )
         if "quality" in said:
             said["quality"] = self._fleet.contributions(entry.at("quality"), said["quality"])
@@ -298,7 +299,7 @@ def _is_well_numbered(entry: Passage, part: fields.TransformationPart) -> bool:
         return True
     fits = part.max_instances is None or part.min_instances <= part.max_instances
     if not fits:
-        message = f"it asks for {part.min_instances} units, but allows {part.max_instances}"
+        message = f"`min_instances` is {part.min_instances}, but `max_instances` is {part.max_instances}"
         entry.at("max_instances").note(message, "raise max_instances")
     said = {CPU} if part.memory is None else {CPU, MEMORY}
     twice = sorted(said.intersection(part.needs or ()))
@@ -317,7 +318,7 @@ def _run_options(entry: Passage, filled: fields.TransformationPart) -> RunOption
         entry.at("start").note(f"no step starts on `{start}`", mend)
     if filled.run.rate is not None and filled.inputs:
         mend = "remove it: elements of its inputs start its steps; `run: {start: ...}` says which"
-        entry.at("rate").note("only a source has a rate, and this transformation has inputs", mend)
+        entry.at("rate").note("`rate` is only for sources, and this transformation has inputs", mend)
         return RunOptions()
     return RunOptions(**filled.run.values())
 

@@ -376,9 +376,9 @@ class InputPart(Part, of=InputPort, schema=_either({"worth": _ZERO}, {"optional"
 class CurvePart(Part):
     """A value that follows a fact of the world: straight lines between points, level beyond the ends."""
 
-    by: Name = row("the fact, a number", ...)
+    by: Name = row("the name of the fact, whose value is a number", ...)
     points: list[Annotated[list[Micro], Limits(min_length=2, max_length=2)]] = row(
-        "two or more pairs of a value of the fact and the resulting value, by rising value of the fact",
+        "two or more pairs [FACT, VALUE]: at FACT the value is VALUE; FACT rises from pair to pair",
         ...,
         min_length=2,
     )
@@ -395,11 +395,13 @@ class ContributionPart(
 ):
     """The contribution of an output to a quality attribute: exactly one of `add`, `limit`, `scale` and `set`."""
 
-    add: MicroGiven | None = row("added to the value of the inputs")
-    limit: PositiveGiven | None = row("the value is no better than this")
-    scale: PositiveGiven | None = row("a factor on the value of the inputs")
-    set: PositiveGiven | None = row("the value, whatever the inputs are")
-    of: Literal["worst", "best", "mean", "sum"] = row("how several inputs count", "worst")
+    add: MicroGiven | None = row("a number that is added to the combined value of the inputs")
+    limit: PositiveGiven | None = row("a number that the value is never better than")
+    scale: PositiveGiven | None = row("a factor by which the combined value of the inputs is multiplied")
+    set: PositiveGiven | None = row("the value itself, independent of the inputs")
+    of: Literal["worst", "best", "mean", "sum"] = row(
+        "`worst`, `best`, `mean` or `sum`: how the values of several inputs are combined", "worst"
+    )
 
 
 QualityGiven = Annotated[Annotated[Micro, _SHORT] | Annotated[ContributionPart, _FULL], _CHOICE]
@@ -426,9 +428,14 @@ class RunPart(Part, of=RunOptions):
 class ConflictsPart(Part):
     """Transformations that a transformation may not be together with."""
 
-    host: Names | None = row("none of their units may run on a host with a unit of it", to="conflicts_on_host")
+    host: Names | None = row(
+        "labels of transformations whose units may not run on one host with its units; none if absent",
+        to="conflicts_on_host",
+    )
     system: Names | None = row(
-        "none of their units may run together with a unit of it; `conflicts: [A, B]` means these", to="conflicts"
+        "labels of transformations whose units may not run anywhere together with its units; `conflicts: [A, B]` means "
+        "these; none if absent",
+        to="conflicts",
     )
 
 
@@ -453,8 +460,12 @@ class UnitPart(Part, of=ComputationUnit):
 class WishPart(Part, of=Wish, schema=_either({"at_least": _IS_SAID}, {"at_most": _IS_SAID}, {"weight": _ABOVE_0})):
     """A target's demand on a quality attribute."""
 
-    at_least: PositiveMicro | None = row("where higher is better: a bound", to="bound")
-    at_most: PositiveMicro | None = row("where lower is better: a bound", to="bound")
+    at_least: PositiveMicro | None = row(
+        "for an attribute with `better: higher`: the smallest value allowed; no bound if absent", to="bound"
+    )
+    at_most: PositiveMicro | None = row(
+        "for an attribute with `better: lower`: the largest value allowed; no bound if absent", to="bound"
+    )
 
 
 OF_A_STREAM = ("topic", "tag", "type", "quality", "host", "silent")
@@ -476,7 +487,7 @@ class HostPart(Part, of=Host):
     """A computer that units run on."""
 
     copies: Whole = row(
-        "so many identical hosts name.1, name.2 and so on; each has the name without number as a label",
+        "the number of identical hosts NAME.1, NAME.2 and so on, each with the label NAME; with 1 the host is NAME",
         1,
         use=Use.NONE,
         below="name",
@@ -520,8 +531,10 @@ class FactPart(
 class DefaultsPart(Part):
     """Costs of the transformations that do not say their own."""
 
-    labor: Cost | None = row("CPU seconds of one start; 1 if absent", to="labor_us")
-    upkeep: Cost | None = row("CPU seconds per second; 0 if absent", to="upkeep_us")
+    labor: Cost | None = row("CPU seconds of one start of a transformation without `labor`; 1 if absent", to="labor_us")
+    upkeep: Cost | None = row(
+        "CPU seconds per second of a unit of a transformation without `upkeep`; 0 if absent", to="upkeep_us"
+    )
 
 
 class IncludedPart(Part):
@@ -529,42 +542,60 @@ class IncludedPart(Part):
 
     format: Literal["cfgplan/1"] | None = row("the format of the file: cfgplan/1")
     transformations: list[TransformationPart] | None = row(
-        "the library: transformations that can be started", xml=ELEMENT
+        "the library: transformations of which units can be started; none if absent", xml=ELEMENT
     )
-    targets: list[TargetPart] | None = row("the streams and units that are wanted", xml=ELEMENT)
+    targets: list[TargetPart] | None = row("the streams and units that must run; none if absent", xml=ELEMENT)
 
 
 class EnvironmentPart(Part, title="cfgplan environment"):
     """An environment: the library of transformations, the running units, and the targets."""
 
     format: Literal["cfgplan/1"] = row("the format of the file: cfgplan/1", ...)
-    ontology: FileNames | None = row("ontology file or files, relative to this file", xml=ELEMENT)
-    imports: Imports | None = row(
-        "IRI that an ontology imports to a file, relative to this file, or to `ignore`; "
-        "`ignore` alone skips every import that is not found"
+    ontology: FileNames | None = row(
+        "ontology file, or a list of files, relative to this file; if absent, only the tags tell what matches",
+        xml=ELEMENT,
     )
-    rules: Literal["ignore"] | None = row("`ignore`: the ontology counts without its rules (SWRL)")
+    imports: Imports | None = row(
+        "where to find ontologies that an ontology imports: IRI to a file, relative to this file, or to `ignore`; "
+        "`imports: ignore` skips every import that is not found; if absent, such an import is an error"
+    )
+    rules: Literal["ignore"] | None = row("`ignore`: use the ontology without its rules (SWRL); with them if absent")
     prefer: OneOrMoreNames | None = row(
-        "prefix or namespace that is meant if several ontologies have a name; in a list, the first that has the name",
+        "the prefix or namespace of a name that is in several ontologies, or a list to try in order; if absent, "
+        "such a name is an error",
         xml=ELEMENT,
     )
     horizon: Horizon = row(
-        "how far ahead a plan looks, for upkeep: whole seconds, or `10m`, `1h`", DEFAULT_HORIZON_S, "horizon_s"
+        "how far ahead a plan counts upkeep: whole seconds, or `10m`, `1h`", DEFAULT_HORIZON_S, "horizon_s"
     )
-    max_cost: Cost | None = row("the most that an update may cost, in CPU seconds", to="max_cost_us")
-    defaults: DefaultsPart | None = row("costs of transformations that state none", xml=ELEMENT)
-    include: FileNames | None = row("file or folder, or several, with more transformations and targets", xml=ELEMENT)
-    hosts: list[HostPart] | None = row("the computers that units run on; if absent, plans place no units")
+    max_cost: Cost | None = row("the largest cost of an update, in CPU seconds; no limit if absent", to="max_cost_us")
+    defaults: DefaultsPart | None = row("costs of transformations that state none: a mapping", xml=ELEMENT)
+    include: FileNames | None = row(
+        "file or folder, or a list of them, with more transformations and targets; none if absent", xml=ELEMENT
+    )
+    hosts: list[HostPart] | None = row(
+        "the computers that units run on; if absent, a plan does not say where units run"
+    )
     transfer: Cost = row("CPU seconds for each megabyte sent from host to host", 0, "transfer_us")
-    links: list[LinkPart] | None = row("links between hosts; the first that fits two hosts carries their streams")
+    links: list[LinkPart] | None = row(
+        "links between hosts; streams between two hosts use the first link that fits both; none if absent"
+    )
     minimise: Objectives = row(
-        "the objectives that are minimised, the most important first; the cost follows if it is not named", ["cost"]
+        "objectives to minimise, the most important first: `rent`, `cost`, `units`, `hosts`, `rewired`, `started`; "
+        "cost comes last if it is not named",
+        ["cost"],
     )
-    qualities: list[AttributePart] | None = row("the quality attributes of streams")
-    facts: dict[Name, FactPart] | None = row("facts of the world, for `requires` of transformations")
-    survive: Survived = row("single failures to survive; 1: of hosts where hosts are declared, else of units", 0)
+    qualities: list[AttributePart] | None = row("the quality attributes of streams; none if absent")
+    facts: dict[Name, FactPart] | None = row(
+        "facts of the world, for `requires` of transformations and for qualities: name to a mapping; none if absent"
+    )
+    survive: Survived = row(
+        "single failures after which every target is still met: 0 for none, `units`, `hosts`, or 1 for hosts if any "
+        "are declared, else units",
+        0,
+    )
     transformations: list[TransformationPart] | None = row(
-        "the library: transformations that can be started", xml=ELEMENT
+        "the library: transformations of which units can be started; none if absent", xml=ELEMENT
     )
-    units: list[UnitPart] | None = row("the running units", xml=ELEMENT)
-    targets: list[TargetPart] | None = row("the streams and units that are wanted", xml=ELEMENT)
+    units: list[UnitPart] | None = row("the running units; none if absent", xml=ELEMENT)
+    targets: list[TargetPart] | None = row("the streams and units that must run; none if absent", xml=ELEMENT)

@@ -108,10 +108,12 @@ class FleetReader:
         if link.adds is None:
             if link.latency:
                 mend = f"write `adds:`, {', '.join(self.attributes) or 'one of `qualities:`'}"
-                entry.at("latency").note("it is not said what the latency is added to", mend, at_key=True)
+                entry.at("latency").note(
+                    "the link has a `latency`, but no `adds` that names the quality it is added to", mend, at_key=True
+                )
             return not link.latency
         if not link.latency:
-            entry.at("adds").note("nothing is added: the link has no latency", "add `latency:`", at_key=True)
+            entry.at("adds").note("the link has `adds`, but no `latency` to add", "add `latency:`", at_key=True)
             return False
         attribute = self._attribute(entry.at("adds"), link.adds, at_key=False)
         if attribute is not None and attribute.better is Better.HIGHER:
@@ -138,7 +140,8 @@ class FleetReader:
             return
         if name in self.copies:
             entry.note(
-                f"`{name}` is {len(self.copies[name])} hosts", f"write which one, such as {self.copies[name][0]}"
+                f"`{name}` stands for {len(self.copies[name])} hosts",
+                f"write which one, such as {self.copies[name][0]}",
             )
         elif self.hosts or is_choice:
             entry.note(f"there is no host `{name}`", did_you_mean(name, self.hosts, "declare it under `hosts:`"))
@@ -209,7 +212,7 @@ class FleetReader:
             stated = {rule: getattr(part, rule) for rule in QualityRule if getattr(part, rule) is not None}
             over, observe = Over(part.of), part.observe
         if len(stated) != 1:
-            message = "an output says exactly one of add, limit, scale and set"
+            message = "an output's quality needs exactly one of add, limit, scale and set"
             entry.note(message, "write one of them, such as {scale: 0.7}")
             return None
         ((rule, value),) = stated.items()
@@ -240,10 +243,12 @@ class FleetReader:
         fact = self.facts[part.by]
         if fact.of is not None:
             mend = "name a fact of the world, or write a transformation for each kind of host, with `requires`"
-            entry.at("by").note(f"no value follows fact `{part.by}`: it differs from host to host", mend)
+            entry.at("by").note(f"a quality can't follow fact `{part.by}`, whose value differs from host to host", mend)
             return None
         if isinstance(fact.value, bool | str):
-            entry.at("by").note(f"no value follows fact `{part.by}`: it is {kind_of(fact.value)}", "name a number")
+            entry.at("by").note(
+                f"a quality can't follow fact `{part.by}`, which is {kind_of(fact.value)}", "name a number"
+            )
             return None
         curve = Curve(part.by, tuple((low, value) for low, value in part.points))
         return replace(stated, value=curve.at(fact.value), by=curve)
@@ -266,7 +271,7 @@ class FleetReader:
             entry.at(wrong).note(message, f"write `{right}`", at_key=True)
             return False
         if getattr(wish, right) is None and wish.weight == 0:
-            entry.note(f"the target asks nothing of {attribute.name}", f"write `{right}`, a `weight`, or both")
+            entry.note(f"the target states no demand on {attribute.name}", f"write `{right}`, a `weight`, or both")
             return False
         return True
 

@@ -35,7 +35,7 @@ class ImportedSources:
 
     def _heading(self) -> Iterator[str]:
         yield f"Imported from {self.origin}: {self.size}."
-        yield from (f"Not taken over: {note}." for note in self.notes)
+        yield from (f"Not imported: {note}." for note in self.notes)
         yield from (f"Hint: {hint}." for hint in self.hints)
         yield f"Nothing is wanted yet. Say it so{self.remark}:"
         yield "  targets:"

@@ -254,7 +254,7 @@ def _as_text(path: Path, written: str | None, value: object) -> str:
 
 
 def _as_number(path: Path, wanted: str, value: object) -> str:
-    """Return the mend of a value that is no number, or no whole one; a value with a unit is converted."""
+    """Return the mend of a value that is not a number, or no whole one; a value with a unit is converted."""
     is_whole = wanted.startswith("a whole")
     if isinstance(value, Decimal) and value.is_finite() and abs(value) < LARGEST_AMOUNT:
         return f"write a whole number, such as {ceil(value)}"

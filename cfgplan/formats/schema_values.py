@@ -93,7 +93,7 @@ def _span(value: object) -> int:
     mend = "write a number of seconds above 0, or 500ms, 5s, 2m or 1h"
     number = span_s(value) if type(value) is str else value
     if type(number) is not int and type(number) is not Decimal:
-        raise RefusedError("this is no span of time", mend)
+        raise RefusedError("this is not a span of time", mend)
     span_us = _microseconds(number)
     if not span_us:
         raise RefusedError("the span of time is 0", mend)
@@ -140,7 +140,7 @@ def _fact_value(value: object) -> FactValue:
         return normal(value)
     if type(value) is int or type(value) is Decimal:
         return _micro(value)
-    raise RefusedError("this is no value of a fact", "write a number, true, false or a word")
+    raise RefusedError("this can't be the value of a fact", "write a number, true, false or a word")
 
 
 def _state(value: object) -> bool | str:
@@ -165,7 +165,7 @@ def _noise(value: object) -> Noise:
         micro = _micro(value)
         if micro > 0:
             return Noise(micro)
-    raise RefusedError("this is no noise", "write a standard deviation above 0, or a percentage such as 20 %")
+    raise RefusedError("this can't be a noise", "write a standard deviation above 0, or a percentage such as 20 %")
 
 
 def _positive_micro(value: object) -> int:
@@ -208,7 +208,9 @@ def _amount(value: object) -> Decimal | int:
     number = _finite_number(value)
     if number is None or not 0 <= number <= LARGEST_AMOUNT:
         shown = repr(value) if type(value) is str else str(value)
-        raise RefusedError(f"{shown} is no amount of a resource", f"write a whole number from 0 to {LARGEST_AMOUNT:,}")
+        raise RefusedError(
+            f"{shown} can't be an amount of a resource", f"write a whole number from 0 to {LARGEST_AMOUNT:,}"
+        )
     return number
 
 
@@ -217,7 +219,7 @@ def _speed(value: object) -> int:
     micro = _taken(micro_units, _number(value, "a speed is a number"))
     if not SPEEDS[0] * MICRO <= micro <= SPEEDS[1] * MICRO:
         mend = f"write a number from {SPEEDS[0]} to {SPEEDS[1]}; 1 is where costs were measured"
-        raise RefusedError(f"{value} is no speed of a host", mend)
+        raise RefusedError(f"{value} can't be the speed of a host", mend)
     return micro
 
 
@@ -236,7 +238,9 @@ def _count(value: object) -> int:
         return ALL
     value = _whole(value)
     if type(value) is not int or not 1 <= value <= MOST_COUNTED:
-        raise RefusedError(f"{value} is no number of streams", f"write a whole number from 1 to {MOST_COUNTED}, or all")
+        raise RefusedError(
+            f"{value} can't be a number of streams", f"write a whole number from 1 to {MOST_COUNTED}, or all"
+        )
     return value
 
 

@@ -172,7 +172,7 @@ class _XmlReading:
             mend = did_you_mean(kind, known, f"the types are {', '.join(known)}")
             self._note(param, f"unknown param type `{kind}`", mend)
         elif type(value) not in _PARAM_TYPES[kind]:
-            self._note(param, f"{text!r} is no {kind}", 'mend the value, or write type="string"')
+            self._note(param, f"{text!r} is not of type {kind}", 'mend the value, or write type="string"')
         return Decimal(value) if kind == "double" and type(value) is int else value
 
     def _unit(self, element: XmlElement, path: Path) -> dict[str, Any]:

@@ -51,8 +51,8 @@ def _in_words(problem: str) -> str:
         "found a tab character that violates indentation": "a tab indents this line",
         "mapping values are not allowed in this context": "a key begins here inside of a value",
         "block sequence entries are not allowed in this context": "a list begins in the line of its key",
-        "did not find expected '-' indicator": "this line is no entry of the list above",
-        "did not find expected key": "this is no key of the mapping above",
+        "did not find expected '-' indicator": "this line is not an entry of the list above",
+        "did not find expected key": "this is not a key of the mapping above",
         "found character that cannot start any token": "no value begins with this character",
     }
     return words.get(problem, problem)

@@ -10,7 +10,7 @@ from cfgplan.domain import Similarity
 
 def impossible(tag: str) -> str:
     """The warning about an offered tag that nothing can have."""
-    return f"nothing can have the offered tag {tag!r}: it contradicts the ontology and never matches"
+    return f"the offered tag {tag!r} contradicts the ontology: nothing can have it, and it never matches"
 
 
 @dataclass(frozen=True)

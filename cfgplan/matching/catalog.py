@@ -53,7 +53,7 @@ def _read(path: Path, _changed: int) -> Mapping[str, Path]:
         except ParseError as error:
             line, column = error.position
             mend = "save it again in Protégé, or remove it and name the files under `imports:`"
-            fault = Fault("the catalog is no XML", file=str(catalog), line=line, column=column + 1, mend=mend)
+            fault = Fault("the catalog is not XML", file=str(catalog), line=line, column=column + 1, mend=mend)
             raise InputError([fault]) from None
         for kind, name, target in _entries(root, catalog.as_uri()):
             if kind == "uri" and target.is_file():

@@ -142,7 +142,7 @@ def instances(
     """
     name = normal(class_or_tag.strip())
     if name in ontology.individuals and name not in ontology.classes:
-        raise UnknownNameError(f"{name!r} is an individual, but a class is wanted here")
+        raise UnknownNameError(f"{name!r} is an individual, but a class is expected here")
     parse_tag(name, ontology)
     tags = {f"{{{ontology.in_tag(iri)}}}": individual for individual, iri in ontology.individuals.items()}
     found = match(tags, [name], ontology, time_limit_s=time_limit_s, cache=cache)

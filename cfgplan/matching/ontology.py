@@ -238,7 +238,7 @@ class Ontology:
         known = sorted(short for vocabulary in vocabularies for short in vocabulary.by_short_name)
         for other in self._vocabularies:
             if other not in vocabularies and other.find(name) is not None:
-                message = f"{name!r} is {_article(other.what)}, but {_article(wanted)} is wanted here"
+                message = f"{name!r} is {_article(other.what)}, but {_article(wanted)} is expected here"
                 return UnknownNameError(message, f"write one, such as {', '.join(known[:3])}" if known else None)
         mend = did_you_mean(name, known, "declare it in the ontology")
         return UnknownNameError(f"the ontology has no {wanted} {name!r}", mend)

@@ -191,7 +191,7 @@ def _read(path: Path, shown: str) -> _Document:
     try:
         text = path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise InputError.of("is no ontology: the file is not text in UTF-8", file=shown, mend=_NO_TEXT) from None
+        raise InputError.of("is not an ontology: the file is not text in UTF-8", file=shown, mend=_NO_TEXT) from None
     except FileNotFoundError:
         raise InputError.of("the ontology file does not exist", file=shown, mend=_MISSING) from None
     except OSError as error:
@@ -207,7 +207,9 @@ def _read(path: Path, shown: str) -> _Document:
     )
     if not document.axioms and not document.imports and document.iri is None:
         raise InputError.of(
-            "is no ontology: it holds no axiom", file=shown, mend="write OWL, such as `:Robot a owl:Class .` in Turtle"
+            "is not an ontology: it has no axioms",
+            file=shown,
+            mend="write OWL, such as `:Robot a owl:Class .` in Turtle",
         )
     return document
 
@@ -251,7 +253,7 @@ def _parse_rdf(text: str, syntax: str, base: str, shown: str) -> _Document:
         if undeclared := re.search(r"[Pp]refix (\S*): has not been declared", told):
             mend = f"declare it above: `@prefix {undeclared[1]}: {_usual_namespace(undeclared[1])} .`"
         if Path(shown).suffix in (".yaml", ".yml"):
-            mend = "name an ontology: this is no file of Turtle, RDF/XML, JSON-LD or another syntax of OWL"
+            mend = "name an ontology: this file is not in Turtle, RDF/XML, JSON-LD or another syntax of OWL"
         if "LoadDocument" in told:
             message = f"the ontology can't be read as {name}: its `@context` is another document"
             mend = "write the `@context` into the file: web addresses are not fetched"
@@ -259,7 +261,7 @@ def _parse_rdf(text: str, syntax: str, base: str, shown: str) -> _Document:
     parsed = _parsed_graph(graph, text, syntax, shown)
     components = [str(component.component) for component in parsed.get_components()]
     document = _document(parsed, components, syntax, shown)
-    unread = {f"{said} in {Path(shown).name}": "that is no axiom of OWL 2" for said in graph.unread(components)}
+    unread = {f"{said} in {Path(shown).name}": "that is not an axiom of OWL 2" for said in graph.unread(components)}
     said = filter(None, map(restored, (*document.axioms, *graph.axioms)))
     axioms = [_ANONYMOUS_IRI.sub(r"_:\1", axiom) for axiom in said]
     axioms = [axiom for axiom in axioms if not axiom.startswith("Declaration(NamedIndividual(_:")]

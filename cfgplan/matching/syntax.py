@@ -238,7 +238,7 @@ class _TagReader(ExpressionReader[Concept]):
     def _number(self) -> int:
         token = self._tokens[self._at]
         if not (token.isascii() and token.isdigit() and len(token) < 10):
-            raise self._error(f"{token!r} is no number", "write how many, such as min 2")
+            raise self._error(f"{token!r} is not a number", "write how many, such as min 2")
         self._at += 1
         return int(token)
 

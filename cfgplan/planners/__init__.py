@@ -96,7 +96,7 @@ def _own(name: str, function: Planner) -> Planner:
             raise OwnPlannerError(f"the planner {name} failed: {type(error).__name__}: {error}") from error
         if not isinstance(found, Plan):
             mend = "return a cfgplan.Plan, with the status UNKNOWN if none is found"
-            raise OwnPlannerError(f"the planner {name} gave no cfgplan.Plan, but {found!r:.60}", mend=mend)
+            raise OwnPlannerError(f"the planner {name} returned {found!r:.60}, not a cfgplan.Plan", mend=mend)
         return replace(found, planner=name) if name else found
 
     return planner

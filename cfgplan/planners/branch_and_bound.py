@@ -77,9 +77,7 @@ def plan(problem: Problem, *, time_limit_s: float | None = None, report: OnProgr
     cost_us = key_of(problem, units).cost_us
     unused = unused_required(problem, units)
     if unused and problem.max_cost_us is not None:
-        text = (
-            f"it does not know `required`, which comes before the largest cost, and uses no {' and no '.join(unused)}"
-        )
+        text = f"it does not support `required`, which comes before the largest cost; unused: {', '.join(unused)}"
         return _unknown(text, tree, seconds)
     answer = Plan(
         "branch-and-bound",

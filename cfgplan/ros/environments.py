@@ -69,11 +69,11 @@ class Imported:
     def _heading(self) -> Iterator[str]:
         yield f"Imported from {', '.join(self.graph.sources)}: {self.size}."
         for note in self.graph.notes:
-            yield f"Not known: {note}."
+            yield f"Unknown: {note}."
         for each in self.graph.dropped:
-            yield f"Not taken over: {each}."
+            yield f"Not imported: {each}."
         if self.guesses:
-            yield "Guessed, so look at it; `--guesses FILE` knows better:"
+            yield "Guessed; check each, and correct it in a table for `--guesses FILE`:"
         for guess in self.guesses:
             yield f"  {guess.about}: {guess.guess} ({guess.why})"
 

@@ -61,7 +61,7 @@ def _kept_apart(environment: Environment) -> Iterator[WiringFault]:
                 continue
             found = list(obstacles(ServiceQuality.read(offered.qos), ServiceQuality.read(asked.qos)))
             if found:
-                text = f"{unit.id} hears nothing of {subscription.stream} at {asked.name}: {'; '.join(found)}"
+                text = f"{unit.id} gets no messages of {subscription.stream} at {asked.name}: {'; '.join(found)}"
                 yield WiringFault(Suspicion.QOS, f"{text}; {_MEND}", None, unit.id, asked.name)
 
 

@@ -58,7 +58,7 @@ class IncludedLaunch:
             raise InputError.of(f"--include `{text}` names no launch file", mend=mend) from None
         arguments = dict(each.split(":=", 1) for each in said if ":=" in each)
         if wrong := next((each for each in said if ":=" not in each), None):
-            raise InputError.of(f"--include: `{wrong}` is no argument of a launch file", mend="write NAME:=VALUE")
+            raise InputError.of(f"--include: `{wrong}` is not an argument of a launch file", mend="write NAME:=VALUE")
         if not Path(file).is_file():
             raise InputError.of("there is no such launch file to include", file=file, mend="look at its spelling")
         return cls(relpath(file, folder), arguments)

@@ -124,7 +124,7 @@ class _Walk:
             raise InputError.of(f"can't be read: {error.strerror}", file=str(path), mend=mend) from None
         if root.name != "launch":
             mend = "launch files of ROS 1 are XML with <launch>; import a live graph of others"
-            raise launch_fault(path, root, f"this is no launch file of ROS 1: it begins with <{root.name}>", mend)
+            raise launch_fault(path, root, f"this is not a launch file of ROS 1: it begins with <{root.name}>", mend)
         self._inside(root, replace(scope, file=path))
 
     def _inside(self, parent: XmlElement, scope: _Scope) -> _Scope:
@@ -256,12 +256,14 @@ class _Walk:
             return {}
         if read is None:
             raise launch_fault(
-                scope.file, element, f"`{kind}` is no type of a parameter", f"one of {', '.join(_TYPES)}"
+                scope.file, element, f"`{kind}` is not a type of parameters", f"one of {', '.join(_TYPES)}"
             )
         try:
             return dict(_leaves({name: read(text)}))
         except (ValueError, yaml.YAMLError):
-            raise launch_fault(scope.file, element, f"`{text}` is no {kind}", "mend the value or its type") from None
+            raise launch_fault(
+                scope.file, element, f"`{text}` is not of type {kind}", "mend the value or its type"
+            ) from None
 
     def _of_rosparam(self, element: XmlElement, scope: _Scope) -> dict[str, object]:
         if (self._value(element, "command", scope) or "load") != "load":
@@ -278,7 +280,7 @@ class _Walk:
         try:
             value: Any = yaml.safe_load(text)
         except yaml.YAMLError:
-            raise launch_fault(scope.file, element, "what it loads is no YAML", "mend what it loads") from None
+            raise launch_fault(scope.file, element, "the loaded text is not YAML", "mend what it loads") from None
         if value is None or not (name or isinstance(value, dict)):
             return {}
         return dict(_leaves({name: value} if name else value))

@@ -36,7 +36,7 @@ def peer(address: str) -> ServerProxy:
         return ServerProxy(address, transport=_Limited())
     except OSError:
         mend = "write it as http://host:11311"
-        raise InputError.of(f"`{address}` is no address of a ROS 1 master", mend=mend) from None
+        raise InputError.of(f"`{address}` is not the address of a ROS 1 master", mend=mend) from None
 
 
 def asked(of: ServerProxy, caller: str, method: str, *arguments: object) -> Any:

@@ -81,4 +81,4 @@ def _file(path: Path, sources: str) -> RosGraph:
         raise InputError.of("there is no such file", file=str(path), mend=f"name {sources}")
     if is_recording(path):
         return recorded_graph(path)
-    raise InputError.of("this is no source of a graph", file=str(path), mend=f"name {sources}")
+    raise InputError.of("a graph can't be read from this", file=str(path), mend=f"name {sources}")

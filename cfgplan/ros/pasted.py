@@ -127,7 +127,7 @@ class _Pasted:
         if self._section is None or self._node is None:
             return
         if found is None:
-            self._fault("this is no line of a port", f"write it as {form}")
+            self._fault("this line describes no port", f"write it as {form}")
             return
         self._add(self._node, RosPort(self._section[0], found[1], self._type(found[2], kind)))
 

@@ -79,5 +79,5 @@ def _read(path: Path) -> tuple[Sequence[Connection], float]:
     except Exception as error:  # of a file that is cut off or no recording at all, the readers raise whatever they meet
         mend = "is it a whole recording?"
         raise InputError.of(
-            f"this is no recording: {type(error).__name__}: {error}", file=str(path), mend=mend
+            f"this is not a recording: {type(error).__name__}: {error}", file=str(path), mend=mend
         ) from None

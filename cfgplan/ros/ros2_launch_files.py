@@ -245,7 +245,9 @@ class _Launch:
                 return {name: [_typed(part, kind) for part in text.split(separator)]}
             return {name: _typed(text, kind)}
         except (ValueError, yaml.YAMLError):
-            raise launch_fault(state.file, element, f"`{text}` is no {kind}", "mend the value or its type") from None
+            raise launch_fault(
+                state.file, element, f"`{text}` is not of type {kind}", "mend the value or its type"
+            ) from None
 
     def _parameters_of_file(self, element: Element, state: _State, node: str) -> dict[str, object]:
         place = f"{state.file}:{element.line}"
@@ -259,7 +261,7 @@ class _Launch:
             self.notes.append(f"the parameters that {place} loads: {error.faults[0].message}")
             return {}
         except yaml.YAMLError:
-            raise launch_fault(state.file, element, f"{path} is no YAML", "mend the file") from None
+            raise launch_fault(state.file, element, f"{path} is not YAML", "mend the file") from None
         found: dict[str, object] = {}
         for said in _for_node(loaded, node):
             found |= dict(_leaves(said))
@@ -344,7 +346,7 @@ def _substituted(inner: str, state: _State) -> str:
                 return one if _is_true(condition) else " ".join(other)
     except ValueError as error:
         raise SubstitutionError(f"`$({inner})`: {error}") from None
-    raise SubstitutionError(f"`$({inner})` is no substitution that can be read here")
+    raise SubstitutionError(f"`$({inner})` is not a substitution that cfgplan reads")
 
 
 def _is_true(text: str) -> bool:
@@ -425,7 +427,7 @@ def _root(path: Path) -> Element:
     root = parse_xml(read_bytes(path), str(path))
     if root.name != "launch":
         mend = "a launch file in XML is one element <launch>"
-        raise launch_fault(path, root, f"this is no launch file: it begins with <{root.name}>", mend)
+        raise launch_fault(path, root, f"this is not a launch file: it begins with <{root.name}>", mend)
     return root
 
 
@@ -436,7 +438,7 @@ def _yaml_root(path: Path) -> Element:
     data = source.data
     if not isinstance(data, dict) or not isinstance(data.get("launch"), list):
         mend = "a launch file in YAML is a list below `launch:`"
-        raise InputError([source.fault((), "this is no launch file", mend)])
+        raise InputError([source.fault((), "this is not a launch file", mend)])
     root = _element(source, ("launch",), "launch", {})
     root.children = list(_children(source, ("launch",), data["launch"]))
     return root
@@ -448,7 +450,7 @@ def _children(source: Source, keys: Keys, actions: Sequence[object]) -> Iterator
         inner = (*keys, at)
         if not isinstance(action, dict) or len(action) != 1:
             mend = "write `- node: {...}`, one key for each action"
-            raise InputError([source.fault(inner, "this is no action of a launch file", mend)])
+            raise InputError([source.fault(inner, "this is not an action of a launch file", mend)])
         ((name, said),) = action.items()
         yield _of_yaml(source, (*inner, name), str(name), said)
 
@@ -460,7 +462,7 @@ def _of_yaml(source: Source, keys: Keys, name: str, said: object) -> Element:
         element.children = list(_children(source, keys, said))
         return element
     if not isinstance(said, dict):
-        raise InputError([source.fault(keys, f"`{name}` is no mapping", f"write `{name}: {{...}}`")])
+        raise InputError([source.fault(keys, f"`{name}` is not a mapping", f"write `{name}: {{...}}`")])
     attributes = {str(key): _text(value) for key, value in said.items() if not isinstance(value, dict | list)}
     element = _element(source, keys, name, attributes)
     for key, value in said.items():

@@ -58,7 +58,7 @@ class Substitutions:
                 return name
             case ("dirname", []):
                 return str(self.file.parent)
-        raise SubstitutionError(f"`$({inner})` is no substitution of launch files")
+        raise SubstitutionError(f"`$({inner})` is not a substitution of launch files")
 
     def _argument(self, name: str) -> str:
         if name not in self.arguments:

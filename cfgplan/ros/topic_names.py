@@ -193,7 +193,7 @@ def node_units(environment: Environment) -> Iterator[NodeUnit]:
             if source is None or source.kind == "nodelet":
                 mend = "write node:PACKAGE/EXECUTABLE, node:./FILE, component:PACKAGE/PLUGIN or external:/NAME"
                 said = transformation.source
-                what = f"`{said}` is no node of ROS 2" if said else f"{transformation.label} has no `source`"
+                what = f"`{said}` is not a node of ROS 2" if said else f"{transformation.label} has no `source`"
                 raise InputError.of(f"{unit.id}: {what}", mend=mend)
             name = source.name if source.kind == "external" else f"/{word(unit.id)}"
             if name in taken:

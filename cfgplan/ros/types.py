@@ -36,7 +36,7 @@ class MessageType:
         """
         found = _PATH.fullmatch(text.strip())
         if found is None:
-            raise InputError.of(f"`{text}` is no message type", mend="write it as package/Name or package/msg/Name")
+            raise InputError.of(f"`{text}` is not a message type", mend="write it as package/Name or package/msg/Name")
         named: TypeKind | None = found["kind"]  # type: ignore[assignment]
         name = found["name"]
         return cls(found["package"], name.removesuffix("_") if found["dds"] else name, named or kind)

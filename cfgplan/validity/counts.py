@@ -46,7 +46,7 @@ def serving_violations(environment: Environment) -> Iterator[Violation]:
     """Yield each stream with more subscribers and topics than its output serves."""
     for stream, left in _left_to_serve(environment).items():
         if left < 0:
-            text = f"{-left} more than it serves take the stream {stream}"
+            text = f"stream {stream} feeds too many inputs and topics: {-left} more than its output serves"
             yield Violation(Rule.SERVES, text, stream.unit, stream.port)
 
 

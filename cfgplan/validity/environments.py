@@ -68,7 +68,7 @@ def _bad_subscriptions(environment: Environment, similarity: Similarity) -> Iter
                 yield Violation(Rule.FED, text, unit.id, port.name)
         for name, stream in [(s.port, s.stream) for s in unit.subscriptions]:
             if name not in transformation.input:
-                text = f"unit {unit.id} subscribes at {name}, which is no input of {transformation.label}"
+                text = f"unit {unit.id} subscribes at {name}, which is not an input of {transformation.label}"
                 yield Violation(Rule.FED, text, unit.id, name)
                 continue
             offered = tag_of(environment, stream)
@@ -89,7 +89,7 @@ def _bad_publications(environment: Environment, similarity: Similarity) -> Itera
         for publication in unit.publications:
             published[publication.topic].append(Stream(unit.id, publication.port))
             if publication.port not in transformation.output:
-                text = f"unit {unit.id} publishes {publication.port}, which is no output of {transformation.label}"
+                text = f"unit {unit.id} publishes {publication.port}, which is not an output of {transformation.label}"
                 yield Violation(Rule.PUBLISHED, text, unit.id, publication.port)
             if publication.topic not in topics:
                 text = f"unit {unit.id} publishes on {publication.topic}, which no target names"

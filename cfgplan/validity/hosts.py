@@ -23,7 +23,9 @@ def placing_violations(environment: Environment, horizon_s: int = 0) -> Iterator
         if unit.host is None:
             yield Violation(Rule.PLACED, f"unit {unit.id} has no host", unit.id)
         elif unit.host not in environment.host:
-            yield Violation(Rule.PLACED, f"unit {unit.id} is on {unit.host}, which is no host", unit.id)
+            yield Violation(
+                Rule.PLACED, f"unit {unit.id} is on {unit.host}, which is not declared under `hosts:`", unit.id
+            )
         elif unit.host not in environment.hosts_for(transformation):
             why = environment.barred.get(transformation.label, {}).get(unit.host)
             for_now = f" for now: it {why}" if why else ""
@@ -120,7 +122,9 @@ def link_violations(environment: Environment) -> Iterator[Violation]:
     for link, carried in over.items():
         if link.bandwidth is not None and carried > link.bandwidth:
             ends = " and ".join(link.between)
-            text = f"the link between {ends} carries {carried} bytes a second, but bears {link.bandwidth}"
+            text = (
+                f"the link between {ends} carries {carried} bytes per second, but has a bandwidth of {link.bandwidth}"
+            )
             yield Violation(Rule.CAPACITY, text)
 
 

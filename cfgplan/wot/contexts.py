@@ -89,5 +89,5 @@ def _context(path: Path) -> object:
     data = read_json(text, str(path)).data
     if not isinstance(data, dict) or "@context" not in data:
         mend = "a context is a mapping with the key `@context`"
-        raise InputError.of("this file holds no context of JSON-LD", file=str(path), mend=mend)
+        raise InputError.of("this file has no JSON-LD context", file=str(path), mend=mend)
     return data["@context"]

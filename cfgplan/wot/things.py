@@ -103,7 +103,7 @@ def _thing(passage: Passage, said: object) -> Thing | None:
     listed = context if isinstance(context, list) else [context]
     if not any(each in TD_CONTEXTS for each in listed if isinstance(each, str)):
         at = passage if context is None else passage.at("@context")
-        at.note("this is no Thing Description: its `@context` names none", f'add "{TD_CONTEXTS[0]}" to it')
+        at.note("this is not a Thing Description: its `@context` names none", f'add "{TD_CONTEXTS[0]}" to it')
         return None
     if not all(isinstance(each, str | dict) for each in listed):
         passage.at("@context").note("a context is a URL or a mapping", "write a list of those")
@@ -163,13 +163,13 @@ def _form(passage: Passage, kind: Kind, said: object, base: str) -> Form | None:
     for op in ops if isinstance(ops, list) else [ops]:
         if op not in _OPS[kind]:
             passage.at("op").note(
-                f"`{op}` is no operation of {'an event' if kind == 'event' else 'a property'}",
+                f"`{op}` is not an operation of {'an event' if kind == 'event' else 'a property'}",
                 did_you_mean(str(op), _OPS[kind], f"there are {', '.join(_OPS[kind])}"),
             )
             return None
     whole = _joined(base, href)
     if not urlsplit(whole).scheme:
-        passage.at("href").note(f"`{href}` is no whole URL", 'write one, or add "base": "..." to the thing')
+        passage.at("href").note(f"`{href}` is not a complete URL", 'write one, or add "base": "..." to the thing')
         return None
     media_type = said.get("contentType", _JSON)
     return Form(whole, tuple(ops), str(media_type).partition(";")[0].strip().lower(), said)

@@ -61,7 +61,7 @@ class Counting:
             "cycles of several units": not is_directed_acyclic_graph(DiGraph(self._feeds())),
         }
         for what in (what for what, is_asked in unknown.items() if is_asked):
-            raise InputError.of(f"{who} does not know {what}", mend="use the planner cpsat")
+            raise InputError.of(f"{who} does not support {what}", mend="use the planner cpsat")
 
     def kind(self, label: str) -> Transformation:
         return self.problem.environment.transformation[label]

@@ -39,7 +39,7 @@ def plan(
         return Plan(WHO, Status.INFEASIBLE, reasons=unmet_reasons(problem))
     ports = [port for candidate in selection.candidates for port in candidate.transformation.inputs]
     if any(port.feedback or port.distinct is not None for port in ports):
-        raise InputError.of(f"{WHO} does not know feedback inputs and distinct groups")
+        raise InputError.of(f"{WHO} does not support feedback inputs and distinct groups")
     scale = gcd(*(candidate.cost_us for candidate in selection.candidates)) or 1
     if selection.cost_us(range(len(selection.candidates))) // scale > LARGEST_COST:
         raise InputError.of(f"{WHO} counts in 32 bits, and the costs are too large for it")

@@ -45,7 +45,7 @@ class Placing(Selection):
             "distinct groups on hosts": any(p.distinct is not None for t in environment.library for p in t.inputs),
         }
         for what in (what for what, is_asked in unknown.items() if is_asked):
-            raise InputError.of(f"{who} does not know {what}", mend="use the planner cpsat")
+            raise InputError.of(f"{who} does not support {what}", mend="use the planner cpsat")
         self._fleet = problem
         self._place_of: dict[str, tuple[str, str]] = {}
         """Label and host by the label of the choice to run a unit there."""

@@ -52,7 +52,7 @@ class Program:
 
     def __init__(self, selection: Selection, lead: Lead | None) -> None:
         if any(port.feedback for candidate in selection.candidates for port in candidate.transformation.inputs):
-            raise InputError.of(f"{selection.who} does not know feedback inputs")
+            raise InputError.of(f"{selection.who} does not support feedback inputs")
         self.selection, self.rows = selection, Rows()
         self.scale = gcd(*(candidate.cost_us for candidate in selection.candidates)) or 1
         self.needs = _needs(selection)

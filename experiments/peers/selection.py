@@ -39,7 +39,7 @@ class Selection:
     def __init__(self, problem: Problem, who: str) -> None:
         refuse_features(problem, who)
         if any(transformation.required for transformation in problem.environment.library):
-            raise InputError.of(f"{who} does not know required transformations", mend="use the planner cpsat")
+            raise InputError.of(f"{who} does not support required transformations", mend="use the planner cpsat")
         self.problem = problem
         self.who = who
         found = Candidates(problem)

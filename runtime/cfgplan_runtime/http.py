@@ -96,7 +96,7 @@ def _checked(url: str) -> str:
     """The URL of a resource. Raises InputError."""
     address = urlsplit(url)
     if address.scheme not in ("http", "https") or not address.hostname:
-        raise InputError.of(f"`{url}` is no URL of a resource", mend="write http://HOST/PATH or https://HOST/PATH")
+        raise InputError.of(f"`{url}` is not the URL of a resource", mend="write http://HOST/PATH or https://HOST/PATH")
     if "@" in address.netloc:
         mend = "remove it, and write `username` with `password_env` or `password_file`"
         raise InputError.of("a URL can't hold the name and password", mend=mend)

@@ -33,13 +33,21 @@ def env(write: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch) -> Path:
         ("solve ENV --set t.priority=1e9999999", "'1e9999999' is not a whole number", "write one from -1000000000 to"),
         ("solve ENV --planner os:getcwd", "error: the planner os:getcwd can't be called", "write it as `def plan("),
         ("explain ENV --stream o", "there is no output `o`", "write a/o"),
-        ("graph ENV --out picture", "no ending says the format of the picture", "end it in one of .svg"),
+        (
+            "graph ENV --out picture",
+            "the file name has no ending that gives the picture's format",
+            "end it in one of .svg",
+        ),
         ("export schema ENV", "the schema is the same for all files", "leave the file out"),
         ("export yaml ENV --out new.json", "new.json: this name does not end as YAML does", "end it in .yaml"),
         ("export xml ENV --out new.yaml", "new.yaml: this name does not end as XML does", "end it in .xml"),
         ("export launch ENV", "a.1: a has no `source`", "write node:PACKAGE/EXECUTABLE"),
-        ("import xml ENV --works", "--works: not for `import xml`", "leave it out"),
-        ("import ros1 live --objective length --out new.yaml", "--objective: not for `import ros1`", "leave it out"),
+        ("import xml ENV --works", "--works: `import xml` does not take this option", "leave it out"),
+        (
+            "import ros1 live --objective length --out new.yaml",
+            "--objective: `import ros1` does not take this option",
+            "leave it out",
+        ),
         ("import ros1 robot.launch --out new.ttl", "new.ttl: this name does not end as YAML does", "end it in .yaml"),
         ("import ros1 sim:=true --out new.yaml", "there are arguments, but no launch file", "name `live`"),
         ("init env.yaml", "env.yaml: this folder can't be made", "name a folder that exists or can be made"),
@@ -66,7 +74,7 @@ def test_a_name_that_stands_for_something_else_is_told_what_may_stand_there(run:
     Path("house.ttl").write_text(f"{PREFIXES} :X a owl:Class . :i a :X .")
     env.write_text("format: cfgplan/1\nontology: house.ttl\n" + LIBRARY.replace("o: X", "o: '{X}'"))
     err = run("check", env).err
-    assert "'X' is a class, but an individual is wanted here\n" in err
+    assert "'X' is a class, but an individual is expected here\n" in err
     assert "^\n       write one, such as i" in err
 
 
@@ -77,7 +85,7 @@ def test_an_ontology_that_contradicts_itself_is_named_as_from_here(run: Run, env
 
 
 def test_sensitivity_says_that_it_leaves_the_largest_cost_out(run: Run, env: Path) -> None:
-    assert "The largest cost is left out" in run("sensitivity", env, "--max-cost", "0.5").err
+    assert "The largest cost is ignored" in run("sensitivity", env, "--max-cost", "0.5").err
     assert "largest cost" not in run("sensitivity", env).err
 
 

@@ -48,7 +48,7 @@ def test_the_plot_has_a_picture_of_each_file_with_each_planner_and_its_answer(
     for text in (path, other, "branch-and-bound: feasible", "exhaustive: optimal"):
         assert f"<!-- {text} -->" in drawn, text
     refused = run("compare", path, "--plot", tmp_path / "planners.txt")
-    assert refused.code == 30 and "is no kind of plot" in refused.err
+    assert refused.code == 30 and "does not end as a plot does" in refused.err
 
 
 def test_without_any_proof_none_are_said_to_agree(run: Run, write: Callable[[str], Path]) -> None:

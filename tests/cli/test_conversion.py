@@ -79,7 +79,7 @@ def test_what_is_no_graph_of_ros_nodes_is_refused(run: Run, tmp_path: Path) -> N
 def test_one_xml_specification_is_converted_at_a_time(run: Run, tmp_path: Path) -> None:
     result = run("import", "xml", tmp_path / "a.xml", tmp_path / "b.xml")
     assert result.code == 30
-    assert "one path too many" in result.err
+    assert "`import xml` takes one path" in result.err
 
 
 def test_what_a_test_set_says_and_nobody_reads_is_told(run: Run, tmp_path: Path) -> None:

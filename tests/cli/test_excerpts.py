@@ -65,7 +65,7 @@ def test_a_file_that_is_not_there_or_can_be_read_only_once_has_no_line(file: str
     ("fault", "command", "marked"),
     [
         (Fault("it is so", file="a b.yaml"), ["solve", "a b.yaml"], "'a b.yaml'"),
-        (Fault("argument --horizon: 'x' is no horizon"), ["solve", "e", "--horizon=x"], "--horizon=x"),
+        (Fault("argument --horizon: 'x' is not a horizon"), ["solve", "e", "--horizon=x"], "--horizon=x"),
         (Fault("there is no planner `x`"), ["solve", "e", "--planner=x"], "--planner=x"),
         (Fault("there is no unit `x`"), ["solve", "e"], None),
         (Fault("it is so", line=3), ["solve", "e"], None),

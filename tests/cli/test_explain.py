@@ -22,7 +22,10 @@ targets: [{label: ball, topic: /ball, tag: Ball}]
 def test_it_tells_the_input_that_nothing_feeds_and_what_comes_nearest(run: Run, write: Callable[[str], Path]) -> None:
     result = run("explain", write(BROKEN))
     assert result.code == 10
-    assert "target ball wants Ball, but what would give it can't run\n  detector: input image wants Image" in result.out
+    assert (
+        "target ball wants Ball, but no transformation that offers it can run\n  detector: input image wants Image"
+        in result.out
+    )
     assert "nearest: camera/image gives Image and hasSource some Front: lacks ∃hasSource.Back" in result.out
 
 

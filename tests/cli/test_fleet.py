@@ -121,7 +121,7 @@ def test_hosts_say_the_power_that_their_energy_lasts_for_and_links_what_they_car
     out = run("solve", MODELS / "rescue" / "4-mule-lost.yaml").out
     assert "140 of 500 MB, 3 of 3 W." in out and "11 of 11 W." in out
     assert "Link robot - robot or station: 51120 of 1000000 bytes/s." in out
-    assert "Nothing on r1." in run("solve", FLEET / "1-start.yaml").out
+    assert "No unit on r1." in run("solve", FLEET / "1-start.yaml").out
 
 
 def test_explain_tells_a_spare_and_a_failure_that_nothing_survives(run: Run) -> None:

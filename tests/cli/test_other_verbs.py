@@ -164,7 +164,7 @@ def test_units_are_the_same_whatever_their_ids() -> None:
 
     said = Environment((ComputationUnit("a", "count"), ComputationUnit("b", "count"), fed("c", "b")))
     same = Environment((ComputationUnit("count.1", "count"), ComputationUnit("b", "count"), fed("work.1", "b")))
-    assert difference_text(said, same) == "What runs is what `units:` says."
+    assert difference_text(said, same) == "The running units are those of `units:`."
     other = Environment((ComputationUnit("c", "count"), fed("work.1", "c"), ComputationUnit("b", "else")))
     text = difference_text(said, other)
     assert "  + start   b (runs)" in text

@@ -54,7 +54,9 @@ targets: [{label: t, topic: /t, tag: Wanted}]
     )
     said = "Required fusion is not used: "
     assert said not in run("solve", env).out
-    assert f"{said}branch-and-bound does not know `required`." in run("solve", env, "--planner", "branch-and-bound").out
+    assert (
+        f"{said}branch-and-bound does not support `required`." in run("solve", env, "--planner", "branch-and-bound").out
+    )
     assert f"{said}no valid configuration can use it with the others." in run("solve", env, "--without", "source").out
     plan = Plan("cpsat", Status.FEASIBLE, ChangeSet(), 1, unused_required=("fusion",))
     assert why_unused(plan) == "no plan that uses it was found in time"

@@ -40,7 +40,7 @@ def test_without_a_verb_there_is_help(run: Run) -> None:
     [
         (["solve", FUSION, "--jsn"], "unrecognized arguments: --jsn"),
         (["solve"], "the following arguments are required: ENV"),
-        (["solve", FUSION, "--horizon", "long"], "argument --horizon: 'long' is no horizon"),
+        (["solve", FUSION, "--horizon", "long"], "argument --horizon: 'long' is not a horizon"),
         (["solve", FUSION, "--out", MODELS], f"argument --out: {str(MODELS)!r} is a folder: name a file"),
         (
             ["graph", FUSION, "--out", "nodir/a.svg"],
@@ -67,7 +67,7 @@ def test_a_command_line_that_is_wrong_is_bad_input_like_any_other(
 
 def test_a_misspelt_verb_is_told_the_nearest_one(run: Run) -> None:
     err = run("slove", UNMET).err
-    assert err.startswith("error: there is no verb `slove`\n    $ cfgplan slove ")
+    assert err.startswith("error: there is no command `slove`\n    $ cfgplan slove ")
     assert "\n              ^^^^^\n       did you mean `solve`?" in err
 
 

@@ -64,7 +64,7 @@ def test_run_takes_it(capsys: pytest.CaptureFixture[str]) -> None:
     ("planner", "says", "mend"),
     [
         (breaks, "failed: ZeroDivisionError: 6 transformations are too many for me", "CFGPLAN_TRACEBACK=1 shows where"),
-        (answers_with_a_number, "gave no cfgplan.Plan, but 42", "return a cfgplan.Plan, with the status UNKNOWN"),
+        (answers_with_a_number, "returned 42, not a cfgplan.Plan", "return a cfgplan.Plan, with the status UNKNOWN"),
         (asks_for_less, "can't be called: got an unexpected keyword argument", "write it as `def plan(problem, *,"),
     ],
 )

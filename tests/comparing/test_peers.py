@@ -75,7 +75,7 @@ def test_a_peer_proves_the_optimum_or_refuses(name: str, instance: Instance) -> 
         pytest.skip(row.message)
     if (name, instance.name) in REFUSED:
         assert row.outcome == RunFailure.REFUSED
-        assert "does not know" in row.message
+        assert "does not support" in row.message
         return
     optimum = PLANNERS["cpsat"](instance.problem)
     assert optimum.status is Status.OPTIMAL
@@ -154,7 +154,7 @@ RENTED = (Host("h0", rent_us=1), Host("h1"), Host("h2"))
     ],
 )
 def test_what_no_peer_knows_of_fleets_is_named(problem: Problem, unknown: str) -> None:
-    with pytest.raises(InputError, match=f"does not know .*{unknown}"):
+    with pytest.raises(InputError, match=f"does not support .*{unknown}"):
         Counting(problem, "peer") if is_counted(problem) else selection_of(problem, "peer")
 
 

@@ -138,9 +138,9 @@ def test_a_pipe_or_a_folder_is_neither_read_nor_renamed_nor_replaced(tmp_path: P
     (tmp_path / "folder").mkdir()
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "folder", tmp_path / "pipe"):
-        with pytest.raises(EstimatesError, match="it is no file"):
+        with pytest.raises(EstimatesError, match="this is not a file"):
             load(make_estimator(), path, 0.0)
-        with pytest.raises(EstimatesError, match="it is no file"):
+        with pytest.raises(EstimatesError, match="this is not a file"):
             save(make_estimator(), path, 0.0)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["folder", "pipe"]
     assert (tmp_path / "pipe").is_fifo()

@@ -109,7 +109,7 @@ transformations:
   - {label: greeter, required: true, outputs: {hello: Greeting}}
 targets: [{label: t, topic: /t, tag: A}]
 """
-    assert "nothing takes Greeting" in explained(tmp_path, text, capsys)
+    assert "no input and no target matches Greeting" in explained(tmp_path, text, capsys)
 
 
 def test_forced_and_a_tie_say_why(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

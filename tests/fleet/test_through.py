@@ -89,7 +89,7 @@ def test_a_stream_between_hosts_goes_through_a_third_while_they_are_not_linked_a
         with started("desk", "ctl", "state", "--json", *reaching) as asking:
             state = json.loads(asking.communicate(timeout=PATIENCE_S)[0])
         assert {unit["id"]: unit["host"] for unit in state["units"]} == {"count.1": "r1", "work.1": "r2"}
-        while "can't be reached but through base" not in said():
+        while "can be reached only through base" not in said():
             values.append(next_value())
 
         for here, there in APART:

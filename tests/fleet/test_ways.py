@@ -64,7 +64,7 @@ def test_hosts_that_are_linked_with_one_alone_hear_each_other(stack: ExitStack) 
     hosts = Hosts(stack, base="", r1="base", r2="base", r3="base")
     hosts.await_whole()
     hosts.await_said("r2", "r3")
-    assert all(said.endswith(": can't be reached but through base, so all others are") for said in hosts.said)
+    assert all(said.endswith(": can be reached only through base, and so are all others now") for said in hosts.said)
 
 
 def test_both_ends_of_a_row_go_through_their_neighbours(stack: ExitStack) -> None:

@@ -126,13 +126,13 @@ TARGET = "targets: [{label: t, topic: /t, tag: T}]\n"
         (
             "transformations: [{label: a, inputs: {i: {tag: T, worth: 1}}}]\n",
             (2, 58),
-            "the input `i` is never unfed",
+            "`worth` is only for optional inputs, and `i` is not optional",
             "add `optional: true`, or remove `worth`",
         ),
         (
             "transformations: [{label: a, inputs: {i: {tag: T, count: some}}}]\n",
             (2, 58),
-            "some is no number of streams",
+            "some can't be a number of streams",
             "write a whole number from 1 to 1000, or all",
         ),
         ("x: &y [1]\n*y : 2\n", (2, 1), "unknown key `x`", None),

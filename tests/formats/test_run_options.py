@@ -35,7 +35,7 @@ def test_everything_can_be_said(tmp_path: Path) -> None:
 def test_only_a_source_has_a_rate(tmp_path: Path) -> None:
     text = TRANSFORMATION.format(run="{rate: 30}")
     (fault,) = faults_of(tmp_path, text)
-    assert "only a source has a rate" in fault.message
+    assert "`rate` is only for sources" in fault.message
     assert fault.mend is not None
     assert "remove it" in fault.mend
     assert text.splitlines()[(fault.line or 0) - 1][(fault.column or 0) - 1 :].startswith("30")

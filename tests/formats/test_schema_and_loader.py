@@ -22,7 +22,7 @@ RouteWatch: TypeAlias = tuple[str | int, ...]
 VALUES = (True, -1, 0, 2.0, 1.5, 1e15, 2**70, "", "x", "1h", "a/b", [], {}, None)
 BETWEEN_PARTS = re.compile(
     r"there is no |no unit |no target names|no step starts on|is not expected here|\w+ `\S+` (has no|does not say)"
-    r"|the scale of .* is wrong|the value -1 of rate is out of range|no target has the topic|only a number is noisy"
+    r"|the scale of .* is wrong|the value -1 of rate is out of range|no target has the topic|`noise` is only for facts"
     r"|no hosts are declared|but its `declared` is"
 )
 """Faults of names, selectors and numbers that depend on another part; a schema has no words for them."""

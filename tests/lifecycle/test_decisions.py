@@ -471,7 +471,7 @@ def test_where_nothing_else_can_help_what_is_left_alone_may_start_sooner() -> No
     [
         (KillUnit("nobody.1"), "no unit 'nobody.1' runs"),
         (LoseHost("near"), "there is no host 'near'"),
-        (RegainHost("far"), "host 'far' was not given up"),
+        (RegainHost("far"), "host 'far' was not taken out of service"),
     ],
 )
 def test_a_bad_request_is_refused_at_once(change: Change, part: str) -> None:

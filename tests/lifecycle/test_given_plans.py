@@ -126,7 +126,7 @@ def test_a_preview_that_something_breaks_into_is_made_anew() -> None:
     [
         (lambda life: life.fail("work.1"), "unit work.1 does not run any more"),
         (lambda life: life.ask(REPRICED), "transformation cheap has been changed"),
-        (lambda life: life.ask(Remove(transformations=("cheap",))), "transformation cheap is not there any more"),
+        (lambda life: life.ask(Remove(transformations=("cheap",))), "transformation cheap does not exist any more"),
         (lambda life: life.ask(Add(targets=(Target("n", "N", "/n"),))), "target n is wanted now"),
         (lambda life: life.ask(Add(targets=(replace(RESULT, priority=3),))), "target result has been changed"),
         (

@@ -140,7 +140,9 @@ def test_a_host_that_is_given_up_by_request_is_left_without_a_gap_and_used_again
 def test_a_host_that_is_not_there_can_not_be_asked_back() -> None:
     life = started(world=world())
     lose(life, "r1")
-    with pytest.raises(InputError, match=r"'r1' was not given up \(it is used again as soon as it is there\)"):
+    with pytest.raises(
+        InputError, match=r"'r1' was not taken out of service \(the run uses it as soon as it can be reached\)"
+    ):
         life.ask(RegainHost("r1"))
 
 

@@ -54,7 +54,7 @@ def test_what_can_t_be_restarted_is_refused_with_the_cause() -> None:
             run.ask(RestartUnits((unit,)))
     run.ask(FaultyCode({}))
     node = replace(worker(), source="external:/work")
-    with pytest.raises(InputError, match="others have started its node"):
+    with pytest.raises(InputError, match="its node was not started by this run"):
         started(source(), node).ask(RestartUnits(("work.1",)))
 
 

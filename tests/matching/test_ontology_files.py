@@ -519,7 +519,7 @@ def test_imports_that_the_environment_names_come_before_the_catalog(tmp_path: Pa
 def test_a_broken_catalog_is_a_fault_with_its_line(tmp_path: Path) -> None:
     main = with_catalog(tmp_path, "http://elsewhere.example/a")
     (tmp_path / "catalog-v001.xml").write_text("<catalog>\n<uri</catalog>")
-    with pytest.raises(InputError, match=r"catalog-v001\.xml:2:.*the catalog is no XML"):
+    with pytest.raises(InputError, match=r"catalog-v001\.xml:2:.*the catalog is not XML"):
         load_ontology([main])
 
 
@@ -544,10 +544,11 @@ def test_a_file_beside_is_looked_into_once_and_no_further_than_its_name_however_
 
 
 def test_warnings_of_one_kind_are_one_line_with_a_count() -> None:
-    dropped = {f"`a{number} sub ...` in x.ttl": "that is no axiom of OWL 2" for number in range(2303)}
+    dropped = {f"`a{number} sub ...` in x.ttl": "that is not an axiom of OWL 2" for number in range(2303)}
     warnings = Ontology(dropped={**dropped, "a rule": "no reasoner gets its built-ins"}).warnings
+    why = "that is not an axiom of OWL 2"
     assert warnings == (
-        "the ontology says more than cfgplan reads: `a0 sub ...` in x.ttl and 2,302 more: that is no axiom of OWL 2",
+        f"the ontology says more than cfgplan reads: `a0 sub ...` in x.ttl and 2,302 more: {why}",
         "the ontology says more than cfgplan reads: a rule: no reasoner gets its built-ins",
     )
 
@@ -576,7 +577,7 @@ def test_one_bad_axiom_is_a_loss_and_the_rest_is_read(bad: str, tmp_path: Path) 
     assert "SubClassOf(<http://w.example/#Camera> <http://w.example/#Device>)" in ontology.axioms
     (lost,) = ontology.dropped.items()
     assert lost[0].endswith("in w.ttl")
-    assert lost[1] == "that is no axiom of OWL 2"
+    assert lost[1] == "that is not an axiom of OWL 2"
 
 
 @pytest.mark.parametrize("kind", ["Object", "Datatype"])

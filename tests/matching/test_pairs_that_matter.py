@@ -223,7 +223,9 @@ def test_an_offer_that_nothing_can_have_matches_nothing_whoever_finds_its_matche
     some.add(offered=["B", "D"], demanded=demanded)
     found = some.matching()
     assert not any("B" in offers for offers in found.similarity.offers.values())
-    assert found.warnings == ("nothing can have the offered tag 'B': it contradicts the ontology and never matches",)
+    assert found.warnings == (
+        "the offered tag 'B' contradicts the ontology: nothing can have it, and it never matches",
+    )
 
 
 LOST = [

@@ -55,7 +55,7 @@ def test_what_a_broker_keeps_and_what_comes_live_become_sources(
     with publishing(broker, "house/t", "20.5"):
         said = imported(broker.name, "--for", "1s")
     assert said.code == 0
-    assert "not taken over: 1 topic of Sparkplug (spBv1.0/...), whose messages are not read" in said.err
+    assert "not imported: 1 topic of Sparkplug (spBv1.0/...), whose messages are not read" in said.err
     door, temperature = cfgplan.load(tmp_path / "env.yaml").environment.library
     assert dict(door.params) == {"broker": broker.name, "topic": "house/door", "payload": "text", "retained": True}
     assert (door.outputs[0].tag, door.outputs[0].rate_uhz) == ("house-door", 0)
@@ -134,7 +134,7 @@ def test_a_broker_is_read_by_tls_and_its_authority_stands_in_the_file(imported: 
     with running(tmp_path, "allow_anonymous true", *files) as broker:
         single("x", "1", qos=1, retain=True, hostname="127.0.0.1", port=broker.port, tls={"ca_certs": ca})
         unsafe = imported(broker.name)
-        assert (unsafe.code, "is no broker of MQTT 5, or speaks TLS" in unsafe.err) == (30, True)
+        assert (unsafe.code, "is not a broker of MQTT 5, or speaks TLS" in unsafe.err) == (30, True)
         untrusted = imported(f"mqtts://{broker.name}")
         assert (untrusted.code, "certificate verify failed" in untrusted.err) == (30, True)
         assert imported(f"mqtts://{broker.name}", "--ca", ca).code == 0
@@ -169,11 +169,11 @@ def test_a_client_that_may_read_nothing_is_told_what_to_name(
     ("broker_name", "more", "message", "mend"),
     [
         ("127.0.0.1:1", (), "the broker 127.0.0.1:1 does not answer", "start it, or name the address of one that runs"),
-        ("house:many", (), "`house:many` is no broker", "write HOST, HOST:PORT"),
-        ("house", ("garden",), "this is one path too many", "name one broker"),
-        ("house", ("--topic", "a/#/b"), "`a/#/b` is no filter of topics", "`+` stands for one level"),
+        ("house:many", (), "`house:many` is not the address of a broker", "write HOST, HOST:PORT"),
+        ("house", ("garden",), "`import {options.what}` takes one path", "name one broker"),
+        ("house", ("--topic", "a/#/b"), "`a/#/b` is not a topic filter", "`+` stands for one level"),
         ("house", ("--password-env", "X"), "there is a password without a name", "write `username` too"),
-        ("house", ("--objective", "length"), "--objective: not for `import mqtt`", "leave it out"),
+        ("house", ("--objective", "length"), "--objective: `import mqtt` does not take this option", "leave it out"),
     ],
 )
 def test_what_can_not_be_meant_is_one_error_with_a_mend(
@@ -192,7 +192,7 @@ def test_a_file_to_write_has_to_be_named(imported: Import) -> None:
 
 def test_options_of_mqtt_are_refused_elsewhere(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["import", "xml", "a.xml", "--topic", "x", "--for", "3s"]) == 30
-    assert "--for, --topic: not for `import xml`" in capsys.readouterr().err
+    assert "--for, --topic: `import xml` does not take this option" in capsys.readouterr().err
 
 
 def test_what_listens_and_is_no_broker_is_told(imported: Import) -> None:
@@ -210,7 +210,7 @@ def test_what_listens_and_is_no_broker_is_told(imported: Import) -> None:
         said = imported(f"127.0.0.1:{server.getsockname()[1]}")
         server.shutdown(socket.SHUT_RDWR)
     assert said.code == 30
-    assert "is no broker of MQTT 5, or speaks TLS: it ended the connection" in said.err
+    assert "is not a broker of MQTT 5, or speaks TLS: it ended the connection" in said.err
 
 
 def test_without_paho_the_extra_is_named(tmp_path: Path) -> None:

@@ -190,10 +190,10 @@ def test_an_addition_without_a_name_gets_one(control: Control, manager: FakeMana
     [
         ("transformations: [}", 1, "this is not YAML"),
         ("- 1", 1, "this declares nothing"),
-        ("individuals: [piff]", 1, "no mapping of individuals"),
+        ("individuals: [piff]", 1, "not a mapping of individuals"),
         ("individuals:\n  piff: 3", 2, "neither a name nor a list"),
         ("individuals:\n  piff:\n    colour: red", 3, "an individual has no `colour`"),
-        ("individuals:\n  piff: {relations: red}", 2, "no mapping of relations"),
+        ("individuals:\n  piff: {relations: red}", 2, "not a mapping of relations"),
     ],
 )
 def test_a_bad_addition_is_refused_with_its_place(
@@ -357,7 +357,7 @@ def test_the_run_must_be_named_where_there_are_several(run_folder: RunFolder) ->
         with ControlServer(other.path, {}, "/robots/other.yaml"):
             with pytest.raises(NoSuchRunError, match=rf"several runs .*other\.yaml, pid {os.getpid()}"):
                 connect()
-            with pytest.raises(NoSuchRunError, match=r"no run 'ghost' is live; there is .*env\.yaml"):
+            with pytest.raises(NoSuchRunError, match=r"no run 'ghost' is live; live runs: .*env\.yaml"):
                 connect("ghost")
             with connect(run_folder.id) as control:
                 assert control.system.run == run_folder.id

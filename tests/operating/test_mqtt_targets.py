@@ -125,7 +125,7 @@ def test_targets_come_as_json_on_their_topics_and_a_topic_says_whether_the_run_i
             "house/raw: a value is not published at the broker: bytes has no form in JSON"
         )
         env.write_text(ENVIRONMENT.replace("house/number", "house/+"))
-        assert "`house/+` is no topic to publish on" in await_warning(process, "number is not published")
+        assert "`house/+` is not a topic to publish on" in await_warning(process, "number is not published")
         assert not [told for told in end(process) if "house/raw" in told], "it is told once"
         assert process.returncode == 0
         assert await_message(heard, STATUS) == "offline"
@@ -231,12 +231,12 @@ def test_nothing_is_lost_while_a_subscribers_process_is_replaced(broker: Broker,
     ("options", "message"),
     [
         (("--mqtt-retain", "--mqtt-ca", "x.pem"), "--mqtt-ca, --mqtt-retain without a broker"),
-        (("--mqtt", "http://house"), "`http://house` is no broker"),
-        (("--mqtt", "house", "--mqtt-status", "a/#"), "`a/#` is no topic to publish on"),
+        (("--mqtt", "http://house"), "`http://house` is not the address of a broker"),
+        (("--mqtt", "house", "--mqtt-status", "a/#"), "`a/#` is not a topic to publish on"),
         (("--mqtt", "house", "--mqtt-password-env", "X"), "there is a password without a name"),
         (("--mqtt", "house", "--mqtt-username", "bob", "--mqtt-password-env", "NO_SUCH"), "NO_SUCH is not set"),
         (("--mqtt", "mqtts://house", "--mqtt-ca", "/absent"), "the files of TLS"),
-        (("--mqtt", "house", "--middleware", "ros1"), "--mqtt does not know what nodes of ROS 1 publish"),
+        (("--mqtt", "house", "--middleware", "ros1"), "--mqtt is for units that are processes, not for nodes of ROS 1"),
     ],
 )
 def test_options_that_can_not_be_meant_start_nothing(
@@ -252,7 +252,7 @@ def test_a_target_whose_topic_mqtt_does_not_allow_is_told_before_anything_starts
     env.write_text(ENVIRONMENT.replace("house/number", "house/+"))
     assert main(["run", str(env), "--mqtt", "house"]) == 30
     said = " ".join(capsys.readouterr().err.split())
-    assert "env.yaml: target number: `house/+` is no topic to publish on" in said
+    assert "env.yaml: target number: `house/+` is not a topic to publish on" in said
     assert "has no wildcards" in said
 
 

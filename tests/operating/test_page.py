@@ -188,7 +188,7 @@ def test_a_page_loads_nothing_from_elsewhere_and_runs_no_other_script(page: Page
 @pytest.mark.parametrize("number", ["", "-1", "1.5", "x", "9" * 5000])
 def test_a_moment_is_asked_for_by_the_number_of_a_review(page: PageServer, number: str) -> None:
     answer = httpx.get(page.url.partition("#")[0] + "moment", params={"review": number})
-    assert (answer.status_code, answer.json()) == (400, {"message": "this is no request"})
+    assert (answer.status_code, answer.json()) == (400, {"message": "this is not a request"})
 
 
 def test_a_moment_that_is_not_kept_is_refused(page: PageServer) -> None:

@@ -110,7 +110,7 @@ def test_a_unit_that_runs_and_prints_nothing_is_told_from_one_that_is_not_there(
 @pytest.mark.usefixtures("server")
 @pytest.mark.parametrize("after", [-1, True, "3", 1.5])
 def test_a_number_of_a_line_is_a_whole_number(control: Control, after: object) -> None:
-    with pytest.raises(RefusedError, match="`after` is no number of a line"):
+    with pytest.raises(RefusedError, match="`after` is not the number of a line"):
         control.call("logs", unit="camera.1", after=after)
 
 

@@ -132,7 +132,7 @@ def test_what_can_not_be_played_is_refused(ticks: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="0 times as fast"):
         Source(str(ticks), "/b", speed=0)
     (tmp_path / "text").write_text("no recording at all")
-    with pytest.raises(InputError, match="this is no recording"):
+    with pytest.raises(InputError, match="this is not a recording"):
         recorded(tmp_path / "text")
     with pytest.raises(InputError, match="no such file"):
         recorded(tmp_path / "nothing")

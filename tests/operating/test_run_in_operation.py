@@ -446,10 +446,10 @@ def test_what_if_is_for_dry_runs(env: Path, capsys: pytest.CaptureFixture[str]) 
     assert main(["run", str(env), "--dry-run", *what_if]) == 0
     assert "over the horizon of 60 s" in capsys.readouterr().out
     assert main(["run", str(env), *what_if]) == 30
-    assert "only try a plan out" in capsys.readouterr().err
+    assert "are allowed only with --dry-run" in capsys.readouterr().err
     with pytest.raises(SystemExit):
         main(["run", "--help"])
-    assert "what if:\n  with --dry-run only" in capsys.readouterr().out
+    assert "what if:\n  only with --dry-run" in capsys.readouterr().out
 
 
 def test_units_that_the_file_says_run_are_not_believed(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -508,7 +508,7 @@ def test_a_log_that_takes_no_more_is_told_once_and_counted(env: Path, tmp_path: 
     line = command("run", env, "--no-estimates", "--log", "/dev/full", "--for", "2s")
     done = subprocess.run(line, capture_output=True, text=True, check=False)
     assert done.returncode == 0
-    assert done.stderr.count("warning: /dev/full takes no more: No space left on device") == 1
+    assert done.stderr.count("warning: /dev/full can't be written any more: No space left on device") == 1
     assert "Wrote /dev/full: 0 lines." in done.stderr
     assert re.search(r"warning: /dev/full: [1-9]\d* lines could not be written: No space left", done.stderr)
     with running(env, "--log", tmp_path / "log", "--for", "1s") as process:
@@ -522,7 +522,7 @@ def test_a_full_disk_for_what_it_prints_does_not_end_a_run(env: Path, tmp_path: 
     line = command("run", env, form, "--no-estimates", "--log", tmp_path / "log", "--for", "2s")
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(line, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
-    assert done.stderr.count("warning: standard output takes no more: No space left on device") == 1
+    assert done.stderr.count("warning: standard output can't be written any more: No space left on device") == 1
     logged = [json.loads(told) for told in (tmp_path / "log").read_text().splitlines()]
     applied, *_ = [told["time"] for told in logged if told["event"] == "Reviewed"]
     assert logged[-1]["event"] == "Ended"
@@ -537,7 +537,9 @@ def test_a_recording_that_takes_no_more_is_told_while_it_runs(env: Path, tmp_pat
         warning = await_event(process, "Warning")
         process.send_signal(signal.SIGINT)
         recorded = await_event(process, "Recorded", failure="File too large")
-    assert warning["text"] == f"{tmp_path / 'run.mcap'} takes no more: File too large; losses are counted"
+    assert (
+        warning["text"] == f"{tmp_path / 'run.mcap'} can't be written any more: File too large; lost lines are counted"
+    )
     assert recorded["lost"] > 0
 
 
@@ -559,7 +561,7 @@ def test_places_that_a_run_can_not_have_are_told_before_it_plans(env: Path, caps
     assert "name another port" in told.err
     assert main(["run", str(env), "--record", str(env.parent / "none" / "x.mcap")]) == 30
     told_too = capsys.readouterr()
-    assert "there is no such folder" in told_too.err
+    assert "its folder does not exist" in told_too.err
     assert told.out == told_too.out == ""
 
 
@@ -661,7 +663,7 @@ def test_what_a_run_starts_is_held_against_the_units_of_the_file(env: Path) -> N
     for arguments in (["--for", "200ms"], ["--dry-run"]):
         line = command("run", env, "--no-estimates", "--from", "units", *arguments)
         done = subprocess.run(line, capture_output=True, text=True, timeout=PATIENCE_S, check=True)
-        assert "From `units:` to what runs:\n  ~ rewire  old" in done.stderr
+        assert "Changes from `units:` to the running units:\n  ~ rewire  old" in done.stderr
         assert "image <- eye/image   (was a gap)" in done.stderr
         assert "ball -> topic /result" in done.stderr
         assert "= keep    eye" in done.stderr

@@ -251,9 +251,9 @@ def test_a_run_takes_from_zenoh_and_gives_to_it(tmp_path: Path, hear: Units, pub
     ("params", "message"),
     [
         ({"connect": None}, "needs an endpoint"),
-        ({"connect": "127.0.0.1:7447"}, "`127.0.0.1:7447` is no endpoint"),
-        ({"key_expr": "a//b"}, "`a//b` is no key expression: .*empty chunks are forbidden"),
-        ({"payload": "yaml"}, "`yaml` is no form of a payload"),
+        ({"connect": "127.0.0.1:7447"}, "`127.0.0.1:7447` is not an endpoint of Zenoh"),
+        ({"key_expr": "a//b"}, "`a//b` is not a key expression: .*empty chunks are forbidden"),
+        ({"payload": "yaml"}, "`yaml` is not a form of payload"),
         ({"field": "a", "payload": "number"}, "has no fields"),
         ({"conect": "tcp/a:1"}, "did you mean `connect`"),
         ({"password": "secret"}, "an environment file can't hold a password"),
@@ -273,7 +273,7 @@ def test_parameters_that_can_not_be_meant_are_refused(params: dict[str, Any], me
         ({"key_expr": "a/**"}, "`a/\\*\\*` can't be published to"),
         ({"when_full": "wait"}, "`when_full` can't be `wait`"),
         ({"connect": None, "listen": "tcp/203.0.113.1:1"}, "no session of Zenoh can be opened with tcp/203.0.113.1:1"),
-        ({"connect": "tcpp/127.0.0.1:1"}, "`tcpp/127.0.0.1:1` is no endpoint of Zenoh"),
+        ({"connect": "tcpp/127.0.0.1:1"}, "`tcpp/127.0.0.1:1` is not an endpoint of Zenoh"),
         ({"connect": "tcp/127.0.0.1:1", "ca": "/absent"}, "the file of TLS can't be read"),
     ],
 )

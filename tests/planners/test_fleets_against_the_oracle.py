@@ -157,7 +157,7 @@ def test_the_plan_for_a_fleet_leaves_nothing_to_do(problem: Problem) -> None:
 @settings(some, max_examples=5)
 @given(problem=fleets(frozenset({Feature.HOSTS})))
 def test_a_planner_that_does_not_know_the_features_refuses_them(problem: Problem) -> None:
-    with pytest.raises(InputError, match="does not know hosts"):
+    with pytest.raises(InputError, match="does not support hosts"):
         PLANNERS["branch-and-bound"](problem)
 
 

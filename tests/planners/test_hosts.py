@@ -184,7 +184,7 @@ def test_that_no_host_bears_a_unit_and_its_company_is_said() -> None:
     )
     small, big = Host("h", 5, 5, labels=("small",)), Host("i", memory_mb=6, labels=("big",))
     found = PLANNERS["cpsat"](world("A", *library, hosts=(small, Host("j"))))
-    assert found.reasons["A"] == "target A would have no stream: no host bears web together with db"
+    assert found.reasons["A"] == "target A would have no stream: no host has room for web together with db"
     found = PLANNERS["cpsat"](world("A", *library, hosts=(small, big)))
     assert found.change_set is not None
     assert {(unit.transformation, unit.host) for unit in found.change_set.started} == {("web", "i"), ("db", "i")}

@@ -148,7 +148,7 @@ def test_what_compares_costs_refuses_another_order_by_name() -> None:
     for asked in (lambda: alternatives(problem, ask, 2), lambda: horizon_sensitivity(problem, ask)):
         with pytest.raises(InputError, match=r"compare costs, but `minimise` is \[hosts, cost\]"):
             asked()
-    with pytest.raises(InputError, match="does not know an order of objectives"):
+    with pytest.raises(InputError, match="does not support an order of objectives"):
         PLANNERS["branch-and-bound"](problem)
 
 

@@ -211,7 +211,7 @@ def test_rows_of_the_wrong_length_are_refused(row: list[Truth]) -> None:
 
 def test_a_state_can_be_given_by_names_and_what_is_absent_is_unknown() -> None:
     monitor, names = Monitor(And(Eventually(P), Always(Q))), [str(each) for each in (P, Q)]
-    with pytest.raises(InvalidValueError, match="'r' is no proposition of the formula: there is "):
+    with pytest.raises(InvalidValueError, match="'r' is not a proposition of the formula; its propositions are "):
         monitor.step_by_names(0, {"r": True})
     assert monitor.step_by_names(0, {names[1]: True}) is Verdict.OPEN
     assert monitor.step_by_names(1, {names[1]: False, names[0]: True}) is Verdict.FALSE

@@ -139,7 +139,7 @@ def test_a_run_of_another_process_is_asked_through_its_control_socket(
             assert main(["query", "always heat.celsius > 3", "--features", str(PITCH / "features.yaml")]) == 10
             assert "no output matches" in capsys.readouterr().err
             assert main(["query", "always hot.x > 3", "--feature", "hot=Ball and and"]) == 30
-            assert "'and' stands where a concept is wanted" in capsys.readouterr().err
+            assert "'and' stands where a concept is expected" in capsys.readouterr().err
             with connect() as control:
                 remote = RemoteSubscriptions(control)
                 assert set(remote.declared().features) == {"robot"}

@@ -228,7 +228,7 @@ def test_the_manuals_file_of_guesses_is_read_and_believed_first(tmp_path: Path) 
     [
         ("inputs: [{topc: x}]", "unknown key `topc`"),
         ("inputs: [{optional: true}]", "does not say which inputs"),
-        ("nodes: {a/b: {publishes: {x: Odometry}}}", "is no message type"),
+        ("nodes: {a/b: {publishes: {x: Odometry}}}", "is not a message type"),
         ("inputs: {}", "this must be a list"),
         ("inputs: [{type: a/b, several: 2}]", "true or false"),
     ],

@@ -71,7 +71,7 @@ def test_a_pair_that_does_not_hear_each_other_is_named_first_with_the_mend(
         assert "is valid" in first
     else:
         assert "env.yaml:7:" in first
-        assert "qos: guard.1 hears nothing of lidar.1/scan at scan: " in first
+        assert "qos: guard.1 gets no messages of lidar.1/scan at scan: " in first
         assert said in first
         assert "put its relay between them" in first
 

@@ -120,7 +120,7 @@ def test_launch_files_are_included_before_everything_else_with_their_arguments(e
     ("said", "told"),
     [
         ("nosuch.launch.py", "nosuch.launch.py: there is no such launch file to include"),
-        ("robot.yaml sim=true", "`sim=true` is no argument of a launch file"),
+        ("robot.yaml sim=true", "`sim=true` is not an argument of a launch file"),
         ("'robot", "names no launch file"),
         ("", "names no launch file"),
     ],
@@ -211,8 +211,8 @@ def test_a_plan_that_was_written_is_launched(env: Path, capsys: pytest.CaptureFi
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("node:./blinker.py", "units.py:blink", "blinker.1: `units.py:blink` is no node of ROS 2"),
-        ("component:brain/brain::Thinker", "nodelet:brain/Thinker", "is no node of ROS 2"),
+        ("node:./blinker.py", "units.py:blink", "blinker.1: `units.py:blink` is not a node of ROS 2"),
+        ("component:brain/brain::Thinker", "nodelet:brain/Thinker", "is not a node of ROS 2"),
         ("rate: 15", "rate: null", "camera: param rate can't be one of a ROS 2 node: None"),
         ("rate: 15", "rate: [1, a]", "camera: param rate can't be one of a ROS 2 node: [1, 'a']"),
         ("rate: 15", "deeper: {rate: []}", "camera: param deeper.rate can't be one of a ROS 2 node: []"),

@@ -127,5 +127,5 @@ def test_where_no_master_answers_its_address_and_a_way_out_are_told() -> None:
             master_graph(address)
     assert address in str(raised.value)
     assert "roscore" in (raised.value.faults[0].mend or "")
-    with pytest.raises(InputError, match="is no address"):
+    with pytest.raises(InputError, match="is not the address"):
         master_graph("ftp://nowhere")

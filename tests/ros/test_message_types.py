@@ -51,6 +51,6 @@ def test_only_dds_ends_names_with_an_underscore() -> None:
 
 @pytest.mark.parametrize("text", ["", "*", "Odometry", "nav_msgs/", "/Odometry", "a/b/C", "a::msg/B", "a/msg/", "é/B"])
 def test_what_is_no_type_is_refused_with_a_mend(text: str) -> None:
-    with pytest.raises(InputError, match="is no message type") as raised:
+    with pytest.raises(InputError, match="is not a message type") as raised:
         MessageType.read(text)
     assert raised.value.faults[0].mend == "write it as package/Name or package/msg/Name"

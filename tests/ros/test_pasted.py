@@ -118,8 +118,8 @@ def test_rosnode_info_tells_topics_and_services(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "line", "message"),
     [
-        ("/a\n  Publishers:\n    /x: no type at all\n", 3, "this is no line of a port"),
-        ("/a\n  Publishers:\n    /x: Image\n", 3, "`Image` is no message type"),
+        ("/a\n  Publishers:\n    /x: no type at all\n", 3, "this line describes no port"),
+        ("/a\n  Publishers:\n    /x: Image\n", 3, "`Image` is not a message type"),
         ("  Publishers:\n    /x: a/msg/B\n", 1, "this section is of no node"),
         (
             "Type: a/msg/B\n\nNode name: n\nNode namespace: /\nEndpoint type: PUBLISHER\n",

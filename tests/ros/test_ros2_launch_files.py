@@ -167,7 +167,7 @@ def test_what_an_environment_has_no_word_for_is_told(robot: Path, capsys: pytest
     env = robot.with_name("env.yaml")
     assert main(["import", "ros2", str(robot), "camera:=rear", "--out", str(env)]) == 0
     told = capsys.readouterr().err
-    assert 'not taken over: respawn="true" of /rear/driver: a run replaces every unit that dies' in told
+    assert 'not imported: respawn="true" of /rear/driver: a run replaces every unit that dies' in told
     library = api.load(env).environment.transformation
     assert library["small/resize"].source == "component:image_proc/image_proc::ResizeNode@/box"
     assert library["rear/rectify"].params["pid.p"] == 1.5
@@ -200,22 +200,22 @@ def test_files_and_packages_that_are_not_here_and_programs_are_told(tmp_path: Pa
         (
             "<launch>\n<node pkg='p' exec='q' name='n'><param name='a' type='int' value='x'/></node></launch>",
             2,
-            "`x` is no int",
+            "`x` is not of type int",
         ),
         ("<launch>\n<let name='a' value=\"$(eval '__import__(1)')\"/></launch>", 2, "can't be evaluated"),
-        ("<launch>\n<let name='a' value='$(command ls)'/></launch>", 2, "is no substitution that can be read here"),
+        ("<launch>\n<let name='a' value='$(command ls)'/></launch>", 2, "is not a substitution that cfgplan reads"),
         ("<launch>\n<node pkg='p' exec='q' name='n' args=\"'\"/></launch>", 2, "args"),
         (
             "<launch><node pkg='p' exec='q' name='n'/>\n<node pkg='p' exec='q' name='n'/></launch>",
             2,
             "starts a node /n",
         ),
-        ("<robot/>", 1, "this is no launch file"),
+        ("<robot/>", 1, "this is not a launch file"),
         ("launch:\n- arg: {name: a}\n", 2, "the argument `a` has no value"),
         ("launch:\n- node: {exec: q}\n", 2, "<node> has no `pkg`"),
-        ("launch:\n- node: q\n", 2, "`node` is no mapping"),
-        ("launch:\n- 1\n", 2, "this is no action of a launch file"),
-        ("nodes: []\n", 1, "this is no launch file"),
+        ("launch:\n- node: q\n", 2, "`node` is not a mapping"),
+        ("launch:\n- 1\n", 2, "this is not an action of a launch file"),
+        ("nodes: []\n", 1, "this is not a launch file"),
     ],
 )
 def test_a_fault_is_told_with_its_line_and_a_mend(tmp_path: Path, text: str, line: int, said: str) -> None:

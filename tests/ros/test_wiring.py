@@ -53,7 +53,7 @@ def test_a_wrong_name_is_told_with_the_stream_that_was_meant(tmp_path: Path, wro
     (near,) = fault.near
     assert near.stream == Stream("lidar.1", "scan")
     assert not near.is_taken
-    assert near.verdict.endswith("lacks " + wrong.strip("/").replace("/", "-") + "; no input takes it")
+    assert near.verdict.endswith("lacks " + wrong.strip("/").replace("/", "-") + "; nothing subscribes to it")
 
 
 def test_of_two_that_come_near_the_one_that_nobody_takes_is_told_first(tmp_path: Path) -> None:
@@ -142,7 +142,7 @@ def test_an_optional_input_is_told_only_where_a_stream_of_its_kind_is_left(tmp_p
 
 def test_streams_that_nobody_takes_come_last_and_services_are_none_of_them(tmp_path: Path) -> None:
     serving = robot({"/scan": SCAN}, {"/scan": SCAN}, node("/map", {}, {}, {"/reload": "std_srvs/Empty"}))
-    assert [fault.text for fault in faults(serving, tmp_path)] == ["no input takes base.1/imu"]
+    assert [fault.text for fault in faults(serving, tmp_path)] == ["base.1/imu has no subscriber"]
 
 
 NAMES = st.sampled_from(["/scan", "/odom", "/cmd_vel", "/left/image", "/right/image", "/map"])
@@ -197,9 +197,9 @@ def test_against_the_graph_before_a_change_only_what_is_new_is_shown(
 def test_a_sound_graph_has_nothing_new_against_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = _file(SOUND, tmp_path / "robot")
     assert main(["check", str(file), "--against", str(file)]) == 0
-    assert "no input takes" not in capsys.readouterr().out
+    assert "without a subscriber" not in capsys.readouterr().out
     assert main(["check", str(file)]) == 0
-    assert "no input takes 1 stream: base.1/imu" in capsys.readouterr().out
+    assert "1 stream without a subscriber: base.1/imu" in capsys.readouterr().out
 
 
 def test_a_file_to_compare_with_that_is_not_there_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -217,4 +217,4 @@ def test_a_node_that_wants_another_message_type_is_told_of(runtime: Runtime) -> 
     shouter = unit("shouter.1", (Subscription("quiet", Stream("clock.1", "ticks")),))
     runtime.apply(ChangeSet((unit("clock.1"), shouter), added_transformations=(CLOCK, SHOUTER)))
     told = next(line for line in iter(lambda: heard.get(timeout=60), None) if line.startswith("cfgplan:"))
-    assert "/shouter_1 wants std_msgs/String, and what comes there is geometry_msgs/PointStamped" in told
+    assert "/shouter_1 expects std_msgs/String, but the topic has geometry_msgs/PointStamped" in told

@@ -94,11 +94,11 @@ def test_nodes_that_are_run_as_processes_are_told_of_their_middleware(
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("node:./talking.py talker", "units.py:Talker", "talker: `units.py:Talker` is no node of ROS 1"),
-        ("node:./talking.py talker", "component:a/b::C", "talker: `component:a/b::C` is no node of ROS 1"),
+        ("node:./talking.py talker", "units.py:Talker", "talker: `units.py:Talker` is not a node of ROS 1"),
+        ("node:./talking.py talker", "component:a/b::C", "talker: `component:a/b::C` is not a node of ROS 1"),
         ("remap: ~loud", "remap: quiet", "shouter: two ports are 'quiet' to the node"),
         ("topic: /shout", "topic: /sh-out", "shout: `/sh-out` can't be the name of a ROS 1 topic"),
-        ("type: std_msgs/String, remap: chatter", "type: String, remap: chatter", "`String` is no message type"),
+        ("type: std_msgs/String, remap: chatter", "type: String, remap: chatter", "`String` is not a message type"),
     ],
 )
 def test_what_is_wrong_is_told_before_anything_starts(

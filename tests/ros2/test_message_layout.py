@@ -132,9 +132,9 @@ def test_too_few_values_are_none_and_a_message_that_is_too_short_is_an_error() -
         ("other", "own/Type has no field `other`; it has number, values, fixed, wide, late"),
         ("fixed.3", "`fixed` has several values: name one by its number, from 0 to 2"),
         ("fixed.x", "`fixed` has several values: name one by its number, from 0 to 2"),
-        ("values", "`values` is no number; name one of its values by its number, from 0"),
+        ("values", "`values` is not a number; name one of its values by its number, from 0"),
         ("number.x", "`number` has no parts"),
-        ("wide", "`wide` is no number"),
+        ("wide", "`wide` is not a number"),
         ("late", "own/Type has a text of wide characters before `late`, behind which nothing can be read"),
     ],
 )

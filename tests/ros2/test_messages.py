@@ -267,7 +267,7 @@ def test_definitions_of_an_installed_ros_are_found(tmp_path: Path, monkeypatch: 
     [
         ({}, "my_msgs/msg/Scan is not known"),
         ({"Scan.msg": "Spot spot\n"}, "no definition of my_msgs/msg/Spot, which my_msgs/msg/Scan has, is known"),
-        ({"Scan.msg": "float32 [\n"}, "this is no message definition"),
+        ({"Scan.msg": "float32 [\n"}, "this is not a message definition"),
         ({"Scan.msg": "wstring wide\n"}, "has texts of wide characters"),
     ],
 )

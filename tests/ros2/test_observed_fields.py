@@ -19,7 +19,7 @@ NODES = Path(__file__).parents[1] / "ros2real" / "talking.py"
         ("pose.covariance.0", ""),
         ("pose.variance", "geometry_msgs/msg/PoseWithCovariance has no field `variance`; it has pose, covariance"),
         ("pose.covariance.36", "`pose.covariance` has several values: name one by its number, from 0 to 35"),
-        ("header", "`header` is no number; name one of its fields: stamp, frame_id"),
+        ("header", "`header` is not a number; name one of its fields: stamp, frame_id"),
     ],
 )
 def test_a_field_that_the_message_type_does_not_have_is_named_with_its_place(
@@ -31,7 +31,7 @@ def test_a_field_that_the_message_type_does_not_have_is_named_with_its_place(
     assert main(["check", str(env)]) == 0
     said = " ".join(capsys.readouterr().err.split())
     if cause:
-        assert f"{env}:13:9: sonar/p can't say its error by `{field}`: {cause}" in said
+        assert f"{env}:13:9: sonar/p can't report its error in field `{field}`: {cause}" in said
         assert "correct `observe`" in said
     else:
         assert "sonar/p" not in said
@@ -58,4 +58,4 @@ def test_types_of_the_folder_are_known_and_unknown_ones_are_left_alone(
     assert main(["check", str(env)]) == 0
     said = " ".join(capsys.readouterr().err.split())
     assert told in said
-    assert ("can't say" in said) == bool(told)
+    assert ("can't report" in said) == bool(told)

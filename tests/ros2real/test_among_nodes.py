@@ -131,12 +131,12 @@ def test_a_helper_that_dies_is_begun_anew_and_topics_go_on(env: Path, observer: 
             "pictures: params of a ROS 2 topic: Invalid enum value 'good'",
         ),
         ("reliability: best_effort", "definitions: nowhere", "no such file or folder of message definitions"),
-        ("topic: /orders", "domain: 999, topic: /orders", "orders: `999` is no domain of ROS 2"),
-        ("reliability: best_effort", "depth: 0", "pictures: `0` is no depth of a topic"),
+        ("topic: /orders", "domain: 999, topic: /orders", "orders: `999` is not a domain of ROS 2"),
+        ("reliability: best_effort", "depth: 0", "pictures: `0` can't be the depth of a topic"),
         ("inputs: {reply: Reply}", "inputs: {a: Reply, b: Reply}", "replies: a Publisher has one input and no output"),
         ("topic: /place", "topic: /a place", "target place: `/a place` can't be the name of a ROS 2 topic"),
         ("geometry_msgs/Point", "far_msgs/Place", "put its definition into far_msgs/msg/Place.msg here"),
-        ("geometry_msgs/Point", "Place", "target place: `Place` is no message type"),
+        ("geometry_msgs/Point", "Place", "target place: `Place` is not a message type"),
         (", type: geometry_msgs/Point", "", "no target has a message `type` for ROS 2"),
     ],
 )
@@ -162,7 +162,7 @@ def test_without_the_extra_its_name_is_told_before_the_file_is_read(
 
 def test_what_nodes_of_ros_1_publish_is_not_for_ros_2(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", str(env), "--ros2", "--middleware", "ros1"]) == 30
-    assert "--ros2 does not know what nodes of ROS 1 publish" in " ".join(capsys.readouterr().err.split())
+    assert "--ros2 is for units that are processes, not for nodes of ROS 1" in " ".join(capsys.readouterr().err.split())
 
 
 def test_a_python_without_rclpy_is_told_with_the_ways_to_one(env: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -83,7 +83,9 @@ def test_a_live_graph_becomes_a_file_that_check_understands_and_a_run_can_start(
     capsys.readouterr()
     assert main(["check", str(env)]) == 1
     first = capsys.readouterr().out.splitlines()[0]
-    assert "qos: safety/guard.1 hears nothing of lidar.1/base_scan at base_scan: it asks for reliable messages" in first
+    assert (
+        "qos: safety/guard.1 gets no messages of lidar.1/base_scan at base_scan: it asks for reliable messages" in first
+    )
 
 
 def test_a_node_that_runs_here_but_is_not_in_the_graph_is_told() -> None:

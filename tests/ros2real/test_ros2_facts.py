@@ -84,5 +84,5 @@ def test_a_fact_without_a_message_type_is_refused_with_the_mend(tmp_path: Path) 
     env = write(tmp_path, text.replace("/diagnostics", "/words"))
     line = command("run", "--middleware", "ros2", "--dry-run", env)
     found = subprocess.run(line, capture_output=True, text=True, check=False)
-    assert "a run of ROS 2 nodes observes no facts without a message type (left)" in found.stderr
+    assert "a run of ROS 2 nodes can't observe facts without a message type (left)" in found.stderr
     assert "name the message `type` of its `topic`" in found.stderr

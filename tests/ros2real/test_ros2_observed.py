@@ -120,8 +120,8 @@ def test_messages_of_diagnostics_and_statistics_tell_numbers() -> None:
     [
         ("pose.variance", "geometry_msgs/PoseWithCovariance has no field `variance`; it has pose, covariance"),
         ("pose.covariance.36", "`pose.covariance` has several values: name one by its number, from 0 to 35"),
-        ("pose.pose", "`pose.pose` is no number; name one of its fields: position, orientation"),
-        ("header.frame_id", "`header.frame_id` is no number"),
+        ("pose.pose", "`pose.pose` is not a number; name one of its fields: position, orientation"),
+        ("header.frame_id", "`header.frame_id` is not a number"),
     ],
 )
 def test_a_field_that_messages_do_not_have_is_reported_with_its_output_and_file(
@@ -191,6 +191,6 @@ def test_a_message_without_numbers_is_told(
     event = heard(lambda event: isinstance(event, UnitFailed))
     assert isinstance(event, UnitFailed)
     assert event.text == (
-        "output words does not say its error: `data` is no number: "
+        "output words does not say its error: `data` is not a number: "
         "correct `observe` of that output in the environment file"
     )

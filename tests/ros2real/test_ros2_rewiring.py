@@ -169,7 +169,7 @@ def test_a_node_that_wants_another_message_type_is_told_of(runtime: Runtime) -> 
     told = heard_by(runtime)
     started = (unit("clock.1"), unit("shouter.1", (Subscription("quiet", Stream("clock.1", "ticks")),)))
     runtime.apply(ChangeSet(started, added_transformations=(CLOCK, SHOUTER)))
-    wanted = "shouter_1 wants std_msgs/msg/String, and what comes there is geometry_msgs/msg/PointStamped"
+    wanted = "shouter_1 expects std_msgs/msg/String, but the topic has geometry_msgs/msg/PointStamped"
     assert next(text for text in told if wanted in text)
 
 

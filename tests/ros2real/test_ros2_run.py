@@ -68,12 +68,12 @@ def test_nodes_that_are_run_as_processes_are_told_of_their_middleware(
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("node:./talking.py talker", "units.py:Talker", "talker: `units.py:Talker` is no node of ROS 2"),
-        ("node:./talking.py talker", "nodelet:a/b", "talker: `nodelet:a/b` is no node of ROS 2"),
+        ("node:./talking.py talker", "units.py:Talker", "talker: `units.py:Talker` is not a node of ROS 2"),
+        ("node:./talking.py talker", "nodelet:a/b", "talker: `nodelet:a/b` is not a node of ROS 2"),
         ("remap: ~loud", "remap: quiet", "shouter: two ports are 'quiet' to the node"),
         ("remap: chatter}", "remap: chatter, topic: a b}", "talker/words: `a b` can't be the name of a ROS 2 topic"),
         ("topic: /shout", "topic: /sh-out", "shout: `/sh-out` can't be the name of a ROS 2 topic"),
-        ("type: std_msgs/String, remap: chatter", "type: String, remap: chatter", "`String` is no message type"),
+        ("type: std_msgs/String, remap: chatter", "type: String, remap: chatter", "`String` is not a message type"),
         ("rate: 100", "rate: [1, two]", "talker: params: rate: `[1, 'two']` can't be a parameter of ROS 2"),
         (
             "node:./talking.py talker",

@@ -110,7 +110,7 @@ def test_a_lifecycle_node_that_can_not_be_configured_is_told_of(
     with pytest.raises(ApplyError, match="died"):
         begin(runtime, replace(WORKER, params={"lame": True}))
     line = told(UnitPrinted)
-    while "does not let itself be configured: it is unconfigured" not in str(line):
+    while "can't be configured: it is unconfigured" not in str(line):
         line = told(UnitPrinted)
 
 

@@ -145,7 +145,7 @@ def test_a_type_that_the_python_of_ros_lacks_is_told(opened: Open, told: list[st
     opened("camera").publisher("/picture", form, USUAL, 1)
     eventually(lambda: told)
     assert told[0].startswith(
-        "/picture: own_msgs/msg/Picture is not to be had in the Python of ROS: source the workspace"
+        "/picture: own_msgs/msg/Picture can't be imported by the Python of ROS: source the workspace"
     )
 
 

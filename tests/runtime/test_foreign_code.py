@@ -135,4 +135,4 @@ def test_an_estimator_that_raises_is_replaced_by_what_is_declared() -> None:
     guarded.failed("work", 1.0)
     assert guarded.labor_us(transformation, 60) == transformation.labor_us
     assert guarded.upkeep_us(transformation, 60) == transformation.upkeep_us
-    assert "-1 is no cost" in guarded.warning
+    assert "-1 is not a cost" in guarded.warning

@@ -91,7 +91,7 @@ def test_what_is_no_value_is_told_once(server: Server, capsys: pytest.CaptureFix
     server.answers["/x"] = 200, b"{"
     poller = Poller(f"{server.url}/x")
     assert [poller(), poller()] == [None, None]
-    assert capsys.readouterr().out.count("a message is no json, and is left out") == 1
+    assert capsys.readouterr().out.count("a message is not valid json, and is left out") == 1
 
 
 def test_a_password_goes_to_the_resource_and_not_to_where_it_leads(
@@ -115,9 +115,9 @@ def test_a_password_goes_to_the_resource_and_not_to_where_it_leads(
 @pytest.mark.parametrize(
     ("params", "message"),
     [
-        ({"url": "file:///etc/passwd"}, "is no URL of a resource"),
+        ({"url": "file:///etc/passwd"}, "is not the URL of a resource"),
         ({"url": "http://bob:secret@house"}, "a URL can't hold the name"),
-        ({"payload": "yaml"}, "is no form of a payload"),
+        ({"payload": "yaml"}, "is not a form of payload"),
         ({"password": "secret"}, "an environment file can't hold a password"),
         ({"usrname": "bob"}, "did you mean `username`"),
         ({"password_env": "NO_SUCH"}, "a password without a name"),

@@ -144,7 +144,7 @@ def test_a_message_that_is_no_number_is_left_out(
 
 @pytest.mark.parametrize("payload", ["number", "json"])
 def test_what_is_no_number_is_not_published(payload: str, broker: Broker, publish: Publish) -> None:
-    with pytest.raises(ValueError, match=r"no number|JSON"):
+    with pytest.raises(ValueError, match=r"not a number|JSON"):
         publish(broker.name, "x", payload=payload)(value=float("nan"))
 
 
@@ -375,7 +375,7 @@ def test_what_is_no_value_is_told_once_and_left_out(
     for word in ("{", "}", "7"):
         words(x=word)
     assert heard.next() == 7
-    assert capsys.readouterr().out.count("x: a message is no json, and is left out") == 1
+    assert capsys.readouterr().out.count("x: a message is not valid json, and is left out") == 1
 
 
 def test_a_broker_that_is_not_there_yet_is_told_once(
@@ -432,16 +432,16 @@ def test_a_broker_is_spoken_to_by_tls(tmp_path: Path, hear: Hear, publish: Publi
 @pytest.mark.parametrize(
     ("params", "message"),
     [
-        ({"broker": "http://house"}, "`http://house` is no broker"),
-        ({"broker": "house:many"}, "`house:many` is no broker"),
+        ({"broker": "http://house"}, "`http://house` is not the address of a broker"),
+        ({"broker": "house:many"}, "`house:many` is not the address of a broker"),
         ({"broker": "mqtt://bob:secret@house"}, "address of a broker can't hold"),
-        ({"topic": "a/#/b"}, "is no filter of topics"),
-        ({"topic": "a+/b"}, "is no filter of topics"),
-        ({"topic": ""}, "is no filter of topics"),
-        ({"qos": 3}, "`3` is no quality of service"),
-        ({"payload": "yaml"}, "`yaml` is no form of a payload"),
-        ({"field": []}, r"`\[\]` is no field"),
-        ({"field": {"a": 1}}, "is no field"),
+        ({"topic": "a/#/b"}, "is not a topic filter"),
+        ({"topic": "a+/b"}, "is not a topic filter"),
+        ({"topic": ""}, "is not a topic filter"),
+        ({"qos": 3}, "`3` is not a quality of service of MQTT"),
+        ({"payload": "yaml"}, "`yaml` is not a form of payload"),
+        ({"field": []}, r"`\[\]` is not a field"),
+        ({"field": {"a": 1}}, "is not a field"),
         ({"field": "a", "payload": "number"}, "a message that is a number has no fields"),
         ({"password": "secret"}, "an environment file can't hold a password"),
         ({"usrname": "bob"}, "did you mean `username`"),
@@ -449,7 +449,7 @@ def test_a_broker_is_spoken_to_by_tls(tmp_path: Path, hear: Hear, publish: Publi
         ({"username": "bob", "password_file": "/absent"}, "the password can't be read"),
         ({"ca": "/absent"}, "the files of TLS"),
         ({"password_env": "NO_SUCH_VARIABLE"}, "a password without a name"),
-        ({"keepalive": -1}, "`-1` is no keepalive"),
+        ({"keepalive": -1}, "`-1` can't be a keepalive"),
     ],
 )
 def test_parameters_that_can_not_be_meant_are_refused(params: dict[str, Any], message: str) -> None:
@@ -467,7 +467,7 @@ def test_a_last_will_that_no_broker_takes_is_refused(will: dict[str, Any]) -> No
 
 
 def test_a_sink_publishes_on_no_wildcard() -> None:
-    with pytest.raises(InputError, match="is no topic to publish on"):
+    with pytest.raises(InputError, match="is not a topic to publish on"):
         Publisher("house", "a/#")
 
 

@@ -155,7 +155,7 @@ def test_a_run_that_is_not_live_is_what_is_told_not_its_topic(
 
     monkeypatch.setattr("cfgplan_runtime.streams.subscription.live_runs", live)
     assert main(["listen", "/result", "--run", "zzz"]) == 30
-    assert "no run 'zzz' is live; there is abc" in capsys.readouterr().err
+    assert "no run 'zzz' is live; live runs: abc" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("span", ["soon", "-1s", "3 days"])

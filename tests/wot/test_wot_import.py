@@ -124,13 +124,13 @@ def test_a_file_stands_for_a_context_that_is_never_fetched(
     url = "https://example.org/context?v=1"
     thing = write(**{"@context": [TD, url], "properties": {"on": {"@type": "State", "forms": [FORM]}}})
     said = imported(thing)
-    assert f"not taken over: the context {url}, which is never fetched: `--context {url}=FILE` names a file" in said.err
+    assert f"not imported: the context {url}, which is never fetched: `--context {url}=FILE` names a file" in said.err
     assert "no context defines State" in said.err
     (tmp_path / "base.json").write_text('{"@context": {"ex": "https://example.org/names#"}}')
     (tmp_path / "context.json").write_text('{"@context": ["https://example.org/base", {"State": "ex:OnOffState"}]}')
     base = f"https://example.org/base={tmp_path / 'base.json'}"
     said = imported(thing, "--context", f"{url}={tmp_path / 'context.json'}", "--context", base)
-    assert "not taken over" not in said.err
+    assert "not imported" not in said.err
     assert "OnOffState and ofThing some Lamp and Lamp-on" in [each.outputs[0].tag for each in library(said).values()]
     assert "<https://example.org/names#OnOffState> a owl:Class" in (tmp_path / "env.ttl").read_text()
 
@@ -179,8 +179,8 @@ def test_urls_keep_no_password(imported: Import, write: Callable[..., Path]) -> 
 @pytest.mark.parametrize(
     ("keys", "message", "place"),
     [
-        ({"@context": "https://example.org"}, "this is no Thing Description: its `@context` names none", ":2:14"),
-        ({"@context": None}, "this is no Thing Description", ":1:1"),
+        ({"@context": "https://example.org"}, "this is not a Thing Description: its `@context` names none", ":2:14"),
+        ({"@context": None}, "this is not a Thing Description", ":1:1"),
         ({"@context": [TD, 5]}, "a context is a URL or a mapping", ":2:"),
         ({"@context": [TD, {"@vocab": 7}]}, "its `@context` can't be used: @vocab value must be a string", ""),
         ({"title": None}, "the thing has no title", ":1:1"),
@@ -190,10 +190,10 @@ def test_urls_keep_no_password(imported: Import, write: Callable[..., Path]) -> 
         ({"properties": {"on": {}}}, "`on` has no `forms`", ":5:"),
         ({"properties": {"on": {"forms": []}}}, "`on` has no `forms`", ":"),
         ({"properties": {"on": {"forms": [{}]}}}, "a form has an `href`", ":"),
-        ({"properties": {"on": {"forms": [{"href": "on"}]}}}, "`on` is no whole URL", ":"),
+        ({"properties": {"on": {"forms": [{"href": "on"}]}}}, "`on` is not a complete URL", ":"),
         (
             {"properties": {"on": {"forms": [{**FORM, "op": "readpropert"}]}}},
-            "`readpropert` is no operation of a property",
+            "`readpropert` is not an operation of a property",
             ":",
         ),
         ({"properties": {"on": {"@type": 5, "forms": [FORM]}}}, "`@type` is a term or a list of terms", ":"),
@@ -239,7 +239,7 @@ def test_all_faults_of_all_files_are_told_at_once(imported: Import, write: Calla
     ("arguments", "message"),
     [
         (["import", "wot", "x.json"], "name the environment file with --out"),
-        (["import", "xml", "x.xml", "--context", "a=b"], "--context: not for `import xml`"),
+        (["import", "xml", "x.xml", "--context", "a=b"], "--context: `import xml` does not take this option"),
     ],
 )
 def test_options_that_can_not_be_meant_are_told(

@@ -182,7 +182,7 @@ def _lack(problem: Problem, t: Transformation) -> str | None:
             return f"{t.label} runs with {label}, and there is no such transformation"
         both = [h.name for h in hosts if h.name in environment.hosts_for(other)]
         if not any((room := host_loads(problem)).put(t, h) and room.put(other, h) for h in both):
-            return f"no host bears {t.label} together with {label}"
+            return f"no host has room for {t.label} together with {label}"
     for resource in sorted(t.takes):
         lacks = [
             (amount := taken(t, host)[resource], room is not None and amount > room)

@@ -227,7 +227,7 @@ class ProgramCode:
         Only an answer with the number of a step that waits gives results, so that none is taken for another step's.
         """
         if not self.sets_its_pace and not self._asked:
-            self._fault(ProgramFaultError(_NOT_ASKED, "it answers no step", message.shown))
+            self._fault(ProgramFaultError(_NOT_ASKED, "no step waits for an answer", message.shown))
             return
         try:
             answers = self._output.answers(message)
@@ -245,14 +245,14 @@ class ProgramCode:
         """The moment of the step that is answered. Raises ProgramFaultError."""
         step = answers[0].step if answers else None
         if step is None:
-            told = f"it lacks the `step` that it answers, now {self._asked[0].step}"
+            told = f"its `step` is missing; the step that waits is {self._asked[0].step}"
             raise ProgramFaultError("no answer", told, message.shown)
         if any(answer.step not in (None, step) for answer in answers):
-            raise ProgramFaultError("no answer", "a list answers one step", message.shown)
+            raise ProgramFaultError("no answer", "all answers of a list must have one `step`", message.shown)
         if not self._asked[0].step <= step <= self._asked[-1].step:
             raise ProgramFaultError(_NOT_ASKED, f"step {step} does not wait for an answer", message.shown)
         while self._asked[0].step < step:
-            told = f"step {self._asked[0].step} has none before that of step {step}"
+            told = f"step {self._asked[0].step} got no answer before step {step}"
             self._fault(ProgramFaultError("no answer", told, message.shown))
             self._settled()
         return self._settled().moment
@@ -272,7 +272,7 @@ class ProgramCode:
                 told = f"there is no output port {port!r}, only {known}"
                 fault = ProgramFaultError("unknown port", told, message.shown)
             elif answer.time_ns is not None and answer.time_ns < self._last_ns.get(port, answer.time_ns):
-                told = f"{answer.time_ns} comes after {self._last_ns[port]} at {port}"
+                told = f"the time {answer.time_ns} is before {self._last_ns[port]}, the last at {port}"
                 fault = ProgramFaultError("time going back", told, message.shown)
         if fault is not None:
             self._fault(fault)

@@ -168,7 +168,7 @@ def _module_of_file(path: Path) -> ModuleType:
     name = path.stem if path.stem not in sys.modules else f"cfgplan_units_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
-        raise BadSourceError(f"{path} is no Python file")
+        raise BadSourceError(f"{path} is not a Python file")
     if str(path.parent) not in sys.path:
         sys.path.insert(0, str(path.parent))
     module = sys.modules[name] = importlib.util.module_from_spec(spec)

@@ -115,7 +115,7 @@ def _refuse_what_is_no_file(path: Path) -> None:
     except OSError:
         return  # reading or writing says what is wrong
     if is_other:
-        raise EstimatesError(f"{path}: the estimates can't be kept here: it is no file")
+        raise EstimatesError(f"{path}: the estimates can't be kept here, since this is not a file")
 
 
 def _sync_folder(folder: Path) -> None:

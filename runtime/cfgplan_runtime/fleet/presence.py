@@ -202,7 +202,9 @@ class Presence:
             self._hear_once(end_s)
         few = [host for host in hosts if host in self._seen]
         if takes_over and 2 * len(few) < len(hosts):
-            message = f"{len(few)} of {len(hosts)} hosts can be reached: who sees fewer than half does not take over"
+            message = (
+                f"{len(few)} of {len(hosts)} hosts can be reached: a run takes over only if it reaches at least half"
+            )
             raise InputError.of(message, mend="run it where more hosts can be reached")
         self._is_greeting = True
         for name in few:

@@ -71,11 +71,11 @@ class ReachedFleet(Closable):
         runs = self.runs
         if not runs:
             mend = "start one with `cfgplan run ENV`; with certificates, --connect an agent that may pass on"
-            raise NoSuchRunError(f"no run is seen that has the hosts {', '.join(self.hosts)}: {mend}")
+            raise NoSuchRunError(f"no live run has the hosts {', '.join(self.hosts)}: {mend}")
         if run is None and len(runs) > 1:
             raise NoSuchRunError(f"several runs are live: name one by --run: {', '.join(runs)}")
         if run is not None and run not in runs:
-            raise NoSuchRunError(f"no run {run!r} is live; there is {', '.join(runs)}")
+            raise NoSuchRunError(f"no run {run!r} is live; live runs: {', '.join(runs)}")
         return run or runs[0], self._client.connect(MANAGER, run or runs[0], CONTROL)
 
     def subscribe(

@@ -184,7 +184,9 @@ class RouteWatch:
             protocol = "tls"
             if name not in passing_on(self._certificates):
                 if name not in self._refused:
-                    self._say(f"{missed}: is heard by {name}, which may not pass on: see certificates --passes-on")
+                    self._say(
+                        f"{missed}: can be reached only through {name}, which may not relay (certificates --passes-on)"
+                    )
                 self._refused.add(name)
                 return
         named = [one for one in self._connect if not told.listens.isdisjoint(_places(one))]
@@ -193,7 +195,7 @@ class RouteWatch:
         with suppress(InputError):  # it can't be reached
             self._link.go_through(config(connect=endpoints, certificates=self._certificates, mode="client"))
             self._through, self._linked_looks = key, 0
-            self._say(f"{missed}: can't be reached but through {name}, so all others are")
+            self._say(f"{missed}: can be reached only through {name}, and so are all others now")
 
     def _look_back(self, others: set[str]) -> None:
         """Use direct links again if all known agents were linked for a lease, or the agent in between was lost."""

@@ -28,9 +28,9 @@ any plan stale.
 """
 
 _STALE_FOR = {
-    "unit": ("{} runs now", "{} does not run any more", "{} is wired otherwise now"),
-    "transformation": ("{} is there now", "{} is not there any more", "{} has been changed"),
-    "fact": ("{} is asked about now", "{} is not asked about any more", "{} is the other way round now"),
+    "unit": ("{} runs now", "{} does not run any more", "{} is wired differently now"),
+    "transformation": ("{} exists now", "{} does not exist any more", "{} has been changed"),
+    "fact": ("{} is required now", "{} is not required any more", "{} has changed its truth"),
     "target": ("{} is wanted now", "{} is not wanted any more", "{} has been changed"),
     "setting": ("{} is set now", "{} is not set any more", "{} has been changed"),
 }
@@ -113,7 +113,7 @@ def staleness(then: Basis, now: Basis) -> tuple[Fault, ...]:
     why = [f"{kind} {said}" for kind in _STALE_FOR for said in _differences(kind, then.get(kind, {}), now[kind])]
     more = len(why) - _MOST_REASONS
     told = [*why[:_MOST_REASONS], *([f"and {more} more differ"] if more > 0 else [])]
-    mend = "have a plan made for what runs now: `cfgplan ctl plan --out`"
+    mend = "make a new plan by `cfgplan ctl plan --out`"
     return tuple(Fault(f"the plan is stale: {each}", mend=mend) for each in told)
 
 

@@ -277,7 +277,7 @@ def _given_judged(transition: Transition, findings: Findings) -> Transition:
     state, planning = transition.state, transition.state.doing
     assert isinstance(planning, Planning)
     if findings.change_set is None:
-        mend = "have another one made: `cfgplan ctl plan --out`"
+        mend = "make a new plan by `cfgplan ctl plan --out`"
         refusal = InputError.of(f"the plan can't be carried out: {findings.cause}", mend=mend)
         outcomes = [outcome for entry in planning.entries for outcome in entry.outcomes]
         return transition.to(replace(state, doing=None)).also(*(Respond(outcome, refusal) for outcome in outcomes))

@@ -54,5 +54,5 @@ class GuardedEstimator:
 
 def _cost(value: object) -> int:
     if type(value) is not int or value < 0:
-        raise ValueError(f"{value!r} is no cost in whole microseconds")
+        raise ValueError(f"{value!r} is not a cost in whole microseconds")
     return value

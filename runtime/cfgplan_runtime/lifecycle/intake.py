@@ -120,8 +120,8 @@ def asked(transition: Transition, request: Asked) -> Transition:
             case RegainHost(host):
                 if host not in situation.given_up_hosts:
                     is_lost = host in situation.lost_hosts(state.version.world.environment)
-                    mend = "it is used again as soon as it is there" if is_lost else None
-                    raise InputError.of(f"host {host!r} was not given up", mend=mend)
+                    mend = "the run uses it as soon as it can be reached" if is_lost else None
+                    raise InputError.of(f"host {host!r} was not taken out of service", mend=mend)
                 back = replace(situation, given_up_hosts=situation.given_up_hosts - {host})
                 return transition.situated(back).perturbed(HostBack(host), outcomes)
             case SetFact(name, value):
@@ -348,7 +348,7 @@ def _to_be_restarted(transition: Transition, units: tuple[str, ...], request: As
             )
         if is_external(library[label]):
             mend = "restart the node where it was started"
-            raise InputError.of(f"unit {unit!r} can't be restarted: others have started its node", mend=mend)
+            raise InputError.of(f"unit {unit!r} can't be restarted: its node was not started by this run", mend=mend)
         if label in situation.code_faults:
             mend = "it keeps running the old code; correct the new code"
             raise InputError.of(f"unit {unit!r} can't be restarted: {situation.code_faults[label]}", mend=mend)

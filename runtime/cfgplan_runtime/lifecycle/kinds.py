@@ -144,7 +144,7 @@ def _code_changed(changed: perturbations.CodeChanged) -> str:
 
 def _world_changed(changed: perturbations.WorldChanged) -> str:
     who = "a request" if _is_request(changed.by) else changed.by
-    return f"{who} changed the world: {_difference(changed.difference)}"
+    return f"{who} changed the environment: {_difference(changed.difference)}"
 
 
 def _backed_off(report: reports.BackedOff) -> str:
@@ -252,7 +252,9 @@ _EVENTS = (
     Kind(events.OutletsOpened),
     Kind(
         events.HelperHung,
-        says=lambda it: f"the {it.helper} gave no sign of life for {span(it.silent_s)} and is restarted",
+        says=lambda it: (
+            f"the helper process `{it.helper}` gave no sign of life for {span(it.silent_s)} and is restarted"
+        ),
         level=Level.ERROR,
     ),
     Kind(events.CertificateEnds, says=_certificate_ends, level=Level.WARNING),
@@ -263,7 +265,7 @@ _EVENTS = (
     Kind(
         events.ClockMoved,
         says=lambda it: (
-            f"the clock of {it.host} is {span(it.ahead_us / 1e6)} from this one now; times of elements are not moved"
+            f"the clock of {it.host} is off by {span(it.ahead_us / 1e6)}; times of its elements are not corrected"
         ),
     ),
     Kind(
@@ -300,7 +302,7 @@ _PERTURBATIONS = (
     Kind(
         perturbations.WorldChanged,
         says=_world_changed,
-        because=lambda it: f"{'a request' if _is_request(it.by) else 'the file'} changed the world",
+        because=lambda it: f"{'a request' if _is_request(it.by) else 'the file'} changed the environment",
     ),
     Kind(
         perturbations.HostGone,
@@ -361,7 +363,7 @@ _PERTURBATIONS = (
     Kind(perturbations.RestartAsked, because=lambda it: f"restart of {named(it.units)}"),
     Kind(
         perturbations.ReviewRequested,
-        says=lambda it: f"a review was asked for by {it.by}",
+        says=lambda it: f"{it.by} asked for a review",
         because=lambda _: "asked for",
         optimises=True,
     ),

@@ -102,7 +102,7 @@ class HostBack(Perturbation, frozen=True):
 
 
 class FactsChanged(Perturbation, frozen=True):
-    """Facts have changed the world of the plan.
+    """Facts have changed the environment of the plan.
 
     Transformations `left_out` may not run any more, those `back` may again, and outputs of those `requalified` are
     better or worse than before. A transformation that facts of a host bar from it is called `mapper on r1`.

@@ -274,9 +274,9 @@ def _address(broker: str) -> Any:
         found = urlsplit(broker if "://" in broker else f"mqtt://{broker}")
         port = found.port
     except ValueError:
-        raise InputError.of(f"`{broker}` is no broker", mend=mend) from None
+        raise InputError.of(f"`{broker}` is not the address of a broker", mend=mend) from None
     if found.scheme not in _PORTS or not found.hostname or found.path not in ("", "/"):
-        raise InputError.of(f"`{broker}` is no broker", mend=mend)
+        raise InputError.of(f"`{broker}` is not the address of a broker", mend=mend)
     if found.password is not None or found.username is not None:
         mend = "remove it, and write `username` with `password_env` or `password_file`"
         raise InputError.of("the address of a broker can't hold the name and password", mend=mend)
@@ -302,4 +302,4 @@ def check_parameters(connection: Mapping[str, Any]) -> None:
     known = [name for name in inspect.signature(Connection).parameters if name not in ("broker", "say", "will")]
     check_names("MQTT", known, connection)
     if "keepalive" in connection and not 1 <= connection["keepalive"] <= _LONGEST_S:
-        raise InputError.of(f"`{connection['keepalive']}` is no keepalive", mend=f"it is from 1 to {_LONGEST_S} s")
+        raise InputError.of(f"`{connection['keepalive']}` can't be a keepalive", mend=f"it is from 1 to {_LONGEST_S} s")

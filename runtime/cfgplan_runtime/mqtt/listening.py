@@ -79,7 +79,7 @@ class Listening:
             raise InputError.of(f"{name}: {refusal.partition(';')[0]}", mend=mend)
         mend = "start it, or name the address of one that runs: HOST:PORT, or mqtts://HOST:PORT for TLS"
         if away and not self._was_there:
-            ended = f"the program at {name} is no broker of MQTT 5, or speaks TLS: it ended the connection"
+            ended = f"the program at {name} is not a broker of MQTT 5, or speaks TLS: it ended the connection"
             raise InputError.of(ended if away.startswith("is lost") else f"the broker {name} {away}", mend=mend)
         if not self._is_subscribed:
             raise InputError.of(f"the program at {name} does not answer like a broker of MQTT 5", mend=mend)

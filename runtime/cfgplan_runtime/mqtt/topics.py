@@ -14,7 +14,7 @@ def topic_filter(topic: str) -> str:
     is_right = bool(topic) and "\0" not in topic and all("+" not in level or level == "+" for level in levels)
     if not is_right or any("#" in level and (level != "#" or at < len(levels) - 1) for at, level in enumerate(levels)):
         mend = "`+` stands for one level, `#` for all levels that follow, each between slashes"
-        raise InputError.of(f"`{topic}` is no filter of topics", mend=mend)
+        raise InputError.of(f"`{topic}` is not a topic filter", mend=mend)
     return topic
 
 
@@ -22,7 +22,7 @@ def plain_topic(topic: str) -> str:
     """A topic that messages can be published on. Raises InputError."""
     if not _is_plain(topic):
         mend = "it is not empty, and has no wildcards (`+`, `#`)"
-        raise InputError.of(f"`{topic}` is no topic to publish on", mend=mend)
+        raise InputError.of(f"`{topic}` is not a topic to publish on", mend=mend)
     return topic
 
 

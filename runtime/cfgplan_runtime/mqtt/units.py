@@ -144,4 +144,4 @@ class Publisher:
 def _check_qos(qos: int) -> None:
     """Raise InputError."""
     if qos not in (0, 1, 2):
-        raise InputError.of(f"`{qos}` is no quality of service of MQTT", mend="write 0, 1 or 2")
+        raise InputError.of(f"`{qos}` is not a quality of service of MQTT", mend="write 0, 1 or 2")

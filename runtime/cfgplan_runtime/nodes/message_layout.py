@@ -147,7 +147,7 @@ def field_fault(layout: Layout, path: str) -> str:
         return ""
     inside = f"; name one of its fields: {', '.join(kind.fields)}" if isinstance(kind, Layout) else ""
     inside = "; name one of its values by its number, from 0" if isinstance(kind, Several) else inside
-    return f"`{path}` is no number{inside}"
+    return f"`{path}` is not a number{inside}"
 
 
 class NumberReader:

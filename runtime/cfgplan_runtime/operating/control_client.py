@@ -127,7 +127,7 @@ def connect(run: str | None = None, fleet: ReachedFleet | None = None) -> Contro
     if found:
         raise NoSuchRunError(f"several runs are live: name one by --name: {_listed(found)}")
     if folders:
-        raise NoSuchRunError(f"no run {run!r} is live; there is {_listed(folders)}")
+        raise NoSuchRunError(f"no run {run!r} is live; live runs: {_listed(folders)}")
     raise NoSuchRunError("no run is live: start one with `cfgplan run ENV`")
 
 

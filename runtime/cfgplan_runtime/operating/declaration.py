@@ -56,7 +56,7 @@ def _individuals(source: Source, written: Any, faults: list[Fault]) -> Iterator[
     if written is None:
         return
     if not isinstance(written, dict):
-        faults.append(source.fault(("individuals",), "this is no mapping of individuals", _DECLARATION_FORM))
+        faults.append(source.fault(("individuals",), "this is not a mapping of individuals", _DECLARATION_FORM))
         return
     for name, said in written.items():
         path = ("individuals", name)
@@ -79,7 +79,7 @@ def _relations(source: Source, path: Path, written: Any, faults: list[Fault]) ->
     if written is None:
         return
     if not isinstance(written, Mapping):
-        faults.append(source.fault(path, "this is no mapping of relations", _DECLARATION_FORM))
+        faults.append(source.fault(path, "this is not a mapping of relations", _DECLARATION_FORM))
         return
     for role, others in written.items():
         for other in _names(source, (*path, role), others, faults):

@@ -128,7 +128,7 @@ class Methods:
 
     def _state_after(self, review: object) -> Record:
         if isinstance(review, bool) or not isinstance(review, int):
-            raise RefusedError("bad_params", "`review` is no number of a review", "give the `number` of one")
+            raise RefusedError("bad_params", "`review` is not the number of a review", "give the `number` of one")
         moment = None if self._moments is None else self._moments.after(review)
         if moment is None:
             mend = f"the last {MOMENTS_KEPT} reviews can be seen again"
@@ -196,7 +196,7 @@ class Methods:
         name, after = _text(params, "unit"), params.get("after", 0)
         if isinstance(after, bool) or not isinstance(after, int) or after < 0:
             raise RefusedError(
-                "bad_params", "`after` is no number of a line", "give the `number` of the last one, or 0"
+                "bad_params", "`after` is not the number of a line", "give the `number` of the last one, or 0"
             )
         lines = self._printed.lines(name, after)
         if not lines and not after:
@@ -212,9 +212,9 @@ class Methods:
         _only(params, "last", "since_s")
         last, since_s = params.get("last"), params.get("since_s")
         if last is not None and (isinstance(last, bool) or not isinstance(last, int) or last < 0):
-            raise RefusedError("bad_params", "`last` is no number of events", "give a whole number, or none")
+            raise RefusedError("bad_params", "`last` is not a number of events", "give a whole number, or none")
         if since_s is not None and (isinstance(since_s, bool) or not isinstance(since_s, int | float) or since_s < 0):
-            raise RefusedError("bad_params", "`since_s` is no number of seconds", "give a number from 0 on, or none")
+            raise RefusedError("bad_params", "`since_s` is not a number of seconds", "give a number from 0 on, or none")
         return {"events": self._past.events(last, since_s)}
 
     def _topics(self, params: Mapping[str, Any]) -> Record:
@@ -354,7 +354,7 @@ def _waited_for(future: Future[T], params: Mapping[str, Any]) -> T:
     wait_s = params.get("wait_s", REQUEST_PATIENCE_S)
     if isinstance(wait_s, bool) or not isinstance(wait_s, int | float) or not 0 <= wait_s <= LONGEST_WAIT_S:
         mend = f"write a number from 0 to {LONGEST_WAIT_S}"
-        raise RefusedError("bad_params", "`wait_s` is no number of seconds that can be waited for", mend)
+        raise RefusedError("bad_params", "`wait_s` is not a number of seconds that a request may wait", mend)
     try:
         return future.result(wait_s)
     except CancelledError:

@@ -141,7 +141,9 @@ _OF_INPUTS: Final[Sequence[_Measure[PortCounts]]] = (
 )
 _OF_CROSSINGS: Final[Sequence[_Measure[CrossingCounts]]] = (
     _Measure("crossing_elements", "Elements that go to another host.", lambda one: one.elements, rises=True),
-    _Measure("crossing_dropped_elements", "Elements dropped for want of room.", lambda one: one.dropped, rises=True),
+    _Measure(
+        "crossing_dropped_elements", "Elements dropped because there was no room.", lambda one: one.dropped, rises=True
+    ),
     _Measure("crossing_offered_bytes", "Bytes to be sent to another host.", lambda one: one.offered_bytes, rises=True),
     _Measure("crossing_arrived_bytes", "Bytes that have arrived there.", lambda one: one.arrived_bytes, rises=True),
     _Measure("crossing_waiting_elements", "Elements that have not arrived yet.", lambda one: one.waiting),

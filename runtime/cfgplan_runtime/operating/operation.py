@@ -304,7 +304,7 @@ class Operation(Closable):
         for file in (self.log, None if self.recorder is None else self.recorder.recording):
             if file is not None and file.failure is not None and file.path not in self._full:
                 self._full.add(file.path)
-                self.show(f"{file.path} takes no more: {file.failure}; losses are counted")
+                self.show(f"{file.path} can't be written any more: {file.failure}; lost lines are counted")
 
     def _tell_of_silence(self) -> None:
         """Warn once for each met target on whose topic nothing comes, and again if something has come in between."""

@@ -73,7 +73,9 @@ def parse_request(data: bytes) -> Request:
     try:
         request = msgspec.json.decode(data, type=Request)
     except msgspec.MsgspecError as error:
-        raise RefusedError("bad_request", f"this is no request: {error}", form) from None
+        raise RefusedError("bad_request", f"this is not a request: {error}", form) from None
     if request.version != VERSION:
-        raise RefusedError("bad_version", f"version {request.version} is not spoken here", f"use version {VERSION}")
+        raise RefusedError(
+            "bad_version", f"version {request.version} of the protocol is not supported", f"use version {VERSION}"
+        )
     return request

@@ -176,5 +176,5 @@ def _opened(path: Path) -> Iterator[McapReader]:
         raise InputError.of(f"can't be read: {error.strerror}", file=str(path)) from None
     except McapError as error:
         raise InputError.of(
-            f"this is no recording: {error or type(error).__name__}", file=str(path), mend=_MEND
+            f"this is not a recording: {error or type(error).__name__}", file=str(path), mend=_MEND
         ) from None

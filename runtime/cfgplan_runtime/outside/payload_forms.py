@@ -30,7 +30,7 @@ class PayloadReader:
         try:
             return (_within(_decoded(payload, self._form), self._keys),)
         except (ValueError, LookupError, RecursionError) as error:
-            fault = "has no such field" if isinstance(error, LookupError) else f"is no {self._form}"
+            fault = "has no such field" if isinstance(error, LookupError) else f"is not valid {self._form}"
             self._once.tell(place, f"{place}: a message {fault}, and is left out: {error}")
             return ()
 
@@ -39,7 +39,7 @@ def check_form(form: str) -> None:
     """Raise InputError for an unknown form."""
     if form not in get_args(PayloadForm):
         mend = f"write one of {', '.join(get_args(PayloadForm))}"
-        raise InputError.of(f"`{form}` is no form of a payload", mend=mend)
+        raise InputError.of(f"`{form}` is not a form of payload", mend=mend)
 
 
 def encoded(value: object, form: str = "json") -> bytes:
@@ -48,7 +48,7 @@ def encoded(value: object, form: str = "json") -> bytes:
         case "json":
             return json.dumps(value, default=_plain, allow_nan=False).encode()
         case "number" if isinstance(value, Real) and not math.isfinite(value):
-            raise ValueError(f"{value} is no number, and is not published")
+            raise ValueError(f"{value} is not a number, and is not published")
         case "bytes" if isinstance(value, bytes | bytearray | memoryview):
             return bytes(value)
         case _:
@@ -72,7 +72,7 @@ def _finite(text: str) -> float:
     """Return the number that a text spells. Raises ValueError, also for NaN and infinite ones, which JSON lacks."""
     number = float(text)
     if not math.isfinite(number) or "_" in text:
-        raise ValueError(f"{text} is no number")
+        raise ValueError(f"{text} is not a number")
     return number
 
 
@@ -82,7 +82,7 @@ def _keys(field: object, form: str) -> tuple[str | int, ...]:
         return ()
     keys = tuple(field) if isinstance(field, list) else (field,)
     if not keys or not all(isinstance(key, str | int) for key in keys):
-        raise InputError.of(f"`{field}` is no field", mend="write a key, or a list of those that lead to it")
+        raise InputError.of(f"`{field}` is not a field", mend="write a key, or a list of those that lead to it")
     if form != "json":
         raise InputError.of(f"a message that is a {form} has no fields", mend="write `payload: json`")
     return keys

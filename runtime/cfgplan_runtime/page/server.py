@@ -48,7 +48,7 @@ METHODS = (
     "withdraw",
 )
 """The methods of the control socket that the page may call."""
-_NEEDS_TOKEN = "looking needs the token of the page's address"
+_NEEDS_TOKEN = "the page needs the token in its address: open the whole address that was printed"
 _LONGEST_NUMBER = 15
 _ALIVE_S = 5.0
 _LARGEST_REQUEST = 1_000_000
@@ -164,7 +164,7 @@ class PageServer:
             return JSONResponse({"message": _NEEDS_TOKEN}, 403, headers=_HEADERS)
         asked = request.query_params.get("review", "")
         if not asked.isdecimal() or len(asked) > _LONGEST_NUMBER:
-            return JSONResponse({"message": "this is no request"}, 400, headers=_HEADERS)
+            return JSONResponse({"message": "this is not a request"}, 400, headers=_HEADERS)
         try:
             return JSONResponse(await asyncio.to_thread(self.watched.moment, int(asked)), headers=_HEADERS)
         except (RefusedError, ControlError) as error:
@@ -191,7 +191,7 @@ class PageServer:
         """Let a viewer peek into a stream: `{"viewer": ..., "stream": ...}`. The viewer's name is known to it alone."""
         asked = await _body(request)
         if asked is None or not isinstance(asked.get("stream"), str | None):
-            return JSONResponse({"message": "this is no request"}, 400, headers=_HEADERS)
+            return JSONResponse({"message": "this is not a request"}, 400, headers=_HEADERS)
         viewer = str(asked.get("viewer", ""))
         if not await asyncio.to_thread(self.watched.peek, viewer, asked["stream"]):
             return JSONResponse({"message": "no page of this name looks"}, 403, headers=_HEADERS)
@@ -204,7 +204,7 @@ class PageServer:
             return JSONResponse({"message": "only the page with its token may do this"}, 403, headers=_HEADERS)
         asked = await _body(request)
         if asked is None or "method" not in asked or not isinstance(params := asked.get("params", {}), dict):
-            return JSONResponse({"message": "this is no request"}, 400, headers=_HEADERS)
+            return JSONResponse({"message": "this is not a request"}, 400, headers=_HEADERS)
         method = asked["method"]
         if method not in METHODS:
             return JSONResponse({"message": f"the page does not do {method}"}, 400, headers=_HEADERS)

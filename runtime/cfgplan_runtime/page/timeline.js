@@ -70,7 +70,7 @@ function more(review) {
   const of = (map) => Object.entries(map || {}).map(([label, why]) => `${label}: ${why}`).join("; ");
   const rows = {
     decision: review.decision, "because of": review.perturbations.map(cause).join(", "),
-    "cost as it was": review.cost_before_us == null ? "" : cost(review.cost_before_us),
+    "cost before": review.cost_before_us == null ? "" : cost(review.cost_before_us),
     "cost of the plan": review.cost_us == null ? "" : cost(review.cost_us),
     proof: review.cost_us == null ? "" : review.is_proven ? "proven: no plan is cheaper" : `no plan costs less than ${cost(review.bound_us)}`,
     started: names(changes.started), rewired: names(changes.rewired), stopped: names(changes.stopped),

@@ -14,7 +14,7 @@ export async function suppose(change, params, title) {
     answer = { wrong: "The run does not answer." };
   }
   if (number !== asked) return;
-  const leave = button("Leave it", () => clear(number));
+  const leave = button("Close", () => clear(number));
   if (answer.wrong) {
     box.replaceChildren(made("h3", `What if: ${title}`), made("p", answer.wrong, "wrong"), leave);
     return;
@@ -38,5 +38,5 @@ export async function suppose(change, params, title) {
   box.replaceChildren(made("h3", `What if: ${title}`), list, acts);
 }
 function clear(number) {
-  if (number === asked) byId("supposition").replaceChildren(made("p", "Nothing is supposed.", "hint"));
+  if (number === asked) byId("supposition").replaceChildren(made("p", "No what-if question is open.", "hint"));
 }

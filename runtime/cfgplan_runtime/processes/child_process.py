@@ -166,7 +166,7 @@ def cause_of_end(child: ChildProcess, status: int) -> str:
     if child.trouble:
         return child.trouble
     if child.control.is_garbled:
-        return "it sent bytes that are no message: its code writes into descriptors of others"
+        return "it sent bytes that are not a message: its code writes to file descriptors that are not its own"
     end = end_of_process(status)
     return f"{end} (in step {child.steps} or later)" if child.steps else end
 

@@ -413,7 +413,7 @@ class ProcessBackend:
         for child in [child for child in self._children.values() if child.serial != _NO_PROCESS]:
             if child.pid is not None:
                 kill_group(child.pid)  # the child is dead, but what it has started may live
-            child.trouble = child.trouble or "killed together with the nursery"
+            child.trouble = child.trouble or "killed, since the process that starts units has died"
             self._remove_dead(child, 0)
 
     def _remove_dead(self, child: ChildProcess, status: int) -> None:

@@ -70,7 +70,7 @@ class Field:
             whole = Field(self.feature, self.keys[:position])
             if isinstance(key, int):
                 if isinstance(value, (str, bytes, Mapping)) or not hasattr(value, "__getitem__"):
-                    raise UnsuitableValueError(f"{whole} is {_shown(value)}, no list")
+                    raise UnsuitableValueError(f"{whole} is {_shown(value)}, not a list")
                 if key >= len(value):
                     raise UnsuitableValueError(f"{whole} has only {len(value)} members")
             elif not isinstance(value, Mapping):
@@ -98,7 +98,7 @@ class Field:
         try:
             return region_from(self.value(values))
         except NotARegionError as error:
-            raise UnsuitableValueError(f"{self} is no region: {error}") from None
+            raise UnsuitableValueError(f"{self} is not a region: {error}") from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,7 +254,7 @@ def _number(part: Value, values: FeatureValues) -> float:
     found = part.value(values)
     number = _float(found)
     if number is None:
-        raise UnsuitableValueError(f"{part} is {_shown(found)}, no number")
+        raise UnsuitableValueError(f"{part} is {_shown(found)}, not a number")
     return number
 
 

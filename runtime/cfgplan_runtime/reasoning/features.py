@@ -81,7 +81,7 @@ def of_file(path: str | os.PathLike[str]) -> DeclaredFeatures:
     if data is None:
         raise InputError.of("the file is empty", file=source.file, mend=f"{_FEATURES_FORM}, or remove the file")
     if not isinstance(data, Mapping):
-        raise InputError([*faults, source.fault((), "this is no features file", _FEATURES_FORM)])
+        raise InputError([*faults, source.fault((), "this is not a features file", _FEATURES_FORM)])
     for key in data:
         if key not in _KEYS:
             mend = did_you_mean(str(key), _KEYS, "the keys here are features and regions")
@@ -93,7 +93,11 @@ def of_file(path: str | os.PathLike[str]) -> DeclaredFeatures:
             features[name] = feature
     for name, written in _members(source, "regions", faults):
         if name in features:
-            faults.append(source.fault(("regions", name), f"`{name}` is a feature too", "rename one", at_key=True))
+            faults.append(
+                source.fault(
+                    ("regions", name), f"`{name}` is declared as a feature and as a region", "rename one", at_key=True
+                )
+            )
         try:
             regions[name] = region_from(_plain(written))
         except NotARegionError as error:

@@ -97,7 +97,9 @@ class Monitor:
         strange = sorted(truths.keys() - set(names))
         if strange:
             known = ", ".join(names)
-            raise InvalidValueError(f"{strange[0]!r} is no proposition of the formula: there is {known or 'none'}")
+            raise InvalidValueError(
+                f"{strange[0]!r} is not a proposition of the formula; its propositions are {known or 'none'}"
+            )
         return self.step(time_ns, [truths.get(name, UNKNOWN) for name in names])
 
     def feed(self, times_ns: npt.NDArray[np.int64], truths: npt.NDArray[np.int8 | np.bool_]) -> Verdict:

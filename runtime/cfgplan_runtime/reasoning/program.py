@@ -183,7 +183,7 @@ class _Compiler:
             case Until(left, right, interval):
                 return self._operated(not negated, self.step(left, negated), right, interval, negated, formula)
             case _:
-                raise TypeError(f"{formula!r} is no formula")
+                raise TypeError(f"{formula!r} is not a formula")
 
     def _joined(self, is_and: bool, parts: Sequence[tuple[Formula, bool]]) -> ProgramStep:
         flat: dict[ProgramStep, None] = {}

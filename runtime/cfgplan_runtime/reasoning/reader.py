@@ -247,12 +247,12 @@ class Reader:
     def _unknown_name(self, node: Any, kind: str, known: Collection[str], form: str) -> None:
         name, listed = str(node.children[0]), ", ".join(sorted(known))
         declare = f"declare it with --{kind} {name}='{form}' or in a features file"
-        otherwise = f"there is {listed}; {declare}" if known else declare
+        otherwise = f"declared are {listed}; {declare}" if known else declare
         self._wrong(node, f"unknown {kind} `{name}`", did_you_mean(name, sorted(known), otherwise))
 
     def _unknown_function(self, node: Any) -> None:
         name = str(node.children[0])
-        otherwise = f"there is {', '.join(FUNCTIONS)}"
+        otherwise = f"the functions are {', '.join(FUNCTIONS)}"
         mend = f"`{name}` is written {SPELLED[name]} here" if name in SPELLED else None
         self._wrong(node, f"unknown function `{name}`", mend or did_you_mean(name, FUNCTIONS, otherwise))
 

@@ -95,7 +95,7 @@ def point_from(value: Any) -> tuple[float, float]:
     except (TypeError, ValueError, LookupError):
         raise NotAPointError("no point: it has neither x and y nor two numbers") from None
     if isinstance(x, (str, bool)) or isinstance(y, (str, bool)):
-        raise NotAPointError("no point: its x or y is no number")
+        raise NotAPointError("no point: its x or y is not a number")
     return point
 
 

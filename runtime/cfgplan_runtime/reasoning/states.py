@@ -37,7 +37,9 @@ class Timing:
 
     def __post_init__(self) -> None:
         if self.rate_hz is not None and not 0 < self.rate_hz <= 1e6:
-            raise InvalidValueError(f"{self.rate_hz} states a second is no rate: give more than 0, at most 1,000,000")
+            raise InvalidValueError(
+                f"{self.rate_hz} states per second can't be a rate: write a number above 0 and up to 1,000,000"
+            )
         if min(self.hold_ns, self.delay_ns, self.tolerance_ns, self.patience_ns) < 0 or self.beat_ns <= 0:
             raise InvalidValueError("a span of time is negative: give 0 or more seconds")
 

@@ -26,7 +26,7 @@ class Interval:
 
     def __post_init__(self) -> None:
         if self.begin_ns < 0 or (self.end_ns is not None and self.end_ns < self.begin_ns):
-            raise InvalidValueError(f"{self.begin_ns} ns to {self.end_ns} ns is no interval")
+            raise InvalidValueError(f"{self.begin_ns} ns to {self.end_ns} ns is not an interval")
 
     def __str__(self) -> str:
         if self == ALL_TIME:

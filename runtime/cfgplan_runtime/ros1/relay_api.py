@@ -62,7 +62,7 @@ class RelayApi:
 
     def _give_topic(self, _: str, topic: str, protocols: list[list[Any]]) -> _Answer:
         if topic not in self._owner.published() or not any(one[:1] == ["TCPROS"] for one in protocols):
-            return FAILURE, f"{topic} is not to be had here by TCPROS", []
+            return FAILURE, f"{topic} is not available here by TCPROS", []
         return SUCCESS, "", ["TCPROS", self._host, self._port]
 
     def _shut_down(self, *_: str) -> _Answer:

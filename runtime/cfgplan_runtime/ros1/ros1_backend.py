@@ -458,7 +458,7 @@ class Ros1Backend:
         for node in list(self._nodes.values()):
             if node.process is not None:
                 self._processes.last_words(node.process, node.unit)
-            self._remove_dead(node, "is ended, since the ROS master has died, to which it tells of itself only once")
+            self._remove_dead(node, "is ended, since the ROS master has died and nodes register there only once")
         self._wires.lose()
         self.master.restart()
         self._watch_master()

@@ -70,7 +70,7 @@ def node_source(transformation: Transformation) -> NodeSource:
     source = NodeSource.read(transformation.source)
     if source is None or source.kind == "component":
         mend = "write node:PACKAGE/EXECUTABLE, node:./FILE, nodelet:PACKAGE/CLASS or external:/NAME"
-        raise InputError.of(f"{label}: `{transformation.source}` is no node of ROS 1", mend=mend)
+        raise InputError.of(f"{label}: `{transformation.source}` is not a node of ROS 1", mend=mend)
     ports: tuple[InputPort | OutputPort, ...] = (*transformation.inputs, *transformation.outputs)
     if source.kind != "external":
         check_names(transformation, lambda port: port.remap or port.name)

@@ -37,7 +37,7 @@ def subscribed(address: str, caller: str, topic: str) -> tuple[socket.socket, He
         raise SilentError(str(error)) from None
     answer = asked(node, caller, "requestTopic", topic, [["TCPROS"]])
     if not isinstance(answer, list) or len(answer) != 3 or answer[0] != "TCPROS":
-        raise SilentError(f"{topic} can't be had by TCPROS from {address}")
+        raise SilentError(f"{topic} is not available by TCPROS from {address}")
     end = socket.create_connection((answer[1], answer[2]), ANSWER_LIMIT_S)
     try:
         fields = {"callerid": caller, "topic": topic, "md5sum": "*", "type": "*", "tcp_nodelay": "1"}
@@ -78,11 +78,11 @@ def read_header(end: socket.socket) -> Header:
     end.settimeout(ANSWER_LIMIT_S)
     (size,) = _LENGTH.unpack(_exactly(end, _LENGTH.size))
     if size > LARGEST_HEADER:
-        raise SilentError("this is no header of a connection")
+        raise SilentError("this is not the header of a connection")
     try:
         return dict(fields_of_header(_exactly(end, size)))
     except struct.error:
-        raise SilentError("this is no header of a connection") from None
+        raise SilentError("this is not the header of a connection") from None
 
 
 def _exactly(end: socket.socket, size: int) -> bytes:

@@ -403,7 +403,7 @@ class TopicRelay:
             if publication is None or header is None:
                 raise SilentError(f"{asks.get('topic')} is not published here")
             if asks.get("md5sum") not in ("*", header["md5sum"]) and header["md5sum"] != "*":
-                cause = f"{asks.get('callerid')} wants {asks.get('type')}, and what comes there is {header['type']}"
+                cause = f"{asks.get('callerid')} expects {asks.get('type')}, but the topic has {header['type']}"
                 self._posted.post(lambda: self._say(Refused(publication.topic, cause)))
                 raise SilentError(cause)
             end.sendall(header_of(header))

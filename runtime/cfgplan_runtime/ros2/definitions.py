@@ -97,7 +97,7 @@ class Definitions:
             raise InputError.of(f"can't be read: {error.strerror}", file=str(file)) from None
         except Exception as error:
             # The parser raises errors of its own, and any others at input that it does not foresee.
-            raise InputError.of(f"this is no message definition: {error}", file=str(file)) from None
+            raise InputError.of(f"this is not a message definition: {error}", file=str(file)) from None
 
     def _alike(self, name: str) -> list[str]:
         """The known types of the same package."""

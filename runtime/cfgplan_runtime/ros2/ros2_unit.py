@@ -124,7 +124,9 @@ def node_source(transformation: Transformation) -> NodeSource:
     source = NodeSource.read(transformation.source)
     if source is None or source.kind == "nodelet":
         mend = "write node:PACKAGE/EXECUTABLE, node:./FILE, component:PACKAGE/PLUGIN or external:/NAME"
-        raise InputError.of(f"{label}: `{transformation.source}` is no node of ROS 2 that a run can start", mend=mend)
+        raise InputError.of(
+            f"{label}: `{transformation.source}` is not a node of ROS 2 that a run can start", mend=mend
+        )
     if source.kind == "component":
         _check_component(label, source)
     if source.kind != "external":

@@ -68,7 +68,7 @@ class ToldQualities(Closable):
         try:
             message = form.decode(data)
         except EncodingError as error:
-            self._once.tell(teller, f"/{teller} tells nothing: {error}")
+            self._once.tell(teller, f"/{teller} can't be read: {error}")
             return
         numbers = dict(told_in(teller, message))
         for statement, told in self._manager.world.environment.told.items():
@@ -76,7 +76,7 @@ class ToldQualities(Closable):
                 continue
             value = numbers[told]
             if value is None:
-                self._once.tell(str(statement), f"/{teller} does not tell {statement}: {told.key} is no number")
+                self._once.tell(str(statement), f"/{teller} does not report {statement}: {told.key} is not a number")
             else:
                 self._manager.tell_quality(statement, value)
 

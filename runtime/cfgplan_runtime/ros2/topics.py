@@ -147,7 +147,9 @@ class RosTopics:
                 topic.waiting.popleft()
             topic.waiting.append(message)
         if is_full:
-            self._once.tell(f"full {number}", f"{topic.order.topic}: ROS takes fewer messages than come; some are lost")
+            self._once.tell(
+                f"full {number}", f"{topic.order.topic}: messages come faster than ROS takes them; some are lost"
+            )
         self._ring()
 
     def end(self, number: int) -> None:
@@ -301,7 +303,7 @@ def checked_domain(domain: int | None = None) -> int:
     """Return a domain; for None, that of ROS_DOMAIN_ID. Raises InputError for a number that is no domain."""
     said = str(domain) if domain is not None else os.environ.get("ROS_DOMAIN_ID") or "0"
     if not said.isdecimal() or int(said) > LARGEST_DOMAIN:
-        raise InputError.of(f"`{said}` is no domain of ROS 2", mend=f"write a number from 0 to {LARGEST_DOMAIN}")
+        raise InputError.of(f"`{said}` is not a domain of ROS 2", mend=f"write a number from 0 to {LARGEST_DOMAIN}")
     return int(said)
 
 

@@ -59,7 +59,7 @@ class PublisherParams(msgspec.Struct, forbid_unknown_fields=True):
             checked_name(self.node, "node")
         checked_domain(self.domain)
         if not 1 <= self.depth <= _MOST_DEPTH:
-            raise InputError.of(f"`{self.depth}` is no depth of a topic", mend=f"it is from 1 to {_MOST_DEPTH}")
+            raise InputError.of(f"`{self.depth}` can't be the depth of a topic", mend=f"it is from 1 to {_MOST_DEPTH}")
 
     def form(self, folder: Path | None = None) -> MessageForm:
         """The form of the topic's messages; `folder` is what `definitions` is relative to. Raises InputError."""

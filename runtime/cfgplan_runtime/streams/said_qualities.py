@@ -75,7 +75,7 @@ class SaidQualities:
         except Exception:  # unit code may give any object, with a conversion of its own
             number = None
         if number is None or not isfinite(number):
-            return f"does not say its {attribute}: {said!r:.60} is no finite number"
+            return f"does not say its {attribute}: {said!r:.60} is not a finite number"
         number = min(max(number, -_LARGEST_NUMBER), _LARGEST_NUMBER)
         sums = self._sums.get((port, attribute), NONE_SAID)
         self._sums[port, attribute] = sums.with_more(Quality(1, number, 0.0))

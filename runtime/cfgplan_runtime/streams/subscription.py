@@ -200,6 +200,6 @@ def _why_not(topic: str, run: str | None, found: list[Path]) -> str:
         return f"nothing publishes topic {topic!r}: no run is live; start one with `cfgplan run ENV`"
     meant = _live(run)
     if not meant:
-        return f"no run {run!r} is live; there is {', '.join(map(id_and_name, live))}"
+        return f"no run {run!r} is live; live runs: {', '.join(map(id_and_name, live))}"
     there = sorted({name for path in meant for name in topics_of(path)})
     return f"nothing publishes topic {topic!r}; there is {', '.join(there) or 'no topic at all'}"

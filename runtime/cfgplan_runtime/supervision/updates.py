@@ -205,7 +205,7 @@ def environment_after(
     try:
         after = environment.update(change_set)
     except InvalidValueError as error:
-        raise StaleChangeSetError(f"the change set does not fit what runs now: {error}") from None
+        raise StaleChangeSetError(f"the change set does not fit the running configuration: {error}") from None
     labels = sorted({unit.transformation for unit in change_set.started})
     without = [label for label in labels if label in after.transformation and not after.transformation[label].source]
     if without:
@@ -216,7 +216,7 @@ def environment_after(
             f"it has no unit code: {mend}",
         )
     for fault in _faults(after, change_set, lost_hosts):
-        raise StaleChangeSetError(f"the change set does not fit what runs now: {fault}")
+        raise StaleChangeSetError(f"the change set does not fit the running configuration: {fault}")
     return after
 
 

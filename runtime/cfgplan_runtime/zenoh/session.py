@@ -162,7 +162,7 @@ def key_expression(text: str, *, is_plain: bool = False) -> str:
         found = str(zenoh.KeyExpr.autocanonize(text))
     except (zenoh.ZError, TypeError) as error:
         mend = "write chunks with slashes between; `*` stands for one chunk, `**` for any number of them"
-        raise InputError.of(f"`{text}` is no key expression: {plain(error)}", mend=mend) from None
+        raise InputError.of(f"`{text}` is not a key expression: {plain(error)}", mend=mend) from None
     if is_plain and "*" in found:
         raise InputError.of(f"`{text}` can't be published to", mend="write a key without wildcards")
     return found
@@ -180,7 +180,7 @@ def _endpoints(said: str | list[str] | None) -> tuple[str, ...]:
     found = () if said is None else (said,) if isinstance(said, str) else tuple(said)
     for each in found:
         if not isinstance(each, str) or _ENDPOINT.fullmatch(each) is None:
-            raise InputError.of(f"`{each}` is no endpoint of Zenoh", mend="write tcp/HOST:PORT or tls/HOST:PORT")
+            raise InputError.of(f"`{each}` is not an endpoint of Zenoh", mend="write tcp/HOST:PORT or tls/HOST:PORT")
     return found
 
 

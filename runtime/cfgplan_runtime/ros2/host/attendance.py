@@ -156,7 +156,7 @@ class Attendance:
                 return
         elif node.waits:
             if is_late:
-                self._fail(node, "is no lifecycle node: leave out `lifecycle`")
+                self._fail(node, "is not a lifecycle node: remove `lifecycle`")
             return
         if not missing or is_late:
             self._note_ready(node)

@@ -48,7 +48,7 @@ def message_class(kind: str) -> Any:
         return getattr(import_module(module), name)
     except (ImportError, AttributeError):
         package = kind.partition("/")[0]
-        text = f"{kind} is not to be had in the Python of ROS: source the workspace that has {package}, or install it"
+        text = f"{kind} can't be imported by the Python of ROS: source the workspace that has {package}, or install it"
         raise UnknownTypeError(text) from None
 
 

@@ -58,7 +58,7 @@ class Lifecycle:
             return
         state = response.current_state
         if state.id not in (INACTIVE, ACTIVE) or state.id <= self.state:
-            self.cause = f"does not let itself be {'configured' if self.state == UNCONFIGURED else 'activated'}"
+            self.cause = f"can't be {'configured' if self.state == UNCONFIGURED else 'activated'}"
             self.cause += f": it is {state.label}"
             self._note(self.state)
         else:

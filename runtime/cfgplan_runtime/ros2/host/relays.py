@@ -389,7 +389,7 @@ class Relays:
             return
         for one in publication.ends:
             if one.topic_type != publication.kind:
-                wants = f"{one.node_name} wants {one.topic_type}, and what comes there is {publication.kind}"
+                wants = f"{one.node_name} expects {one.topic_type}, but the topic has {publication.kind}"
                 self._refuse(publication.topic, wants)
         for words in mended(source.ends, publication.ends):
             listener = publication.ends[0].node_name
