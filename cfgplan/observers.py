@@ -93,8 +93,9 @@ def blurred(environment: Environment, similarity: Similarity) -> Iterator[str]:
             bands = [fact.noise.band(bound, variance) for bound in (low, high)]
             if sum(bands) > 2 * (high - low) * MOST_OF_THE_WAY:
                 yield (
-                    f"{fact.key} is too noisy to tell {value_text(low)} from {value_text(high)} in time: noise of {fact.noise} at "
-                    f"{_rate_text(rate_hz)} needs values {max(bands) / MICRO:.2g} beyond a bound to be sure; "
+                    f"{fact.key} is too noisy to tell {value_text(low)} from {value_text(high)} in time: "
+                    f"noise of {fact.noise} at {_rate_text(rate_hz)} needs values {max(bands) / MICRO:.2g} beyond a "
+                    "bound to be sure; "
                     "observe it more often, or compare it with numbers further apart"
                 )
 
