@@ -18,7 +18,8 @@ import pytest
 
 MOSQUITTO = shutil.which("mosquitto", path=f"{os.environ.get('PATH', os.defpath)}:/usr/sbin")
 NEEDS_MOSQUITTO = pytest.mark.skipif(MOSQUITTO is None, reason="there is no MQTT broker (apt install mosquitto)")
-PATIENCE_S = 30.0
+PATIENCE_S = 60.0
+"""Far longer than anything takes on the slowest machine."""
 
 
 class Broker:

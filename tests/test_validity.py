@@ -11,7 +11,9 @@ from cfgplan.domain import (
     ChangeSet,
     ComputationUnit,
     Environment,
+    Host,
     InputPort,
+    Objective,
     OutputPort,
     Publication,
     Similarity,
@@ -20,7 +22,7 @@ from cfgplan.domain import (
     Target,
     Transformation,
 )
-from cfgplan.planning import Plan, PlannerFaultError, Problem, Status
+from cfgplan.planning import Measured, Plan, PlannerFaultError, Problem, Status
 from cfgplan.validity import Rule, kept_us, plan_violations, violations
 
 CAMERA = Transformation("camera", (), (OutputPort("out", "Image"),), labor_us=5, upkeep_us=1)
@@ -352,3 +354,50 @@ def test_the_targets_that_can_not_be_met_must_be_named_exactly() -> None:
     refusal = Plan("by hand", Status.INFEASIBLE, reasons={"ball": "no image"})
     assert plan_rules(refusal, problem) == set()
     assert plan_rules(replace(refusal, reasons={}), problem) == {Rule.MET}
+
+
+ORDERED = replace(EMPTY, environment=replace(EMPTY.environment, minimise=(Objective.UNITS, Objective.COST)))
+IN_ORDER = replace(GOOD, objectives=(Measured(Objective.UNITS, 2, 2), Measured(Objective.COST, 38, 38)))
+
+
+def test_a_plan_that_tells_its_objectives_truly_has_no_violation() -> None:
+    assert plan_violations(ORDERED, IN_ORDER) == []
+
+
+@pytest.mark.parametrize(
+    ("units", "cost", "expected"),
+    [
+        (Measured(Objective.HOSTS, 2, 2), Measured(Objective.COST, 38, 38), {Rule.CONSISTENT}),
+        (Measured(Objective.UNITS, 1, 1), Measured(Objective.COST, 38, 38), {Rule.COST}),
+        (Measured(Objective.UNITS, 2, 3), Measured(Objective.COST, 38, 38), {Rule.BOUND}),
+        (Measured(Objective.UNITS, 2, 1), Measured(Objective.COST, 38, 38), {Rule.BOUND}),
+        (Measured(Objective.UNITS, 2, 2), Measured(Objective.COST, 38, 37), {Rule.COST, Rule.BOUND}),
+    ],
+)
+def test_a_plan_that_tells_an_objective_wrongly_is_found_out(
+    units: Measured, cost: Measured, expected: set[Rule]
+) -> None:
+    assert plan_rules(replace(IN_ORDER, objectives=(units, cost)), ORDERED) == expected
+
+
+def test_too_expensive_is_no_answer_where_a_target_can_not_be_met_at_all() -> None:
+    impossible = replace(EMPTY.environment, library=(DETECTOR,))
+    problem = replace(EMPTY, environment=impossible, max_cost_us=10)
+    refusal = Plan("by hand", Status.TOO_EXPENSIVE, bound_us=11)
+    assert [one.rule for one in plan_violations(problem, refusal)] == [Rule.MET]
+    assert plan_violations(replace(EMPTY, max_cost_us=10), refusal) == []
+    assert {one.rule for one in plan_violations(replace(EMPTY, max_cost_us=11), refusal)} == {Rule.BOUND}
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"transformation": "camera"}, "unit detector.1 can't change its transformation"),
+        ({"host": "r1"}, "unit detector.1 can't be moved, started or put in standby by rewiring it"),
+    ],
+)
+def test_rewiring_changes_neither_what_a_unit_is_nor_where_it_runs(changes: dict[str, str], text: str) -> None:
+    moved = replace(VALID.unit["detector.1"], **changes)  # type: ignore[arg-type]
+    plan = replace(GOOD, change_set=ChangeSet(rewired=(moved,)))
+    found = plan_violations(replace(EMPTY, environment=replace(VALID, hosts=(Host("r1"),))), plan)
+    assert any(text in str(one) for one in found)

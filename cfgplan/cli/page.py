@@ -19,6 +19,9 @@ example:
 
 Whoever has the printed address can steer the run. Without the part after #, the address only shows it."""
 
+_ENDED_LOOK_S = 0.5
+"""The longest wait in seconds: Python handles a Ctrl-C that comes just before a wait only after it."""
+
 
 def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _OF_A_PAGE
@@ -58,7 +61,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     ):
         screen.tell(f"The page is at {server.url}; Ctrl-C ends it, not the run.")
         try:
-            server.watched.has_ended.wait()
+            while not server.watched.has_ended.wait(_ENDED_LOOK_S):
+                pass
             screen.tell("The run has ended.")
         except KeyboardInterrupt:
             screen.note("stopped")

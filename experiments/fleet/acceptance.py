@@ -28,6 +28,7 @@ from typing import Any
 from computers import (
     HOSTS,
     PATIENCE_S,
+    QUEUE,
     RATE_HZ,
     SLOW_LINKS,
     SOME,
@@ -42,11 +43,12 @@ from computers import (
     unit,
 )
 from fleet_storm import faults_after
-from network import Network, NotAllowedError
+from network import Network, run_within
 
-SKIPPED = 77
 LEASE_S = 2.0
 """The lease of most cases, as by default."""
+PATIENT_LEASE_S = 10.0
+"""The lease of short cases that need all hosts: a busy computer stops an agent for seconds now and then."""
 
 
 @dataclass(frozen=True)
@@ -129,23 +131,43 @@ def old_term(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
 
 def returning(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
     """A host returns: its leftover units end within 1 s, and their elements of the meantime are reported as lost."""
-    with stream(fleet, "r2", "r1") as (runtime, _):
+    from cfgplan.domain import ChangeSet
+
+    with stream(fleet, "r2", "r1") as (runtime, listener):
+        beside = witness(fleet, runtime, "r2")
+        runtime.apply(ChangeSet(started=(unit("same.2", "r2", x="count.1/n", topic="/witness"),)))
+        beside.await_more()
         eventually(lambda: runtime.pid("count.1") is not None)
         process = Path(f"/proc/{runtime.pid('count.1')}")
+        start_s = time.monotonic()
         fleet.network.cut("r2")
         noticed_s = eventually(lambda: bool(events(runtime, "HostLost")))
-        ran_on = process.exists()
+        beside.await_more(1)
         fleet.network.mend("r2")
+        least = beside.values[-1] - listener.values[-1]
         gone_s = eventually(lambda: not process.exists())
+        most = RATE_HZ * (time.monotonic() - start_s)
         back_s = gone_s + eventually(lambda: bool(events(runtime, "HostJoined")))
         eventually(lambda: bool(events(runtime, "ElementsLost")))
         (lost,) = events(runtime, "ElementsLost")
-        given = RATE_HZ * (noticed_s + gone_s)
     text = (
         f"lost after {ms(noticed_s)}; stale unit gone {ms(gone_s)} after the link was there again, host {ms(back_s)}; "
     )
-    text += f"{lost.elements} elements told as lost, about {given:.0f} given"
-    return Seen(text, ran_on and 0.8 * given < lost.elements < 1.2 * given + 40, gone_s < 1.0)
+    text += f"{lost.elements} elements told as lost, {least} to {most:.0f} given"
+    return Seen(text, 0.8 * least < lost.elements < 1.2 * most + 40, gone_s < 1.0)
+
+
+def witness(fleet: Fleet, runtime: Any, host: str) -> Listener:
+    """Return a listener to a topic of a host: a unit there that publishes a stream on it knows each element that was
+    lost on the way to other hosts.
+    """
+    from cfgplan_runtime.streams.run_folder import topics_of
+
+    from cfgplan.domain import ChangeSet, Target
+
+    runtime.apply(ChangeSet(added_targets=(Target("witness", "Y", "/witness", host=host),)))
+    eventually(lambda: "/witness" in topics_of(fleet.run_folder(host)))
+    return Listener(fleet.run_folder(host), "/witness")
 
 
 @contextlib.contextmanager
@@ -276,14 +298,16 @@ def crowded_link(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
         runtime.apply(ChangeSet(started=(unit("large2.1", "r1"), unit("same.2", "base", x="large2.1/n", topic="/big"))))
         Listener(runtime.id, "/big", number=lambda one: int(one[0])).await_more(2)
         fleet.network.limit("r1", 20.0)
-        end_s = time.monotonic() + 40.0
+        end_s = time.monotonic() + PATIENCE_S
         while not told and time.monotonic() < end_s:
             time.sleep(0.5)
             told += links.warnings(flows.crossings, time.monotonic())
         fleet.network.unlimit("r1")
         figures = [float(one) for one in re.findall(r"([\d.]+) Mbit/s", " ".join(told))]
-        holds = len(figures) == 2 and 24 <= figures[0] <= 40 and 12 <= figures[1] <= 24
-    return Seen(told[0] if told else "nothing was told in 40 s", holds and not events(runtime, "HostLost"))
+        holds = len(figures) == 2 and figures[1] < figures[0] <= 40 and figures[1] <= 24
+        is_exact = holds and figures[0] >= 24 and figures[1] >= 12
+        hosts_lost = events(runtime, "HostLost")
+    return Seen(told[0] if told else f"nothing was told in {PATIENCE_S:.0f} s", holds and not hosts_lost, is_exact)
 
 
 def measured_rate(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
@@ -328,7 +352,7 @@ def measured_rate(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
         pictures = Listener(runtime.id, "/pictures", number=lambda one: int(one[0]))
         pictures.await_more(4)
         fleet.network.limit("r1", 20.0)
-        took_s = eventually(lambda: "pack" in {unit.transformation for unit in runtime.environment.units}, 60.0)
+        took_s = eventually(lambda: "pack" in {unit.transformation for unit in runtime.environment.units})
         manager.settle()
         pictures.await_more(10)
         now = {unit.transformation for unit in runtime.environment.units}
@@ -386,20 +410,18 @@ def clocks(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
 
 def source_in_cut(fleet: Fleet, short: bool) -> Seen:
     """A source is swapped in a cut of 2.5 s (lease 4 s): its last elements arrive, or are counted as lost."""
-    from cfgplan.domain import ChangeSet, Target
+    from cfgplan.domain import ChangeSet
 
     span_s = 1.0 if short else 2.5
     with stream(fleet, "r1", "base") as (runtime, listener):
-        # What the source gives is heard beside it too, so that what was lost is known to the element.
-        witness = unit("same.2", "r1", x="count.1/n", topic="/witness")
-        runtime.apply(ChangeSet(added_targets=(Target("witness", "Y", "/witness", host="r1"),), started=(witness,)))
-        beside = Listener(fleet.run_folder("r1"), "/witness")
+        beside = witness(fleet, runtime, "r1")
+        runtime.apply(ChangeSet(started=(unit("same.2", "r1", x="count.1/n", topic="/witness"),)))
         beside.await_more()
         fleet.network.cut("r1")
         threading.Timer(span_s, fleet.network.mend, ["r1"]).start()
         time.sleep(span_s / 2)
         same = unit("same.1", "base", x="count.2/n", topic="/result")
-        change = ChangeSet(started=(unit("count.2", "r2"),), rewired=(same,), stopped=("count.1", witness.id))
+        change = ChangeSet(started=(unit("count.2", "r2"),), rewired=(same,), stopped=("count.1", "same.2"))
         runtime.apply(change)
         eventually(lambda: any(after < before for before, after in pairwise(list(listener.values))))
         listener.await_more()
@@ -423,24 +445,29 @@ def source_ends_in_cut(fleet: Fleet, short: bool) -> Seen:
     span_s, texts, are_whole = 1.0 if short else 2.5, [], True
     for label in ("some", "count"):
         with fleet.runtime() as runtime:
+            listener, beside = Listener(runtime.id), witness(fleet, runtime, "r1")
             same = unit("same.1", "base", x=f"{label}.1/n", topic="/result")
-            runtime.apply(ChangeSet(started=(unit(f"{label}.1", "r1"), same)))
-            listener = Listener(runtime.id)
+            beside_it = unit("same.2", "r1", x=f"{label}.1/n", topic="/witness")
+            runtime.apply(ChangeSet(started=(unit(f"{label}.1", "r1"), same, beside_it)))
             eventually(lambda runtime=runtime, label=label: runtime.pid(f"{label}.1") is not None)
             eventually(lambda listener=listener: bool(listener.values) and listener.values[-1] > SOME - RATE_HZ)
             fleet.network.cut("r1")
-            threading.Timer(span_s, fleet.network.mend, ["r1"]).start()
-            time.sleep(span_s / 2)
-            last = SOME - 1
-            if label == "count":
-                # What it has given is known by the clock alone: elements have the time of the manager's.
+            if label == "some":
+                eventually(lambda beside=beside: beside.values[-1] == SOME - 1)
+            else:
+                beside.await_more(RATE_HZ // 2)
                 os.kill(runtime.pid("count.1"), 9)
-                last = listener.values[-1] + int((time.time_ns() - listener.times_ns[-1]) * RATE_HZ / 1e9)
+            time.sleep(span_s / 2)
+            fleet.network.mend("r1")
+            # The kill may come after an element was put on the way to the witness and before it was for the other host.
+            late = int(label == "count")
             with contextlib.suppress(TimeoutError):
-                eventually(lambda listener=listener, last=last: listener.values[-1] >= last, 2 * span_s + 2)
-            texts.append(f"{label}: up to {listener.values[-1]} of {last}, {listener.wrong()} wrong")
-            is_late = label == "count" and last - listener.values[-1] < RATE_HZ // 10
-            are_whole = are_whole and listener.wrong() == 0 and (listener.values[-1] == last or is_late)
+                eventually(
+                    lambda listener=listener, beside=beside, late=late: listener.values[-1] >= beside.values[-1] - late,
+                    30.0,
+                )
+            texts.append(f"{label}: up to {listener.values[-1]} of {beside.values[-1]}, {listener.wrong()} wrong")
+            are_whole = are_whole and listener.wrong() == 0 and listener.values[-1] >= beside.values[-1] - late
     return Seen("; ".join(texts), are_whole)
 
 
@@ -466,7 +493,7 @@ horizon: 600
 hosts: [{{name: base}}, {{name: r1}}, {{name: r2}}]
 transformations:
   - {{label: count, source: "{code}:count", host: {source}, run: {{rate: {RATE_HZ}}}, outputs: {{n: N}}}}
-  - {{label: same, source: "{code}:same", host: {worker}, inputs: {{x: N}}, outputs: {{n: Y}}}}
+  - {{label: same, source: "{code}:same", host: {worker}, run: {{queue: {QUEUE}}}, inputs: {{x: N}}, outputs: {{n: Y}}}}
   - {{label: other, source: "{code}:count", host: r1, run: {{rate: {RATE_HZ}}}, outputs: {{n: Other}}}}
 targets:
   - {{label: result, tag: Y, topic: /result, host: base}}
@@ -583,6 +610,8 @@ CASES: dict[str, tuple[Callable[[Fleet, bool], Seen], float]] = {
     "swap in a long cut": (swap_in_cut, 4.0),
 }
 """Each case, and the lease it is played with."""
+LOSING = (agent_killed, partition, storm, returning, cut_for_good)
+"""Cases whose lost hosts are noticed after a lease."""
 
 
 def played(network: Network, names: Sequence[str], short: bool) -> bool:
@@ -599,6 +628,8 @@ def played(network: Network, names: Sequence[str], short: bool) -> bool:
         fleet: Fleet | None = None
         for name in names:
             case, lease_s = CASES[name]
+            if short and case not in LOSING:
+                lease_s = PATIENT_LEASE_S
             if fleet is None or fleet.lease_s != lease_s:
                 stack.close()
                 fleet = stack.enter_context(Fleet(network, secrets, lease_s=lease_s))
@@ -619,18 +650,9 @@ def main() -> int:
     parser.add_argument("--short", action="store_true", help="few swaps, short cuts")
     parser.add_argument("--within", help=argparse.SUPPRESS)
     options = parser.parse_args()
-    if options.within is not None:
-        from cfgplan_runtime.processes.nursery import die_with_parent
-
-        die_with_parent(os.getppid())
-        return int(not played(Network.joined(options.within), options.case or list(CASES), options.short))
-    try:
-        network = Network(HOSTS)
-    except NotAllowedError as error:
-        print(f"no network namespaces: {error}")
-        return SKIPPED
-    with network:
-        return network.start("base", [sys.executable, *sys.argv, f"--within={network.token}"]).wait()
+    return run_within(
+        HOSTS, options.within, lambda network: played(network, options.case or list(CASES), options.short)
+    )
 
 
 if __name__ == "__main__":

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 HOSTS = ("base", "r1", "r2")
 UNITS = Path(__file__).parents[1] / "runtime"
 RATE_HZ = 200
+QUEUE = 4096
+"""The elements that may wait at a relay: a busy computer stops it for seconds, and what is lost then says nothing."""
 SOME = 600
 """The elements of a source that ends."""
 SLOW_LINKS = {"05": (500_000, 0.6, 5.0), "2": (2_000_000, 2.0, 50.0), "10": (10_000_000, 0.4, 50.0)}
@@ -263,7 +265,7 @@ def library() -> tuple[Any, ...]:
         source("some", RATE_HZ, number=SOME),
         source("images", 40),
         *(source(f"large{mb}", hz, "large", size=size) for mb, (size, hz, _) in SLOW_LINKS.items()),
-        Transformation("same", *ports, source="measured_units.py:same"),
+        Transformation("same", *ports, source="measured_units.py:same", run=RunOptions(queue=QUEUE)),
     )
 
 

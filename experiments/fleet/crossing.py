@@ -30,10 +30,9 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import psutil
-from acceptance import SKIPPED
 from cfgplan_runtime.processes.nursery import die_with_parent
 from computers import HOSTS, PATIENCE_S, Fleet, Listener, eventually, unit
-from network import Network, NotAllowedError
+from network import Network, run_within
 
 SIZES = {100: 200.0, 10_000: 200.0, 460_000: 40.0}
 """Bytes of an element, and how many a second where latency is measured."""
@@ -323,16 +322,8 @@ def main() -> int:
         receive(options.way, Path(options.secrets), options.address)
     elif options.role == "send":
         send(options.way, Path(options.secrets), options.address, options.size, options.rate, options.seconds)
-    elif options.within is not None:
-        measure(Network.joined(options.within), options.seconds)
     else:
-        try:
-            network = Network(HOSTS)
-        except NotAllowedError as error:
-            print(f"no network namespaces: {error}")
-            return SKIPPED
-        with network:
-            return network.start("base", [sys.executable, *sys.argv, f"--within={network.token}"]).wait()
+        return run_within(HOSTS, options.within, lambda network: measure(network, options.seconds))
     return 0
 
 

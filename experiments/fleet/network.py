@@ -15,12 +15,14 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+SKIPPED = 77
+"""The exit code of an experiment where there are no network namespaces."""
 _TOOLS = ("unshare", "nsenter", "ip", "bridge", "tc")
 _LOSSY_SWITCH = Path(__file__).with_name("lossy_switch.py")
 _FORWARDS, _IS_DISABLED = "3", "0"
@@ -140,6 +142,26 @@ class Network:
 
 class NotAllowedError(Exception):
     """This system gives no network namespaces; the message says why."""
+
+
+def run_within(hosts: Sequence[str], token: str | None, work: Callable[[Network], bool | None]) -> int:
+    """Without a token: make a network of these hosts, and run this command again on its first host, with the option
+    `--within=TOKEN`. Returns that command's exit code, or SKIPPED.
+
+    With the token: call `work` with the network. Returns 1 if it returns False, otherwise 0.
+    """
+    if token is not None:
+        from cfgplan_runtime.processes.nursery import die_with_parent
+
+        die_with_parent(os.getppid())
+        return int(work(Network.joined(token)) is False)
+    try:
+        network = Network(hosts)
+    except NotAllowedError as error:
+        print(f"no network namespaces: {error}")
+        return SKIPPED
+    with network:
+        return network.start(hosts[0], [sys.executable, *sys.argv, f"--within={network.token}"]).wait()
 
 
 @contextmanager

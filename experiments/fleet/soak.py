@@ -31,9 +31,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from unittest.mock import patch
 
-from acceptance import SKIPPED
 from computers import Fleet, Listener, eventually
-from network import Network, NotAllowedError
+from network import Network, run_within
 
 if TYPE_CHECKING:
     from cfgplan_runtime.operating.operation import Operation
@@ -378,19 +377,7 @@ def main() -> int:
     parser.add_argument("--deed", action="append", default=[], help="this one only (several: once for each)")
     parser.add_argument("--within", help=argparse.SUPPRESS)
     options = parser.parse_args()
-    if options.within is not None:
-        from cfgplan_runtime.processes.nursery import die_with_parent
-
-        die_with_parent(os.getppid())
-        soak(Network.joined(options.within), options.minutes, options.seed, options.deed)
-        return 0
-    try:
-        network = Network(HOSTS)
-    except NotAllowedError as error:
-        print(f"no network namespaces: {error}")
-        return SKIPPED
-    with network:
-        return network.start("base", [sys.executable, *sys.argv, f"--within={network.token}"]).wait()
+    return run_within(HOSTS, options.within, lambda network: soak(network, options.minutes, options.seed, options.deed))
 
 
 if __name__ == "__main__":

@@ -338,8 +338,16 @@ class Soak:
         return [pid for pid in pids if pid is not None]
 
     def _outlets(self) -> int:
-        _await(lambda: self.operation.runtime.pid(OUTLETS) is not None, "there are no outlets")
-        return self.operation.runtime.pid(OUTLETS) or 0
+        """The process of the outlets; never 0, since a signal to that would reach the whole process group."""
+        pids = list[int]()
+
+        def are_there() -> bool:
+            pid = self.operation.runtime.pid(OUTLETS)
+            pids.extend([] if pid is None else [pid])
+            return bool(pids)
+
+        _await(are_there, "there are no outlets")
+        return pids[0]
 
     def _signal_nursery(self, number: signal.Signals) -> None:
         """All that it has made ends with it."""

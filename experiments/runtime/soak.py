@@ -167,7 +167,7 @@ class Soak:
     def kill_in_update(self) -> None:
         """Kill the unit that is being replaced, at some moment of the update."""
         label = self.rng.choice(["first", "second"])
-        begin, pid = time.time_ns(), self.runtime.pid(self.name(label)) or 0
+        begin, pid = time.time_ns(), running_pid(self.runtime, self.name(label))
         timer = threading.Timer(self.rng.uniform(0, 0.02), _kill, [pid])
         timer.start()
         self._replace({label})

@@ -6,7 +6,7 @@ import contextlib
 import queue
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import Future
+from concurrent.futures import Future, wait
 from pathlib import Path
 from typing import Protocol, TypeVar
 
@@ -25,6 +25,8 @@ from cfgplan_runtime.supervision.updates import Patience
 T = TypeVar("T")
 
 _MOST_EVENTS = 10_000
+_LOOK_S = 0.5
+"""The longest wait in seconds: Python handles a signal that comes just before a wait only after it."""
 
 
 class Executor(Protocol):
@@ -50,7 +52,12 @@ class OwnThread:
     def begin(self, make: Callable[[], Supervisor]) -> Supervisor:
         self._thread = threading.Thread(target=self._run, args=(make,), name="cfgplan-supervisor", daemon=True)
         self._thread.start()
-        self._supervisor = self._made.result()
+        try:
+            self._supervisor = _result(self._made)
+        except BaseException:
+            if not self._made.cancel() and self._made.exception() is None:
+                self._made.result().end()
+            raise
         return self._supervisor
 
     def call(self, work: Callable[[], T]) -> T:
@@ -70,7 +77,7 @@ class OwnThread:
         if self._supervisor.is_ending:  # perhaps nobody looks any more
             self._thread.join()
             self._run_pending_calls()
-        return future.result()
+        return _result(future)
 
     def close(self) -> None:
         self._supervisor.end()
@@ -80,7 +87,11 @@ class OwnThread:
         try:
             supervisor = make()
         except BaseException as error:
-            self._made.set_exception(error)
+            if self._made.set_running_or_notify_cancel():
+                self._made.set_exception(error)
+            return
+        if not self._made.set_running_or_notify_cancel():  # the call of `begin` was interrupted
+            supervisor.backend.close()
             return
         self._made.set_result(supervisor)
         try:
@@ -96,6 +107,13 @@ class OwnThread:
         with contextlib.suppress(queue.Empty):
             while True:
                 self._work.get_nowait()()
+
+
+def _result(future: Future[T]) -> T:
+    """Wait for a future, and return its result or raise its exception."""
+    while not future.done():
+        wait((future,), _LOOK_S)
+    return future.result()
 
 
 class Inline:

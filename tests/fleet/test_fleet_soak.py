@@ -6,16 +6,16 @@ import subprocess
 import sys
 from pathlib import Path
 
-import acceptance
+import network
 import pytest
 
-SOAK = Path(acceptance.__file__).with_name("soak.py")
+SOAK = Path(network.__file__).with_name("soak.py")
 
 
 def test_whatever_happens_to_a_fleet_no_element_is_lost_uncounted_and_no_unit_is_left(tmp_path: Path) -> None:
     line = [sys.executable, str(SOAK), "--minutes", "0", "--seed", "3"]
     done = subprocess.run(line, capture_output=True, text=True, check=False, cwd=tmp_path)
-    if done.returncode == acceptance.SKIPPED:
+    if done.returncode == network.SKIPPED:
         pytest.skip(done.stdout.strip())
     assert done.returncode == 0, done.stdout + done.stderr
     assert "'certificate_ends': 1" in done.stdout and "'lossy_links': 1" in done.stdout

@@ -60,9 +60,10 @@ def browser(page: PageServer, **context: Any) -> Iterator[tuple[Any, list[str]]]
         pytest.skip("there is no Chromium at /usr/bin/chromium")
     quiet = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-component-update"]
     with playwright.sync_playwright() as started:
-        chromium = started.chromium.launch(executable_path=str(CHROMIUM), args=[*quiet, "--disable-sync"])
+        args, patience_ms = [*quiet, "--disable-sync"], PATIENCE_S * 1000
+        chromium = started.chromium.launch(executable_path=str(CHROMIUM), args=args, timeout=patience_ms)
         tab = chromium.new_context(**context).new_page()
-        tab.set_default_timeout(PATIENCE_S * 1000)
+        tab.set_default_timeout(patience_ms)
         tab.add_init_script(SHIFTS)
         wrong: list[str] = []
         tab.on("console", lambda said: wrong.append(said.text) if said.type in ("error", "warning") else None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -21,6 +22,7 @@ def test_the_film_shows_a_kill_and_its_repair(tmp_path: Path) -> None:
     command = [sys.executable, str(FILM), "--out", str(film)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert f"{film}: well bad well; " in done.stdout
+    # Warnings may stand in between: a busy computer gives nothing for seconds.
+    assert re.search(r": well .*\bbad .*\bwell; ", done.stdout), done.stdout
     with image.open(film) as shown:
         assert shown.is_animated

@@ -166,7 +166,9 @@ def test_a_broker_that_is_away_or_dies_is_told_once_and_the_run_goes_on(broker: 
         await_warning(process, f"{broker.name} is connected again")
         with hearing(broker, "house/#", STATUS) as heard:
             await_message(heard, STATUS, "online")
-            assert json.loads(await_message(heard, "house/number"))["number"] > number
+            # The broker may have died before it had confirmed the last ones that were heard: they come again.
+            while json.loads(await_message(heard, "house/number"))["number"] <= number:
+                pass
         assert not [told for told in end(process) if broker.name in told], "nothing is told twice"
         assert process.returncode == 0
 

@@ -20,7 +20,15 @@ from typing import Any
 
 import psutil
 import pytest
-from cfgplan_runtime import ApplyError, Patience, SimulatedRuntime, StaleChangeSetError, subscribe
+from cfgplan_runtime import (
+    ApplyError,
+    Patience,
+    Runtime,
+    SimulatedBackend,
+    SimulatedRuntime,
+    StaleChangeSetError,
+    subscribe,
+)
 from cfgplan_runtime.errors import NoSuchTopicError, RuntimeFaultError, UnsupportedPlatformError
 from cfgplan_runtime.processes.nursery_link import start_helper
 from cfgplan_runtime.runtime import Inline, OwnThread
@@ -577,6 +585,36 @@ def test_what_is_asked_just_as_a_runtime_ends_is_refused(
     monkeypatch.setattr(executor, "_work", Late())
     with ThreadPoolExecutor(1) as asking, pytest.raises(RuntimeFaultError, match="closed"):
         asking.submit(runtime.observe).result(PATIENCE_S)
+
+
+def test_a_signal_that_does_not_wake_the_main_thread_interrupts_its_wait_for_a_runtime() -> None:
+    """Another thread gets the signal, which has the effect of one that comes just before the wait."""
+    goes_on, is_closed, went_on = threading.Event(), threading.Event(), list[bool]()
+
+    class Slow(SimulatedBackend):
+        def close(self) -> None:
+            is_closed.set()
+
+    def make() -> Slow:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGUSR1})
+        os.kill(os.getpid(), signal.SIGUSR1)
+        went_on.append(goes_on.wait(PATIENCE_S))
+        return Slow({})
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    handler = signal.signal(signal.SIGUSR1, interrupt)
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGUSR1})
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            Runtime(backend=make)
+    finally:
+        goes_on.set()
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        signal.signal(signal.SIGUSR1, handler)
+    assert is_closed.wait(PATIENCE_S), "what was made too late is closed"
+    assert went_on == [True], "the wait ended before the runtime was made"
 
 
 def test_ctrl_c_reaches_no_process_that_makes_the_units_from_its_first_moment() -> None:
