@@ -81,9 +81,6 @@ class Work:
 WORKERS = {"first_a": ("N", "M"), "first_b": ("N", "M"), "second_a": ("M", "Y"), "second_b": ("M", "Y")}
 GUEST = "targets: [{label: guest, topic: /guest, tag: M}]"
 PATIENCE_S = 120.0
-SLACK_NS = 100_000_000
-"""How far an element that a kill has cost may be from that in time: it was on its way, or waited for its turn."""
-
 REST_S = 0.4
 """How long nothing is done after a kill, so that it excuses nothing that follows."""
 
@@ -105,6 +102,8 @@ class Soak:
     randoms: random.Random
     times_ns: array[int] = field(default_factory=lambda: array("q"))
     values: array[int] = field(default_factory=lambda: array("q"))
+    came_ns: array[int] = field(default_factory=lambda: array("q"))
+    """When each element came here; `times_ns` has when it was made."""
     kills_ns: list[tuple[int, int]] = field(default_factory=list)
     upkeep_us: dict[str, int] = field(default_factory=lambda: dict.fromkeys(WORKERS, 500))
     params: dict[str, dict[str, float]] = field(default_factory=lambda: {label: {} for label in WORKERS})
@@ -136,6 +135,7 @@ class Soak:
         for received in subscribe("/result", run=self.operation.id):
             self.times_ns.append(received.time_ns)
             self.values.append(received.value)
+            self.came_ns.append(time.time_ns())
 
     def note(self, event: Event) -> None:
         """Keep an event for the deed under way."""
@@ -414,17 +414,26 @@ def _await_gap(since_s: float) -> None:
 
 
 def anomalies(soak: Soak) -> list[str]:
-    """Return everything in the received elements that a consumer must not see."""
+    """Return everything in the received elements that a consumer must not see.
+
+    A kill costs the elements that are on their way then, however long they have been: those after which the next one
+    comes once the kill has begun.
+    """
     found = []
-    for (before_ns, before), (after_ns, after) in pairwise(zip(soak.times_ns, soak.values, strict=True)):
+    elements = zip(soak.times_ns, soak.values, soak.came_ns, strict=True)
+    for (before_ns, before, before_came_ns), (after_ns, after, after_came_ns) in pairwise(elements):
         if after_ns <= before_ns:
             found.append(f"{after} at {after_ns} came after {before} at {before_ns}")
-        excused = any(before_ns <= end + SLACK_NS and begin - SLACK_NS <= after_ns for begin, end in soak.kills_ns)
+        excused = any(before_came_ns <= end and begin <= after_came_ns for begin, end in soak.kills_ns)
         if after != before + 1 and not excused:
-            when = [time.strftime("%X", time.localtime(at_ns / 1e9)) for at_ns in (before_ns, after_ns)]
-            told = f"{after} came at {when[1]} after {before} at {when[0]}, though nothing was killed or stopped"
-            found.append(told)
+            whens = map(_when, (after_ns, after_came_ns, before_ns, before_came_ns))
+            told = "{0} (made {2}) came {3} after {1} (made {4}, came {5})".format(after, before, *whens)
+            found.append(f"{told}, though nothing was killed or stopped")
     return found
+
+
+def _when(at_ns: int) -> str:
+    return f"{time.strftime('%X', time.localtime(at_ns // 1_000_000_000))}.{at_ns // 1_000_000 % 1000:03}"
 
 
 def fresh_cost_us(path: Path) -> int:
