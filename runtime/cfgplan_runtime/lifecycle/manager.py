@@ -320,8 +320,8 @@ class Manager:
                 found = tuple(self._middleware.observe())
                 self._estimator.observe(found, self._clock.now())
                 self._decide(turns.Seen(found))
-            case turns.LearnOfFailure(label):
-                self._estimator.failed(label, self._clock.now())
+            case turns.LearnOfFailure(place):
+                self._estimator.failed(place.label, self._clock.now(), place.host)
             case turns.MakePlan():
                 self._plan(effect)
             case turns.MakePreview():
