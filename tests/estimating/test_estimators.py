@@ -286,7 +286,28 @@ def test_what_was_seen_on_a_host_counts_there_and_elsewhere_by_the_speeds() -> N
     assert estimator.estimated([WORK], HORIZON_S) == (WORK,)
 
 
-def test_a_failure_makes_a_start_dearer_on_every_host() -> None:
+def test_a_failure_makes_a_transformation_dearer_on_its_host_only() -> None:
+    estimator = make_estimator()
+    (_, slow), fast = on(estimator, SLOW, FAST)
+    estimator.failed("work", 0.0, SLOW.name)
+    assert on(estimator, SLOW, FAST)[0][1] > slow
+    assert on(estimator, SLOW, FAST)[1] == fast
+
+
+def test_a_host_where_it_never_failed_has_only_the_labor_and_upkeep_of_the_others() -> None:
+    estimator = make_estimator()
+    on(estimator, SLOW, FAST)
+    watched = Watched(estimator, host="slow")
+    watched.run(lambda _: 80_000, 60, labor_us=400_000)
+    before = on(estimator, SLOW, FAST)
+    for _ in range(5):
+        estimator.failed("work", watched.now_s, SLOW.name)
+    after = on(estimator, SLOW, FAST)
+    assert after[0][1] > before[0][1]
+    assert after[1] == before[1]
+
+
+def test_a_failure_on_no_known_host_counts_on_every_host() -> None:
     estimator = make_estimator()
     before = on(estimator, SLOW, FAST)
     estimator.failed("work", 0.0)

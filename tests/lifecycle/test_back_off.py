@@ -18,7 +18,17 @@ from cfgplan_runtime.supervision.events import UnitReady
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
 from simulated_life import Life, source, started, worker
 
-from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Publication, Stream, Subscription, Target
+from cfgplan.domain import (
+    ChangeSet,
+    ComputationUnit,
+    Environment,
+    Host,
+    Publication,
+    Stream,
+    Subscription,
+    Target,
+    Transformation,
+)
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Plan, Problem
 
@@ -257,6 +267,17 @@ def test_the_end_does_not_wait_for_a_slow_start_that_was_just_decided() -> None:
     assert asked
     assert life.manager.snapshot().phase is Phase.STOPPED
     assert life.now < 2
+
+
+def test_failures_make_declared_costs_dearer_on_their_host_only() -> None:
+    estimator, (near, far) = DeclaredCosts(failure_us=1_000), (Host("near"), Host("far"))
+    work = Transformation("work", labor_us=10)
+    for _ in range(2):
+        estimator.failed("work", 1.0, "far")
+    assert [estimator.labor_us(work, 60, host) for host in (None, near, far)] == [10, 10, 1_010]
+    for _ in range(2):
+        estimator.failed("work", 1.0)
+    assert [estimator.labor_us(work, 60, host) for host in (None, near, far)] == [1_010, 1_010, 3_010]
 
 
 def test_an_estimator_that_raises_ends_nothing_and_is_told_in_reviews() -> None:

@@ -305,7 +305,7 @@ def test_a_unit_without_a_good_step_for_long_is_given_up_and_blamed() -> None:
         state, effects = after(state, at_s, failed, UnitStatus("work.1", steps, errors, {}, {}))
         told += effects
     assert perturbations(told) == [UnitKeepsFailing("work.1", "work", 7, "bad luck")]
-    assert found(told, LearnOfFailure) == [LearnOfFailure("work")]
+    assert found(told, LearnOfFailure) == [LearnOfFailure(Place("work", "far"))]
     assert state.situation.failing == {"work.1"}
 
 
@@ -345,7 +345,7 @@ def test_the_second_failure_in_a_row_is_waited_after_and_then_it_may_start_again
     for at_s in (1.0, 2.0):
         state, effects = after(state, at_s, UnitDied("work.1", "crash"))
         state = replace(state, entries=(), situation=state.situation.with_started((WORK,), RUNNING, at_s))
-        assert found(effects, LearnOfFailure) == [LearnOfFailure("work")]
+        assert found(effects, LearnOfFailure) == [LearnOfFailure(Place("work", "far"))]
     assert (state.situation.back_offs.avoided, state.wake_s) == ({Place("work", "far")}, 1.0)
     state, effects = after(replace(state, observe_at_s=inf), 3.0, Tick(0.0))
     assert perturbations(effects) == [MayStartAgain(("work",))]
@@ -439,18 +439,20 @@ def test_an_update_that_fails_is_followed_by_another_review(
     assert state.situation.back_offs.avoided == avoided
     assert "work.2" not in state.situation.units
     assert state.due_s == (3.1 if failed.is_fault else 3.0)
-    assert found(effects, LearnOfFailure) == ([LearnOfFailure("work")] if type(error) is ApplyError else [])
+    assert found(effects, LearnOfFailure) == (
+        [LearnOfFailure(Place("work", "far"))] if type(error) is ApplyError else []
+    )
 
 
 def test_a_new_unit_that_dies_counts_once_however_its_update_ends() -> None:
     state, effects = after(updating(), 2.5, UnitDied("work.2", "no camera"))
     assert effects == []
     failed, effects = after(state, 3.0, Updated(0.1, ApplyError("undone", ("work.2",))))
-    assert found(effects, LearnOfFailure) == [LearnOfFailure("work")]
+    assert found(effects, LearnOfFailure) == [LearnOfFailure(Place("work", "far"))]
     assert perturbations(effects) == [UpdateFailed("undone", ("work",))]
     assert failed.situation.back_offs.avoided == {Place("work", "far")}
     state, effects = after(state, 3.0, Updated(0.1))
-    assert found(effects, LearnOfFailure) == [LearnOfFailure("work")]
+    assert found(effects, LearnOfFailure) == [LearnOfFailure(Place("work", "far"))]
     assert perturbations(effects) == [UnitGone("work.2", "work", "died", "no camera", "far")]
     assert (state.situation.back_offs.avoided, found(effects, Prepare)) == (frozenset(), [])
 

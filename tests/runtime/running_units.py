@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import random
 import subprocess
 import sys
 import time
@@ -24,6 +25,12 @@ def count() -> Iterator[int]:
     while True:
         yield number
         number += 1
+
+
+def draw() -> Iterator[int]:
+    """Prints a random number of Python and one of numpy."""
+    sys.stdout.write(f"{random.random()} {numpy.random.random()}\n")
+    yield 0
 
 
 def images() -> Iterator[NDArray[numpy.uint8]]:

@@ -33,6 +33,24 @@ def test_buffers_follow_a_change_of_size() -> None:
     ]
 
 
+def test_elements_of_any_size_arrive_as_they_were_sent() -> None:
+    sending, receiving = socket_pair()
+    sender, receiver = Sender(sending, queue=1000, blocks=True), Receiver(receiving)
+    sent = [
+        bytes([size % 251]) * size for size in (1, 5000, 3, *range(4000, 4200, 7), 70_000, 10, LARGE, 8192, 65_536, 2)
+    ]
+    came = []
+    for number, payload in enumerate(sent):
+        sender.offer(Outgoing(number, 0, [payload]))
+        came += [bytes(element.payload) for element in receiver.read()]
+    while not sender.flush():
+        came += [bytes(element.payload) for element in receiver.read()]
+    sending.close()
+    while not receiver.has_ended:
+        came += [bytes(element.payload) for element in receiver.read()]
+    assert came == sent
+
+
 def test_a_received_array_stays_as_it_is_however_much_comes_after_it() -> None:
     encoder = PayloadEncoder()
     sending, receiving = socket_pair()

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import signal
 from itertools import pairwise
 
 import pytest
 from cfgplan_runtime.supervision.events import SourceExhausted, UnitDied
+from cfgplan_runtime.supervision.observation import Observation
 from unit_signals import signal_unit
 from watching import Listener, StartRuntime, seen
 from world import RESULT, eventually, source, start, unit, worker
@@ -99,6 +101,27 @@ def test_a_consumer_keeps_receiving_when_a_killed_unit_is_replaced(run_units: St
     runtime.close()
     listener.join()
     assert listener.values == sorted(set(listener.values))
+
+
+def test_what_a_unit_drops_because_it_got_no_cpu_time_is_counted(run_units: StartRuntime) -> None:
+    queue = 5
+    runtime = run_units(source(), worker(run=RunOptions(queue=queue)))
+    runtime.apply(start(unit("count.1"), unit("work.1", topic="/result", x="count.1/n")))
+    listener = Listener("/result")
+    eventually(lambda: len(listener.received) > 3)
+
+    def observed(unit_id: str) -> Observation:
+        return next(one for one in runtime.observe() if one.unit == unit_id)
+
+    def lost() -> int:
+        return sum(after - before - 1 for before, after in pairwise(listener.values))
+
+    signal_unit(runtime, "work.1", signal.SIGSTOP)
+    before = observed("count.1").steps
+    eventually(lambda: observed("count.1").steps > before + 10 * queue)
+    signal_unit(runtime, "work.1", signal.SIGCONT)
+    eventually(lambda: lost() > queue)
+    eventually(lambda: observed("work.1").dropped == lost())
 
 
 def test_several_consumers_get_the_same_and_one_that_stalls_harms_nobody(run_units: StartRuntime) -> None:

@@ -160,6 +160,14 @@ class Ports:
         for receiver in self.inputs.pop(port).receivers.values():
             self._close(receiver)
 
+    def close(self) -> None:
+        """Close all sockets but the connection to the supervisor."""
+        for name in list(self.inputs):
+            self.close_input(name)
+        for name in list(self.outputs):
+            self.close_output(name)
+        self.ends.close()
+
     def resume(self) -> None:
         """Resume reading from inputs that have room again."""
         for port in self.inputs.values():

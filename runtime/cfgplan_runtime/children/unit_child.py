@@ -123,6 +123,10 @@ class UnitChild:
             self._close_code()
             self._say_status()
 
+    def close(self) -> None:
+        """Close the sockets of its ports. A child needs no call of it, since its process ends."""
+        self._ports.close()
+
     def interrupt(self) -> None:
         """Leave unit code that blocks. Called by a signal's handler once the unit was told to finish.
 

@@ -127,9 +127,15 @@ class LearningEstimator:
         for label in sorted({seen.transformation for seen, _ in self._units.values()} & self._made.keys()):
             self.estimate(self._declared[label], self._made[label].horizon_s)
 
-    def failed(self, transformation: str, now_s: float) -> None:
-        """Learn that a unit could not start, died, hung or kept failing, on any host. Call it once per unit."""
+    def failed(self, transformation: str, now_s: float, host: str | None = None) -> None:
+        """Learn that a unit could not start, died, hung or kept failing. Call it once per unit.
+
+        It counts for the unit's host, or for all hosts if that is None.
+        """
         self._now_s = now_s
+        if host is not None:
+            self.at(host).failed(transformation, now_s)
+            return
         for there in self.on_hosts.values():
             there.failed(transformation, now_s)
         with self._learning(transformation) as evidence:

@@ -28,9 +28,10 @@ class GuardedEstimator:
         self._declared.observe(observations, now_s)
         self._tried(lambda: self._estimator.observe(observations, now_s), None)
 
-    def failed(self, transformation: str, now_s: float) -> None:
-        self._declared.failed(transformation, now_s)
-        self._tried(lambda: self._estimator.failed(transformation, now_s), None)
+    def failed(self, transformation: str, now_s: float, host: str | None = None) -> None:
+        there = () if host is None else (host,)
+        self._declared.failed(transformation, now_s, host)
+        self._tried(lambda: self._estimator.failed(transformation, now_s, *there), None)
 
     def labor_us(self, transformation: Transformation, horizon_s: int, host: Host | None = None) -> int:
         there = () if host is None else (host,)

@@ -320,8 +320,8 @@ class Manager:
                 found = tuple(self._middleware.observe())
                 self._estimator.observe(found, self._clock.now())
                 self._decide(transitions.Seen(found))
-            case transitions.LearnOfFailure(label):
-                self._estimator.failed(label, self._clock.now())
+            case transitions.LearnOfFailure(place):
+                self._estimator.failed(place.label, self._clock.now(), place.host)
             case transitions.MakePlan():
                 self._plan(effect)
             case transitions.MakePreview():

@@ -66,8 +66,10 @@ class Estimator(Protocol):
     def observe(self, observations: Sequence[Observation], now_s: float) -> None:
         """Learn from running units; called about once a second and at the beginning of each review."""
 
-    def failed(self, transformation: str, now_s: float) -> None:
-        """Learn that a unit of a transformation could not start, died, hung or kept failing."""
+    def failed(self, transformation: str, now_s: float, host: str | None = None) -> None:
+        """Learn that a unit of a transformation could not start, died, hung or kept failing. `host` is None if it is
+        not known where, or if the world has no hosts.
+        """
 
     def labor_us(self, transformation: Transformation, horizon_s: int, host: Host | None = None) -> int:
         """CPU time of one start and of failures, in microseconds. `host` is None if the world has no hosts."""
@@ -99,25 +101,27 @@ class SystemClock:
 class DeclaredCosts:
     """Estimates costs as the environment declares them, whatever is observed.
 
-    Each failure within the last `forget_s` seconds, except the first, adds `failure_us` to the labor.
+    Each failure on a host within the last `forget_s` seconds, except the first, adds `failure_us` to the labor there.
     """
 
     def __init__(self, *, failure_us: int = 1_000_000, forget_s: float = 600.0) -> None:
         self._failure_us = failure_us
         self._forget_s = forget_s
-        self._failures: dict[str, list[float]] = {}
+        self._failures: dict[tuple[str, str | None], list[float]] = {}
+        """The times of failures by transformation and host."""
         self._now_s = 0.0
 
     def observe(self, observations: Sequence[Observation], now_s: float) -> None:  # noqa: ARG002
         self._now_s = now_s
 
-    def failed(self, transformation: str, now_s: float) -> None:
+    def failed(self, transformation: str, now_s: float, host: str | None = None) -> None:
         self._now_s = now_s
-        recent = [at for at in self._failures.get(transformation, ()) if now_s - at < self._forget_s]
-        self._failures[transformation] = [*recent, now_s]
+        recent = [at for at in self._failures.get((transformation, host), ()) if now_s - at < self._forget_s]
+        self._failures[transformation, host] = [*recent, now_s]
 
     def labor_us(self, transformation: Transformation, horizon_s: int, host: Host | None = None) -> int:  # noqa: ARG002
-        failures = self._failures.get(transformation.label, ())
+        places = {None, None if host is None else host.name}
+        failures = (at for place in places for at in self._failures.get((transformation.label, place), ()))
         recent = sum(1 for at in failures if self._now_s - at < self._forget_s)
         return costs.labor_us(transformation, host) + self._failure_us * max(0, recent - 1)
 

@@ -32,7 +32,7 @@ class LastEstimates:
     def observe(self, observations: Sequence[Observation], now_s: float) -> None:
         """Do nothing: the costs are those of the last review."""
 
-    def failed(self, transformation: str, now_s: float) -> None:
+    def failed(self, transformation: str, now_s: float, host: str | None = None) -> None:
         """Do nothing: the costs are those of the last review."""
 
     def labor_us(self, transformation: Transformation, horizon_s: int, host: Host | None = None) -> int:  # noqa: ARG002

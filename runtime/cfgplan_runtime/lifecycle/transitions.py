@@ -130,9 +130,9 @@ class Observe(Effect, frozen=True):
 
 
 class LearnOfFailure(Effect, frozen=True):
-    """Let the estimator learn that a unit of a transformation has failed."""
+    """Let the estimator learn that a unit of a transformation has failed, on a host."""
 
-    transformation: str
+    place: Place
 
 
 class MakePlan(Effect, frozen=True):
@@ -211,7 +211,7 @@ class Transition:
         """Note a failure of a transformation whose unit has lived so long; see `BackOffs.after_failure`."""
         situation, label = self.state.situation, place.label
         back_offs = situation.back_offs.after_failure(place, lived_s, self.at_s, cause, is_costly=is_costly)
-        transition = self.also(LearnOfFailure(label)).situated(replace(situation, back_offs=back_offs))
+        transition = self.also(LearnOfFailure(place)).situated(replace(situation, back_offs=back_offs))
         return transition.telling_back_off(label)
 
     def telling_back_off(self, label: str) -> Transition:

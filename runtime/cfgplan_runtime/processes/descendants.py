@@ -14,6 +14,7 @@ import sys
 import time
 import zlib
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 
 _PR_SET_CHILD_SUBREAPER = 36
@@ -28,7 +29,17 @@ _ROUNDS, _ROUND_S = 100, 0.01
 def adopt_orphans() -> None:
     """Become the parent of all descendants whose parents end."""
     if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1)
+        control_process(_PR_SET_CHILD_SUBREAPER, 1)
+
+
+def control_process(option: int, value: int) -> None:
+    """Set an option of this process (`prctl`). Only on Linux."""
+    _system_library().prctl(option, value)
+
+
+@cache
+def _system_library() -> ctypes.CDLL:
+    return ctypes.CDLL(None)
 
 
 def mark_of(run: str, nursery: int) -> str:

@@ -13,7 +13,6 @@ import gc
 import importlib
 import io
 import os
-import random
 import resource
 import selectors
 import signal
@@ -27,8 +26,9 @@ from collections.abc import Sequence
 from setproctitle import setproctitle
 
 from cfgplan_runtime.children import messages
-from cfgplan_runtime.children.control import ControlConnection, decoder
+from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.outlet_child import NO_DESCRIPTOR, OutletChild
+from cfgplan_runtime.children.rehearsal import rehearse
 from cfgplan_runtime.children.unit_child import UnitChild
 from cfgplan_runtime.children.unit_code import UNIT_VARIABLE
 from cfgplan_runtime.errors import ProgramEndedError
@@ -36,6 +36,7 @@ from cfgplan_runtime.processes.child_process import kill_group
 from cfgplan_runtime.processes.descendants import (
     adopt_orphans,
     children,
+    control_process,
     end_children,
     mark_of,
     put_mark,
@@ -195,7 +196,6 @@ def be_child(order: messages.ChildOrder, control_end: socket.socket, printed: so
     """Run as a unit, a spare or the outlets until told to finish. Returns the exit status."""
     _redirect(printed)
     atexit._clear()  # what the nursery has registered is the nursery's
-    random.seed()
     control: ControlConnection[messages.ToChild] = ControlConnection(control_end, messages.ToChild)
     unit: UnitChild | None = None
     is_well = False
@@ -204,8 +204,7 @@ def be_child(order: messages.ChildOrder, control_end: socket.socket, printed: so
             setproctitle(f"cfgplan {run} outlets")
             OutletChild(order, control).run()
             return 0
-        if "numpy.random" in sys.modules:
-            sys.modules["numpy.random"].seed()
+        _seed_numpy()
         of_unit, title = (order.order, "spare ") if isinstance(order, messages.SpareOrder) else (order, "")
         setproctitle(f"cfgplan {run} {title}{of_unit.unit}")
         os.environ[UNIT_VARIABLE] = f"{run}/{of_unit.unit}"
@@ -255,6 +254,21 @@ def _tell(control: ControlConnection[messages.ToChild], trouble: messages.Troubl
     control.send(trouble)
 
 
+def _seed_numpy() -> None:
+    """Give this process random numbers of its own. Python seeds its own generator at a fork, numpy does not."""
+    if "numpy.random" in sys.modules:
+        # A number changes fewer pages than the generator that numpy would seed itself with.
+        sys.modules["numpy.random"].seed(int.from_bytes(os.urandom(4)))
+
+
+def _open_output() -> None:
+    """Open the files of `print` for all children: they write to descriptors that each child redirects."""
+    for name, number in (("stdout", 1), ("stderr", 2)):
+        setattr(sys, name, os.fdopen(number, "w", buffering=1, errors="backslashreplace", closefd=False))
+    faulthandler.enable(sys.stderr)
+    faulthandler.register(DUMP_SIGNAL, sys.stderr, all_threads=True)
+
+
 def _redirect(printed: socket.socket) -> None:
     null = os.open(os.devnull, os.O_RDONLY)
     os.dup2(null, 0)
@@ -262,11 +276,6 @@ def _redirect(printed: socket.socket) -> None:
     for number in (1, 2):
         os.dup2(printed.fileno(), number)
     printed.close()
-    for name in ("stdout", "stderr"):
-        number = 1 if name == "stdout" else 2
-        setattr(sys, name, os.fdopen(number, "w", buffering=1, errors="backslashreplace", closefd=False))
-    faulthandler.enable(sys.stderr)
-    faulthandler.register(DUMP_SIGNAL, sys.stderr, all_threads=True)
 
 
 def _limit_memory(limit: int | None) -> None:
@@ -280,10 +289,11 @@ def main(arguments: Sequence[str]) -> None:
     setproctitle(f"cfgplan {run} nursery")
     die_with_parent(int(parent))
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _open_output()
     for name in preload:
         with contextlib.suppress(Exception):  # the units that import it will report what is wrong
             importlib.import_module(name)
-    decoder(messages.ToChild)
+    rehearse(_seed_numpy)
     gc.collect()
     gc.freeze()
     Nursery(socket.socket(fileno=int(number)), run).run()
@@ -307,6 +317,4 @@ def die_with_parent(parent: int) -> None:
 def tell_of_parents_death(number: signal.Signals) -> None:
     """Let the kernel send this signal when the thread that made this process ends. Only Linux can do that."""
     if sys.platform == "linux":
-        import ctypes
-
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
+        control_process(_PR_SET_PDEATHSIG, number)

@@ -16,7 +16,8 @@ MOST_WAITING_BYTES = 32 << 20
 """The most bytes that may wait for one subscriber, whatever the queue's length."""
 
 SOCKET_BUFFER = 1 << 20
-_CHUNK = 1 << 16
+_FIRST_CHUNK, _CHUNK = 1 << 12, 1 << 16
+"""Bytes to read at once: until a read has filled the first chunk, and from then on."""
 _MOST_PER_READ = 4 << 20
 _MOST_SAID = 1 << 16
 """Bytes from a receiver, which has nothing to say, that are discarded at once."""
@@ -139,13 +140,13 @@ class Receiver:
         end.setblocking(False)
         self.socket = end
         self.has_ended = False
-        self._chunk = memoryview(bytearray(_CHUNK))
+        self._chunk = memoryview(bytearray(_FIRST_CHUNK))
         self._pending = b""
         self._header: tuple[int, int, int, int] | None = None
         self._payload: memoryview | None = None
         self._filled = 0
         self._buffers = Buffers()
-        self._wanted = _CHUNK
+        self._wanted = _FIRST_CHUNK
         """The bytes to read at once: after a large payload only a header, so that the next payload is not copied."""
 
     def read(self) -> Iterator[Element]:
@@ -165,8 +166,11 @@ class Receiver:
                 got = self._receive(self._chunk[:wanted])
                 if got == 0:
                     return
-                self._wanted = _CHUNK
-                yield from self._parse(self._pending + self._chunk[:got])
+                data = self._pending + self._chunk[:got]
+                if got == _FIRST_CHUNK and len(self._chunk) < _CHUNK:
+                    self._chunk = memoryview(bytearray(_CHUNK))
+                self._wanted = len(self._chunk)
+                yield from self._parse(data)
                 if got < wanted and self._payload is None:
                     return
             budget -= got

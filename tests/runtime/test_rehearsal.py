@@ -1,0 +1,31 @@
+"""A rehearsal of a unit in the process that forks units, and what that process may not share with its children."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from cfgplan_runtime.children.rehearsal import rehearse
+from cfgplan_runtime.supervision.events import UnitPrinted
+from watching import StartRuntime, seen
+from world import eventually, source, start, unit
+
+DESCRIPTORS = Path("/dev/fd")
+
+
+def test_a_rehearsal_leaves_nothing_behind() -> None:
+    begun: list[bool] = []
+    modules, path, descriptors = {*sys.modules}, list(sys.path), len(list(DESCRIPTORS.iterdir()))
+    rehearse(lambda: begun.append(True))
+    assert begun
+    assert {*sys.modules} == modules
+    assert sys.path == path
+    assert len(list(DESCRIPTORS.iterdir())) == descriptors
+
+
+def test_each_unit_has_random_numbers_of_its_own(run_units: StartRuntime) -> None:
+    runtime = run_units(source("draw", "draw"))
+    runtime.apply(start(*(unit(f"draw.{number}") for number in range(4))))
+    eventually(lambda: len(seen(runtime, UnitPrinted)) == 4)
+    numbers = [number for event in seen(runtime, UnitPrinted) for number in event.line.split()]
+    assert len({*numbers}) == 8
