@@ -1,7 +1,7 @@
 """The hand-over of a state from one unit to the next: no step is lost, and none is made twice.
 
-The next unit keeps the elements that it receives, and says from which moment on it receives all. The unit before it
-goes on. Once it has received the element of that moment, it tells its state between two steps, with the place of that
+The next unit keeps the elements that it receives, and says from which moment on it receives all. The old
+unit continues. Once it has received the element of that moment, it tells its state between two steps, with the place of that
 state in each input. The next unit begins there.
 """
 
@@ -45,7 +45,7 @@ class Handover:
         self._paused_until_ns = 0
 
     def hold(self) -> None:
-        """Keep what comes until the state has come."""
+        """Keep the elements that come before the state."""
         self._held, self._most = {}, _MOST_HELD
         self._until_ns = time.monotonic_ns() + _MOST_HELD_NS
 
@@ -84,14 +84,16 @@ class Handover:
         return sum(len(kept) for inlet, kept in (self._held or {}).items() if port_of(inlet) == port)
 
     def begin(self, inputs: Mapping[str, GivenInput]) -> None:
-        """Let steps begin at a place; without one, with the elements that came. Does nothing once they have begun."""
+        """Let steps begin at a place; without one, with the elements that came. Has no effect after the first step."""
         if self.waits_until_ns is None:
             return
         self._until_ns = self._begun = None
         held = self._held or {}
         for inlet, given in inputs.items():
             if inlet in self._ports.inputs:
-                before = (Element(one.time_ns, one.turn, 0, one.payload) for one in given.elements)
+                before = [Element(one.time_ns, one.turn, 0, one.payload) for one in given.elements]
+                received = self._ports.inputs[inlet].inlet
+                received.last = max(received.last, given.done, *(one.moment for one in before))
                 held[inlet] = deque(self._steps.begin_at(inlet, given.done, chain(before, held.get(inlet, ()))))
         self._held = held
         self._most = 2 * max(map(len, held.values()), default=0) + self._limit
@@ -111,7 +113,7 @@ class Handover:
         self._begun = begun
 
     def places(self) -> dict[str, Moment] | None:
-        """The asked places, once; None if nobody asks, or one is not known yet."""
+        """The asked places, once; None if there is no question, or one place is still unknown."""
         if self._begun is None:
             return None
         found = dict[str, Moment]()

@@ -153,7 +153,7 @@ class HoldSteps(msgspec.Struct, tag=True):
 
 
 class TellPlaces(msgspec.Struct, tag=True):
-    """Tell `Places` of all inlets, once they are known. Those in `begun` have one from their first element on."""
+    """Tell `Places` of all inlets, once they are known. The first element is the place of each inlet in `begun`."""
 
     begun: list[str]
 
@@ -165,7 +165,7 @@ class TellState(msgspec.Struct, tag=True):
 
 
 class GivenElement(msgspec.Struct, frozen=True):
-    """An element that one unit has received and another goes on with."""
+    """An element that a unit has received and gives to the next one."""
 
     time_ns: int
     turn: int
@@ -297,7 +297,7 @@ class Places(msgspec.Struct, tag=True):
 
 
 class StateTold(msgspec.Struct, tag=True):
-    """A unit's state between two steps, None if it keeps none, and what is still to be done with its inputs."""
+    """A unit's state between two steps, with its place in each input. `state` is None if it keeps none."""
 
     state: bytes | None
     inputs: dict[str, GivenInput]
