@@ -1,8 +1,8 @@
 """The hand-over of a state from one unit to the next: no step is lost, and none is made twice.
 
-The next unit keeps the elements that it receives, and says from which moment on it receives all. The old
-unit continues. Once it has received the element of that moment, it tells its state between two steps, with the place of that
-state in each input. The next unit begins there.
+The next unit keeps the elements that it receives, and says from which moment on it receives all. The old unit
+continues. Once it has received the element of that moment, it tells its state between two steps, with the place of
+that state in each input. The next unit begins there.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ from cfgplan_runtime.ros1.nodelet_group import NodeletGroup
 from cfgplan_runtime.ros1.relay_messages import FromTopicRelay, Listening, RelayOrder, TappedMessage
 from cfgplan_runtime.ros1.ros_master import RosMaster, forget_node
 from cfgplan_runtime.ros1.ros_unit import RosUnit, executable, node_source
-from cfgplan_runtime.ros1.tapped_values import TappedValues
+from cfgplan_runtime.ros1.tapped_values import MessageDecoders
 from cfgplan_runtime.streams.element import Moment
 from cfgplan_runtime.streams.ends import Ends, Posted
 from cfgplan_runtime.streams.run_folder import RunFolder
@@ -113,7 +113,7 @@ class Ros1Backend:
         self._wires = RelayedWires(
             self._ends, self._events, lambda: _Relay(order), lambda: None, self._hear_relay, self.run_folder, file
         )
-        self._values = TappedValues()
+        self._values = MessageDecoders()
         self._to_master = ThreadPoolExecutor(1, "to-master")
         self._watch_master()
         self._wires.start()
@@ -475,4 +475,4 @@ class Ros1Backend:
             case Listening(address):
                 self._relay_address = address
             case TappedMessage(topic, kind, definition, time_ns, skipped, data):
-                self._wires.taps.show(topic, time_ns, self._values.of(kind, definition, data), skipped)
+                self._wires.taps.show(topic, time_ns, self._values.shown(kind, definition, data), skipped)
