@@ -57,7 +57,7 @@ class Fact:
     """A variable of the world: its declared value, which counts until another is observed or set, and its unit.
 
     In a run, it is observed by the streams tagged `by`, or by the one on `topic`. With a message `type`, the topic is
-    one of ROS 2, read with the quality of service `qos`. If elements are mappings, the value is under `field`; a dot
+    one of ROS, in ROS 2 with the quality of service `qos`. If elements are mappings, the value is under `field`; a dot
     leads into nested mappings, and into the parts of a list by their number, `name` or `key`. Values with `noise` are
     filtered. If no element has come for `silent_us`, the declared value counts again.
 
@@ -90,7 +90,7 @@ class Fact:
     type: Annotated[
         str | None,
         Row(
-            "the topic is one of ROS 2 with this message type, such as `std_msgs/Float32`, published by whoever it may "
+            "the topic is one of ROS with this message type, such as `std_msgs/Float32`, published by whoever it may "
             "be",
             use=Use.RUNNING,
             xml="message",
