@@ -23,7 +23,7 @@ from cfgplan_runtime.ros1.ros_master import master_address, own_host
 from cfgplan_runtime.ros1.tapped_values import MessageDecoders, check_decoders
 from cfgplan_runtime.ros1.tcpros import LENGTH_BYTES, Header, MessageReader, subscribed
 
-_AGAIN_S, _MOST_AGAIN_S = 0.05, 2.0
+_READ_AGAIN_S, _MOST_READ_AGAIN_S = 0.05, 2.0
 """Seconds until a publisher that has ended is tried again, doubled up to the second value."""
 _LOOK_S = 0.5
 """Seconds after which a thread that waits for messages looks whether they are still wanted."""
@@ -113,15 +113,15 @@ class Ros1Reader:
 
     def _follow(self, one: _ReadTopic, address: str) -> None:
         """Read a topic from a publisher, again and again while it is wanted."""
-        again_s = _AGAIN_S
+        again_s = _READ_AGAIN_S
         while address in one.wanted:
             with suppress(SilentError, OSError):
                 end, header = subscribed(address, self._node, one.topic)
-                again_s = _AGAIN_S
+                again_s = _READ_AGAIN_S
                 with end:
                     self._read(one, address, end, header)
             time.sleep(again_s)
-            again_s = min(2 * again_s, _MOST_AGAIN_S)
+            again_s = min(2 * again_s, _MOST_READ_AGAIN_S)
 
     def _read(self, one: _ReadTopic, address: str, end: socket.socket, header: Header) -> None:
         kind, reader = header["type"], MessageReader(end)
