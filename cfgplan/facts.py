@@ -57,7 +57,7 @@ class Fact:
     """A variable of the world: its declared value, which counts until another is observed or set, and its unit.
 
     In a run, it is observed by the streams tagged `by`, or by the one on `topic`. With a message `type`, the topic is
-    one of ROS 2, read with the quality of service `qos`. If elements are mappings, the value is under `field`; a dot
+    one of ROS, in ROS 2 with the quality of service `qos`. If elements are mappings, the value is under `field`; a dot
     leads into nested mappings, and into the parts of a list by their number, `name` or `key`. Values with `noise` are
     filtered. If no element has come for `silent_us`, the declared value counts again.
 
@@ -80,7 +80,7 @@ class Fact:
     topic: Annotated[
         str | None,
         Row(
-            "the topic that observes the fact in a run, in place of `by`: of a target, or with `type` of ROS 2",
+            "the topic that observes the fact in a run, in place of `by`: of a target, or with `type` any of ROS",
             use=Use.RUNNING,
         ),
     ] = None
@@ -95,7 +95,7 @@ class Fact:
     type: Annotated[
         str | None,
         Row(
-            "the message type of `topic`, such as `std_msgs/Float32`, which is then a topic of ROS 2 of any publisher",
+            "the message type of `topic`, such as `std_msgs/Float32`, which is then a ROS topic of any publisher",
             use=Use.RUNNING,
             xml="message",
         ),

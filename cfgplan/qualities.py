@@ -181,7 +181,7 @@ class Curve:
 
 
 class Teller(StrEnum):
-    """What tells the quality of streams on a topic of ROS 2, beside them."""
+    """What tells the quality of streams on a topic of ROS, beside them."""
 
     DIAGNOSTICS = "diagnostics"
     STATISTICS = "statistics"
@@ -212,7 +212,7 @@ class Contribution:
     `over` says how the values of several inputs become one. An output without inputs that count (all but feedback) has
     its own value, whatever the rule. If the value follows a fact, it is the value for the fact's present state, and
     `by` is the curve. `observe` names the field of an element that gives the element's own quality, in units of the
-    attribute, or what a run measures: `measured.` and one of MEASURES, or what a topic of ROS 2 tells beside the
+    attribute, or what a run measures: `measured.` and one of MEASURES, or what a topic of ROS tells beside the
     stream: see `told`. `seen` is the part of `value` that was learned from observed streams; the rest is `stated`.
     """
 
@@ -266,7 +266,7 @@ class Contribution:
 
     @property
     def told(self) -> Told | None:
-        """What a topic of ROS 2 tells of the stream; None if its elements say it, a run measures it, or nothing is
+        """What a topic of ROS tells of the stream; None if its elements say it, a run measures it, or nothing is
         observed.
         """
         teller, _, rest = (self.observe or "").partition(".")

@@ -24,11 +24,13 @@ from cfgplan.cli.interrupts import Interrupts
 from cfgplan.cli.run_output import JsonLines, Lines, RunOutput
 from cfgplan.cli.screen import Screen, counted
 from cfgplan.errors import Fault, InputError
+from cfgplan.qualities import Teller
 from cfgplan.summary import some
 
 if TYPE_CHECKING:
     from cfgplan_runtime.fleet.fleet_runtime import Fleet
     from cfgplan_runtime.operating.operation import Operation, Settings
+    from cfgplan_runtime.operating.outside_topics import TopicReader
     from cfgplan_runtime.operating.sources import SourceCheck
     from cfgplan_runtime.runtime import Runtime
 
@@ -158,7 +160,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         _check_ros2(options, loaded)
         if (check := run_targets.mqtt_check(options, loaded.environment)) is not None:
             _tell_faults([check], options.env)
-    if facts := tuple(fact for fact in loaded.environment.facts if fact.type is not None):
+    facts = tuple(fact for fact in loaded.environment.facts if fact.type is not None)
+    if facts and options.middleware != ROS1:  # in ROS 1, publishers say what their messages are
         from cfgplan_runtime.ros2.facts import check_facts
 
         check_facts(facts, Path(options.env))
@@ -292,19 +295,16 @@ def _check_nodes(options: argparse.Namespace, world: World) -> None:
         )
     if _fleet(options) is not None:
         raise InputError.of(f"{ros} nodes are started on this computer only", mend="leave out --local and --connect")
-    is_read = options.middleware == ROS2
-    for statement in () if is_read else world.environment.told:
-        mend = "observe a field of its messages, or what the run measures"
-        raise InputError.of(
-            f"qualities can't be observed on topics of ROS 1 ({statement})", file=options.env, mend=mend
-        )
-    facts = [fact for fact in world.environment.facts if fact.observed_on and not (is_read and fact.type)]
+    for statement, told in world.environment.told.items():
+        if options.middleware == ROS1 and told.teller is Teller.STATISTICS:
+            mend = "observe `/diagnostics`, a field of its messages, or what the run measures"
+            raise InputError.of(f"ROS 1 nodes publish no topic statistics ({statement})", file=options.env, mend=mend)
+    facts = [fact for fact in world.environment.facts if fact.observed_on and not fact.type]
     if facts:
         name = facts[0].name
-        by_type = "name the message `type` of its `topic`, or " if is_read else ""
-        mend = f"{by_type}remove its `by` or `topic`, and set it by `cfgplan ctl fact {name}=VALUE`"
-        only = " without a message type" if is_read else ""
-        raise InputError.of(f"a run of {ros} nodes can't observe facts{only} ({name})", file=options.env, mend=mend)
+        mend = f"name the message `type` of its `topic`, or set the fact by `cfgplan ctl fact {name}=VALUE` alone"
+        what = f"a run of {ros} nodes can't observe facts without a message type ({name})"
+        raise InputError.of(what, file=options.env, mend=mend)
     check_nodes(world.environment, options.env, _ros_unit(options).node_source, ros)
 
 
@@ -352,7 +352,7 @@ def _operate(
     with Interrupts() as interrupts:
         with screen.phase("start"):
             operation = Operation(world, Path(options.env), settings)
-        topics = _facts_of_ros(options, operation), _qualities_of_ros(operation)
+        topics = _facts_of_ros(options, operation), _qualities_of_ros(options, operation)
         with operation, run_targets.published(options, operation, _folder(options)), topics[0], topics[1]:
             interrupts.only_count()
             with screen.phase("plan"):
@@ -509,28 +509,39 @@ def _settings(options: argparse.Namespace, screen: Screen) -> Settings:
 
 
 @contextmanager
-def _qualities_of_ros(operation: Operation) -> Iterator[None]:
-    """Read the ROS 2 topics that tell qualities of streams, if outputs are observed there. Raises InputError."""
+def _qualities_of_ros(options: argparse.Namespace, operation: Operation) -> Iterator[None]:
+    """Read the topics of ROS that tell qualities of streams, if outputs are observed there. Raises InputError."""
     if not operation.manager.world.environment.told:
         yield
         return
-    from cfgplan_runtime.ros2.told_qualities import ToldQualities
+    from cfgplan_runtime.operating.told_qualities import ToldQualities
 
-    with ToldQualities(operation.id, operation.manager, operation.show):
+    with ToldQualities(_reader(options, "qualities", operation), operation.manager, operation.show):
         yield
 
 
 @contextmanager
 def _facts_of_ros(options: argparse.Namespace, operation: Operation) -> Iterator[None]:
-    """Follow the ROS 2 topics that observe facts, if there are any. Raises InputError."""
+    """Follow the topics of ROS that observe facts, if there are any. Raises InputError."""
     facts = tuple(fact for fact in operation.manager.world.environment.facts if fact.type is not None)
     if not facts:
         yield
         return
-    from cfgplan_runtime.ros2.facts import RosFacts
+    from cfgplan_runtime.operating.outside_topics import OutsideFacts
 
-    with RosFacts(operation.id, _folder(options), operation.manager, operation.show):
+    with OutsideFacts(_reader(options, "facts", operation), operation.manager, operation.show):
         yield
+
+
+def _reader(options: argparse.Namespace, purpose: str, operation: Operation) -> TopicReader:
+    """The reader of topics of the ROS whose nodes run, of ROS 2 where no nodes do. Raises InputError."""
+    if options.middleware == ROS1:
+        from cfgplan_runtime.ros1.topic_reader import Ros1Reader
+
+        return Ros1Reader(purpose, operation.id, operation.show)
+    from cfgplan_runtime.ros2.facts import Ros2Reader
+
+    return Ros2Reader(purpose, operation.id, _folder(options), operation.show)
 
 
 def _source_check(options: argparse.Namespace) -> SourceCheck | None:

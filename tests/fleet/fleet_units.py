@@ -19,6 +19,23 @@ def count() -> Iterator[int]:
         number += 1
 
 
+class Tally:
+    """Counts its steps; the count survives a restart."""
+
+    def __init__(self) -> None:
+        self.steps = 0
+
+    def __call__(self, x: Any) -> int:  # noqa: ARG002
+        self.steps += 1
+        return self.steps
+
+    def get_state(self) -> int:
+        return self.steps
+
+    def set_state(self, state: Any) -> None:
+        self.steps = state
+
+
 def count_until(note: str) -> Iterator[int]:
     """0, 1, 2, ... until there is a file `note`; the last number is written there."""
     number = 0

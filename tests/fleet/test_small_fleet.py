@@ -26,6 +26,7 @@ from cfgplan_runtime.supervision.events import (
     SpareLost,
     SparePrepared,
     SpareUsed,
+    StateNotExact,
     UnitDied,
     UnitStopped,
 )
@@ -101,6 +102,23 @@ def test_swaps_across_hosts_lose_repeat_and_reorder_nothing() -> None:
         listener.await_more(20)
         assert listener.values == list(range(listener.values[0], listener.values[0] + len(listener.values)))
         assert listener.subscription.dropped == 0
+
+
+def test_a_state_goes_to_the_next_unit_on_any_host_without_losing_a_step() -> None:
+    """The source is on r1. The units are on r1, on r2, move between them, and have the topic beside them or not."""
+    high, low = (worker(label, "Tally", run=RunOptions(state="altitude")) for label in ("high", "low"))
+    with small_fleet("r1", "r2") as fleet, fleet.runtime(source(), high, low) as runtime:
+        before = unit("high.0", "r2", topic="/result", x="count.1/n")
+        runtime.apply(ChangeSet(started=(COUNT, before)))
+        listener = Listener(runtime)
+        listener.await_more(20)
+        for number, host in enumerate(["r2", "r1", "r1", "r2", "r2", "r1"], start=1):
+            new = unit(f"{('high', 'low')[number % 2]}.{number}", host, topic="/result", x="count.1/n")
+            runtime.apply(swap(before, new))
+            before = new
+        listener.await_more(20)
+        assert seen(runtime, StateNotExact) == []
+        assert {after - before for before, after in pairwise(listener.values)} == {1}
 
 
 def test_streams_of_several_hosts_feed_one_input_and_each_is_moved_without_loss_for_any() -> None:

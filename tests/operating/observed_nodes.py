@@ -79,6 +79,49 @@ targets:
 """
 
 
+WITH_FACT = """\
+format: cfgplan/1
+facts:
+  left:
+    declared: true
+    topic: /diagnostics
+    type: diagnostic_msgs/DiagnosticArray
+    field: status.thrusters.values.left.value
+    qos: best_effort
+transformations:
+  - {label: strong, source: "node:./talking.py talker", params: {rate: 100}, requires: left, labor: 0.1, upkeep: 0.01,
+     outputs: {words: {tag: Word, type: std_msgs/String, remap: chatter}}}
+  - {label: weak, source: "node:./talking.py talker", params: {rate: 100}, labor: 0.1, upkeep: 0.1,
+     outputs: {words: {tag: Word, type: std_msgs/String, remap: chatter}}}
+targets:
+  - {label: words, topic: /words, tag: Word}
+"""
+
+
+def write_with_fact(folder: Path, nodes: Path, text: str = WITH_FACT) -> Path:
+    """Write an environment file whose fact is observed on a topic, with its nodes beside it. Returns its path."""
+    shutil.copy(nodes, folder / "talking.py")
+    path = folder / "env.yaml"
+    path.write_text(text)
+    return path
+
+
+def check_that_a_fact_is_followed(env: Path, health: Path, middleware: str) -> None:
+    """A node that is not of the run says on `/diagnostics` what the file `health` says: whether a thruster works."""
+    with running("--middleware", middleware, env) as process:
+        run = await_event(process, "Running")["run"]
+        first = await_event(process, "Reviewed", decision="applied")
+        assert [unit["transformation"] for unit in first["change_set"]["started"]] == ["strong"]
+        health.write_text("False")
+        broken = await_event(process, "Reviewed", decision="applied")
+        assert broken["perturbations"][0]["left_out"] == ["strong"]
+        assert [unit["transformation"] for unit in broken["change_set"]["started"]] == ["weak"]
+        assert json.loads(_said("ctl", "--run", run, "state", "--json"))["facts"]["left"] == "false"
+        health.write_text("True")
+        mended = await_event(process, "Reviewed", decision="applied")
+        assert [unit["transformation"] for unit in mended["change_set"]["started"]] == ["strong"]
+
+
 def write_finders(folder: Path, nodes: Path, field: str = "pose.covariance.0") -> Path:
     """Write the environment file, with its nodes and the file of the sonar's error beside it. Returns its path."""
     shutil.copy(nodes, folder / "talking.py")
@@ -108,9 +151,9 @@ def check_that_a_bad_node_is_replaced(env: Path, middleware: str) -> None:
     assert solved["qualities"] == planned["qualities"]
 
 
-def check_that_diagnostics_are_learned(env: Path) -> None:
+def check_that_diagnostics_are_learned(env: Path, middleware: str) -> None:
     """Let a node that is not of the run tell on `/diagnostics` that the sonar is worse than the bound."""
-    with running("--middleware", "ros2", env) as process:
+    with running("--middleware", middleware, env) as process:
         of_run = ("--run", await_event(process, "Running")["run"])
         eventually(lambda: json.loads(_said("ctl", *of_run, "observed", "--json"))["qualities"])
         env.with_name("water").write_text("0.8")

@@ -20,7 +20,7 @@ def _lacks_ros() -> str:
     """Why nodes of ROS 1 can't be run here; empty if they can."""
     if shutil.which("rosmaster") is None:
         return "ROS 1 is not installed here (Debian: apt install python3-rosmaster)"
-    code = "import rospy, roscpp.srv, geometry_msgs.msg, sensor_msgs.msg, std_msgs.msg"
+    code = "import rospy, roscpp.srv, diagnostic_msgs.msg, geometry_msgs.msg, sensor_msgs.msg, std_msgs.msg"
     found = subprocess.run([PYTHON, "-c", code], env={}, capture_output=True, text=True, check=False)
     return f"rospy can't be used here: {found.stderr.strip().rpartition(chr(10))[2]}" if found.returncode else ""
 

@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 import rospy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PointStamped, PoseWithCovarianceStamped
 from roscpp.msg import Logger
 from roscpp.srv import GetLoggers, GetLoggersResponse
@@ -90,6 +91,18 @@ def finder() -> None:
         rospy.sleep(0.02)
 
 
+def doctor() -> None:
+    """Tells the health of a pump, and beside it that of the thrusters as the file `~water` says it."""
+    rospy.init_node("doctor")
+    health = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=10)
+    water = Path(rospy.get_param("~water"))
+    while not rospy.is_shutdown():
+        for name, key, value in (("pump", "volt", "11.5"), ("thrusters", "left", water.read_text() or "True")):
+            values = [KeyValue(key="age", value="3"), KeyValue(key=key, value=value)]
+            health.publish(DiagnosticArray(status=[DiagnosticStatus(name=name, values=values)]))
+        rospy.sleep(0.05)
+
+
 def camera() -> None:
     """Gives white pictures, `~size` pixels wide."""
     rospy.init_node("camera")
@@ -107,6 +120,6 @@ def mute() -> None:
 
 
 if __name__ == "__main__":
-    {each.__name__: each for each in (talker, shouter, clock, mapper, oracle, asker, camera, finder, mute)}[
+    {each.__name__: each for each in (talker, shouter, clock, mapper, oracle, asker, camera, finder, doctor, mute)}[
         sys.argv[1]
     ]()

@@ -2,9 +2,23 @@
 
 from __future__ import annotations
 
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
-from observed_nodes import check_that_a_bad_node_is_replaced, check_that_a_slow_node_is_replaced, unsaid, write_finders
+from cfgplan_runtime.ros1.ros_master import RosMaster
+from observed_nodes import (
+    WITH_FACT,
+    check_that_a_bad_node_is_replaced,
+    check_that_a_fact_is_followed,
+    check_that_a_slow_node_is_replaced,
+    check_that_diagnostics_are_learned,
+    unsaid,
+    write_finders,
+    write_with_fact,
+)
+from operated_world import await_event, command, running
 from words import NODES
 
 
@@ -23,3 +37,57 @@ def test_a_field_that_messages_do_not_have_is_reported_with_its_output_and_file(
     assert "output p does not say its error" in told["text"]
     assert "geometry_msgs/PoseWithCovariance has no field `variance`; it has pose, covariance" in told["text"]
     assert f"correct `observe` of that output in {env}" in told["text"]
+
+
+@contextmanager
+def doctor(water: Path) -> Iterator[None]:
+    """A master, and a node of nobody's run that says on `/diagnostics` what the file `water` says."""
+    master = RosMaster()
+    line = ["/usr/bin/python3", str(NODES), "doctor", f"_water:={water}"]
+    try:
+        with subprocess.Popen(line, env=dict(master.environment)) as process:
+            try:
+                yield
+            finally:
+                process.kill()
+    finally:
+        master.close()
+
+
+def test_diagnostics_say_which_nodes_may_run(tmp_path: Path) -> None:
+    health = tmp_path / "left"
+    health.write_text("True")
+    with doctor(health):
+        check_that_a_fact_is_followed(write_with_fact(tmp_path, NODES), health, "ros1")
+
+
+def test_diagnostics_tell_that_a_node_is_worse_than_its_bound(tmp_path: Path) -> None:
+    env = write_finders(tmp_path, NODES, "diagnostics.thrusters.left")
+    with doctor(tmp_path / "water"):
+        check_that_diagnostics_are_learned(env, "ros1")
+
+
+def test_a_fact_of_another_message_type_than_that_of_its_topic_is_reported(tmp_path: Path) -> None:
+    health = tmp_path / "left"
+    health.write_text("True")
+    env = write_with_fact(tmp_path, NODES, WITH_FACT.replace("DiagnosticArray", "KeyValue"))
+    with doctor(health), running("--middleware", "ros1", env) as process:
+        told = await_event(process, "Warning")["text"]
+    assert "diagnostic_msgs/DiagnosticArray, not diagnostic_msgs/KeyValue: correct the `type` of its fact" in told
+
+
+def test_a_fact_without_a_message_type_is_refused(tmp_path: Path) -> None:
+    text = WITH_FACT.replace("    type: diagnostic_msgs/DiagnosticArray\n", "").replace("    qos: best_effort\n", "")
+    env = write_with_fact(tmp_path, NODES, text.replace("/diagnostics", "/words"))
+    line = command("run", "--middleware", "ros1", "--dry-run", env)
+    found = subprocess.run(line, capture_output=True, text=True, check=False)
+    assert "a run of ROS 1 nodes observes no facts without a message type (left)" in found.stderr
+
+
+def test_topic_statistics_are_refused_in_ros_1(tmp_path: Path) -> None:
+    env = write_finders(tmp_path, NODES, "statistics.mapper_1.age")
+    env.write_text(env.read_text().replace("unit: m}", "unit: s}"))
+    line = command("run", "--middleware", "ros1", "--dry-run", env)
+    found = subprocess.run(line, capture_output=True, text=True, check=False)
+    assert "nodes of ROS 1 tell no topic statistics (sonar/p error)" in found.stderr
+    assert "Traceback" not in found.stderr

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 from cfgplan_runtime import Runtime
+from cfgplan_runtime.operating.told_qualities import told_in
 from cfgplan_runtime.ros2.ros2_backend import Ros2Backend
-from cfgplan_runtime.ros2.told_qualities import told_in
 from cfgplan_runtime.supervision.events import Event, OutletsOpened, SparePrepared, SpareUsed, UnitFailed, UnitStatus
 from observed_nodes import (
     check_that_a_bad_node_is_replaced,
@@ -99,7 +99,7 @@ def test_diagnostics_tell_that_a_node_is_worse_than_its_bound(tmp_path: Path) ->
     line = [str(PYTHON), str(NODES), "doctor", "--ros-args", "-p", f"water:={tmp_path / 'water'}"]
     with subprocess.Popen(line, start_new_session=True) as doctor:
         try:
-            check_that_diagnostics_are_learned(env)
+            check_that_diagnostics_are_learned(env, "ros2")
         finally:
             doctor.kill()
 

@@ -69,6 +69,11 @@ def fails(x: Any) -> Any:
     raise ValueError(f"no {x}")
 
 
+def even(x: int) -> int | None:
+    """Only the even numbers."""
+    return None if x % 2 else x
+
+
 def same(x: Any) -> Any:
     return x
 
@@ -155,6 +160,59 @@ class Tally:
 
     def set_state(self, state: Any) -> None:
         self.steps = state
+
+
+class Pairs:
+    """Gives the number of its steps, which survives a restart, and its inputs."""
+
+    def __init__(self) -> None:
+        self.steps = 0
+
+    def __call__(self, a: int, b: int) -> list[int]:
+        self.steps += 1
+        return [self.steps, a, b]
+
+    def get_state(self) -> int:
+        return self.steps
+
+    def set_state(self, state: Any) -> None:
+        self.steps = state
+
+
+class Clock:
+    """A source that counts its elements; the count survives a restart."""
+
+    def __init__(self) -> None:
+        self.ticks = 0
+
+    def __call__(self) -> int:
+        self.ticks += 1
+        return self.ticks
+
+    def get_state(self) -> int:
+        return self.ticks
+
+    def set_state(self, state: Any) -> None:
+        self.ticks = state
+
+
+class KeepsItsState:
+    """Fails to tell its state, or takes long for it."""
+
+    def __init__(self, deed: Literal["fail", "sleep"]) -> None:
+        self.deed = deed
+
+    def __call__(self, x: Any) -> Any:
+        return x
+
+    def get_state(self) -> int:
+        if self.deed == "fail":
+            raise ValueError("no state today")
+        time.sleep(3)
+        return 0
+
+    def set_state(self, state: Any) -> None:
+        assert state == 0
 
 
 class Naughty:

@@ -7,9 +7,12 @@ from dataclasses import dataclass, field, replace
 
 import pytest
 from cfgplan_runtime import ApplyError, Patience
+from cfgplan_runtime.children.messages import GivenInput
 from cfgplan_runtime.errors import AbandonedError
 from cfgplan_runtime.supervision.backend import Inlet
+from cfgplan_runtime.supervision.events import PlacesTold, StateTold
 from cfgplan_runtime.supervision.updates import (
+    AskPlaces,
     AskState,
     CarriedOut,
     CloseTopic,
@@ -20,12 +23,14 @@ from cfgplan_runtime.supervision.updates import (
     Dump,
     EndUnit,
     GiveState,
+    HoldUnit,
     OpenTopic,
     SetEnvironment,
     StartUnit,
     StopAgain,
     StopUnit,
     SwitchNow,
+    TellOf,
     WaitUntil,
     carry_out,
     environment_after,
@@ -33,13 +38,15 @@ from cfgplan_runtime.supervision.updates import (
 from cfgplan_runtime.supervision.wiring import Wire, wanted_feeds, wanted_topics
 from world import RESULT, source, start, unit, worker
 
-from cfgplan.domain import ChangeSet, Environment, Host, RunOptions
+from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Host, RunOptions
 
 COUNT, WORK = unit("count.1"), unit("work.1", topic="/result", x="count.1/n")
 NEW = unit("work.2", topic="/result", x="count.1/n")
 SWAP = ChangeSet(started=(NEW,), stopped=("work.1",))
 WIRED = "count.1/n > work.1/x, work.1/y > /result"
 BESIDE = "start work.2, wait, count.1/n > work.2/x, work.2/y > /result"
+PLACE = (7, 0)
+"""The moment from which a new unit's inlets get every element."""
 IN_VAIN = "wait in vain, stop work.1 again, wait in vain, cut work.1 short"
 RUNNING = Environment((COUNT, WORK), (source(), worker()), (RESULT,))
 
@@ -57,6 +64,9 @@ class Scene:
     dry: Set[str] = frozenset()
     failing: Set[str] = frozenset()
     limits: dict[str, float] = field(default_factory=dict)
+    mute: Set[str] = frozenset()
+    """Units that do not answer what a hand-over of a state asks."""
+    stateless: Set[str] = frozenset()
     is_abandoned: bool = False
     cause_of_death: dict[str, str] = field(default_factory=dict)
 
@@ -69,12 +79,13 @@ class Scene:
         wanted = wanted_feeds(self.environment)
         self.feeds = {inlet: Wire(0, stream, inlet, has_switched=True) for inlet, stream in wanted.items()}
         self.said: list[str] = []
+        self.answers: dict[str, PlacesTold | StateTold] = {}
 
     def stop_s(self, unit: str) -> float | None:
         return self.limits.get(unit)
 
-    def signs(self, unit: str) -> int:
-        return self.said.count(f"ask {unit}")
+    def answer(self, unit: str) -> PlacesTold | StateTold | None:
+        return self.answers.get(unit)
 
     def failure(self, unit: str) -> str | None:
         return "bad luck" if unit in self.failing and unit in self.alive else None
@@ -99,10 +110,21 @@ class Scene:
                     self.alive.add(started.id)
                 if started.id not in self.dying | self.slow:
                     self.ready.add(started.id)
-            case AskState(name):
-                self.said.append(f"ask {name}")
-            case GiveState(name):
-                self.said.append(f"give {name}")
+            case HoldUnit(name):
+                self.said.append(f"hold {name}")
+            case AskPlaces(name, begun):
+                self.said.append(" ".join(["places", name, *begun]))
+                self._answer(PlacesTold(name, {inlet.port: PLACE for inlet in self.feeds if inlet.unit == name}))
+            case AskState(name, until):
+                assert set(until.values()) <= {PLACE}
+                self.said.append(" ".join(["ask", name, *until]))
+                state = None if name in self.stateless else f"that of {name}".encode()
+                inputs = {inlet.port: GivenInput(PLACE) for inlet in self.feeds if inlet.unit == name}
+                self._answer(StateTold(name, state, inputs))
+            case GiveState(name, state, inputs):
+                self.said.append(f"give {name} {'what is known' if state is None else state.decode()} {sorted(inputs)}")
+            case TellOf(event):
+                self.said.append(f"{event.unit} after {event.before}: {event.cause}")
             case StopUnit(name):
                 self.said.append(f"stop {name}")
                 if name not in self.stubborn:
@@ -129,6 +151,11 @@ class Scene:
                 self.environment = environment
             case WaitUntil(holds):
                 self.said.append("wait" if holds() else "wait in vain")
+
+    def _answer(self, event: PlacesTold | StateTold) -> None:
+        self.answers.pop(event.unit, None)
+        if event.unit not in self.mute:
+            self.answers[event.unit] = event
 
     def _end(self, name: str) -> None:
         self.alive.discard(name)
@@ -233,18 +260,83 @@ def test_an_update_whose_unit_does_not_start_is_undone(scene: Scene, cause: str,
     assert (scene.feeds, scene.alive) == (feeds, {"count.1", "work.1"})
 
 
-def test_a_unit_goes_on_with_the_present_state_of_the_one_that_it_replaces() -> None:
-    high, low = (worker(label, run=RunOptions(state="altitude")) for label in ("high", "low"))
-    scene = Scene(
-        Environment((COUNT, unit("high.1", topic="/result", x="count.1/n")), (source(), high, low), (RESULT,))
-    )
-    scene.carry_out(ChangeSet(started=(unit("low.1", topic="/result", x="count.1/n"),), stopped=("high.1",)))
-    assert scene.said[:5] == ["start low.1", "wait", "ask high.1", "wait", "give low.1"]
-    scene = Scene(
-        Environment((COUNT, unit("high.1", topic="/result", x="count.1/n")), (source(), high, low), (RESULT,))
-    )
+HIGH, LOW = (worker(label, run=RunOptions(state="altitude")) for label in ("high", "low"))
+MODES = Environment((COUNT, unit("high.1", topic="/result", x="count.1/n")), (source(), HIGH, LOW), (RESULT,))
+LOWER = ChangeSet(started=(unit("low.1", topic="/result", x="count.1/n"),), stopped=("high.1",))
+NEXT = "hold low.1, count.1/n > low.1/x, low.1/y > /result"
+
+
+@pytest.mark.parametrize(
+    ("scene", "said"),
+    [
+        (Scene(MODES), "places low.1, wait, ask high.1 x, wait, give low.1 that of high.1 ['x'], wait"),
+        (
+            Scene(MODES, mute={"high.1"}),
+            (
+                "places low.1, wait, ask high.1 x, wait in vain, "
+                "low.1 after high.1: it did not tell its state within 1 s, give low.1 what is known [], wait"
+            ),
+        ),
+        (
+            Scene(MODES, stateless={"high.1"}),
+            (
+                "places low.1, wait, ask high.1 x, wait, "
+                "low.1 after high.1: its code has no state to tell, give low.1 what is known [], wait"
+            ),
+        ),
+        (
+            Scene(MODES, mute={"low.1"}),
+            (
+                "places low.1, wait in vain, ask high.1, wait, "
+                "low.1 after high.1: low.1 got no element within 0.5 s, give low.1 that of high.1 [], wait"
+            ),
+        ),
+    ],
+    ids=["an answer each", "no answer", "no state", "no place"],
+)
+def test_a_unit_goes_on_with_the_present_state_of_the_one_that_it_replaces(scene: Scene, said: str) -> None:
+    scene.carry_out(LOWER)
+    assert ", ".join(scene.said).startswith(f"start low.1, wait, {NEXT}, {said}, stop high.1")
+
+
+def test_a_unit_that_replaces_none_is_given_no_state() -> None:
+    scene = Scene(MODES)
     scene.carry_out(start(unit("low.1", x="count.1/n")))
-    assert not [word for word in scene.said if word.startswith(("ask", "give"))], "nobody ends"
+    assert not [word for word in scene.said if word.startswith(("hold", "ask", "give"))]
+
+
+def test_states_are_handed_over_from_upstream_to_downstream() -> None:
+    """An inlet of a new stream has its place with its first element."""
+    first, second = (worker(label, run=RunOptions(state=True)) for label in ("first", "second"))
+
+    def chain(number: int) -> tuple[ComputationUnit, ...]:
+        # The one downstream has the lower name.
+        return (
+            unit(f"first.{number}", topic="/result", x=f"second.{number}/y"),
+            unit(f"second.{number}", x="count.1/n"),
+        )
+
+    scene = Scene(Environment((COUNT, *chain(1)), (source(), first, second), (RESULT,)))
+    scene.carry_out(ChangeSet(started=chain(2), stopped=("first.1", "second.1")))
+    asked = [said for said in scene.said if said.startswith(("places", "ask", "give"))]
+    assert asked == [
+        "places second.2",
+        "ask second.1 x",
+        "give second.2 that of second.1 ['x']",
+        "places first.2 x",
+        "ask first.1 x",
+        "give first.2 that of first.1 ['x']",
+    ]
+
+
+def test_no_switch_waits_for_a_source_that_has_told_its_state() -> None:
+    """It gives nothing any more: nothing says which elements of the next source would repeat its own."""
+    quiet, other = (source(label) for label in ("count", "other"))
+    quiet, other = (replace(one, run=replace(one.run, state="n")) for one in (quiet, other))
+    running = Environment((unit("count.1", topic="/result", port="n"),), (quiet, other), (RESULT,))
+    scene = Scene(running, quiet={"other.1"})
+    scene.carry_out(ChangeSet(started=(unit("other.1", topic="/result", port="n"),), stopped=("count.1",)))
+    assert "wait in vain" not in scene.said[: scene.said.index("stop count.1")]
 
 
 def test_a_new_unit_that_only_fails_does_not_take_over_from_one_that_gives() -> None:

@@ -6,6 +6,7 @@ from typing import Any, TypeAlias
 
 import msgspec
 
+from cfgplan_runtime.streams.element import Moment
 from cfgplan_runtime.streams.measured_stream import Quality
 
 
@@ -147,14 +148,45 @@ class BeginUnit(msgspec.Struct, tag=True):
     state: bytes | None
 
 
+class HoldSteps(msgspec.Struct, tag=True):
+    """Begin no step before the state of another unit has come."""
+
+
+class TellPlaces(msgspec.Struct, tag=True):
+    """Tell `Places` of all inlets, once they are known. The first element is the place of each inlet in `begun`."""
+
+    begun: list[str]
+
+
 class TellState(msgspec.Struct, tag=True):
-    """Give a sign of life now, with the state."""
+    """Tell `StateTold` between two steps, once each inlet in `until` has received the element of this moment."""
+
+    until: dict[str, Moment]
+
+
+class GivenElement(msgspec.Struct, frozen=True):
+    """An element that a unit has received and gives to the next one."""
+
+    time_ns: int
+    turn: int
+    payload: bytes
+
+
+class GivenInput(msgspec.Struct, frozen=True):
+    """The part of a state that is an inlet's: no step is still to be made with an element up to the moment `done`.
+
+    `elements` has those that the next unit has not received itself: they wait for a step, or are the latest.
+    """
+
+    done: Moment
+    elements: list[GivenElement] = []
 
 
 class TakeState(msgspec.Struct, tag=True):
-    """Take the state of an earlier unit."""
+    """Take the state of an earlier unit, if there is one, and begin with the steps after it, by inlet."""
 
-    state: bytes
+    state: bytes | None
+    inputs: dict[str, GivenInput]
 
 
 class Finish(msgspec.Struct, tag=True):
@@ -181,6 +213,8 @@ ToChild: TypeAlias = (
     | SetClock
     | ToRelay
     | BeginUnit
+    | HoldSteps
+    | TellPlaces
     | TellState
     | TakeState
     | Finish
@@ -256,6 +290,19 @@ class UnitSign(msgspec.Struct, tag=True):
     qualities: Qualities = {}
 
 
+class Places(msgspec.Struct, tag=True):
+    """The moment from which each connected inlet of a unit that holds its steps gets every element."""
+
+    moments: dict[str, Moment]
+
+
+class StateTold(msgspec.Struct, tag=True):
+    """A unit's state between two steps, with its place in each input. `state` is None if it keeps none."""
+
+    state: bytes | None
+    inputs: dict[str, GivenInput]
+
+
 class Flow(msgspec.Struct, frozen=True):
     """The traffic of a topic: elements per second, the median age at arrival in milliseconds, and counts.
 
@@ -321,7 +368,18 @@ class CrossingCounts(msgspec.Struct, frozen=True):
 
 FromRelay: TypeAlias = ImportUnused | Marked
 FromChild: TypeAlias = (
-    Ready | Prepared | Switched | Lost | Trouble | Exhausted | UnitSign | Flowing | Unserved | FromRelay
+    Ready
+    | Prepared
+    | Switched
+    | Lost
+    | Trouble
+    | Exhausted
+    | UnitSign
+    | Places
+    | StateTold
+    | Flowing
+    | Unserved
+    | FromRelay
 )
 
 

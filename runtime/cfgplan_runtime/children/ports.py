@@ -23,7 +23,7 @@ from cfgplan_runtime.children.messages import (
     Unserve,
 )
 from cfgplan_runtime.streams.channel import Receiver, Sender
-from cfgplan_runtime.streams.element import Element, Outgoing
+from cfgplan_runtime.streams.element import BEFORE_ALL, Element, Moment, Outgoing
 from cfgplan_runtime.streams.ends import Ends
 from cfgplan_runtime.streams.inlet import InputQueue
 
@@ -64,6 +64,8 @@ class UnitOutput:
     dropped_before: int = 0
     served: int = 0
     """The number of subscriptions so far."""
+    last: Moment = BEFORE_ALL
+    """The moment of the last element."""
 
 
 class Ports:
@@ -103,6 +105,7 @@ class Ports:
         """Send an element to every subscriber of an output."""
         output = self.outputs[port]
         output.elements += 1
+        output.last = element.time_ns, element.turn
         for sender in output.senders:
             had_rest = sender.depth
             sender.offer(element)
@@ -142,6 +145,7 @@ class Ports:
         output = self.outputs[port]
         output.senders.append(sender)
         output.served += 1
+        sender.tell_place(output.last)
         self.ends.watch(sender.socket, lambda: self._peer_spoke(output, sender))
 
     def close_output(self, port: str) -> None:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 
 from cfgplan.domain import ALL
+from cfgplan_runtime.children.messages import GivenElement, GivenInput
 from cfgplan_runtime.streams.element import Element, Moment
 from cfgplan_runtime.streams.inlet import port_of, slot
 
@@ -113,6 +114,28 @@ class StepQueue:
         if may_drop and len(waiting) > self._limit:
             waiting.popleft()
             self.dropped[port_of(inlet)] += 1
+
+    def given(self, inlet: str, last: Moment, until: Moment) -> GivenInput:
+        """Where the steps of an inlet stand, `last` being its last element, with its elements up to `until`."""
+        waiting = self._waiting.get(inlet, ())
+        done = (waiting[0].time_ns, waiting[0].turn - 1) if waiting else last
+        latest = self._latest.get(inlet)
+        kept = [*([] if latest is None else [latest]), *waiting]
+        sent = [GivenElement(one.time_ns, one.turn, bytes(one.payload)) for one in kept if one.moment <= until]
+        return GivenInput(done, sent)
+
+    def begin_at(self, inlet: str, done: Moment, elements: Iterable[Element]) -> list[Element]:
+        """Go on from an inlet's place. Returns the elements after it, each once.
+
+        The last one before it becomes the inlet's latest, if steps need that.
+        """
+        after = list[Element]()
+        for element in elements:
+            if element.moment > (after[-1].moment if after else done):
+                after.append(element)
+            elif element.moment <= done and (inlet not in self._waiting or self._start not in ("all", "aligned")):
+                self._latest[inlet] = element
+        return after
 
     def next(self) -> Step | None:
         """Remove and return the next step; None if none can start."""

@@ -13,6 +13,7 @@ import msgspec
 from cfgplan.domain import ALL
 from cfgplan_runtime.children import messages
 from cfgplan_runtime.children.control import ControlConnection
+from cfgplan_runtime.children.handover import Handover
 from cfgplan_runtime.children.ports import Ports, UnitInput, UnitOutput
 from cfgplan_runtime.children.program import ProgramCode
 from cfgplan_runtime.children.program_source import names_program
@@ -58,6 +59,7 @@ class UnitChild:
             services=order.services,
             counts=order.counts,
         )
+        self._handover = Handover(self._steps, self._ports, order.queue)
         self._errors = self._reported = 0
         self._program_faults = set[str]()
         """The kinds of faults of a program that were told."""
@@ -194,10 +196,15 @@ class UnitChild:
             case messages.BeginUnit(unit, state):
                 self._set_state(state)
                 self._begun = unit
-            case messages.TellState():
-                self._say_status()
-            case messages.TakeState(state):
+            case messages.HoldSteps():
+                self._handover.hold()
+            case messages.TellPlaces(begun):
+                self._handover.ask_places(begun)
+            case messages.TellState(until):
+                self._handover.ask_state(until)
+            case messages.TakeState(state, inputs):
                 self._set_state(state)
+                self._handover.begin(inputs)
             case messages.Finish():
                 self._ports.drain()
                 self._is_finishing = True
@@ -222,13 +229,15 @@ class UnitChild:
 
     @property
     def _pending(self) -> Step | None:
-        if self._next_step is None and not self._is_source:
+        if self._next_step is None and not self._is_source and self._handover.waits_until_ns is None:
+            self._handover.refill()
             self._next_step = self._steps.next()
         return self._next_step
 
     @property
     def _may_tick(self) -> bool:
-        return self._is_source and not self._is_exhausted and not self._is_finishing and self._has_room
+        may = self._is_source and not self._is_exhausted and not self._is_finishing and self._has_room
+        return may and self._handover.waits_until_ns is None
 
     def _patience_s(self) -> float:
         now = time.monotonic_ns()
@@ -237,13 +246,15 @@ class UnitChild:
             if self._results is not None or self._has_replies or (self._has_room and self._pending is not None):
                 return 0.0
             if self._may_tick:
-                until = min(until, self._tick_ns)
+                until = min(until, max(self._tick_ns, self._handover.pause_ns))
+            until = min(until, self._handover.waits_until_ns or until)
         return max(0.0, (until - now) / 1e9)
 
     def _work(self) -> None:
         start = time.monotonic_ns()
         while not self._ports.must_wait and (now := time.monotonic_ns()) - start < _LONGEST_WORK_NS:
             self._since_ns = now
+            self._answer()
             if self._results is not None:
                 self._give_next()
             elif self._program is not None and self._program.replies:
@@ -257,10 +268,19 @@ class UnitChild:
                     break
             else:
                 break
+        self._answer()
         self._since_ns = _NEVER_NS
         if self._program is not None:
             self._program.flush()
         self._ports.resume()
+
+    def _answer(self) -> None:
+        """Answer the questions of a hand-over whose answers are known by now."""
+        places = self._handover.places()
+        if places is not None:
+            self._ports.say(messages.Places(places))
+        if self._handover.is_state_due and self._results is None and self._next_step is None:
+            self._handover.tell(self._state())
 
     def _begin(self, step: Step) -> None:
         self._next_step = None
@@ -282,7 +302,7 @@ class UnitChild:
     def _tick(self) -> bool:
         """Let a source produce if it is due. Returns whether it was."""
         now = time.monotonic_ns()
-        if now < self._tick_ns:
+        if now < max(self._tick_ns, self._handover.pause_ns):
             return False
         period = self._order.period_ns
         if period is not None:
@@ -400,7 +420,7 @@ class UnitChild:
                 sum(one.dropped for one in of_port) + steps.dropped[port],
                 sum(one.stale for one in of_port),
                 steps.skipped[port],
-                steps.waiting(port),
+                steps.waiting(port) + self._handover.waiting(port),
             )
         return counts
 
@@ -423,9 +443,10 @@ class UnitChild:
 
     def _input_port(self, name: str) -> UnitInput:
         def take(element: Element) -> None:
-            self._steps.put(name, element, may_drop=not self._order.blocks)
+            put = self._handover.keep if self._handover.is_keeping else self._steps.put
+            put(name, element, may_drop=not self._order.blocks)
 
         def has_room() -> bool:
-            return not (self._order.blocks and self._steps.is_full(name))
+            return not (self._order.blocks and (self._steps.is_full(name) or self._handover.is_full(name)))
 
         return UnitInput(name, InputQueue(self._order.queue), take, has_room, lambda: self._steps.forget(name))

@@ -311,10 +311,14 @@ class Agent:
                 if self._stopping.pop(unit, None) is not None:
                     backend.stop(unit)
                 backend.kill(unit, dump=dump)
-            case orders.AskStateOrder(unit):
-                backend.ask_state(unit)
-            case orders.GiveStateOrder(unit, state):
-                backend.give_state(unit, state)
+            case orders.HoldOrder(unit):
+                backend.hold(unit)
+            case orders.AskPlacesOrder(unit, begun):
+                backend.ask_places(unit, begun)
+            case orders.AskStateOrder(unit, until):
+                backend.ask_state(unit, until)
+            case orders.GiveStateOrder(unit, state, inputs):
+                backend.give_state(unit, state, inputs)
             case orders.ConnectOrder(wire, stream, inlet, queue, blocks):
                 self._hold_wire(order)
                 backend.connect(wire, stream, inlet, queue=queue, blocks=blocks)

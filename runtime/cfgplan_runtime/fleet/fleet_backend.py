@@ -14,7 +14,7 @@ import msgspec
 
 from cfgplan.domain import MANAGER, Stream, Transformation
 from cfgplan.errors import InputError
-from cfgplan_runtime.children.messages import Flow, ImportUnused
+from cfgplan_runtime.children.messages import Flow, GivenInput, ImportUnused
 from cfgplan_runtime.children.unit_order import unit_order
 from cfgplan_runtime.fleet import orders, presence
 from cfgplan_runtime.fleet.adoption import adopt
@@ -22,6 +22,7 @@ from cfgplan_runtime.fleet.agent import digest_of, source_file
 from cfgplan_runtime.fleet.certificates import Validity
 from cfgplan_runtime.fleet.routes import Counts, OrderTo, Routes
 from cfgplan_runtime.fleet.tunnels import RemoteTopics, TunnelClient, TunnelServer
+from cfgplan_runtime.streams.element import Moment
 from cfgplan_runtime.streams.run_folder import RunFolder
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 from cfgplan_runtime.supervision import events
@@ -182,11 +183,17 @@ class FleetBackend:
     def kill(self, unit: str, *, dump: bool = False) -> None:
         self._presence.say(self._units.get(unit), orders.KillOrder(unit, dump))
 
-    def ask_state(self, unit: str) -> None:
-        self._presence.say(self._units.get(unit), orders.AskStateOrder(unit))
+    def hold(self, unit: str) -> None:
+        self._presence.say(self._units.get(unit), orders.HoldOrder(unit))
 
-    def give_state(self, unit: str, state: bytes) -> None:
-        self._presence.say(self._units.get(unit), orders.GiveStateOrder(unit, state))
+    def ask_places(self, unit: str, begun: Collection[str]) -> None:
+        self._presence.say(self._units.get(unit), orders.AskPlacesOrder(unit, list(begun)))
+
+    def ask_state(self, unit: str, until: Mapping[str, Moment]) -> None:
+        self._presence.say(self._units.get(unit), orders.AskStateOrder(unit, dict(until)))
+
+    def give_state(self, unit: str, state: bytes | None, inputs: Mapping[str, GivenInput]) -> None:
+        self._presence.say(self._units.get(unit), orders.GiveStateOrder(unit, state, dict(inputs)))
 
     def connect(self, wire: int, stream: Stream, inlet: Inlet, *, queue: int, blocks: bool) -> None:
         source, target = self._units.get(stream.unit), self._host_of(inlet)

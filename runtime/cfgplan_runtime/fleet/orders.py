@@ -8,8 +8,17 @@ from typing import Generic, NamedTuple, TypeAlias, TypeVar
 import msgspec
 
 from cfgplan.domain import Stream
-from cfgplan_runtime.children.messages import CrossingCounts, Export, Import, ImportUnused, ToRelay, UnitOrder
+from cfgplan_runtime.children.messages import (
+    CrossingCounts,
+    Export,
+    GivenInput,
+    Import,
+    ImportUnused,
+    ToRelay,
+    UnitOrder,
+)
 from cfgplan_runtime.streams import crossing
+from cfgplan_runtime.streams.element import Moment
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 from cfgplan_runtime.supervision import events
 from cfgplan_runtime.supervision.backend import Inlet, Usage
@@ -99,13 +108,24 @@ class KillOrder(msgspec.Struct, tag=True):
     dump: bool
 
 
+class HoldOrder(msgspec.Struct, tag=True):
+    unit: str
+
+
+class AskPlacesOrder(msgspec.Struct, tag=True):
+    unit: str
+    begun: list[str]
+
+
 class AskStateOrder(msgspec.Struct, tag=True):
     unit: str
+    until: dict[str, Moment]
 
 
 class GiveStateOrder(msgspec.Struct, tag=True):
     unit: str
-    state: bytes
+    state: bytes | None
+    inputs: dict[str, GivenInput]
 
 
 class ConnectOrder(msgspec.Struct, tag=True):
@@ -158,6 +178,8 @@ Order: TypeAlias = (
     | DiscardOrder
     | StopOrder
     | KillOrder
+    | HoldOrder
+    | AskPlacesOrder
     | AskStateOrder
     | GiveStateOrder
     | ConnectOrder

@@ -240,6 +240,13 @@ _EVENTS = (
         blame="too large",
     ),
     Kind(events.UnitCutShort, says=_cut_short, level=Level.WARNING),
+    Kind(
+        events.StateNotExact,
+        says=lambda it: (
+            f"{it.unit} has not got the state of {it.before} exactly, and may miss steps or repeat some: {it.cause}"
+        ),
+        level=Level.WARNING,
+    ),
     Kind(events.UnitPrinted, says=lambda it: f"{it.unit} | {it.line}", shown=Shown.AS_LINE),
     Kind(events.SourceExhausted, says=lambda it: f"{it.unit} has given its last element"),
     Kind(events.InputLost, says=_input_lost, level=Level.WARNING, urgency=Urgency.ABANDON),

@@ -6,7 +6,7 @@ import errno
 import resource
 import socket
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from math import inf
 from pathlib import Path
@@ -28,6 +28,7 @@ from cfgplan_runtime.processes.child_process import (
 from cfgplan_runtime.processes.cpu_group import CpuGroup
 from cfgplan_runtime.processes.nursery_link import NurseryLink
 from cfgplan_runtime.streams.channel import socket_pair
+from cfgplan_runtime.streams.element import Moment
 from cfgplan_runtime.streams.ends import Ends, Waker
 from cfgplan_runtime.streams.run_folder import RunFolder
 from cfgplan_runtime.supervision import events
@@ -237,11 +238,17 @@ class ProcessBackend:
         if child is not None:
             self._nursery.kill(child.serial, dump=dump)
 
-    def ask_state(self, unit: str) -> None:
-        self._tell_unit(unit, messages.TellState())
+    def hold(self, unit: str) -> None:
+        self._tell_unit(unit, messages.HoldSteps())
 
-    def give_state(self, unit: str, state: bytes) -> None:
-        self._tell_unit(unit, messages.TakeState(state))
+    def ask_places(self, unit: str, begun: Collection[str]) -> None:
+        self._tell_unit(unit, messages.TellPlaces(list(begun)))
+
+    def ask_state(self, unit: str, until: Mapping[str, Moment]) -> None:
+        self._tell_unit(unit, messages.TellState(dict(until)))
+
+    def give_state(self, unit: str, state: bytes | None, inputs: Mapping[str, messages.GivenInput]) -> None:
+        self._tell_unit(unit, messages.TakeState(state, dict(inputs)))
 
     def _tell_unit(self, unit: str, message: messages.ToChild) -> None:
         child = self._by_name.get(unit)
@@ -493,6 +500,10 @@ class ProcessBackend:
                 self._from_relay.append(message)
             case messages.Unserved(topic, cause):
                 self._events.append(events.OutOfDescriptors(f"subscribers of {topic} wait: {cause}"))
+            case messages.Places(moments):
+                self._events.append(events.PlacesTold(name, moments))
+            case messages.StateTold(state, inputs):
+                self._events.append(events.StateTold(name, state, inputs))
             case messages.UnitSign(steps, errors, inputs, outputs, state, qualities):
                 child.steps = steps
                 self._events.append(events.UnitStatus(name, steps, errors, inputs, outputs, state, qualities))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
@@ -29,7 +29,8 @@ from cfgplan_runtime.ros1.nodelet_group import NodeletGroup
 from cfgplan_runtime.ros1.relay_messages import FromTopicRelay, Listening, RelayOrder, TappedMessage
 from cfgplan_runtime.ros1.ros_master import RosMaster, forget_node
 from cfgplan_runtime.ros1.ros_unit import RosUnit, executable, node_source
-from cfgplan_runtime.ros1.tapped_values import TappedValues
+from cfgplan_runtime.ros1.tapped_values import MessageDecoders
+from cfgplan_runtime.streams.element import Moment
 from cfgplan_runtime.streams.ends import Ends, Posted
 from cfgplan_runtime.streams.run_folder import RunFolder
 from cfgplan_runtime.supervision import events
@@ -112,7 +113,7 @@ class Ros1Backend:
         self._wires = RelayedWires(
             self._ends, self._events, lambda: _Relay(order), lambda: None, self._hear_relay, self.run_folder, file
         )
-        self._values = TappedValues()
+        self._values = MessageDecoders()
         self._to_master = ThreadPoolExecutor(1, "to-master")
         self._watch_master()
         self._wires.start()
@@ -176,10 +177,16 @@ class Ros1Backend:
         if node is not None and not dump:
             self._end(node, NodeProcess.kill)
 
-    def ask_state(self, unit: str) -> None:
-        """Do nothing: nodes do not give their state."""
+    def hold(self, unit: str) -> None:
+        """Do nothing: nodes do not take a state."""
 
-    def give_state(self, unit: str, state: bytes) -> None:
+    def ask_places(self, unit: str, begun: Collection[str]) -> None:  # noqa: ARG002
+        self._events.append(events.PlacesTold(unit, {}))
+
+    def ask_state(self, unit: str, until: Mapping[str, Moment]) -> None:  # noqa: ARG002
+        self._events.append(events.StateTold(unit, None, {}))
+
+    def give_state(self, unit: str, state: bytes | None, inputs: Mapping[str, messages.GivenInput]) -> None:
         """Do nothing: nodes do not take a state."""
 
     def connect(self, wire: int, stream: Stream, inlet: Inlet, *, queue: int, blocks: bool) -> None:  # noqa: ARG002
@@ -468,4 +475,4 @@ class Ros1Backend:
             case Listening(address):
                 self._relay_address = address
             case TappedMessage(topic, kind, definition, time_ns, skipped, data):
-                self._wires.taps.show(topic, time_ns, self._values.of(kind, definition, data), skipped)
+                self._wires.taps.show(topic, time_ns, self._values.shown(kind, definition, data), skipped)

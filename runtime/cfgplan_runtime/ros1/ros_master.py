@@ -25,6 +25,21 @@ _MASTER_LOOK_S = 0.02
 _HOST_VARIABLES = ("ROS_IP", "ROS_HOSTNAME")
 
 
+def master_address() -> str:
+    """The address of the master, as ROS_MASTER_URI says it."""
+    return os.environ.get(MASTER_VARIABLE) or USUAL_MASTER
+
+
+def own_host(master: str) -> str:
+    """The name under which nodes that know the master at an address reach nodes on this computer."""
+    named = next((os.environ[name] for name in reversed(_HOST_VARIABLES) if os.environ.get(name)), None)
+    return named or ("127.0.0.1" if _is_local(master) else socket.gethostname())
+
+
+def _is_local(master: str) -> bool:
+    return urlparse(master).hostname in ("localhost", "127.0.0.1", "::1", socket.gethostname())
+
+
 class RosMaster:
     """The master at ROS_MASTER_URI. If none answers there, one is started as by `roslaunch`, without `rosout`.
 
@@ -33,12 +48,11 @@ class RosMaster:
     """
 
     def __init__(self) -> None:
-        self.address = os.environ.get(MASTER_VARIABLE) or USUAL_MASTER
+        self.address = master_address()
         self._process: subprocess.Popen[bytes] | None = None
         self._peer = peer(self.address)
-        place = urlparse(self.address)
-        self.is_local = place.hostname in ("localhost", "127.0.0.1", "::1", socket.gethostname())
-        self._port = place.port or 11311
+        self.is_local = _is_local(self.address)
+        self._port = urlparse(self.address).port or 11311
         self.ended: int | None = None
         """A descriptor that becomes readable when the run's own master has ended; None without one."""
         if not self.answers():
@@ -47,8 +61,7 @@ class RosMaster:
     @property
     def host(self) -> str:
         """The name under which other nodes reach nodes on this computer."""
-        named = next((os.environ[name] for name in reversed(_HOST_VARIABLES) if os.environ.get(name)), None)
-        return named or ("127.0.0.1" if self.is_local else socket.gethostname())
+        return own_host(self.address)
 
     @property
     def environment(self) -> Mapping[str, str]:

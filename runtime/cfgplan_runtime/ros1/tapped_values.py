@@ -1,4 +1,4 @@
-"""The values of messages that the relay passes on for taps."""
+"""The values of messages of ROS 1."""
 
 from __future__ import annotations
 
@@ -6,31 +6,46 @@ from collections.abc import Callable
 
 from cfgplan.errors import InputError
 from cfgplan.extras import needed
+from cfgplan_runtime.errors import EncodingError
 
 
-class TappedValues:
+class MessageDecoders:
     """Decodes messages by the definitions that their publishers give."""
 
     def __init__(self) -> None:
         self._decoders: dict[tuple[str, str], Callable[[bytes], object]] = {}
 
-    def of(self, kind: str, definition: str, data: bytes) -> object:
-        """Return the value of a serialised message, or a text that says why it can't be shown."""
+    def value(self, kind: str, definition: str, data: bytes) -> object:
+        """Return the value of a serialised message. Raises EncodingError, or InputError without rosbags."""
         key = kind, definition
         try:
             if key not in self._decoders:
                 self._decoders[key] = _decoder(kind, definition)
             return self._decoders[key](data)
-        except InputError as error:
-            return f"{len(data)} bytes of {kind}: {error}"
+        except InputError:
+            raise
         except Exception as error:
             # rosbags raises errors of its own, and any others at input that it does not foresee.
-            return f"{len(data)} bytes of {kind} that can't be read: {error}"
+            raise EncodingError(f"{len(data)} bytes of {kind} that can't be read: {error}") from None
+
+    def shown(self, kind: str, definition: str, data: bytes) -> object:
+        """Return the value of a serialised message, or a text that says why it can't be shown."""
+        try:
+            return self.value(kind, definition, data)
+        except InputError as error:
+            return f"{len(data)} bytes of {kind}: {error}"
+        except EncodingError as error:
+            return str(error)
+
+
+def check_decoders() -> None:
+    """Raise InputError, which names the extra, if what decoding needs is not installed."""
+    needed("values of ROS 1 messages", "rosbags")
 
 
 def _decoder(kind: str, definition: str) -> Callable[[bytes], object]:
     """Return what decodes messages of a type. Raises InputError without rosbags, or errors of its parser."""
-    needed("values of ROS 1 messages", "rosbags")
+    check_decoders()
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     from cfgplan_runtime.nodes.message_values import MessageValues

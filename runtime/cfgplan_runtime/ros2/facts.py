@@ -1,77 +1,59 @@
-"""Facts of the world that ROS 2 topics observe: the values in their messages are passed to the manager."""
+"""Topics of ROS 2 that a run reads beside its units, and the check of facts that are observed there."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
-from cfgplan.errors import Fault, InputError, InvalidValueError
+from cfgplan.errors import Fault, InputError
 from cfgplan.facts import Fact
 from cfgplan.ros.qos import ServiceQuality
 from cfgplan.ros.types import MessageType
 from cfgplan_runtime.errors import EncodingError
-from cfgplan_runtime.lifecycle.manager import Manager
-from cfgplan_runtime.lifecycle.reports import Report, Reviewed
+from cfgplan_runtime.operating.outside_topics import TakeValue
 from cfgplan_runtime.outside.once import Once
 from cfgplan_runtime.ros2.definitions import Definitions
 from cfgplan_runtime.ros2.message_form import MessageForm
 from cfgplan_runtime.ros2.topics import RosTopics, check_installed
-from cfgplan_runtime.streams.closable import Closable
-
-_FACT_DEPTH = 10
 
 
-class RosFacts(Closable):
-    """Reads, by a node of its own, the topics of all facts that name a message type.
+class Ros2Reader:
+    """A `TopicReader` of ROS 2. Message types are found in the environment file's `folder` too.
 
-    `folder` is that of the environment file. Raises InputError; `tell` is called with later faults, each once.
+    `purpose` is part of its node's name. Raises InputError; `tell` is called with later faults, each once.
     """
 
-    def __init__(self, run: str, folder: Path, manager: Manager, tell: Callable[[str], None]) -> None:
-        self._folder, self._manager, self._once = folder, manager, Once(tell)
-        self._read: dict[Fact, int] = {}
-        self._node = RosTopics(f"cfgplan_facts_{re.sub('[^A-Za-z0-9]', '_', run)}", tell)
-        self._follow()
-        manager.listen(self._hear)
+    def __init__(self, purpose: str, run: str, folder: Path, tell: Callable[[str], None]) -> None:
+        self._folder, self._once = folder, Once(tell)
+        self._node = RosTopics(f"cfgplan_{purpose}_{re.sub('[^A-Za-z0-9]', '_', run)}", tell)
+
+    def read(self, topic: str, kind: str, qos: str, depth: int, take: TakeValue) -> int:
+        """See `TopicReader.read`."""
+        form = form_of(kind, self._folder)
+
+        def taken(data: bytes, _: int) -> None:
+            try:
+                value = form.decode(data)
+            except EncodingError as error:
+                self._once.tell(topic, f"messages of {topic} can't be read: {error}")
+            else:
+                take(value)
+
+        return self._node.read(topic, form, ServiceQuality.read(qos), depth, taken)
+
+    def end(self, number: int) -> None:
+        """Stop reading a topic."""
+        self._node.end(number)
 
     def close(self) -> None:
         """End the node."""
         self._node.close()
 
-    def _hear(self, report: Report) -> None:
-        if isinstance(report, Reviewed):
-            self._follow()
 
-    def _follow(self) -> None:
-        """Read the topics of the present world's facts, and no others."""
-        wanted = {fact for fact in self._manager.world.environment.variable.values() if fact.type is not None}
-        for fact in self._read.keys() - wanted:
-            self._node.end(self._read.pop(fact))
-        for fact in sorted(wanted - self._read.keys(), key=lambda each: each.key):
-            try:
-                form = form_of(fact, self._folder)
-            except InputError as error:
-                self._once.tell(fact.key, f"fact {fact.key} is not observed: {error}")
-                continue
-            quality = ServiceQuality.read(fact.qos or "")
-            take = partial(self._take, fact, form)
-            self._read[fact] = self._node.read(fact.observed_on or "", form, quality, _FACT_DEPTH, take)
-
-    def _take(self, fact: Fact, form: MessageForm, data: bytes, _: int) -> None:
-        try:
-            value = fact.value_in(form.decode(data))
-        except (EncodingError, InvalidValueError) as error:
-            self._once.tell(f"{fact.key} value", f"{fact.observed_on} does not observe its fact: {error}")
-        else:
-            if value is not None:
-                self._manager.observe_fact(fact.key, value)
-
-
-def form_of(fact: Fact, folder: Path) -> MessageForm:
-    """The form of the messages that observe a fact. Raises InputError."""
-    return Definitions(folder=folder).form(MessageType.read(fact.type or ""))
+def form_of(kind: str, folder: Path) -> MessageForm:
+    """The form of the messages of a type. Raises InputError."""
+    return Definitions(folder=folder).form(MessageType.read(kind))
 
 
 def check_facts(facts: tuple[Fact, ...], file: Path) -> None:
@@ -80,7 +62,7 @@ def check_facts(facts: tuple[Fact, ...], file: Path) -> None:
     faults = list[Fault]()
     for fact in facts:
         try:
-            form_of(fact, file.resolve().parent)
+            form_of(fact.type or "", file.resolve().parent)
         except InputError as error:
             faults += [Fault(f"fact {fact.name}: {each.message}", str(file), mend=each.mend) for each in error.faults]
     if faults:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -39,6 +39,7 @@ from cfgplan_runtime.ros2.ros2_unit import SIM_TIME, Ros2Unit, message_of, node_
 from cfgplan_runtime.ros2.ros_python import RosPython, ros_python
 from cfgplan_runtime.ros2.tapped_values import TappedValues
 from cfgplan_runtime.ros2.warm_nodes import WarmNode, WarmNodes
+from cfgplan_runtime.streams.element import Moment
 from cfgplan_runtime.streams.ends import Ends, Waker
 from cfgplan_runtime.streams.run_folder import RunFolder
 from cfgplan_runtime.supervision import events
@@ -210,10 +211,16 @@ class Ros2Backend:
         elif node is not None and not dump:
             self._end(node, NodeProcess.kill)
 
-    def ask_state(self, unit: str) -> None:
-        """Do nothing: nodes do not give their state."""
+    def hold(self, unit: str) -> None:
+        """Do nothing: nodes do not take a state."""
 
-    def give_state(self, unit: str, state: bytes) -> None:
+    def ask_places(self, unit: str, begun: Collection[str]) -> None:  # noqa: ARG002
+        self._events.append(events.PlacesTold(unit, {}))
+
+    def ask_state(self, unit: str, until: Mapping[str, Moment]) -> None:  # noqa: ARG002
+        self._events.append(events.StateTold(unit, None, {}))
+
+    def give_state(self, unit: str, state: bytes | None, inputs: Mapping[str, messages.GivenInput]) -> None:
         """Do nothing: nodes do not take a state."""
 
     def connect(self, wire: int, stream: Stream, inlet: Inlet, *, queue: int, blocks: bool) -> None:  # noqa: ARG002

@@ -10,7 +10,17 @@ import socket
 from collections import deque
 from collections.abc import Iterator
 
-from cfgplan_runtime.streams.element import HEADER, HEADER_MARK, LONGEST_PAYLOAD, Buffer, Element, Outgoing
+from cfgplan_runtime.streams.element import (
+    BEFORE_ALL,
+    HEADER,
+    HEADER_MARK,
+    LONGEST_PAYLOAD,
+    PLACE_MARK,
+    Buffer,
+    Element,
+    Moment,
+    Outgoing,
+)
 
 MOST_WAITING_BYTES = 32 << 20
 """The most bytes that may wait for one subscriber, whatever the queue's length."""
@@ -60,6 +70,14 @@ class Sender:
     @property
     def depth(self) -> int:
         return len(self._waiting) + (self._rest is not None)
+
+    def tell_place(self, last: Moment) -> None:
+        """Tell the receiver, before any element, which one was the last that it does not get."""
+        time_ns, turn = last
+        head = HEADER.pack(PLACE_MARK, 0, max(turn, 0), 0, time_ns)
+        sent = self._try([head])
+        if sent < len(head) and not self.is_closed:
+            self._rest = memoryview(head)[sent:]
 
     def offer(self, element: Outgoing) -> None:
         """Send an element. The rest waits for `flush`."""
@@ -140,6 +158,8 @@ class Receiver:
         end.setblocking(False)
         self.socket = end
         self.has_ended = False
+        self.place: Moment | None = None
+        """The moment after which it gets every element; None until the sender has told it."""
         self._chunk = memoryview(bytearray(_FIRST_CHUNK))
         self._pending = b""
         self._header: tuple[int, int, int, int] | None = None
@@ -188,6 +208,10 @@ class Receiver:
                 mark, length, turn, number, time_ns = HEADER.unpack_from(data, start)
                 self._header = length, turn, number, time_ns
                 start += HEADER.size
+                if mark == PLACE_MARK:
+                    self.place = BEFORE_ALL if time_ns == BEFORE_ALL[0] else (time_ns, turn)
+                    self._header = None
+                    continue
                 if mark != HEADER_MARK or length > LONGEST_PAYLOAD:
                     self.has_ended = True
                     return

@@ -8,13 +8,19 @@ from typing import NamedTuple, TypeAlias
 
 Buffer: TypeAlias = "bytes | bytearray | memoryview"
 
-Moment: TypeAlias = "tuple[int, int]"
+Moment: TypeAlias = tuple[int, int]
 """An element's time in nanoseconds, and its turn among elements of that time. Moments rise along a stream."""
+
+BEFORE_ALL: Moment = (-(1 << 63), -1)
+"""The moment before every element."""
 
 HEADER = struct.Struct("<IIIQq")
 """HEADER_MARK, length of the payload, turn, sequence number within the subscription, time in nanoseconds."""
 HEADER_MARK = 0x9E3779B9
 """The first bytes of a header: what a faulty unit writes into a channel is not taken for the length of an element."""
+
+PLACE_MARK = 0x9E3779BA
+"""The first bytes of a header that is no element, but tells the moment after which a subscription has every element."""
 
 LONGEST_PAYLOAD = 1 << 31
 

@@ -12,9 +12,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 
-from cfgplan_runtime.streams.element import Element, Moment
-
-_BEFORE_ALL: Moment = (-(1 << 63), -1)
+from cfgplan_runtime.streams.element import BEFORE_ALL, Element, Moment
 
 
 def slot(port: str, number: int) -> str:
@@ -39,7 +37,7 @@ class InputQueue:
     dropped: int = 0
     stale: int = 0
     """The number of elements that were not newer than the last delivered one."""
-    last: Moment = _BEFORE_ALL
+    last: Moment = BEFORE_ALL
     _held: deque[Element] = field(default_factory=deque)
     _next_number: dict[int, int] = field(default_factory=dict)
     _former: dict[int, Moment] = field(default_factory=dict)
@@ -96,7 +94,7 @@ class InputQueue:
                 return self.switch()
         return []
 
-    def switch(self, now: Moment = _BEFORE_ALL) -> list[Element]:
+    def switch(self, now: Moment = BEFORE_ALL) -> list[Element]:
         """Make the standby the active source at once. Returns the elements to deliver now.
 
         If the standby has sent nothing yet, elements of the former source from before `now` are still delivered.

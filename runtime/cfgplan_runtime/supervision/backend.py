@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from cfgplan.domain import ComputationUnit, Host, Stream, Transformation
+from cfgplan_runtime.children.messages import GivenInput
+from cfgplan_runtime.streams.element import Moment
 from cfgplan_runtime.streams.inlet import port_of
 from cfgplan_runtime.supervision.events import Event
 
@@ -144,11 +146,24 @@ class Backend(Protocol):
         With `dump` it first prints its stack.
         """
 
-    def ask_state(self, unit: str) -> None:
-        """Ask a unit for its state: UnitStatus follows at once, if the backend keeps states."""
+    def hold(self, unit: str) -> None:
+        """Let a started unit keep the elements that it gets, and make no step before `give_state`, for some seconds."""
 
-    def give_state(self, unit: str, state: bytes) -> None:
-        """Give a started unit the state of another."""
+    def ask_places(self, unit: str, begun: Collection[str]) -> None:
+        """Ask a unit from which moment on it gets every element: PlacesTold follows once all its inlets know.
+
+        The inlets in `begun` know it from their first element on.
+        """
+
+    def ask_state(self, unit: str, until: Mapping[str, Moment]) -> None:
+        """Ask a unit for its state: StateTold follows between two steps, once each inlet in `until` has received the
+        element of this moment.
+        """
+
+    def give_state(self, unit: str, state: bytes | None, inputs: Mapping[str, GivenInput]) -> None:
+        """Give a started unit the state of another, if there is one. Its steps begin after it, at the place of each
+        inlet in `inputs`.
+        """
 
     def connect(self, wire: int, stream: Stream, inlet: Inlet, *, queue: int, blocks: bool) -> None:
         """Let `stream` feed `inlet`, at once or as the standby of its present source: WireSwitched follows."""

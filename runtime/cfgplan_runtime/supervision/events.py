@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import msgspec
 
-from cfgplan_runtime.children.messages import CrossingCounts, Flow, PortCounts, Qualities
+from cfgplan_runtime.children.messages import CrossingCounts, Flow, GivenInput, PortCounts, Qualities
+from cfgplan_runtime.streams.element import Moment
 
 
 class Event(msgspec.Struct, frozen=True):
@@ -134,6 +135,29 @@ class UnitStatus(Event, frozen=True):
     qualities: Qualities = {}
 
 
+class PlacesTold(Event, frozen=True):
+    """The moment from which each inlet of a unit that holds its steps gets every element."""
+
+    unit: str
+    moments: dict[str, Moment]
+
+
+class StateTold(Event, frozen=True):
+    """A unit's state between two steps, null if it keeps none, with its place in each input."""
+
+    unit: str
+    state: bytes | None
+    inputs: dict[str, GivenInput]
+
+
+class StateNotExact(Event, frozen=True):
+    """A new unit replaces `before`, but has not got its state exactly: it goes on from the last known one, if any."""
+
+    unit: str
+    before: str
+    cause: str
+
+
 class OutletsLost(Event, frozen=True):
     """The process that owns the topics' addresses has died; a new one replaces it: `OutletsOpened` follows."""
 
@@ -246,5 +270,5 @@ class RolledBack(Event, frozen=True):
     cause: str
 
 
-SIGNS = (UnitStatus, TopicsStatus, CrossingsStatus, HelperAlive)
-"""Signs of life: they come often, and are not logged."""
+SIGNS = (UnitStatus, TopicsStatus, CrossingsStatus, HelperAlive, PlacesTold, StateTold)
+"""Signs of life and answers to the supervisor: they come often, and are not logged."""

@@ -56,8 +56,6 @@ class UnitRecord:
     sign_s: float = 0.0
     """The time of its last sign of life, on `Supervisor.now`."""
     status: UnitStatus | None = None
-    signs: int = 0
-    """The number of its signs of life."""
     steps_per_s: float = 0.0
     failure: UnitFailed | None = None
     killed_s: float | None = None
@@ -83,7 +81,7 @@ class UnitRecord:
         given = sum(counts.elements for counts in status.outputs.values())
         if self.status is None or given != self._given:
             self._given, self.gave_s = given, now_s
-        self.status, self.signs = status, self.signs + 1
+        self.status = status
 
     def observe(self, unit: str, usage: Usage, now_s: float) -> Observation:
         """The unit as it is now. Its upkeep is the mean since the last call, None at the first."""

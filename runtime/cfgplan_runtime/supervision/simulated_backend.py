@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from cfgplan.domain import InputPort, Stream, Transformation
-from cfgplan_runtime.children.messages import Flow, PortCounts, Qualities
+from cfgplan_runtime.children.messages import Flow, GivenInput, PortCounts, Qualities
+from cfgplan_runtime.streams.element import Moment
 from cfgplan_runtime.supervision.backend import Inlet, Usage
 from cfgplan_runtime.supervision.events import (
     Event,
     HostJoined,
     HostLost,
     InputLost,
+    PlacesTold,
     SpareLost,
     SparePrepared,
     SpareUsed,
+    StateTold,
     TopicsStatus,
     UnitDied,
     UnitReady,
@@ -233,10 +236,18 @@ class SimulatedBackend:
             if not found.behaviour.hung:
                 self._later(found.behaviour.stop_s, UnitStopped(unit))
 
-    def ask_state(self, unit: str) -> None:
-        self.calls.append(("ask state", unit))
+    def hold(self, unit: str) -> None:
+        self.calls.append(("hold", unit))
 
-    def give_state(self, unit: str, state: bytes) -> None:
+    def ask_places(self, unit: str, begun: Collection[str]) -> None:  # noqa: ARG002
+        self.calls.append(("ask places", unit))
+        self._later(0.0, PlacesTold(unit, {}))
+
+    def ask_state(self, unit: str, until: Mapping[str, Moment]) -> None:  # noqa: ARG002
+        self.calls.append(("ask state", unit))
+        self._later(0.0, StateTold(unit, self.units[unit].state or b"", {}))
+
+    def give_state(self, unit: str, state: bytes | None, inputs: Mapping[str, GivenInput]) -> None:  # noqa: ARG002
         self.calls.append(("give state", unit))
         if unit in self.units:
             self.units[unit].state = state

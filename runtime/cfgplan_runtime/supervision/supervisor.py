@@ -63,6 +63,8 @@ class Supervisor:
         self._records: dict[str, UnitRecord] = {}
         self._states: dict[str, bytes] = {}
         """The last state of the units of a transformation, by the state's name."""
+        self._answers: dict[str, events.PlacesTold | events.StateTold] = {}
+        """The last answer of each unit that takes part in a hand-over of a state."""
         self._library: dict[str, Transformation] = {}
         self._stopping: dict[str, tuple[str, float]] = {}
         """Units that an earlier supervisor has told to stop: their hosts, and when they are killed."""
@@ -183,10 +185,9 @@ class Supervisor:
         """The wires of inlets, by inlet."""
         return self.wiring.feeds
 
-    def signs(self, unit: str) -> int:
-        """The number of a unit's signs of life."""
-        record = self._records.get(unit)
-        return 0 if record is None else record.signs
+    def answer(self, unit: str) -> events.PlacesTold | events.StateTold | None:
+        """The answer of a unit to the last question of a hand-over; None if none has come yet."""
+        return self._answers.get(unit)
 
     def failure(self, unit: str) -> str | None:
         """The error of a unit's last failed step; None if none has failed."""
@@ -263,12 +264,20 @@ class Supervisor:
                 self.backend.close_outlet(topic)
             case updates.StartUnit(unit, transformation):
                 self._start(unit, transformation)
-            case updates.AskState(unit_id):
-                self.backend.ask_state(unit_id)
-            case updates.GiveState(unit_id):
-                state = self._states.get(self._library[unit_id].state_name or "")
-                if state is not None:
-                    self.backend.give_state(unit_id, state)
+            case updates.HoldUnit(unit_id):
+                self.backend.hold(unit_id)
+            case updates.AskPlaces(unit_id, begun):
+                self._answers.pop(unit_id, None)
+                self.backend.ask_places(unit_id, begun)
+            case updates.AskState(unit_id, until):
+                self._answers.pop(unit_id, None)
+                self.backend.ask_state(unit_id, until)
+            case updates.GiveState(unit_id, state, inputs):
+                if state is None and unit_id in self._library:  # it has not died meanwhile
+                    state = self._states.get(self._library[unit_id].state_name or "")
+                self.backend.give_state(unit_id, state, inputs)
+            case updates.TellOf(event):
+                self._report(event)
             case updates.StopUnit(unit_id):
                 self.wiring.forget_inputs(unit_id)
                 self.backend.stop(unit_id)
@@ -366,6 +375,11 @@ class Supervisor:
                 self.environment = without_feed(self.environment, lost.inlet, lost.stream)
             case events.UnitStatus(unit):
                 self._note_status(unit, event)
+            case events.PlacesTold(unit) | events.StateTold(unit) if unit in self._records:
+                self._answers[unit] = event
+                return False
+            case events.PlacesTold() | events.StateTold():
+                return False
             case events.UnitFailed(unit):
                 if unit in self._records and event.text:
                     self._records[unit].failure = event
@@ -401,6 +415,7 @@ class Supervisor:
         self.wiring.forget_unit(unit)
         self.taps.lose_unit(unit)
         self._records.pop(unit, None)
+        self._answers.pop(unit, None)
         self._library.pop(unit, None)
 
     def _host_of(self, unit: str) -> str | None:

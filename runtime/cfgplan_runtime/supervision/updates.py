@@ -14,12 +14,18 @@ import msgspec
 
 from cfgplan.domain import ALL, ChangeSet, ComputationUnit, Environment, Stream, Transformation
 from cfgplan.errors import InvalidValueError
+from cfgplan.onward import grouped, reached
+from cfgplan_runtime.children.messages import GivenInput
 from cfgplan_runtime.errors import AbandonedError, ApplyError, NoSourceError, StaleChangeSetError
+from cfgplan_runtime.streams.element import Moment
 from cfgplan_runtime.supervision import wiring
 from cfgplan_runtime.supervision.backend import Inlet
+from cfgplan_runtime.supervision.events import PlacesTold, StateNotExact, StateTold
 
-_STATE_S = 0.5
-"""Seconds that a unit has to give its state to its replacement; otherwise its last known state counts."""
+_PLACES_S, _STATE_S = 0.5, 1.0
+"""Seconds that a new unit has to tell its places, and the unit that it replaces to tell its state. Otherwise the last
+known state counts.
+"""
 TIME_TO_DUMP_S = 0.2
 """Seconds that a unit has to print its stack before it is killed."""
 
@@ -65,8 +71,8 @@ class Actual(Protocol):
     def stop_s(self, unit: str) -> float | None:
         """The seconds that a unit may take to end, by its transformation; None if that has no `stop`."""
 
-    def signs(self, unit: str) -> int:
-        """The number of a unit's signs of life; the last one had its state."""
+    def answer(self, unit: str) -> PlacesTold | StateTold | None:
+        """The answer of a unit to the last question of a hand-over; None if none has come yet."""
 
     def failure(self, unit: str) -> str | None:
         """The error of a unit's last failed step; None if none has failed."""
@@ -102,16 +108,38 @@ class StartUnit(Command, frozen=True):
     transformation: Transformation
 
 
-class AskState(Command, frozen=True):
-    """Ask a unit for its state."""
+class HoldUnit(Command, frozen=True):
+    """Let a started unit make no step before it is given a state."""
 
     unit: str
+
+
+class AskPlaces(Command, frozen=True):
+    """Ask a unit from which moment on its inlets get every element; those in `begun` by their first element."""
+
+    unit: str
+    begun: tuple[str, ...]
+
+
+class AskState(Command, frozen=True):
+    """Ask a unit for its state, once its inlets have received the elements of these moments."""
+
+    unit: str
+    until: Mapping[str, Moment]
 
 
 class GiveState(Command, frozen=True):
-    """Give a started unit the last state of its name."""
+    """Give a started unit a state and its place in each input; without one, the last known state of its name."""
 
     unit: str
+    state: bytes | None = None
+    inputs: Mapping[str, GivenInput] = {}
+
+
+class TellOf(Command, frozen=True):
+    """Report an event of the update."""
+
+    event: StateNotExact
 
 
 class StopUnit(Command, frozen=True):
@@ -321,8 +349,9 @@ class _Update:
             raise _StepFailedError(f"{', '.join(slow)} was not ready within {self.patience.start_s:g} s", slow)
 
     def rewire(self) -> Commands:
-        yield from self.hand_over_states()
-        actual, wanted = self.actual, self.wanted
+        actual, wanted, heirs = self.actual, self.wanted, self.heirs()
+        for unit in heirs:
+            yield HoldUnit(unit)
         for inlet, stream in wanted.items():
             if not self.lives(inlet):
                 continue  # its unit has died meanwhile
@@ -330,7 +359,12 @@ class _Update:
             if fed is None or fed.stream != stream:
                 self.rewired[inlet] = None if fed is None else fed.stream
                 yield Connect(stream, inlet)
-        idle = wiring.starved_units(actual.environment) | actual.dry_units()
+        paused = set[str]()
+        for unit, before in heirs.items():
+            is_told = yield from self.hand_over_state(before, unit)
+            if is_told and not self.after.transformation[self.after.unit[unit].transformation].inputs:
+                paused.add(before)
+        idle = wiring.starved_units(actual.environment) | actual.dry_units() | paused
         starved = idle.intersection(self.change_set.stopped)
         yield WaitUntil(
             lambda: bool(self.dead()) or self.may_end(starved),
@@ -342,26 +376,73 @@ class _Update:
             if inlet.unit not in self.change_set.stopped:
                 yield Disconnect(inlet)
 
-    def hand_over_states(self) -> Commands:
-        """Give new units the present states of the units that they replace."""
+    def heirs(self) -> dict[str, str]:
+        """The new units that go on with the state of a unit that ends, those upstream first, each with that unit."""
         actual, ending = self.actual, self.actual.alive & set(self.change_set.stopped)
         old = {
             name: unit.id
             for unit in actual.environment.units
             if unit.id in ending and (name := _state_name(actual.environment, unit)) is not None
         }
-        new = {
-            unit.id: name
+        heirs = {
+            unit.id: old[name]
             for unit in self.change_set.started
-            if not unit.standby and (name := _state_name(self.after, unit)) in old
+            if not unit.standby and (name := _state_name(self.after, unit)) in old and name is not None
         }
-        signs = {old[name]: actual.signs(old[name]) for name in new.values()}
-        for unit in signs:
-            yield AskState(unit)
-        if signs:
-            yield WaitUntil(lambda: all(actual.signs(unit) != number for unit, number in signs.items()), _STATE_S)
-        for unit in new:
-            yield GiveState(unit)
+        feeding = grouped((inlet.unit, stream.unit) for inlet, stream in self.wanted.items())
+        upstream = {unit: heirs.keys() & reached([unit], lambda one: feeding.get(one, ())) for unit in heirs}
+        return {unit: heirs[unit] for unit in sorted(heirs, key=lambda unit: len(upstream[unit]))}
+
+    def hand_over_state(self, before: str, heir: str) -> Generator[Command, None, bool]:
+        """Let a new unit, which holds its steps, begin them with the state of the unit `before` it, at its place.
+
+        Returns whether that has told its state.
+        """
+        actual, same = self.actual, self.same_inlets(before, heir)
+        yield AskPlaces(heir, self.inlets_of_new_streams(before, heir))
+        yield WaitUntil(lambda: actual.answer(heir) is not None or not {before, heir} <= actual.alive, _PLACES_S)
+        places = actual.answer(heir)
+        known = places.moments if isinstance(places, PlacesTold) else {}
+        until = {same[name]: moment for name, moment in known.items() if name in same}
+        yield AskState(before, until)
+        yield WaitUntil(lambda: actual.answer(before) is not None or before not in actual.alive, _STATE_S)
+        told = actual.answer(before)
+        if not isinstance(told, StateTold) or told.state is None:
+            cause = "its code has no state to tell" if told else f"it did not tell its state within {_STATE_S:g} s"
+            yield TellOf(StateNotExact(heir, before, cause))
+            yield GiveState(heir)
+            return False
+        if places is None:
+            yield TellOf(StateNotExact(heir, before, f"{heir} got no element within {_PLACES_S:g} s"))
+        inputs = {name: told.inputs[old] for name, old in same.items() if places and old in told.inputs}
+        yield GiveState(heir, told.state, inputs)
+        return True
+
+    def same_inlets(self, before: str, heir: str) -> dict[str, str]:
+        """The inlets of a new unit, each with the inlet of the unit before it that has the same stream or else the same
+        name.
+        """
+        old = {inlet.port: wire.stream for inlet, wire in self.actual.feeds.items() if inlet.unit == before}
+        of_stream = {stream: port for port, stream in old.items()}
+        new = {inlet.port: stream for inlet, stream in self.wanted.items() if inlet.unit == heir}
+        found = {port: port if old.get(port) == stream else of_stream.get(stream, port) for port, stream in new.items()}
+        return {port: at for port, at in found.items() if at in old}
+
+    def inlets_of_new_streams(self, before: str, heir: str) -> tuple[str, ...]:
+        """The inlets of a new unit whose streams begin with this update: those of new units, and those that come to it
+        by another way than to the unit `before` it.
+        """
+        old, new = self.actual.environment.unit[before], self.after.unit[heir]
+        runs = [
+            of.transformation[unit.transformation].run.blocks
+            for of, unit in ((self.actual.environment, old), (self.after, new))
+        ]
+        is_elsewhere = old.host != new.host or runs[0] != runs[1]
+        return tuple(
+            inlet.port
+            for inlet, stream in self.wanted.items()
+            if inlet.unit == heir and (is_elsewhere or stream.unit in self.started)
+        )
 
     def stop(self) -> Commands:
         stopped = set(self.change_set.stopped)

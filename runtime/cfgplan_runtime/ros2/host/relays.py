@@ -16,13 +16,12 @@ from cfgplan_runtime.ros2.host.host import NAMELESS, Host
 from cfgplan_runtime.ros2.host.outside import OutsideTopics
 from cfgplan_runtime.ros2.host.qos import Quality, mended
 from cfgplan_runtime.ros2.host.services import LedService
-from cfgplan_runtime.streams.element import Element, Moment
+from cfgplan_runtime.streams.element import BEFORE_ALL, Element, Moment
 from cfgplan_runtime.streams.inlet import InputQueue
 from cfgplan_runtime.streams.meter import Meter
 
 SIGN_S = 1.0
 """Seconds from one sign of life to the next."""
-_BEFORE_ALL: Moment = (-(1 << 63), -1)
 _SAME_CLOCK_S = 60.0
 """A stamp that is further from now is of another clock, and tells no age."""
 
@@ -55,7 +54,7 @@ class LedInlet:
             return self._handed_on(elements)
         self._decide(wire, sample)
         if sample.begins_anew and self._by_stamp and wire == self.queue.active:
-            self.queue.last = _BEFORE_ALL
+            self.queue.last = BEFORE_ALL
         time_ns, turn = sample.stamped if self._by_stamp else sample.timed
         element = Element(time_ns, turn, number, sample)  # type: ignore[arg-type]
         return self._handed_on(self.queue.accept(wire, element))
@@ -74,7 +73,7 @@ class LedInlet:
             self._by_stamp = sample.has_stamp
         elif self._by_stamp and not sample.has_stamp and wire in (self.queue.active, self.queue.standby):
             self._by_stamp = False
-            self.queue.last = _BEFORE_ALL if self._last is None else self._last.timed
+            self.queue.last = BEFORE_ALL if self._last is None else self._last.timed
 
     def _handed_on(self, elements: list[Element]) -> list[Sample]:
         samples: list[Sample] = [element.payload for element in elements]  # type: ignore[misc]

@@ -1,24 +1,17 @@
-"""Qualities that topics of ROS 2 tell beside the streams: diagnostics and topic statistics."""
+"""Qualities that topics of ROS tell beside the streams: diagnostics, and in ROS 2 topic statistics."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from math import isfinite
-from pathlib import Path
 from typing import Any, Final
 
 from cfgplan.qualities import Teller, Told
-from cfgplan.ros.qos import ServiceQuality
-from cfgplan.ros.types import MessageType
-from cfgplan_runtime.errors import EncodingError
 from cfgplan_runtime.lifecycle.manager import Manager
 from cfgplan_runtime.lifecycle.reports import Report, Reviewed
+from cfgplan_runtime.operating.outside_topics import TopicReader
 from cfgplan_runtime.outside.once import Once
-from cfgplan_runtime.ros2.definitions import Definitions
-from cfgplan_runtime.ros2.message_form import MessageForm
-from cfgplan_runtime.ros2.topics import RosTopics
 from cfgplan_runtime.streams.closable import Closable
 
 _TYPES: Final = {
@@ -32,21 +25,20 @@ _SECONDS_OF: Final = {"ms": 1e-3, "s": 1.0}
 
 
 class ToldQualities(Closable):
-    """Reads `/diagnostics` and `/statistics` by a node of its own, as far as outputs are observed there.
+    """Reads `/diagnostics` and `/statistics`, as far as outputs are observed there.
 
     `tell` is called with faults, each once. Raises InputError.
     """
 
-    def __init__(self, run: str, manager: Manager, tell: Callable[[str], None]) -> None:
-        self._manager, self._once = manager, Once(tell)
+    def __init__(self, reader: TopicReader, manager: Manager, tell: Callable[[str], None]) -> None:
+        self._reader, self._manager, self._once = reader, manager, Once(tell)
         self._read: dict[Teller, int] = {}
-        self._node = RosTopics(f"cfgplan_qualities_{re.sub('[^A-Za-z0-9]', '_', run)}", tell)
         self._follow()
         manager.listen(self._hear)
 
     def close(self) -> None:
         """End the node."""
-        self._node.close()
+        self._reader.close()
 
     def _hear(self, report: Report) -> None:
         if isinstance(report, Reviewed):
@@ -56,20 +48,12 @@ class ToldQualities(Closable):
         """Read the topics that the present world names, and no others."""
         wanted = {told.teller for told in self._manager.world.environment.told.values()}
         for teller in self._read.keys() - wanted:
-            self._node.end(self._read.pop(teller))
+            self._reader.end(self._read.pop(teller))
         for teller in sorted(wanted - self._read.keys()):
-            form = Definitions(folder=Path()).form(MessageType.read(_TYPES[teller]))
-            take = partial(self._take, teller, form)
-            self._read[teller] = self._node.read(
-                f"/{teller}", form, ServiceQuality.read("best_effort"), _TOLD_DEPTH, take
-            )
+            take = partial(self._take, teller)
+            self._read[teller] = self._reader.read(f"/{teller}", _TYPES[teller], "best_effort", _TOLD_DEPTH, take)
 
-    def _take(self, teller: Teller, form: MessageForm, data: bytes, _: int) -> None:
-        try:
-            message = form.decode(data)
-        except EncodingError as error:
-            self._once.tell(teller, f"/{teller} can't be read: {error}")
-            return
+    def _take(self, teller: Teller, message: Any) -> None:
         numbers = dict(told_in(teller, message))
         for statement, told in self._manager.world.environment.told.items():
             if told not in numbers:

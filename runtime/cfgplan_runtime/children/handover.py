@@ -1,0 +1,152 @@
+"""The hand-over of a state from one unit to the next: no step is lost, and none is made twice.
+
+The next unit keeps the elements that it receives, and says from which moment on it receives all. The old unit
+continues. Once it has received the element of that moment, it tells its state between two steps, with the place of
+that state in each input. The next unit begins there.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Collection, Mapping
+from itertools import chain
+
+from cfgplan_runtime.children.messages import GivenInput, StateTold
+from cfgplan_runtime.children.ports import Ports
+from cfgplan_runtime.children.steps import StepQueue
+from cfgplan_runtime.streams.element import BEFORE_ALL, Element, Moment
+from cfgplan_runtime.streams.inlet import port_of
+
+_MOST_HELD_NS = 5_000_000_000
+"""Nanoseconds after which a unit works without the state, and a source that has told its state goes on: the supervisor
+may be gone.
+"""
+_MOST_HELD = 4096
+"""The most elements that an inlet keeps: four seconds at 1,000 Hz."""
+
+
+class Handover:
+    """The part of a unit in hand-overs, first as the next unit and later as the one before."""
+
+    def __init__(self, steps: StepQueue, ports: Ports, queue: int) -> None:
+        self._steps = steps
+        self._ports = ports
+        self._limit = queue
+        self._held: dict[str, deque[Element]] | None = None
+        """By inlet the elements that the steps have not got yet; None if they get each at once."""
+        self._most = _MOST_HELD
+        self._until_ns: int | None = None
+        """When the steps begin without a state; None while none waits for it."""
+        self._begun: Collection[str] | None = None
+        """The inlets that must have received an element before the places are told; None if nobody asks."""
+        self._asked: Mapping[str, Moment] | None = None
+        """The elements after which the state is told, by inlet; None if nobody asks."""
+        self._paused_until_ns = 0
+
+    def hold(self) -> None:
+        """Keep the elements that come before the state."""
+        self._held, self._most = {}, _MOST_HELD
+        self._until_ns = time.monotonic_ns() + _MOST_HELD_NS
+
+    @property
+    def is_keeping(self) -> bool:
+        """Whether elements go through `keep`."""
+        return self._held is not None
+
+    @property
+    def waits_until_ns(self) -> int | None:
+        """The time until which no step may begin; None if one may now."""
+        if self._until_ns is not None and time.monotonic_ns() >= self._until_ns:
+            self._until_ns = None
+        return self._until_ns
+
+    @property
+    def pause_ns(self) -> int:
+        """The time until which a source that has told its state gives nothing."""
+        return self._paused_until_ns
+
+    def keep(self, inlet: str, element: Element, *, may_drop: bool) -> None:
+        """Keep an element for later steps. Without room the oldest of its inlet is dropped, if it `may_drop`."""
+        assert self._held is not None
+        kept = self._held.setdefault(inlet, deque())
+        kept.append(element)
+        if may_drop and len(kept) > self._most:
+            kept.popleft()
+            self._steps.dropped[port_of(inlet)] += 1
+
+    def is_full(self, inlet: str) -> bool:
+        """Whether an inlet keeps as many elements as may wait for its steps."""
+        return self._held is not None and len(self._held.get(inlet, ())) >= self._limit
+
+    def waiting(self, port: str) -> int:
+        """The number of elements that a port keeps."""
+        return sum(len(kept) for inlet, kept in (self._held or {}).items() if port_of(inlet) == port)
+
+    def begin(self, inputs: Mapping[str, GivenInput]) -> None:
+        """Let steps begin at a place; without one, with the elements that came. Has no effect after the first step."""
+        if self.waits_until_ns is None:
+            return
+        self._until_ns = self._begun = None
+        held = self._held or {}
+        for inlet, given in inputs.items():
+            if inlet in self._ports.inputs:
+                before = [Element(one.time_ns, one.turn, 0, one.payload) for one in given.elements]
+                received = self._ports.inputs[inlet].inlet
+                received.last = max(received.last, given.done, *(one.moment for one in before))
+                held[inlet] = deque(self._steps.begin_at(inlet, given.done, chain(before, held.get(inlet, ()))))
+        self._held = held
+        self._most = 2 * max(map(len, held.values()), default=0) + self._limit
+
+    def refill(self) -> None:
+        """Give the steps the kept elements that they have room for."""
+        if self._held is None or self.waits_until_ns is not None:
+            return
+        for inlet, kept in self._held.items():
+            while kept and not self._steps.is_full(inlet):
+                self._steps.put(inlet, kept.popleft(), may_drop=False)
+        if not any(self._held.values()):
+            self._held = None
+
+    def ask_places(self, begun: Collection[str]) -> None:
+        """Ask for `places`."""
+        self._begun = begun
+
+    def places(self) -> dict[str, Moment] | None:
+        """The asked places, once; None if there is no question, or one place is still unknown."""
+        if self._begun is None:
+            return None
+        found = dict[str, Moment]()
+        for name, port in self._ports.inputs.items():
+            for receiver in port.receivers.values():
+                kept = (self._held or {}).get(name)
+                place = receiver.place if name not in self._begun else kept[0].moment if kept else None
+                if place is None:
+                    return None
+                found[name] = place
+        self._begun = None
+        return found
+
+    def ask_state(self, until: Mapping[str, Moment]) -> None:
+        """Ask for the state."""
+        self._asked = until
+
+    @property
+    def is_state_due(self) -> bool:
+        """Whether the state is asked for, and all elements that it needs have been received."""
+        return self._asked is not None and all(
+            name not in self._ports.inputs or self._ports.inputs[name].inlet.last >= moment
+            for name, moment in self._asked.items()
+        )
+
+    def tell(self, state: bytes | None) -> None:
+        """Tell the asked state between two steps. A source then pauses: nothing says where the next one began."""
+        assert self._asked is not None
+        asked, self._asked = self._asked, None
+        inputs = {
+            name: self._steps.given(name, port.inlet.last, asked.get(name, BEFORE_ALL))
+            for name, port in self._ports.inputs.items()
+        }
+        self._ports.say(StateTold(state, inputs))
+        if state is not None and not self._ports.inputs:
+            self._paused_until_ns = time.monotonic_ns() + _MOST_HELD_NS

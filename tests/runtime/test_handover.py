@@ -1,0 +1,186 @@
+"""A state goes from one unit to the next between two steps: none is lost, and none is made twice."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterable
+from dataclasses import replace
+from itertools import pairwise
+
+import pytest
+from cfgplan_runtime.children.steps import Step, StepQueue
+from cfgplan_runtime.streams.element import BEFORE_ALL, Element, Moment
+from cfgplan_runtime.supervision.events import StateNotExact
+from watching import Listener, StartRuntime, seen
+from world import eventually, source, start, unit, worker
+
+from cfgplan.domain import ChangeSet, ComputationUnit, OutputPort, RunOptions, Transformation
+
+Arrival = tuple[str, Element]
+
+
+def queue_of(start: str, loose: str) -> StepQueue:
+    by_name = {"optional": ["c"]} if loose == "optional" else {"services": ["c"]}
+    return StepQueue(["a", "b", "c"], start=start, tolerance_ns=2, limit=1000, **by_name)  # type: ignore[arg-type]
+
+
+def made(queue: StepQueue) -> list[dict[str, int]]:
+    """The times of the elements of each step that can be made now."""
+    found = []
+    while (step := queue.next()) is not None:
+        found.append(times(step))
+    return found
+
+
+def times(step: Step) -> dict[str, int]:
+    return {port: one.time_ns for port, one in step.elements.items() if isinstance(one, Element)}
+
+
+def fed(queue: StepQueue, arrivals: Iterable[Arrival]) -> list[dict[str, int]]:
+    """The steps of elements that arrive one after the other."""
+    found = []
+    for inlet, element in arrivals:
+        queue.put(inlet, element, may_drop=True)
+        found += made(queue)
+    return found
+
+
+@pytest.mark.parametrize("loose", ["optional", "services"])
+@pytest.mark.parametrize("start", ["all", "any", "aligned", "a"])
+@pytest.mark.parametrize("seed", range(20))
+def test_the_steps_of_two_units_are_those_of_one(seed: int, start: str, loose: str) -> None:
+    """The next unit gets what arrives from some moment on; later the one before stops between two steps."""
+    draw = random.Random(seed)
+    arrivals = [(draw.choice("aabbbc"), Element(number, 0, number, b"%d" % number)) for number in range(60)]
+    first, last = sorted(draw.sample(range(61), 2))
+    whole = fed(queue_of(start, loose), arrivals)
+
+    before, following = queue_of(start, loose), queue_of(start, loose)
+    steps = fed(before, arrivals[:last])
+    for inlet in "abc":
+        got = [element.moment for name, element in arrivals[:last] if name == inlet]
+        place: Moment = max((moment for moment in got if moment[0] < first), default=BEFORE_ALL)
+        given = before.given(inlet, got[-1] if got else BEFORE_ALL, place)
+        assert all((one.time_ns, one.turn) <= place for one in given.elements), "the next one gets the others itself"
+        kept = [Element(one.time_ns, one.turn, 0, one.payload) for one in given.elements]
+        kept += [element for name, element in arrivals[first:last] if name == inlet]
+        for element in following.begin_at(inlet, given.done, kept):
+            following.put(inlet, element, may_drop=False)
+    assert steps + made(following) + fed(following, arrivals[last:]) == whole
+
+
+def modes(code: str, **more: object) -> tuple[Transformation, Transformation]:
+    """Two transformations with one state."""
+    high, low = (worker(label, code, **more) for label in ("high", "low"))  # type: ignore[arg-type]
+    return tuple(replace(one, run=replace(one.run, state="altitude")) for one in (high, low))  # type: ignore[return-value]
+
+
+def next_mode(number: int, **feeds: str) -> ChangeSet:
+    """Unit `number` replaces the one before it: odd ones are low."""
+    labels = "high", "low"
+    new = unit(f"{labels[number % 2]}.{number}", topic="/result", **feeds)
+    return ChangeSet(started=(new,), stopped=(f"{labels[(number - 1) % 2]}.{number - 1}",))
+
+
+def test_elements_that_wait_for_a_partner_wait_in_the_next_unit(run_units: StartRuntime) -> None:
+    """Input b has every second number, so that each step leaves one more element at input a."""
+    high, low = modes("Pairs", inputs=("a", "b"), run=RunOptions(queue=10_000))
+    half = worker("half", "even")
+    runtime = run_units(source(), half, high, low)
+    feeds = {"a": "count.1/n", "b": "half.1/y"}
+    runtime.apply(start(unit("count.1"), unit("half.1", x="count.1/n"), unit("high.0", topic="/result", **feeds)))
+    listener = Listener("/result")
+    eventually(lambda: len(listener.received) > 20)
+    for number in range(1, 6):
+        runtime.apply(next_mode(number, **feeds))
+    received = len(listener.received)
+    eventually(lambda: len(listener.received) > received + 5)
+    assert seen(runtime, StateNotExact) == []
+    runtime.close()
+    listener.join()
+    rises = {tuple(after - before for before, after in zip(*two, strict=True)) for two in pairwise(listener.values)}
+    assert rises == {(1, 1, 2)}
+
+
+def test_the_last_element_of_a_quiet_stream_goes_to_the_next_unit(run_units: StartRuntime) -> None:
+    high, low = modes("Pairs", inputs=("a", "b"), run=RunOptions(start="a"))
+    runtime = run_units(source(), source("seldom", rate_hz=0.25), high, low)
+    feeds = {"a": "count.1/n", "b": "seldom.1/n"}
+    runtime.apply(start(unit("high.0", topic="/result", **feeds), unit("count.1"), unit("seldom.1")))
+    listener = Listener("/result")
+    eventually(lambda: len(listener.received) > 20)
+    for number in range(1, 4):
+        runtime.apply(next_mode(number, **feeds))
+    received = len(listener.received)
+    eventually(lambda: len(listener.received) > received + 5)
+    assert seen(runtime, StateNotExact) == []
+    runtime.close()
+    listener.join()
+    rises = {tuple(after - before for before, after in zip(*two, strict=True)) for two in pairwise(listener.values)}
+    assert rises <= {(1, 1, 0), (1, 1, 1)}, "no step waited for the next element of b"
+
+
+def test_a_chain_of_units_with_states_is_replaced_exactly(run_units: StartRuntime) -> None:
+    first, second = (worker(label, "Tally", run=RunOptions(state=True)) for label in ("first", "second"))
+    runtime = run_units(source(), first, second)
+
+    def chain(number: int) -> tuple[ComputationUnit, ...]:
+        return (
+            unit(f"first.{number}", topic="/result", x=f"second.{number}/y"),
+            unit(f"second.{number}", x="count.1/n"),
+        )
+
+    runtime.apply(start(unit("count.1"), *chain(1)))
+    listener = Listener("/result")
+    eventually(lambda: len(listener.received) > 20)
+    for number in range(2, 5):
+        runtime.apply(ChangeSet(started=chain(number), stopped=(f"first.{number - 1}", f"second.{number - 1}")))
+    received = len(listener.received)
+    eventually(lambda: len(listener.received) > received + 5)
+    assert seen(runtime, StateNotExact) == []
+    runtime.close()
+    listener.join()
+    assert {after - before for before, after in pairwise(listener.values)} == {1}
+
+
+def test_a_source_goes_on_where_the_one_before_has_ended(run_units: StartRuntime) -> None:
+    fast, slow = (
+        Transformation(
+            label,
+            outputs=(OutputPort("y", "Y"),),
+            source="running_units.py:Clock",
+            run=RunOptions(rate_hz=rate_hz, state="clock"),
+        )
+        for label, rate_hz in (("high", 200.0), ("low", 100.0))
+    )
+    runtime = run_units(fast, slow)
+    runtime.apply(start(unit("high.0", topic="/result")))
+    listener = Listener("/result")
+    eventually(lambda: len(listener.received) > 20)
+    for number in range(1, 5):
+        runtime.apply(next_mode(number))
+    received = len(listener.received)
+    eventually(lambda: len(listener.received) > received + 5)
+    runtime.close()
+    listener.join()
+    assert {after - before for before, after in pairwise(listener.values)} == {1}
+
+
+@pytest.mark.parametrize(
+    ("deed", "cause"), [("fail", "its code has no state to tell"), ("sleep", "it did not tell its state within 1 s")]
+)
+def test_a_unit_that_does_not_tell_its_state_is_replaced_all_the_same(
+    run_units: StartRuntime, deed: str, cause: str
+) -> None:
+    high, low = modes("KeepsItsState", deed=deed)
+    runtime = run_units(source(), high, low)
+    runtime.apply(start(unit("count.1"), unit("high.0", topic="/result", x="count.1/n")))
+    listener = Listener("/result")
+    eventually(lambda: len(listener.received) > 5)
+    runtime.apply(next_mode(1, x="count.1/n"))
+    told = seen(runtime, StateNotExact)
+    assert [(one.unit, one.before, one.cause) for one in told] == [("low.1", "high.0", cause)]
+    received = len(listener.received)
+    eventually(lambda: len(listener.received) > received + 5)
+    runtime.close()
+    listener.join()
