@@ -10,7 +10,7 @@ import json
 import os
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
 from threading import Event
@@ -22,6 +22,7 @@ from cfgplan.canonical import fields_of
 from cfgplan.domain import ENVIRONMENT_HEADS, Environment, Similarity, environment_rows
 from cfgplan.errors import Fault, InputError, UnknownNameError, known
 from cfgplan.extras import is_there
+from cfgplan.frozen import dataclass
 from cfgplan.matching import REASONERS, Ontology
 from cfgplan.observers import Circle, circles
 from cfgplan.planners import PLANNERS, planner_of

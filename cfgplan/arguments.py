@@ -8,7 +8,7 @@ import os
 import sys
 import types
 from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from enum import Enum
 from functools import cache, partial, wraps
 from itertools import starmap
@@ -17,6 +17,7 @@ from operator import index
 from typing import Annotated, Any, Literal, TypeAlias, TypeVar, Union, cast, get_args, get_origin
 
 from cfgplan.errors import InvalidValueError
+from cfgplan.frozen import dataclass
 
 T = TypeVar("T")
 _LONGEST_SHOWN = 60

@@ -7,7 +7,7 @@ are equal exactly when they mean the same, whatever order they were written in.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import StrEnum
 from functools import cached_property
 from itertools import groupby
@@ -19,6 +19,7 @@ from cfgplan.arguments import Natural, checked
 from cfgplan.canonical import fields_of, refuse_duplicates, store_sorted
 from cfgplan.errors import InvalidValueError
 from cfgplan.facts import Comparison, Fact, FactValue, requirement, variables, why_left_out
+from cfgplan.frozen import dataclass
 from cfgplan.hosts import MANAGER as MANAGER
 from cfgplan.hosts import Host as Host
 from cfgplan.hosts import Link as Link

@@ -12,7 +12,7 @@ import dataclasses
 import operator
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from decimal import Decimal
 from functools import lru_cache
 from itertools import chain
@@ -21,6 +21,7 @@ from typing import Annotated, Final, Literal, TypeAlias
 
 from cfgplan.arguments import Natural, checked
 from cfgplan.errors import InvalidValueError, TagError, did_you_mean
+from cfgplan.frozen import dataclass
 from cfgplan.noise import Noise
 from cfgplan.qualities import micro_units, units
 from cfgplan.rows import FOUND, QOS, Row, Use

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 
 from cfgplan.costs import keep_cost_us, labor_us, standby_cost_us, taken, transfer_cost_us
 from cfgplan.domain import (
@@ -22,6 +21,7 @@ from cfgplan.domain import (
     Stream,
     Transformation,
 )
+from cfgplan.frozen import dataclass
 from cfgplan.planning import Problem
 from cfgplan.qualities import QualityAttribute, delayed, price_us, propagated
 from cfgplan.summary import counted, cpu

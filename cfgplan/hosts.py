@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Annotated
 
 from cfgplan.arguments import AtLeast, Natural, checked
 from cfgplan.canonical import store_resources, store_sorted
 from cfgplan.errors import InvalidValueError
+from cfgplan.frozen import dataclass
 from cfgplan.qualities import LARGEST_QUALITY, MICRO
 from cfgplan.rows import FOUND, LARGEST_AMOUNT, Row
 from cfgplan.selectors import check_selector, selector

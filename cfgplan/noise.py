@@ -8,10 +8,10 @@ its mind at most 10 times an hour where the truth lies exactly on a bound. Raw v
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from math import sqrt
 from typing import Final
 
+from cfgplan.frozen import dataclass
 from cfgplan.qualities import MICRO, units
 
 HALF_LIFE_S: Final = 2.0

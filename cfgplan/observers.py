@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
 from typing import Final
 
 from cfgplan.domain import Environment, Similarity, Transformation
 from cfgplan.facts import Fact, requirement, said
+from cfgplan.frozen import dataclass
 from cfgplan.noise import settled_variance
 from cfgplan.qualities import MICRO
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from enum import StrEnum
 from functools import cached_property
 from typing import Annotated, Any, Final, Protocol
@@ -28,6 +28,7 @@ from cfgplan.domain import (
     environment_rows,
 )
 from cfgplan.errors import CfgplanError, InputError, InvalidValueError
+from cfgplan.frozen import dataclass
 from cfgplan.qualities import price_us
 from cfgplan.rows import Feature as Feature
 from cfgplan.rows import Row, features

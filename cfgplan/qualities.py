@@ -8,7 +8,7 @@ that the best wiring misses is missed by all.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from decimal import Decimal
 from enum import StrEnum
 from fractions import Fraction
@@ -18,6 +18,7 @@ from typing import Annotated, Final
 
 from cfgplan.arguments import Natural, checked
 from cfgplan.errors import InvalidValueError, did_you_mean
+from cfgplan.frozen import dataclass
 from cfgplan.rows import FOUND, Row, Use
 
 MICRO = 1_000_000

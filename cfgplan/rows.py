@@ -6,13 +6,14 @@ Schema, readers, writers, digests, limits, features, the manual's table and the 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass
 from enum import Flag, StrEnum
 from functools import cache
 from operator import attrgetter
 from typing import Any, Final, get_args
 
 from cfgplan.arguments import noted
+from cfgplan.frozen import dataclass
 
 ELEMENT, UNSAID = "<>", ""
 """How the XML format has a key that is no attribute: as an element, or not at all."""

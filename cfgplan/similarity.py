@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 
 from cfgplan.arguments import checked
 from cfgplan.canonical import fields_of
+from cfgplan.frozen import dataclass
 from cfgplan.summary import Summary, counted, summarised, summary
 
 

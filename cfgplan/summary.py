@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from itertools import islice
 from typing import TypeVar
+
+from cfgplan.frozen import dataclass
 
 Kind = TypeVar("Kind", bound=type)
 MOST_ROWS = 60

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from operator import attrgetter
 from typing import Annotated
 
@@ -10,6 +9,7 @@ from cfgplan.arguments import Natural, checked
 from cfgplan.canonical import refuse_duplicates, store_sorted
 from cfgplan.errors import InvalidValueError
 from cfgplan.facts import Fact
+from cfgplan.frozen import dataclass
 from cfgplan.qualities import Wish
 from cfgplan.rows import ELEMENT, LARGEST_AMOUNT, Feature, Row, Use
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import KW_ONLY, dataclass, field, replace
+from dataclasses import KW_ONLY, field, replace
 from functools import cached_property
 from operator import attrgetter
 from types import MappingProxyType
@@ -14,6 +14,7 @@ from cfgplan.arguments import AtLeast, Natural, checked
 from cfgplan.canonical import fields_of, refuse_duplicates, store_resources, store_sorted, unchecked
 from cfgplan.errors import InvalidValueError
 from cfgplan.facts import check_requirement
+from cfgplan.frozen import dataclass
 from cfgplan.qualities import Contribution, units
 from cfgplan.rows import ELEMENT, MOST_IN_A_QUEUE, QOS, UNSAID, Feature, Row, Use, running
 from cfgplan.selectors import check_selector

@@ -9,7 +9,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from decimal import Decimal, InvalidOperation
 from io import BytesIO
 from pathlib import Path
@@ -20,6 +20,7 @@ from cfgplan.cli.screen import Screen, ShownWork, decided_by
 from cfgplan.errors import Fault, InvalidValueError
 from cfgplan.extras import is_there, needed
 from cfgplan.formats.places import Place
+from cfgplan.frozen import dataclass
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

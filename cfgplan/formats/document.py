@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import reduce
 from itertools import count
 from operator import getitem
@@ -18,6 +18,7 @@ from cfgplan.formats.files import is_folder, read_source
 from cfgplan.formats.forms import RefusedError
 from cfgplan.formats.garbage import no_garbage_collection
 from cfgplan.formats.places import Path, Source, Spot
+from cfgplan.frozen import dataclass
 
 _BEGINS = "a file is a mapping that begins with `format: cfgplan/1`"
 _LAUNCH_FILE = "a launch file", "make an environment of it: `cfgplan import ros2 FILE --out env.yaml`"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 from pathlib import Path as FilePath
 from typing import Any, TypeAlias
@@ -13,6 +13,7 @@ from typing import Any, TypeAlias
 from cfgplan.canonical import fields_of
 from cfgplan.domain import Environment
 from cfgplan.formats.places import Passage, Place
+from cfgplan.frozen import dataclass
 from cfgplan.planning import Failures
 from cfgplan.rows import planned
 

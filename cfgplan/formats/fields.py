@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import MISSING, dataclass, replace
+from dataclasses import MISSING, replace
 from functools import cache
 from typing import Annotated, Any, ClassVar, Final, Literal, get_args, get_origin
 
@@ -43,6 +43,7 @@ from cfgplan.formats.schema_values import (
     form_of,
     list_or_mapping,
 )
+from cfgplan.frozen import dataclass
 from cfgplan.qualities import Contribution, QualityAttribute, QualityRule, Wish
 from cfgplan.rows import ELEMENT as ELEMENT
 from cfgplan.rows import LARGEST_AMOUNT, Attribute, attributes

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
 from cfgplan.errors import Fault
+from cfgplan.frozen import dataclass
 
 DEEPEST_NESTING = 64
 """Documents nested deeper are refused."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
 from decimal import Decimal, DecimalException
 from enum import Enum
 from functools import lru_cache
@@ -16,6 +15,7 @@ from cfgplan.domain import Objective
 from cfgplan.errors import InvalidValueError
 from cfgplan.facts import FactValue
 from cfgplan.formats.forms import After, Before, Described, Instead, Limits, MoreSchema, RefusedError, Schema
+from cfgplan.frozen import dataclass
 from cfgplan.noise import Noise
 from cfgplan.qualities import LARGEST_QUALITY, MICRO, Better, QualityRule, micro_units, units
 from cfgplan.rows import LARGEST_AMOUNT

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 
 from cfgplan.domain import Similarity
+from cfgplan.frozen import dataclass
 
 
 def impossible(tag: str) -> str:

@@ -7,9 +7,9 @@ Reference: OWL 2 Direct Semantics (W3C, 2012), section 2.3.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Final, TypeAlias
 
+from cfgplan.frozen import dataclass
 from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI
 from cfgplan.matching.functional import Tree
 

@@ -6,8 +6,9 @@ Conjunctions and disjunctions are sets: the order of their parts and repetitions
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from typing import TypeAlias
+
+from cfgplan.frozen import dataclass
 
 THING_IRI = "http://www.w3.org/2002/07/owl#Thing"
 NOTHING_IRI = "http://www.w3.org/2002/07/owl#Nothing"

@@ -6,13 +6,14 @@ import io
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 from urllib.parse import unquote, urlsplit
 
 from cfgplan.errors import Fault, InputError
+from cfgplan.frozen import dataclass
 from cfgplan.matching.catalog import catalogued
 from cfgplan.matching.functional import LOGICAL, parse, rule_text
 from cfgplan.matching.names import short_name

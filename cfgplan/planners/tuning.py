@@ -7,8 +7,10 @@ where they were timed, so that a plan can be repeated on any machine; only a tim
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import field, fields, is_dataclass, replace
 from typing import NamedTuple, TypeVar
+
+from cfgplan.frozen import dataclass
 
 Number = TypeVar("Number")
 

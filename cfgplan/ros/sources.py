@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from typing import Literal, get_args
 
 from cfgplan.errors import Fault, InputError
+from cfgplan.frozen import dataclass
 from cfgplan.transformations import ContainerKind, Transformation
 
 CONTAINER_PACKAGE = "rclcpp_components"

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from typing import Literal
 
 from cfgplan.errors import InputError
+from cfgplan.frozen import dataclass
 
 TypeKind = Literal["msg", "srv", "action"]
 _PATH = re.compile(

@@ -7,10 +7,11 @@ another one needs, or close a cycle. So the search starts only units that it nee
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cache
 
 from cfgplan.domain import ALL, ComputationUnit, InputPort, Similarity, Stream, Target, Transformation
+from cfgplan.frozen import dataclass
 
 Known = tuple[ComputationUnit, Transformation]
 """A unit and its transformation."""

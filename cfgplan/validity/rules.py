@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import StrEnum
 
 from cfgplan.arguments import checked
+from cfgplan.frozen import dataclass
 from cfgplan.summary import Summary, summary, tabled
 
 

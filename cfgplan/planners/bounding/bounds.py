@@ -8,11 +8,12 @@ times. Landmarks stay valid whatever costs become, so a session keeps them.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from heapq import nsmallest
 
 import numpy as np
 
+from cfgplan.frozen import dataclass
 from cfgplan.planners.bounding.landmarks import Landmark, ways_into
 from cfgplan.planners.networks.core import MOST_PASSES, NEVER, Core, Flags, Ints
 from cfgplan.planners.solving.clock import Clock

@@ -9,11 +9,11 @@ faster than arrays up to some hundred labels. Effort is counted in steps, so a r
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator
-from dataclasses import dataclass
 from heapq import heappop, heappush
 
 import numpy as np
 
+from cfgplan.frozen import dataclass
 from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.bounding.landmarks import Landmark
 from cfgplan.planners.networks.core import NEVER, Core, Ints

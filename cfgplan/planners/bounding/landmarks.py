@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass
 from itertools import chain
 from types import MappingProxyType
 
 import numpy as np
 
+from cfgplan.frozen import dataclass
 from cfgplan.planners.networks.core import NEVER, Core, Floats, Ints
 
 Zones = Mapping[int, Collection[int]]

@@ -7,10 +7,10 @@ run. A stream that misses every bound even then is of no use anywhere.
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterator
-from dataclasses import dataclass
 from itertools import chain
 
 from cfgplan.domain import InputPort, OutputPort, Stream, Transformation
+from cfgplan.frozen import dataclass
 from cfgplan.onward import grouped, reached
 from cfgplan.planners.exact.candidates import ONLY_IN_THE_MODEL, Candidate, Candidates
 from cfgplan.qualities import MICRO, Contribution, Over, QualityAttribute, QualityRule, price_us, propagated

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Final
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from cfgplan.costs import keep_cost_us, standby_cost_us, start_cost_us, taken, transfer_cost_us
 from cfgplan.domain import ComputationUnit, Environment, Host, Stream, Target, Transformation
+from cfgplan.frozen import dataclass
 from cfgplan.onward import grouped
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.keys import may_stay

@@ -5,13 +5,14 @@ running plan.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from functools import cached_property
 from operator import attrgetter
 
 import numpy as np
 
 from cfgplan.domain import Environment, Similarity, Transformation
+from cfgplan.frozen import dataclass
 from cfgplan.planners.bounding.bounds import Bound, tightened
 from cfgplan.planners.bounding.landmarks import Landmark
 from cfgplan.planners.exact.candidates import Candidates

@@ -15,11 +15,11 @@ is kept at the worst of the scale is no better than any potential, since these a
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from cfgplan.domain import Stream, Transformation
+from cfgplan.frozen import dataclass
 from cfgplan.planners.exact.best_case import OutputRule, demands_of_quality, least_badness, most_badness
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.networks.core import Flags, Ints

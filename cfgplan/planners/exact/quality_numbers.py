@@ -8,7 +8,6 @@ number of a value is its place among the possible values, and within a span numb
 from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from itertools import pairwise
@@ -16,6 +15,7 @@ from math import ceil, floor, gcd
 from typing import Final
 
 from cfgplan.domain import ALL, InputPort
+from cfgplan.frozen import dataclass
 from cfgplan.planners.exact.best_case import OutputRule
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.qualities import MICRO, Over, QualityAttribute, QualityRule

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
+from cfgplan.frozen import dataclass
 from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.network import Network

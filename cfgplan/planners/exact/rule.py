@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 from cfgplan.costs import taken
 from cfgplan.domain import ComputationUnit, Environment, Host, Stream, Transformation
+from cfgplan.frozen import dataclass
 from cfgplan.planners.exact.candidates import Candidates, HostName
 from cfgplan.planning import Feature, Problem
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from typing import Final
 
 from cfgplan.domain import ALL, ComputationUnit, Environment, Target
+from cfgplan.frozen import dataclass
 from cfgplan.planners.exact.candidates import Candidates, HostName, Site
 from cfgplan.planners.exact.rule import CheckedUnits, Rule
 from cfgplan.planners.networks.reach import Reach

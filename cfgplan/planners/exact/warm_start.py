@@ -8,10 +8,9 @@ costs more.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from cfgplan.frozen import dataclass
 from cfgplan.planners.bounding.bounds import Bound, tightened
 from cfgplan.planners.closing.program import charged
 from cfgplan.planners.exact.remaining import Remaining

@@ -6,7 +6,6 @@ See `network` for the meaning of labels and facts.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from heapq import heappop, heappush
 from itertools import chain, combinations
@@ -14,6 +13,8 @@ from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
+
+from cfgplan.frozen import dataclass
 
 Ints = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.domain import Transformation
+from cfgplan.frozen import dataclass
 from cfgplan.planners.networks.core import NEVER, Core, Ints, Rows, crowds_of_group
 from cfgplan.planners.networks.keys import Key, may_stay
 from cfgplan.planning import Problem

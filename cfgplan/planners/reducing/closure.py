@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 from cfgplan.domain import Environment
+from cfgplan.frozen import dataclass
 from cfgplan.onward import reached
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Problem

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Any, Final
 
 from cfgplan.canonical import with_fields
@@ -26,6 +26,7 @@ from cfgplan.domain import (
     Subscription,
     Transformation,
 )
+from cfgplan.frozen import dataclass
 from cfgplan.onward import reached
 from cfgplan.planners.reducing.closure import relevant
 from cfgplan.planners.solving.clock import Clock
