@@ -35,7 +35,7 @@ VERBS: Mapping[str, str] = MappingProxyType(
         "agent": "run units on this computer for a run of several computers",
         "ctl": "steer a run that is under way",
         "page": "serve a page about a run that is under way",
-        "listen": "print the elements of a topic of a running system",
+        "listen": "print the elements of a topic, or of a unit's output port, of a running system",
         "replay": "play a recording again: its topics as sources, alone or for the units of an environment",
         "query": "answer a temporal formula over the streams of semantic subscriptions",
         "certificates": "make a fleet's own authority, and a certificate for each of its hosts",

@@ -22,7 +22,9 @@ The printed address allows to steer the run; without the part after its #, it on
 
 def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _OF_A_PAGE
-    parser.add_argument("--run", dest="run_id", metavar="ID", help="the run's id or name, if several are live")
+    parser.add_argument(
+        "--name", "-n", "--run", dest="run_id", metavar="NAME", help="the run's name or id, if several are live"
+    )
     parser.add_argument(
         "--address", default="127.0.0.1", metavar="IP", help="where to serve it (127.0.0.1); by TLS elsewhere"
     )
