@@ -21,7 +21,7 @@ def test_check_names_file_and_line_of_a_violated_rule(run: Run) -> None:
     line = 1 + LOST.read_text().splitlines().index("      hull: null   # the gap that the segmenter left")
     assert result.code == 1
     assert f"{LOST}:{line}:" in result.out
-    assert "fed: input hull of unit ball_detector(piff).1 has no subscription" in result.out
+    assert "fed: input hull of unit ball_detector(piff).1 is not connected" in result.out
 
 
 def test_check_finds_nothing_wrong_with_a_valid_configuration(run: Run) -> None:
