@@ -39,7 +39,7 @@ def test_check_gives_the_same_as_json(run: Run) -> None:
 def test_match_shows_who_may_feed_whom(run: Run) -> None:
     result = run("match", PIFF)
     assert result.code == 0
-    assert "9 inputs and targets x 20 outputs, 9 matches" in result.out
+    assert "9 inputs and targets x 20 outputs: 9 of 180 pairs match." in result.out
 
 
 def test_match_gives_the_matrix_as_json(run: Run) -> None:
