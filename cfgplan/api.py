@@ -260,18 +260,21 @@ def suggested_tags(
 ) -> dict[str, tuple[Suggestion, ...]]:
     """Up to three tags for each input, output and target, or for those of some names, the best first.
 
-    Each says which ports would match by it that do not match now, and which would no longer, as reasoners decide. No
-    class is proposed whose IRI begins with `foreign`. Names are those of `Environment.outputs` and `.demands`; any
-    other raises InputError.
+    Each says which ports would match by it that do not match now, and which would no longer, as reasoners decide. Tags
+    are in words (`and`, `some`) if those of the environment have no symbols (⊓, ∃). No class is proposed whose IRI
+    begins with `foreign`. Names are those of `Environment.outputs` and `.demands`; any other raises InputError.
     """
     from cfgplan.matching import match as match_tags
     from cfgplan.matching.suggestions import Proposer, tested, words_of_ports
 
     environment = world.environment
-    proposer, words = Proposer(world.ontology, foreign), words_of_ports(environment, world.ontology)
+    tags = {**environment.outputs, **environment.demands}
+    in_words = not any(sign in tag for tag in tags.values() for sign in "⊓⊔¬∃∀")
+    proposer = Proposer(world.ontology, foreign, words=in_words)
+    words = words_of_ports(environment, world.ontology)
     for name in names or ():
         known(name, words, "port or target", "`Environment.outputs` and `.demands` have them all")
-    proposed = {name: proposer.proposals(words[name]) for name in (words if names is None else names)}
+    proposed = {name: proposer.proposals(words[name], now=tags[name]) for name in (words if names is None else names)}
     outputs, demands = environment.outputs, environment.demands
     offered = {*outputs.values(), *(each.tag for name in proposed.keys() & outputs for each in proposed[name])}
     demanded = {*demands.values(), *(each.tag for name in proposed.keys() & demands for each in proposed[name])}

@@ -234,8 +234,9 @@ def _plan_summary(plan: Plan) -> Summary:
 class Plan:
     """A planner's answer; `status` says how far it got.
 
-    `change_set` is set exactly if the status is optimal or feasible. `cost_us` is the cost of the update (Definition
-    8); if every update is too expensive, that of the cheapest one if known. `bound_us` is proven: no update is cheaper.
+    `change_set` is set exactly if the status is optimal or feasible. `cost_us` is the cost of the update
+    (Definition 8) in microseconds of CPU time; if every update is too expensive, that of the cheapest one if known.
+    `bound_us` is proven: no update is cheaper.
     `reasons` says why a target can't be met, by its label, and why a pinned unit that can't be fed is stopped, by its
     id. `unused_required` names the required transformations that the plan does not use. `seconds` is the wall time of
     each phase; `counts` are the planner's own figures (nodes, conflicts, rounds).
@@ -318,8 +319,8 @@ class OwnPlannerError(CfgplanError):
 @dataclass(frozen=True, slots=True)
 @checked
 class Progress:
-    """A planner's state while it works: after `elapsed_s` seconds the best plan costs `cost_us` (None: there is none
-    yet), and it is proven that none costs less than `bound_us`.
+    """A planner's state while it works: after `elapsed_s` seconds the best plan costs `cost_us` microseconds of CPU
+    time (None: there is none yet), and it is proven that none costs less than `bound_us`.
     """
 
     elapsed_s: float

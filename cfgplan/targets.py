@@ -24,7 +24,8 @@ class Target:
     on its `topic`. A larger `priority` matters more.
 
     `quality` are its demands on the stream. With a `host`, the stream has to be carried there. In a run it counts as
-    unmet if no element has come for `silent_us`; planning ignores that. `type` is the message type of its topic in ROS.
+    unmet if no element has come for `silent_us` microseconds; planning ignores that. `type` is the message type of its
+    topic in ROS.
     A target that wants a running unit of the transformation `run` instead of a stream has no topic, and A_UNIT_OF that
     transformation as its tag.
     """

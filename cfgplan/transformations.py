@@ -48,8 +48,8 @@ class InputPort:
     start no step.
 
     An input takes `count` streams of different units; with ALL every matching stream of the other running units, and at
-    least one. An `optional` one may stay unfed, which costs `worth_us` each second; if that is 0, only units that run
-    anyway feed it, and nothing is started for it.
+    least one. An `optional` one may stay unfed, which costs `worth_us` microseconds of CPU time each second; if that is
+    0, only units that run anyway feed it, and nothing is started for it.
 
     For units that are ROS nodes, `type` is the message type, `remap` the name that the unit's code has for the port if
     it differs, and `qos` the quality of service that it asks for, such as `reliable transient_local`.

@@ -1,4 +1,4 @@
-"""The reference tells each argument, field and error of the public names of `cfgplan` and `cfgplan_runtime`."""
+"""The reference tells each argument, field, unit and error of the public names of `cfgplan` and `cfgplan_runtime`."""
 
 from __future__ import annotations
 
@@ -113,6 +113,24 @@ def test_each_argument_and_field_is_told(one: Described) -> None:
     told = {name for name in COMMON if name in {argument.name for argument in one.arguments}}
     missing = [each.name for each in one.arguments if each.name not in told and not is_said(each.name, one.text)]
     assert not missing, f"{one.name} does not tell {missing}"
+
+
+UNITS = {
+    "us": "microsecond",
+    "ns": "nanosecond",
+    "ms": "millisecond",
+    "s": "second",
+    "mb": "megabyte",
+    "hz": "a second",
+}
+"""The words of units that end names."""
+
+
+@pytest.mark.parametrize("one", ALL, ids=str)
+def test_each_unit_of_a_number_is_told(one: Described) -> None:
+    units = {each.name: UNITS.get(each.name.rpartition("_")[2]) for each in one.arguments if "_" in each.name}
+    missing = [name for name, unit in units.items() if unit is not None and unit not in COMMON.get(name, one.text)]
+    assert not missing, f"{one.name} does not tell the unit of {missing}"
 
 
 def raised_by(code: object) -> set[str]:

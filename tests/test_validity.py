@@ -106,7 +106,7 @@ def second_camera(**said: object) -> Environment:
                 "unit camera.2 runs, but no target needs it",
             ],
         ),
-        ({"count": ALL}, [], ["input image of unit detector.1 has no subscription"]),
+        ({"count": ALL}, [], ["input image of unit detector.1 is not connected"]),
         ({"optional": True, "worth_us": 1}, ["camera.1/out"], ["unit camera.2 runs, but no target needs it"]),
         ({"optional": True}, ["camera.1/out"], ["unit camera.1 runs, but no target needs it"]),
         (

@@ -172,7 +172,8 @@ def why_not_text(problem: Problem, why: WhyNot) -> Text:
         lines.append(Text(clash_line(why.clash)))
         if why.clash.limits:
             named = ", ".join(map(str, why.clash.limits))
-            lines.append(Text(f"  limits that forbid it: {named}"))
+            these = "these limits together forbid it" if len(why.clash.limits) > 1 else "this limit forbids it"
+            lines.append(Text(f"  {these}: {named}"))
         told = {reason.target for reason in why.unreachable}
         lines += [Text(f"  {reason}") for label, reason in why.plan.reasons.items() if label not in told]
     for unused in why.unused:
@@ -258,7 +259,7 @@ def table_lines(whys: Sequence[Why]) -> Iterator[str]:
 def _briefly(why: Why) -> str:
     match why.choice:
         case Choice.FORCED:
-            return f"forced: {forced_by(why)}"
+            return f"needed: {forced_by(why)}"
         case Choice.CHEAPER:
             return f"without it {amount(why.decides, why.difference or 0)} more"
         case Choice.LESS_CHANGE:

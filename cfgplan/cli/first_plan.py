@@ -71,7 +71,7 @@ class FirstPlan:
     def _notes(self, found: BestEffort) -> Iterator[str]:
         if self.ended:
             ended = ", ".join(self.ended)
-            yield f"{ended}: left by an earlier run; they are ended, since the file has changed how they start"
+            yield f"left by an earlier run, and stopped since the file now starts them differently: {ended}"
         if found.plan.change_set is None:
             return
         library = self.world.environment.transformation
@@ -96,9 +96,10 @@ class FirstPlan:
             return True
         count, named = counted(len(self.stopped), "unit"), some(self.stopped, _MOST_LISTED)
         if screen.json or not (sys.stdin.isatty() and sys.stderr.isatty()):
-            mend = "add --yes, or start the run at a terminal, which asks"
-            raise InputError.of(f"{count} of an earlier run would be stopped: {named}", mend=mend)
-        screen.note(f"{count} of an earlier run will be stopped: {named}. Go on? [y/N]", style="bold yellow")
+            told = f"this run would stop {count} of an earlier run: {named}; nothing was changed"
+            at_terminal = "without --json at a terminal" if screen.json else "at a terminal"
+            raise InputError.of(told, mend=f"add --yes to stop them, or start the run {at_terminal}, which asks")
+        screen.note(f"This run stops {count} of an earlier run: {named}. Go on? [y/N]", style="bold yellow")
         if sys.stdin.readline().strip().lower() in ("y", "yes"):
             return True
         screen.note("Nothing was changed; the units of the earlier run keep running.")

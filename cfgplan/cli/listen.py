@@ -1,4 +1,4 @@
-"""`cfgplan listen`: the elements on a topic."""
+"""`cfgplan listen`: the elements on a topic, or of a unit's output port."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import argparse
 import json
 import time
 from collections import deque
-from typing import Any
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING, Any
 
 from cfgplan.amounts import exact_clock_time, span
 from cfgplan.amounts import rate as often
@@ -15,21 +17,32 @@ from cfgplan.cli import options as shared
 from cfgplan.cli.agent import add_links, reached
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.screen import Screen
+from cfgplan.errors import InputError
+
+if TYPE_CHECKING:
+    from cfgplan_runtime import Received, SubscriptionToTopic
+    from cfgplan_runtime.fleet.reached import ReachedFleet
+    from cfgplan_runtime.operating.kept_tap import KeptTap
 
 _RATE_OVER = 20
+_LOOKS_S = 0.5
+"""How often a listener looks whether the stream of a unit has ended, or its own time is over."""
+_SHOWN_S = 10.0
+"""How long a unit may take to show a stream on a topic."""
 _LISTEN_EXAMPLE = """\
 example:
   cfgplan listen /result
   cfgplan listen /result --json --count 10
+  cfgplan listen camera.1/image
   cfgplan listen /map --connect tls/10.0.0.3:7447 --certificates /etc/cfgplan/manager"""
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _LISTEN_EXAMPLE
-    parser.add_argument("topic", type=normal, metavar="TOPIC", help="the topic of a target, such as /result")
-    parser.add_argument(
-        "--run", dest="run_id", metavar="ID", help="id or name of the run; needed if several runs have the topic"
-    )
+    topic = "the topic of a target, such as /result, or a unit and its output port, such as camera.1/image"
+    parser.add_argument("topic", type=normal, metavar="TOPIC", help=topic)
+    which = "id or name of the run; needed if several runs have the topic"
+    parser.add_argument("--name", "-n", "--run", dest="run_id", metavar="NAME", help=which)
     parser.add_argument("--count", type=shared.count, metavar="N", help="stop after N elements (default: no limit)")
     shared.add_span(parser)
     shared.add_time(parser, "--wait", 0.0, "how long to wait until the topic exists, such as 10s (default: 0)")
@@ -43,34 +56,69 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
     times: deque[float] = deque(maxlen=_RATE_OVER + 1)
     end = None if options.span is None else time.monotonic() + options.span
-    asked: dict[str, Any] = {"run": options.run_id, "wait_s": options.wait, "timeout_s": options.span}
-    with (
-        reached(options) as fleet,
-        (subscribe if fleet is None else fleet.subscribe)(options.topic, **asked) as subscription,
-    ):
-        try:
-            for number, received in enumerate(subscription, 1):
-                latency_ms = (subscription.now_ns() - received.time_ns) / 1e6
-                times.append(received.time_ns / 1e9)
-                rate = (len(times) - 1) / (times[-1] - times[0]) if times[-1] > times[0] else 0.0
-                if screen.json:
-                    line = {"topic": received.topic, "time_ns": received.time_ns, "value": plain(received.value)}
-                    more = {"latency_ms": round(latency_ms, 3), "rate_hz": round(rate, 2)}
-                    screen.write(json.dumps({**line, **more, "dropped": subscription.dropped}) + "\n")
+    with reached(options) as fleet, _tap(options, fleet) as tap:
+        asked: dict[str, Any] = {"run": options.run_id, "wait_s": options.wait, "timeout_s": options.span}
+        if tap is not None:
+            asked |= {"run": tap.run, "wait_s": max(options.wait, _SHOWN_S), "timeout_s": _LOOKS_S}
+        topic = options.topic if tap is None else tap.topic
+        with (subscribe if fleet is None else fleet.subscribe)(topic, **asked) as subscription:
+            try:
+                for number, received in enumerate(_received(subscription, tap, end), 1):
+                    latency_ms = (subscription.now_ns() - received.time_ns) / 1e6
+                    times.append(received.time_ns / 1e9)
+                    rate = (len(times) - 1) / (times[-1] - times[0]) if times[-1] > times[0] else 0.0
+                    if screen.json:
+                        line = {"topic": options.topic, "time_ns": received.time_ns, "value": plain(received.value)}
+                        more = {"latency_ms": round(latency_ms, 3), "rate_hz": round(rate, 2)}
+                        screen.write(json.dumps({**line, **more, "dropped": subscription.dropped}) + "\n")
+                    else:
+                        at = exact_clock_time(received.time_ns)
+                        pace = f"{often(rate)}, " if rate else ""
+                        screen.write(f"{at}  {readable(received.value)}  ({pace}{span(latency_ms / 1e3)} old)\n")
+                    screen.flush()
+                    if number == options.count or (end is not None and time.monotonic() >= end):
+                        break
                 else:
-                    at = exact_clock_time(received.time_ns)
-                    pace = f"{often(rate)}, " if rate else ""
-                    screen.write(f"{at}  {readable(received.value)}  ({pace}{span(latency_ms / 1e3)} old)\n")
-                screen.flush()
-                if number == options.count or (end is not None and time.monotonic() >= end):
-                    break
-        except TimeoutError:
-            screen.note(f"nothing came on {options.topic}")
-        except KeyboardInterrupt:
-            screen.note("stopped")
-        if subscription.dropped:
-            screen.warn(f"{subscription.dropped} elements were dropped because this listener was slow")
+                    if tap is not None:
+                        screen.note(f"{options.topic} has ended")
+            except TimeoutError:
+                screen.note(f"nothing came on {options.topic}")
+            except KeyboardInterrupt:
+                screen.note("stopped")
+            if subscription.dropped:
+                screen.warn(f"{subscription.dropped} elements were dropped because this listener was slow")
     return Exit.OK
+
+
+@contextmanager
+def _tap(options: argparse.Namespace, fleet: ReachedFleet | None) -> Iterator[KeptTap | None]:
+    """Show the stream that the options name on a topic; None if they name a topic. Raises InputError."""
+    if options.topic.find("/") < 1:
+        yield None
+        return
+    from cfgplan_runtime.operating.kept_tap import kept_tap
+    from cfgplan_runtime.operating.protocol import RefusedError
+
+    with ExitStack() as kept:
+        try:
+            tap = kept.enter_context(kept_tap(options.topic, options.run_id, fleet, options.wait))
+        except RefusedError as error:
+            mend = error.mend or "`cfgplan ctl topics` lists topics, which begin with /, and streams, such as a.1/port"
+            raise InputError.of(error.message, mend=mend) from None
+        yield tap
+
+
+def _received(subscription: SubscriptionToTopic, tap: KeptTap | None, end: float | None) -> Iterator[Received]:
+    """Yield what comes, until the run or the tapped stream ends. Raises TimeoutError if nothing comes."""
+    while True:
+        try:
+            yield from subscription
+            return
+        except TimeoutError:
+            if tap is None or (end is not None and time.monotonic() >= end):
+                raise
+            if tap.has_ended.is_set():
+                return
 
 
 _WIDEST_ELEMENT = 160

@@ -35,7 +35,7 @@ VERBS: Mapping[str, str] = MappingProxyType(
         "agent": "let a run on another computer start units on this one",
         "ctl": "show and change a live run",
         "page": "serve a web page that shows and changes a live run",
-        "listen": "print the elements of a topic of a live run",
+        "listen": "print the elements of a topic, or of a unit's output port, of a live run",
         "replay": "play the topics of a recording, alone or as inputs of an environment's units",
         "query": "tell whether a temporal formula over streams becomes true or false",
         "certificates": "make a certificate authority for a fleet, and a certificate for each of its hosts",

@@ -124,8 +124,10 @@ def _show_matrix(environment: Environment, similarity: Similarity, screen: Scree
     left = len(undecided)
     open_pairs = f", {counted(left, 'pair')} of tags not decided (??)" if left else ""
     over = f"{counted(len(rows), 'input or target', 'inputs and targets')} x {counted(len(columns), 'output')}"
-    size = f"{over}, {counted(count, 'match', 'matches')}{open_pairs}"
-    screen.show(Text("\n").join([*lines, Text(f"Validity matrix: {size}.", style="bold")]))
+    pairs = len(rows) * len(columns)
+    verb = "matches" if pairs == 1 else "match"
+    matching = f"{count:,} of {counted(pairs, 'pair')} {verb}{open_pairs}" if pairs else "there is no pair"
+    screen.show(Text("\n").join([*lines, Text(f"{over}: {matching}.", style="bold")]))
 
 
 def _tag(tags: Mapping[str, str], name: str, what: str) -> str:

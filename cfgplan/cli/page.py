@@ -25,7 +25,8 @@ _ENDED_LOOK_S = 0.5
 
 def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _OF_A_PAGE
-    parser.add_argument("--run", dest="run_id", metavar="ID", help="id or name of the run; needed if several are live")
+    which = "id or name of the run; needed if several are live"
+    parser.add_argument("--name", "-n", "--run", dest="run_id", metavar="NAME", help=which)
     parser.add_argument(
         "--address",
         default="127.0.0.1",

@@ -143,7 +143,7 @@ def _differences(was: ComputationUnit, now: ComputationUnit) -> Iterator[Text]:
     for port in sorted(was.feeds.keys() | now.feeds.keys()):
         old, new = was.feeds.get(port, ()), now.feeds.get(port, ())
         if old != new:
-            text = f"{port} <- {_names(new) or 'nothing'}   (was {_names(old) or 'a gap'})"
+            text = f"{port} <- {_names(new) or 'nothing'}   (was {_names(old) or 'not connected'})"
             yield Text(f"              {text}", style="yellow")
     for publication in was.publications:
         if publication not in now.publications:
@@ -169,22 +169,20 @@ def _summary(problem: Problem, plan: Plan, given_up: Collection[str]) -> Iterato
             f"{len(changes.stopped)} to stop, {kept} kept as they are.",
             style="bold",
         )
-        library, place_of = before.transformation, before.place_of
-        labor = sum(labor_us(library[u.transformation], place_of(u)) for u in changes.started if not u.standby)
+        after, library, place_of = before.update(changes), before.transformation, before.place_of
         now = sum(
             keep_cost_us(library[u.transformation], horizon_s, place_of(u))
             for u in before.units
             if u.transformation in library and not u.standby
         )
         assert plan.cost_us is not None
-        parts = CostParts(labor, plan.cost_us - labor)
-        if not problem.is_plain:
-            parts = cost_parts(problem, before.update(changes).units)
-        yield Text(
-            f"Cost over the horizon of {horizon_s} s: {cpu(plan.cost_us)} of CPU = {_terms(parts)}. "
-            f"The running configuration costs {cpu(now)} of upkeep."
-        )
-        yield from fleet_lines(problem, before.update(changes))
+        parts = cost_parts(problem, after.units)
+        cost = f"{cpu(parts.total_us)} of CPU = {_terms(parts)}"
+        if parts.total_us != plan.cost_us:
+            cost = f"{cost}, but {plan.planner} says {cpu(plan.cost_us)}"
+        running = f"The running configuration costs {cpu(now)} of upkeep."
+        yield Text(f"Cost over the horizon of {horizon_s} s: {cost}. {running}")
+        yield from fleet_lines(problem, after)
         if plan.objectives:
             told = ", ".join(
                 f"{amount(m.objective, m.value)}{'' if m.is_proven else ' (open)'}" for m in plan.objectives

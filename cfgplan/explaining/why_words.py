@@ -30,9 +30,15 @@ def why_lines(why: Why) -> Iterator[str]:
 def forced_by(why: Why) -> str:
     """Return, in words, the demands that can't be met without the subject."""
     if why.otherwise.reasons:
-        return f"without it, {'; '.join(why.otherwise.reasons.values())}"
+        return "; ".join(_unmet(f"target {label} ", reason) for label, reason in why.otherwise.reasons.items())
     demands = f"{named_labels('target', why.targets)} with the others" if why.targets else "all demands"
     return f"no valid configuration without it meets {demands}"
+
+
+def _unmet(target: str, reason: str) -> str:
+    if not reason.startswith(target):
+        return f"without it, {reason}"
+    return f"without it {target}can't be met: it {reason.removeprefix(target)}"
 
 
 def instead(why: Why) -> str:
@@ -44,12 +50,12 @@ def instead(why: Why) -> str:
 
 
 def choice_line(why: Why) -> str:
-    """Return a sentence on the planner's choice: it was forced, cheaper, or a tie."""
+    """Return a sentence on the planner's choice: it was needed, cheaper, or a tie."""
     how = "without it" if why.units else "that uses it"
     more = why.difference or 0
     match why.choice:
         case Choice.FORCED:
-            return "Forced: there is no plan without it."
+            return "Needed: there is no plan without it."
         case Choice.CHEAPER:
             used = "Used" if why.units else "Not used"
             return f"{used}: the best plan {how} costs {amount(why.decides, more)} more."

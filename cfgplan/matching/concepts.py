@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import TypeAlias
+from types import MappingProxyType
+from typing import Final, TypeAlias
 
 THING_IRI = "http://www.w3.org/2002/07/owl#Thing"
 NOTHING_IRI = "http://www.w3.org/2002/07/owl#Nothing"
@@ -159,6 +160,31 @@ def in_description_logic(concept: Concept, name: Callable[[str], str]) -> str:
         case AtLeast(number, role, filler) | AtMost(number, role, filler):
             sign = "≥" if isinstance(concept, AtLeast) else "≤"
             return f"{sign}{number} {name(role)}.{_operand(filler, name)}"
+
+
+_QUANTIFIERS: Final = MappingProxyType({Some: "some", Only: "only", AtLeast: "min", AtMost: "max"})
+
+
+def in_words(concept: Concept, name: Callable[[str], str]) -> str:
+    """The concept in Manchester syntax, its parts in alphabetical order; `name` shortens an IRI."""
+
+    def operand(part: Concept) -> str:
+        return in_words(part, name) if isinstance(part, Named | Nominal) else f"({in_words(part, name)})"
+
+    match concept:
+        case Complement(part):
+            return f"not {operand(part)}"
+        case Intersection(parts) | Union(parts):
+            sign = " and " if isinstance(concept, Intersection) else " or "
+            texts = (in_words(part, name) if isinstance(part, Some) else operand(part) for part in parts)
+            return sign.join(sorted(texts, key=lambda text: (" " in text, text)))
+        case Some(role, Nominal(iri)):
+            return f"{name(role)} value {name(iri)}"
+        case Some(role, filler) | Only(role, filler):
+            return f"{name(role)} {_QUANTIFIERS[type(concept)]} {operand(filler)}"
+        case AtLeast(number, role, filler) | AtMost(number, role, filler):
+            return f"{name(role)} {_QUANTIFIERS[type(concept)]} {number} {operand(filler)}"
+    return in_description_logic(concept, name)
 
 
 def in_functional_syntax(concept: Concept) -> str:

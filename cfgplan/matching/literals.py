@@ -28,14 +28,15 @@ _XSD_TOKEN: Final = r"(\S+( \S+)*)?"
 _XML_NAME: Final = r"[^\W\d][\w.\-·]*"
 
 _LITERAL_FORMS: Final = MappingProxyType(
-    {name: re.compile(form) for name, form in {
+    {
         "string": r"(?s:.*)", "normalizedString": r"[^\t\n\r]*", "token": _XSD_TOKEN, "NMTOKEN": r"[\w.\-:·]+",
         "Name": rf":*{_XML_NAME}(:[\w.\-:·]*)*", "NCName": _XML_NAME, "language": r"[a-zA-Z]{1,8}(-[a-zA-Z0-9]{1,8})*",
         "anyURI": r"([^\s%<>\"{}|\\^`]|%[0-9a-fA-F]{2})*", "boolean": r"true|false|1|0",
         "decimal": _DECIMAL, "double": _DOUBLE, "float": _DOUBLE,
         "hexBinary": r"([0-9a-fA-F]{2})*", "dateTime": f"{_DATE_TIME}{_ZONE}?", "dateTimeStamp": f"{_DATE_TIME}{_ZONE}",
-    }.items()}
+    }
 )  # fmt: skip
+"""Patterns; compiling all of them would take as long as reading a small ontology."""
 _INTEGER: Final = re.compile(r"[+-]?\d+", re.ASCII)
 _RANGES: Final = MappingProxyType(
     {
@@ -71,7 +72,7 @@ def is_well_formed(text: str, datatype: str) -> bool:
         return is_whole and (least is None or least <= int(text)) and (most is None or int(text) <= most)
     if name not in _LITERAL_FORMS:
         return True
-    found = _LITERAL_FORMS[name].fullmatch(text)
+    found = re.fullmatch(_LITERAL_FORMS[name], text)
     if found is None or "day" not in found.groupdict():
         return found is not None
     # The calendar is the same again after 400 years.

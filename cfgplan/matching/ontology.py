@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from cfgplan.canonical import normal
 from cfgplan.errors import UnknownNameError, did_you_mean
-from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI, Concept, in_description_logic
+from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI, Concept, in_description_logic, in_words
 from cfgplan.matching.functional import Signature, Tree, parse
 from cfgplan.matching.literals import accepted_by_reasoners
 from cfgplan.matching.names import NameTable, expanded, namespace_of, short_name
@@ -221,9 +221,11 @@ class Ontology:
         """A text, such as an axiom, with short names for the IRIs in brackets."""
         return BRACKETED.sub(lambda found: self.written(found[1]), text)
 
-    def render(self, concept: Concept) -> str:
-        """A concept as a tag in DL syntax, with short names; names that would be read otherwise are in quotes."""
-        return in_description_logic(concept, self.in_tag)
+    def render(self, concept: Concept, *, words: bool = False) -> str:
+        """A concept as a tag in DL syntax, or in `words` (`and`, `some`, `value`), with short names; names that would
+        be read otherwise are in quotes.
+        """
+        return (in_words if words else in_description_logic)(concept, self.in_tag)
 
     def in_tag(self, iri: str) -> str:
         """An IRI as the name that stands for it in a tag."""

@@ -18,6 +18,7 @@ from cfgplan.domain import Environment, InputPort, OutputPort
 from cfgplan.matching.concepts import THING_IRI, Concept, Named, Nominal, Some, conjunction
 from cfgplan.matching.names import short_name
 from cfgplan.matching.ontology import Ontology
+from cfgplan.matching.syntax import parse_tag
 
 OWN, NEAR, FAR = 3.0, 2.0, 1.0
 """What a word counts that is in a port's own name; in its message type, unit of measure, topic or in what feeds it; or
@@ -173,23 +174,27 @@ class Suggestion:
 class Proposer:
     """Proposes tags in the words of one ontology."""
 
-    def __init__(self, ontology: Ontology, foreign: str | None = None) -> None:
-        """No class is proposed whose IRI begins with `foreign`."""
+    def __init__(self, ontology: Ontology, foreign: str | None = None, *, words: bool = False) -> None:
+        """No class is proposed whose IRI begins with `foreign`. With `words`, tags are in words, not in symbols."""
         self._ontology = ontology
+        self._words = words
         self._classes = {
             name: iri for name, iri in ontology.classes.items() if foreign is None or not iri.startswith(foreign)
         }
 
-    def proposals(self, port: PortWords, most: int = 3) -> tuple[Suggestion, ...]:
-        """Tags for a port, the best first; none if no class fits its words."""
+    def proposals(self, port: PortWords, most: int = 3, now: str | None = None) -> tuple[Suggestion, ...]:
+        """Tags for a port, the best first; none if no class fits its words. The tag that it has `now` is as it is
+        written.
+        """
         known: dict[Concept, str] = {}
+        present = None if now is None else parse_tag(now, self._ontology)
         found: dict[str, Suggestion] = {}
         for tag in port.peers:
             found.setdefault(tag, Suggestion(tag, "a port that it is wired to, or that is called so, has this tag"))
         for concept, because in islice(self._concepts(port), _MOST_TRIED):
             if concept not in known:
                 known[concept] = because
-                tag = self._ontology.render(concept)
+                tag = now if now and concept == present else self._ontology.render(concept, words=self._words)
                 found.setdefault(tag, Suggestion(tag, because))
         return tuple(islice(found.values(), most))
 

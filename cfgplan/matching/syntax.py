@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from types import MappingProxyType
 from typing import Final
 
-from cfgplan.errors import UnknownNameError, did_you_mean
+from cfgplan.errors import UnknownNameError, close_names
 from cfgplan.matching.concepts import (
     BOTTOM,
     NOTHING_IRI,
@@ -109,15 +109,25 @@ class _TagReader(ExpressionReader[Concept]):
             return self._restriction()
         if self._tokens[self._at] == "(":
             return self._predicate()
-        self._refuse_misspelt_word()
+        self._refuse_second_name()
         return self._name_as_concept(token)
 
-    def _refuse_misspelt_word(self) -> None:
-        """A name never follows a name: one that is like `some` or `and` was meant to be that."""
-        token = self._tokens[self._at]
-        mend = did_you_mean(token.casefold(), _BETWEEN_NAMES) if token[:1].isalpha() else None
-        if mend:
-            raise self._error(f"{token!r} is not expected here", mend)
+    def _refuse_second_name(self) -> None:
+        """A name never follows a name: `some` or `and` was meant, or one name was written with a space."""
+        first, token, follows = self._words[self._at - 1], self._tokens[self._at], self._tokens[self._at + 1 :][:1]
+        if not token[:1].isalpha():
+            return
+        close = next(iter(close_names(token.casefold(), _BETWEEN_NAMES)), None)
+        if close is not None and abs(len(close) - len(token)) <= 1:
+            raise self._error(f"{token!r} is not expected here", f"did you mean `{close}`?")
+        humps, snake = f"{first}{token[:1].upper()}{token[1:]}", f"{first}_{token}".casefold()
+        vocabularies = (self._ontology.class_names, self._ontology.individual_names)
+        if self._ontology.is_open and not {*follows} & RESTRICTIONS:
+            mend = f"write `{humps}` or `{snake}` if it is one name, `{first} and {token}` if it is two"
+            raise self._error("names have no spaces", mend)
+        for joined in (humps, snake):
+            if any(vocabulary.has(joined) for vocabulary in vocabularies):
+                raise self._error("names have no spaces", f"did you mean `{joined}`?")
 
     def _meant_here(self, name: str, at: int) -> str | None:
         """Return a mend for a name at a place where it has no meaning; None if the intention can't be guessed."""

@@ -64,7 +64,7 @@ def _bad_subscriptions(environment: Environment, similarity: Similarity) -> Iter
     for unit, transformation in known_units(environment):
         for port in transformation.inputs if not unit.standby else ():
             if port.name not in unit.feeds and not port.optional:
-                text = f"input {port.name} of unit {unit.id} has no subscription"
+                text = f"input {port.name} of unit {unit.id} is not connected"
                 yield Violation(Rule.FED, text, unit.id, port.name)
         for name, stream in [(s.port, s.stream) for s in unit.subscriptions]:
             if name not in transformation.input:

@@ -1,7 +1,8 @@
 """The page in headless Chromium: the CPU time of an update at 3, 31 and 151 units, and how soon it shows a kill.
 
-`python experiments/operating/page.py [--seconds 10] [--kills 5]` prints two tables. The units of the first are those of
-a fake manager, whose figures change each second; the second one kills units of a real run from outside.
+`python experiments/operating/page.py [--seconds 10] [--kills 5] [--busy 1]` prints a table and a line. The units of the
+table are those of a fake manager, whose figures change each second; the line is of units of a real run that are killed
+from outside, beside as many busy loops as `--busy` says. `--seconds 0` leaves the table out.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import argparse
 import os
 import signal
 import statistics
+import subprocess
 import sys
 import tempfile
 import time
@@ -49,14 +51,22 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=int, default=10)
     parser.add_argument("--kills", type=int, default=5)
+    parser.add_argument("--busy", type=int, default=0)
     options = parser.parse_args()
     if not CHROMIUM.exists():
         sys.exit(f"Chromium is needed at {CHROMIUM}")
-    print("| units | first picture | updates per s | server, CPU per update | server | browser, CPU per update |")
-    print("|---|---|---|---|---|---|")
-    for units in SIZES:
-        print(f"| {units} | {update_costs(units, options.seconds)} |", flush=True)
-    took = sorted(kills_shown_ms(options.kills))
+    if options.seconds:
+        print("| units | first picture | updates per s | server, CPU per update | server | browser, CPU per update |")
+        print("|---|---|---|---|---|---|")
+        for units in SIZES:
+            print(f"| {units} | {update_costs(units, options.seconds)} |", flush=True)
+    loops = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(options.busy)]
+    try:
+        took = sorted(kills_shown_ms(options.kills))
+    finally:
+        for loop in loops:
+            loop.kill()
+            loop.wait()
     print(f"\n{len(took)} kills shown after {statistics.median(took):.0f} ms (median), {took[-1]:.0f} ms at most")
 
 

@@ -58,7 +58,7 @@ def test_what_is_not_used_says_what_it_would_cost(run: Run) -> None:
 def test_units_and_streams_can_be_asked_for(run: Run) -> None:
     result = run("explain", NAO / "2-segmenter-lost.yaml", "--unit", "segmenter(piff).1")
     assert "serves target ball, feeds ball_detector(piff).1/hull" in result.out
-    assert "Forced" in result.out
+    assert "Needed: there is no plan without it." in result.out
     result = run("explain", NAO / "2-segmenter-lost.yaml", "--stream", "segmenter(piff).1/hull")
     assert result.out.startswith("segmenter(piff)/hull runs as segmenter(piff).1, serves target ball")
 

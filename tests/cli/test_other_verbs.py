@@ -21,7 +21,7 @@ def test_check_names_file_and_line_of_a_violated_rule(run: Run) -> None:
     line = 1 + LOST.read_text().splitlines().index("      hull: null   # the gap that the segmenter left")
     assert result.code == 1
     assert f"{LOST}:{line}:" in result.out
-    assert "fed: input hull of unit ball_detector(piff).1 has no subscription" in result.out
+    assert "fed: input hull of unit ball_detector(piff).1 is not connected" in result.out
 
 
 def test_check_finds_nothing_wrong_with_a_valid_configuration(run: Run) -> None:
@@ -39,7 +39,7 @@ def test_check_gives_the_same_as_json(run: Run) -> None:
 def test_match_shows_who_may_feed_whom(run: Run) -> None:
     result = run("match", PIFF)
     assert result.code == 0
-    assert "9 inputs and targets x 20 outputs, 9 matches" in result.out
+    assert "9 inputs and targets x 20 outputs: 9 of 180 pairs match." in result.out
 
 
 def test_match_gives_the_matrix_as_json(run: Run) -> None:

@@ -33,7 +33,7 @@ def test_it_says_what_starts_is_rewired_and_stays_and_what_it_costs(run: Run) ->
     assert "+ start   segmenter(piff).1" in result.out
     assert "y <- subsampler(piff).1/y80" in result.out
     assert "~ rewire  ball_detector(piff).1" in result.out
-    assert "hull <- segmenter(piff).1/hull   (was a gap)" in result.out
+    assert "hull <- segmenter(piff).1/hull   (was not connected)" in result.out
     assert "= keep    bottom_cam(piff).1" in result.out
     assert "1 to start, 1 to rewire, 0 to stop, 4 kept" in result.out
     assert "18.95 s of CPU = labor 0.35 s + upkeep 18.6 s" in result.out
@@ -201,6 +201,23 @@ def test_a_plan_is_printed_and_marked_whatever_fails_after_it_was_found(
     assert "Optimal" not in result.out
     assert f"Do not rely on this plan: {told}" in result.err
     assert "Traceback" not in result.err
+
+
+def test_a_wrong_cost_of_a_planner_is_shown_beside_the_true_parts(
+    run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "liar.py").write_text(
+        "from dataclasses import replace\n"
+        "from cfgplan.planners import cpsat\n"
+        "def plan(problem, *, time_limit_s=None, report=None):\n"
+        "    return replace(cpsat.plan(problem, time_limit_s=time_limit_s), cost_us=100_000, bound_us=0)\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    result = run("solve", LOST, "--planner", "liar:plan")
+    assert result.code == 31
+    line = next(line for line in result.out.splitlines() if line.startswith("Cost"))
+    assert "18.95 s of CPU = labor 0.35 s + upkeep 18.6 s, but liar:plan says 0.1 s" in line
+    assert "-" not in line and "−" not in line
 
 
 def test_an_unjudged_plan_is_one_json_document_that_says_so_and_can_not_be_loaded(

@@ -12,10 +12,17 @@ PIFF = MODELS / "nao" / "1-piff-registered.yaml"
 def test_suggest_says_why_and_what_would_change(run: Run) -> None:
     result = run("suggest", PIFF, "ball_localization(piff)/position")
     assert result.code == 0
-    assert "1. Position ⊓ ∃hasSource.{piff}" in result.out
+    assert "1. Position ⊓ ∃hasSource.{piff}\n" in result.out
     assert "Position fits position" in result.out
     assert "would no longer match target ball" in result.out
     assert "3. Position ⊓ ∃hasSource.Ball  (as it is)" in result.out
+
+
+def test_suggest_writes_tags_in_words_where_the_file_does(run: Run) -> None:
+    out = run("suggest", MODELS / "building" / "office.yaml", "air_sensor(room101)/co2").out
+    assert "Observation and observedProperty value co2 and hasFeatureOfInterest value room101  (as it is)" in out
+    assert "3. Observation and observedProperty value co2\n" in out
+    assert "∃" not in out
 
 
 def test_suggest_takes_targets_and_gives_all_ports_as_json(run: Run) -> None:
@@ -23,7 +30,7 @@ def test_suggest_takes_targets_and_gives_all_ports_as_json(run: Run) -> None:
     ports = run("suggest", PIFF, "--json").document["ports"]
     assert len(ports) == 29
     first = ports["subsampler(piff)/y640"]["suggestions"][0]
-    assert first["tag"] == "Y640X480Image ⊓ ∃hasSource.{piff}"
+    assert first["tag"] == ports["subsampler(piff)/y640"]["tag"] == "Y640X480Image ⊓ ∃hasSource.piff"
     assert (first["gained"], first["lost"]) == ([], [])
 
 
@@ -60,13 +67,13 @@ def test_an_environment_without_an_ontology_gets_one_of_the_names_in_use(run: Ru
 def test_match_of_one_input_lists_all_that_feeds_it_and_of_one_output_all_that_it_feeds(run: Run) -> None:
     fed = run("match", PIFF, "segmenter(piff)/y")
     assert "<- subsampler(piff)/y80" in fed.out
-    assert "1 input or target x 20 outputs, 1 match" in fed.out
+    assert "1 input or target x 20 outputs: 1 of 20 pairs match." in fed.out
     fed = run("match", PIFF, "ball", "--json").document
     assert fed["inputs"] == {
         "target ball": {"tag": "Position ⊓ ∃hasSource.Ball", "outputs": ["ball_localization(piff)/position"]}
     }
     feeds = run("match", PIFF, "subsampler(piff)/y640").out
     assert "ball_detector(piff)/fine" in feeds
-    assert "1 input or target x 1 output, 1 match" in feeds
+    assert "1 input or target x 1 output: 1 of 1 pair matches." in feeds
     nothing = run("match", PIFF, "subsampler(piff)/y40")
-    assert "0 inputs and targets x 1 output, 0 matches" in nothing.out
+    assert "0 inputs and targets x 1 output: there is no pair." in nothing.out

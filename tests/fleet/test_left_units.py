@@ -94,7 +94,7 @@ def test_without_a_terminal_a_run_stops_no_unit_that_is_left_unless_told(left: t
     environment(env.parent, "other")
     refused = subprocess.run(command(fleet, env), capture_output=True, text=True, timeout=PATIENCE_S)
     assert refused.returncode == 30
-    assert "1 unit of an earlier run would be stopped: count.1" in refused.stderr and "--yes" in refused.stderr
+    assert "this run would stop 1 unit of an earlier run: count.1" in refused.stderr and "--yes" in refused.stderr
     assert fleet.units() == ["count.1"]
     told = command(fleet, env, "--yes", "--for", "1s")
     done = subprocess.run(told, capture_output=True, text=True, timeout=PATIENCE_S)

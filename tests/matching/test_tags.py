@@ -66,6 +66,31 @@ def test_an_error_names_its_column_and_the_mend(tag: str, column: int, told: str
     assert told in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("tag", "mend"),
+    [
+        (
+            "Heater Command",
+            "write `HeaterCommand` or `heater_command` if it is one name, `Heater and Command` if it is two",
+        ),
+        ("Heater Command and Room", "write `HeaterCommand`"),
+    ],
+)
+def test_without_an_ontology_two_names_in_a_row_are_told_to_be_one(tag: str, mend: str) -> None:
+    with pytest.raises(TagError, match="names have no spaces") as caught:
+        check_tag(tag, OPEN)
+    assert (caught.value.column, mend in str(caught.value)) == (8, True)
+
+
+def test_a_name_of_the_ontology_that_is_written_with_a_space_is_proposed() -> None:
+    ontology = Ontology(["SubClassOf(<x#ConvHull> <x#Hull>)", "SubClassOf(<x#cmd_vel> <x#Hull>)"])
+    for tag, meant in (("Conv hull", "ConvHull"), ("Conv Hull", "ConvHull"), ("cmd vel", "cmd_vel")):
+        with pytest.raises(TagError, match=f"names have no spaces.*did you mean `{meant}`"):
+            check_tag(tag, ontology)
+    with pytest.raises(TagError, match="join two concepts"):
+        check_tag("ConvHull Hull", ontology)
+
+
 def test_and_binds_tighter_than_or_and_restrictions_tighter_than_and(streams: Ontology) -> None:
     assert parse_tag("Image or Device and hasSource some Camera or Device", streams) == parse_tag(
         "(Image ⊔ (Device ⊓ (∃hasSource.Camera))) ⊔ Device", streams
@@ -104,6 +129,21 @@ def test_a_name_is_the_same_however_its_accents_are_encoded() -> None:
         ontology = Ontology([f"SubClassOf(<x#{known}> <x#Shop>)"], {"x": "x#"})
         for tag in (written, f"x:{written}", f"<x#{written}>", f"'{written}'"):
             assert parse_tag(tag, ontology) == parse_tag(known, ontology)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        *("Image", "{cam1}", "Image and not (Device)", "hasSource value cam1", "Image or (hasSource some Device)"),
+        *("hasSource only (Camera and Device)", "hasSource min 2 Camera", "hasSource max 3 (not Camera)"),
+        "Image and hasSource some (Camera or Device) and hasSource value cam1",
+    ],
+)
+def test_a_concept_in_words_is_read_as_the_same_concept(words: str, streams: Ontology) -> None:
+    concept = parse_tag(words, streams)
+    written = streams.render(concept, words=True)
+    assert parse_tag(written, streams) == concept
+    assert not {*written} & {*"⊓⊔¬∃∀≥≤"}
 
 
 def test_an_ambiguous_name_must_be_written_with_its_prefix() -> None:

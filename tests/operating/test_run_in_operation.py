@@ -664,6 +664,6 @@ def test_what_a_run_starts_is_held_against_the_units_of_the_file(env: Path) -> N
         line = command("run", env, "--no-estimates", "--from", "units", *arguments)
         done = subprocess.run(line, capture_output=True, text=True, timeout=PATIENCE_S, check=True)
         assert "Changes from `units:` to the running units:\n  ~ rewire  old" in done.stderr
-        assert "image <- eye/image   (was a gap)" in done.stderr
+        assert "image <- eye/image   (was not connected)" in done.stderr
         assert "ball -> topic /result" in done.stderr
         assert "= keep    eye" in done.stderr

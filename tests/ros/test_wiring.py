@@ -177,7 +177,7 @@ def test_against_the_graph_before_a_change_only_what_is_new_is_shown(
 
     assert main(["check", str(after), "--against", str(before)]) == 1
     out = capsys.readouterr().out
-    assert "fed: input scan_raw of unit mover.1 has no subscription\n" in out
+    assert "fed: input scan_raw of unit mover.1 is not connected\n" in out
     assert "\n    nearest: lidar.1/scan gives" in out
     assert "nowhere" not in out
     assert f"violates 1 rule that held in {before}." in out

@@ -85,6 +85,32 @@ def test_what_is_planned_runs_until_it_is_interrupted(env: Path, end: signal.Sig
     assert "Applied" in (env.parent / "log").read_text()
 
 
+def test_a_stream_that_is_on_no_topic_is_listened_to_by_its_unit_and_port(env: Path, capsys: Any) -> None:
+    with cfgplan("run", env, "--json", "--name", "eyes") as running:
+        assert running.stdout is not None
+        running.stdout.readline()
+        try:
+            asked = ["listen", "camera.1/image", "--name", "eyes", "--json"]
+            assert main([*asked, "--count", "3", "--wait", "30s"]) == 0
+            lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+            assert [line["topic"] for line in lines] == ["camera.1/image"] * 3
+            assert all(line["value"]["data"] == [[7] * 4] * 4 for line in lines)
+            assert main(["listen", "detector.1/ball", "--count", "1"]) == 0  # a target's stream
+            assert "'x': 1" in capsys.readouterr().out
+            assert main(["listen", "camera.1/imag"]) == 30
+            err = capsys.readouterr().err
+            assert "no unit that runs gives 'camera.1/imag'" in err and "did you mean `camera.1/image`?" in err
+            listening = cfgplan(*asked)
+            assert listening.stdout is not None
+            assert listening.stdout.readline()
+        finally:
+            running.send_signal(signal.SIGINT)
+            running.communicate(timeout=PATIENCE_S)
+        _, err = listening.communicate(timeout=PATIENCE_S)
+        assert listening.returncode == 0
+        assert "camera.1/image has ended" in err
+
+
 def test_a_run_ends_when_its_time_is_over(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", str(env), "--for", "500ms"]) == 0
     out = capsys.readouterr().out

@@ -161,12 +161,8 @@ def _parsed(path: Path, stamp: tuple[int, int] | None) -> _Module | Fault:  # no
     except (ValueError, RecursionError, MemoryError) as error:
         return Fault(f"can't be parsed: {error}", str(path), mend="correct it")
     names = frozenset(_bound(tree.body))
-    used = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
     lines = tuple(data.decode(errors="replace").splitlines())
-    stars = (alias.name for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) for alias in node.names)
-    return _Module(
-        path, tree, names, bool(_DYNAMIC & (names | used)) or "*" in stars or _changes_things(tree, names), lines
-    )
+    return _Module(path, tree, names, bool(_DYNAMIC & names) or _is_dynamic(tree, names), lines)
 
 
 def _stamp(path: Path) -> tuple[int, int] | None:
@@ -198,9 +194,15 @@ def _bound(statements: Iterable[ast.stmt]) -> Iterator[str]:
             todo += ast.iter_child_nodes(node)
 
 
-def _changes_things(tree: ast.Module, names: Collection[str]) -> bool:
-    """Whether code may change where modules come from (`sys`, `importlib`, `site`), or the classes of its `names`."""
+def _is_dynamic(tree: ast.Module, names: Collection[str]) -> bool:
+    """Whether code may define other names, change where modules come from (`sys`, `importlib`, `site`), or change
+    the classes of its `names`.
+    """
     for node in ast.walk(tree):
+        if isinstance(node, ast.Name) and node.id in _DYNAMIC:
+            return True
+        if isinstance(node, ast.ImportFrom) and any(alias.name == "*" for alias in node.names):
+            return True
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
             if node.value.id == "sys" and node.attr in ("path", "modules", "meta_path", "path_hooks"):
                 return True

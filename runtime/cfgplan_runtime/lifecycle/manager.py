@@ -268,7 +268,7 @@ class Manager:
             self.step(end - self._clock.now())
 
     def step(self, timeout_s: float = 0.0) -> None:
-        """Wait up to `timeout_s` for a perturbation, and answer it if one comes."""
+        """Wait up to `timeout_s` seconds for a perturbation, and answer it if one comes."""
         if self._inbox.is_empty:
             self._wait(self._clock.now() + timeout_s)
         self._is_busy = True

@@ -258,7 +258,7 @@ class Methods:
         if text in topics and (self._taps is None or self._taps.is_shown(topics[text])):
             return {"topic": topics[text]}
         if text not in given:
-            mend = did_you_mean(text, given)
+            mend = did_you_mean(text, {*given, *by_topic})
             raise RefusedError("refused", f"no unit that runs gives {text!r}", mend)
         if self._taps is None:
             mend = "give it a target, whose topic can be looked at"

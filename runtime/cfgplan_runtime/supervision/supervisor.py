@@ -138,7 +138,7 @@ class Supervisor:
         self._wait(updates.WaitUntil(lambda: self.hosts.keys() >= set(told_of), _HOSTS_S))
 
     def pump(self, timeout_s: float) -> None:
-        """Handle events; waits up to `timeout_s` for the first of them, but never longer than WATCH_PERIOD_S."""
+        """Handle events; waits up to `timeout_s` seconds for the first one, but never longer than WATCH_PERIOD_S."""
         self._hear(min(max(0.0, timeout_s), WATCH_PERIOD_S))
         if self.now() - self._watched_s >= WATCH_PERIOD_S:
             self._hear(0.0)  # signs of life that wait are read before silence is judged
