@@ -80,7 +80,7 @@ class Fact:
     topic: Annotated[
         str | None,
         Row(
-            "the topic that observes the fact in a run, in place of `by`: of a target, or with `type` any of ROS",
+            "in place of `by`: the topic that observes the fact in a run; a target's topic or, with `type`, a ROS topic",
             use=Use.RUNNING,
         ),
     ] = None

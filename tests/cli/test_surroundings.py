@@ -290,7 +290,7 @@ def test_a_png_picture_is_not_written_to_a_terminal(run: Run, monkeypatch: pytes
 def test_a_query_without_a_formula_says_so(run: Run) -> None:
     result = run("query", FUSION)
     assert result.code == 30
-    assert "no formula" in result.err
+    assert "the formula is missing" in result.err
 
 
 def test_a_long_formula_is_no_file(run: Run) -> None:
