@@ -80,7 +80,7 @@ class Fact:
     topic: Annotated[
         str | None,
         Row(
-            "in place of `by`: the topic that observes the fact in a run; a target's topic or, with `type`, a ROS topic",
+            "in place of `by`: the topic that observes the fact in a run; a target's or, with `type`, any ROS topic",
             use=Use.RUNNING,
         ),
     ] = None
