@@ -30,7 +30,7 @@ any plan stale.
 _STALE_FOR = {
     "unit": ("{} runs now", "{} does not run any more", "{} is wired differently now"),
     "transformation": ("{} exists now", "{} does not exist any more", "{} has been changed"),
-    "fact": ("{} is required now", "{} is not required any more", "{} has changed its truth"),
+    "fact": ("{} is required now", "{} is not required any more", "{} is not as it was"),
     "target": ("{} is wanted now", "{} is not wanted any more", "{} has been changed"),
     "setting": ("{} is set now", "{} is not set any more", "{} has been changed"),
 }
