@@ -44,7 +44,7 @@ class Decide:
     """The planner's own search of small problems."""
 
     labels: int = row(600, "labels", "Networks of up to this size are searched before all else.", LIBRARIES)
-    left: int = row(200, "labels", "So many that bounds leave are searched in a replan.", "`benchmark.py replan`")
+    left: int = row(400, "labels", "So many that bounds leave are searched in a replan.", "`benchmark.py replan`")
     chained: int = row(
         16, "labels", "Above this size, most expensive chains are charged before the search.", "NAO, 20 robots"
     )

@@ -129,6 +129,26 @@ def test_after_rest_failures_and_moved_costs_are_answered_as_well_as_a_cold_plan
             session.plan(running)
 
 
+@examples(60, part=4)
+@given(st.integers(0, 10**6), st.integers(20, 80), st.integers(1, 8))
+def test_a_replan_in_a_library_that_is_not_small_is_as_good_as_a_cold_plan(seed: int, size: int, targets: int) -> None:
+    problem, draw = random_library(seed, transformations=size, targets=targets), random.Random(seed)
+    session = PlannerSession()
+    first = session.plan(problem)
+    assert first.change_set is not None
+    running = problem.environment.update(first.change_set)
+    session.plan(replace(problem, environment=running))
+    for _ in range(3):
+        broken = running.without_unit(draw.choice(running.units).id)
+        library = [
+            replace(t, upkeep_us=max(0, t.upkeep_us + draw.choice((0, 0, 0, 0, 0, 0, -2000, 2000)))) for t in broken.library
+        ]
+        moved = replace(problem, environment=replace(broken, library=tuple(library)))
+        warm = session.plan(moved)
+        assert plan_violations(moved, warm) == []
+        assert quality(warm) == quality(plan(moved))
+
+
 def hard_problem(demands: int = 150) -> Problem:
     """A covering problem whose proof takes minutes: many overlapping choices at nearly the same cost."""
     draw = random.Random(7)

@@ -8,7 +8,7 @@ faster than arrays up to some hundred labels. Effort is counted in steps, so a r
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from heapq import heappop, heappush
 
@@ -174,10 +174,10 @@ class _Node:
     def bound(self) -> int:
         return self.paid + self.charged
 
-    def charge(self, members: tuple[int, ...]) -> int:
-        """Charge a landmark with the least residual cost of its members. Returns that weight."""
+    def charge(self, members: tuple[int, ...], at_most: int = LEFT_OUT) -> int:
+        """Charge a landmark with the least residual cost of its members, or with `at_most`. Returns that weight."""
         residual = self.residual
-        weight = min([residual[member] for member in members])
+        weight = min([at_most, *(residual[member] for member in members)])
         if weight:
             for member in members:
                 residual[member] -= weight
@@ -222,7 +222,16 @@ class _Node:
 class Branching:
     """A search for a plan of a core that weighs less than `limit`. All weights and `limit` are multiples of `step`."""
 
-    def __init__(self, core: Core, cost: Ints, limit: int, step: int, is_over: Callable[[], bool]) -> None:
+    def __init__(
+        self,
+        core: Core,
+        cost: Ints,
+        limit: int,
+        step: int,
+        is_over: Callable[[], bool],
+        known: Sequence[tuple[int, tuple[int, ...]]] = (),
+    ) -> None:
+        """The search begins with `known` landmarks: a weight, at most, and the members."""
         self.best: set[int] | None = None
         self.nodes = 0
         self._core, self._weight = core, cost
@@ -233,15 +242,17 @@ class Branching:
         self._step = step
         self._steps = 0
         self._is_over = is_over
+        self._known = known
         self._ahead = [self._root()]
         self._first: tuple[list[list[int]], list[tuple[int, tuple[int, ...]]]] | None = None
 
     def bound(self) -> Bound:
         """The root's bound for plans below the limit, with its landmarks in the core's numbering."""
         zones, landmarks = self._first or ([], [])
-        found = [Landmark(np.array(z), np.array(m)) for z, (_, m) in zip(zones, landmarks, strict=False)]
+        new = landmarks[len(self._known) :]
+        found = [Landmark(np.array(z), np.array(m)) for z, (_, m) in zip(zones, new, strict=False)]
         bound = Bound(self._core, self._weight, found)
-        bound.recharge([weight for weight, _ in landmarks])
+        bound.recharge([weight for weight, _ in new])
         return bound
 
     def run(self, steps: int) -> bool:
@@ -288,7 +299,9 @@ class Branching:
         return found
 
     def _root(self) -> _Node:
-        return _Node(self._cost[:], 0, 0, [], 1.0)
+        root = _Node(self._cost[:], 0, 0, [], 1.0)
+        root.landmarks += [(root.charge(members, weight), members) for weight, members in self._known]
+        return root
 
     def _is_late(self) -> bool:
         return self._steps <= 0 or self._is_over()

@@ -3,7 +3,7 @@ several.
 
 For any set of facts (a *zone*) with one that the goal needs, every plan has a transformation that offers a fact of the
 zone and needs none of it: the first to enter. If a fact takes several providers, that many have entered before any
-label label can need it. Labels that count as *there* already lower this number. A label that enters may be replaced by
+label can need it. Labels that count as *there* already lower this number. A label that enters may be replaced by
 the labels that enter another zone, *behind* it, with a fact that it needs.
 """
 

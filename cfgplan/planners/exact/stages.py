@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from typing import Final
@@ -240,8 +240,19 @@ def _proves(work: SolveRun, core: Core, weights: LexicographicWeights, plan: set
 
 
 def _search(work: SolveRun, core: Core, weights: LexicographicWeights, limit: int) -> Branching:
-    """A search for plans of a core that weigh less than `limit`."""
-    return Branching(core, weights.weight[core.labels], limit, weights.step, work.clock.is_over)
+    """A search for plans of a core that weigh less than `limit`; in a part, from the landmarks of its bound."""
+    bound = None if core is work.structure.network.core else work.remaining.bound
+    known = [] if bound is None else list(_known_landmarks(bound, core, weights.scale // work.weights.scale))
+    return Branching(core, weights.weight[core.labels], limit, weights.step, work.clock.is_over, known)
+
+
+def _known_landmarks(bound: Bound, core: Core, scale: int) -> Iterator[tuple[int, tuple[int, ...]]]:
+    """Yield the landmarks of a bound that count once, with the charge times `scale`, among the labels of a core."""
+    place = {label: at for at, label in enumerate(core.labels.tolist())}
+    for landmark, charge in zip(bound.landmarks, bound.weights, strict=True):
+        members = tuple([place[label] for label in bound.core.labels[landmark.members].tolist() if label in place])
+        if charge and members and landmark.least == 1:
+            yield charge * scale, members
 
 
 def _takes_others(work: SolveRun, core: Core, plan: set[int]) -> bool:
