@@ -60,7 +60,7 @@ def compare(world: World) -> Counter[str]:
     _count_errors(found, world, fast, reference)
     asked, found["asked one by one"] = _questioned(world)
     _count_errors(found, world, asked, reference)
-    impossible = _impossible(reference)
+    impossible = reference.impossible
     for demanded in world.demanded:
         found["pairs"] += len(world.offered)
         found["matches"] += len(reference.similarity.offers[demanded])
@@ -86,7 +86,7 @@ def _questioned(world: World) -> tuple[Matching, int]:
 
 
 def _count_errors(found: Counter[str], world: World, told: Matching, reference: Matching) -> None:
-    impossible, impossible_too = _impossible(reference), _impossible(told)
+    impossible, impossible_too = reference.impossible, told.impossible
     found["false positives"] += len(impossible_too - impossible)
     for demanded in world.demanded:
         true = reference.similarity.offers[demanded]
@@ -98,10 +98,6 @@ def _count_errors(found: Counter[str], world: World, told: Matching, reference: 
                 is_missed = offered in true and not said
                 found["false positives"] += said and offered not in true
             found["certified misses"] += is_missed and not told.similarity.is_open(offered, demanded)
-
-
-def _impossible(matching: Matching) -> set[str]:
-    return {warning.split("'")[1] for warning in matching.warnings if warning.startswith("nothing")}
 
 
 def main() -> int:

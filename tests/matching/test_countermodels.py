@@ -169,7 +169,7 @@ def test_models_of_a_matcher_that_lived_on_say_what_those_of_a_fresh_one_may_say
     similarity = matcher.matching().similarity
     found = match(world.offered, world.demanded, world.ontology, time_limit_s=20)
     truth = found.similarity
-    impossible = {offered for offered in world.offered for told in found.warnings if repr(offered) in told}
+    impossible = found.impossible
     for demanded in world.demanded:
         for offered in set(world.offered) - set(gone) - impossible:
             if not similarity.is_open(offered, demanded) and not truth.is_open(offered, demanded):

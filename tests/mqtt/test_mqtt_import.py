@@ -170,7 +170,7 @@ def test_a_client_that_may_read_nothing_is_told_what_to_name(
     [
         ("127.0.0.1:1", (), "the broker 127.0.0.1:1 does not answer", "start it, or name the address of one that runs"),
         ("house:many", (), "`house:many` is not the address of a broker", "write HOST, HOST:PORT"),
-        ("house", ("garden",), "`import {options.what}` takes one path", "name one broker"),
+        ("house", ("garden",), "`import mqtt` takes one path", "name one broker"),
         ("house", ("--topic", "a/#/b"), "`a/#/b` is not a topic filter", "`+` stands for one level"),
         ("house", ("--password-env", "X"), "there is a password without a name", "write `username` too"),
         ("house", ("--objective", "length"), "--objective: `import mqtt` does not take this option", "leave it out"),
