@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 from unittest import mock
 
@@ -152,7 +153,7 @@ def test_a_plan_that_needs_the_solver_is_the_same_every_time() -> None:
     assert plans[0].counts["rounds"] > 0
 
 
-EVERYWHERE = Near(targets=1, gap=0.0, hopeless=0.0, fewest=1, in_vain=200.0)
+EVERYWHERE = Near(targets=1, gap=0.0, hopeless=0.0, many=0, fewest=1, in_vain=200.0)
 
 
 @fewer
@@ -181,12 +182,19 @@ def test_all_targets_planned_anew_together_reach_the_optimum_and_some_come_near_
     problem = random_library(seed, transformations=100, targets=12)
     best = PlannerSession().plan(problem)
     assert best.status is Status.OPTIMAL and best.cost_us is not None
-    whole, parts = first_closing(problem, Near(targets=1, gap=0.0, fewest=12, work=100.0)), first_closing(problem)
+    all_targets = Near(targets=1, gap=0.0, many=0, fewest=12, work=100.0)
+    whole, parts = first_closing(problem, all_targets), first_closing(problem)
     before = whole.limit
     assert before > best.cost_us
     whole.look_near(Clock())
     parts.look_near(Clock())
     assert whole.limit == best.cost_us <= parts.limit < before
+
+
+def test_no_landmarks_are_looked_for_everywhere_while_few_labels_are_left() -> None:
+    few = first_closing(random_library(5, transformations=300, targets=12), replace(EVERYWHERE, many=301))
+    with mock.patch.object(GapClosing, "_search_landmarks", side_effect=AssertionError):
+        few.look_near(Clock())
 
 
 def test_no_target_is_planned_anew_where_a_plan_is_more_than_its_labels() -> None:

@@ -140,9 +140,8 @@ def test_a_replan_in_a_library_that_is_not_small_is_as_good_as_a_cold_plan(seed:
     session.plan(replace(problem, environment=running))
     for _ in range(3):
         broken = running.without_unit(draw.choice(running.units).id)
-        library = [
-            replace(t, upkeep_us=max(0, t.upkeep_us + draw.choice((0, 0, 0, 0, 0, 0, -2000, 2000)))) for t in broken.library
-        ]
+        moves_us = {t.label: draw.choice((0, 0, 0, 0, 0, 0, -2000, 2000)) for t in broken.library}
+        library = [replace(t, upkeep_us=max(0, t.upkeep_us + moves_us[t.label])) for t in broken.library]
         moved = replace(problem, environment=replace(broken, library=tuple(library)))
         warm = session.plan(moved)
         assert plan_violations(moved, warm) == []

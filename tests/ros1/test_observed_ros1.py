@@ -81,7 +81,7 @@ def test_a_fact_without_a_message_type_is_refused(tmp_path: Path) -> None:
     env = write_with_fact(tmp_path, NODES, text.replace("/diagnostics", "/words"))
     line = command("run", "--middleware", "ros1", "--dry-run", env)
     found = subprocess.run(line, capture_output=True, text=True, check=False)
-    assert "a run of ROS 1 nodes observes no facts without a message type (left)" in found.stderr
+    assert "a run of ROS 1 nodes can't observe facts without a message type (left)" in found.stderr
 
 
 def test_topic_statistics_are_refused_in_ros_1(tmp_path: Path) -> None:
@@ -89,5 +89,5 @@ def test_topic_statistics_are_refused_in_ros_1(tmp_path: Path) -> None:
     env.write_text(env.read_text().replace("unit: m}", "unit: s}"))
     line = command("run", "--middleware", "ros1", "--dry-run", env)
     found = subprocess.run(line, capture_output=True, text=True, check=False)
-    assert "nodes of ROS 1 tell no topic statistics (sonar/p error)" in found.stderr
+    assert "ROS 1 nodes publish no topic statistics (sonar/p error)" in found.stderr
     assert "Traceback" not in found.stderr

@@ -96,7 +96,9 @@ def is_well_wired(problem: Problem, label_of: Callable[[str], str | None], unit:
                 return False
             if port.distinct is not None:
                 feeders.add((port.distinct, label))
-    wanted = {target.topic: target.tag for target in environment.stream_targets} if unit.publications else {}
+    if not unit.publications:
+        return True
+    wanted = {target.topic: target.tag for target in environment.stream_targets}
     return all(
         publication.topic in wanted
         and publication.port in transformation.output
