@@ -39,6 +39,7 @@ from cfgplan.planners.cpsat import PlannerSession, plan
 from cfgplan.planners.exact.first_plans import FirstPlans
 from cfgplan.planners.exact.memory import Structure
 from cfgplan.planners.exact.solve_run import SolveRun
+from cfgplan.planners.tuning import Decide, Tuning
 from cfgplan.planning import Problem, Progress, Status
 from cfgplan.validity import plan_violations
 from experiments.families.random_library import random_library
@@ -130,10 +131,12 @@ def test_after_rest_failures_and_moved_costs_are_answered_as_well_as_a_cold_plan
 
 
 @examples(60, part=4)
-@given(st.integers(0, 10**6), st.integers(20, 80), st.integers(1, 8))
-def test_a_replan_in_a_library_that_is_not_small_is_as_good_as_a_cold_plan(seed: int, size: int, targets: int) -> None:
+@given(st.integers(0, 10**6), st.integers(20, 80), st.integers(1, 8), st.sampled_from([1, 3, 10, 30, 1500]))
+def test_a_replan_in_a_library_that_is_not_small_is_as_good_as_a_cold_plan(
+    seed: int, size: int, targets: int, steps: int
+) -> None:
     problem, draw = random_library(seed, transformations=size, targets=targets), random.Random(seed)
-    session = PlannerSession()
+    session = PlannerSession(Tuning(decide=Decide(steps=steps)))
     first = session.plan(problem)
     assert first.change_set is not None
     running = problem.environment.update(first.change_set)

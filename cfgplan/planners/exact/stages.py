@@ -79,10 +79,14 @@ def decide_all(work: SolveRun) -> bool:
 
 def decide_remaining(work: SolveRun) -> bool:
     """Search what bounds leave without the solver, if a proven plan is known: a model takes longer than a replan."""
-    labels, core = work.remaining.labels, work.structure.network.core
+    before, core = (work.remaining, work.network, work.weights), work.structure.network.core
+    labels = work.remaining.labels
     if work.memory.warm_start is None or work.state.is_over or len(labels) > work.clock.tuning.decide.left:
         return False
-    return decide(work, core.restricted(np.isin(core.labels, labels)))
+    is_decided = decide(work, core.restricted(np.isin(core.labels, labels)))
+    if not is_decided:
+        work.take(*before)
+    return is_decided
 
 
 def raise_bound(work: SolveRun) -> bool:
@@ -207,7 +211,12 @@ def decide(work: SolveRun, core: Core) -> bool:
         plans += [] if first is None else [first]
     if not plans:
         return False
-    is_proven = _proves(work, core, weights, min(plans, key=lambda one: weights.of_plan(numbers(one))))
+    bound = None if core is network.core else work.remaining.bound
+    known = [] if bound is None else [*_known_landmarks(bound, core, weights.scale // work.weights.scale)]
+    below = partial(
+        Branching, core, weights.weight[core.labels], step=weights.step, is_over=work.clock.is_over, known=known
+    )
+    is_proven = _proves(work, core, weights, min(plans, key=lambda one: weights.of_plan(numbers(one))), below)
     work.clock.end("bounds")
     if is_proven and not state.is_over:
         work.search().run()
@@ -215,8 +224,13 @@ def decide(work: SolveRun, core: Core) -> bool:
     return is_proven
 
 
-def _proves(work: SolveRun, core: Core, weights: LexicographicWeights, plan: set[int]) -> bool:
-    """Search for cheaper plans. True if the cost is proven; other plans can then differ only in their changes."""
+def _proves(
+    work: SolveRun, core: Core, weights: LexicographicWeights, plan: set[int], below: Callable[[int], Branching]
+) -> bool:
+    """Search for cheaper plans; `below` makes a search for those that weigh less than a limit.
+
+    True if the cost is proven; other plans can then differ only in their changes.
+    """
     network, tuning = work.structure.network, work.clock.tuning.decide
     limit = least = weights.of_plan(numbers(plan))
     is_proven = False
@@ -225,7 +239,7 @@ def _proves(work: SolveRun, core: Core, weights: LexicographicWeights, plan: set
         is_proven = weights.least(chained) >= limit
     work.state.counts["nodes"] = 0
     if not is_proven:
-        search = _search(work, core, weights, limit)
+        search = below(limit)
         first, more = min(tuning.steps, tuning.first), max(0, tuning.steps - tuning.first)
         is_proven = search.run(first) or (search.done >= tuning.soon and search.run(more))
         work.state.counts["nodes"], least = search.nodes, search.least
@@ -236,14 +250,7 @@ def _proves(work: SolveRun, core: Core, weights: LexicographicWeights, plan: set
     labels = numbers(plan)
     value = weights.of_plan(labels) if is_proven else weights.least(least)
     work.take(Remaining(labels, value, is_complete=False), network, weights, labels)
-    return is_proven and (work.state.is_over or _takes_others(work, core, plan))
-
-
-def _search(work: SolveRun, core: Core, weights: LexicographicWeights, limit: int) -> Branching:
-    """A search for plans of a core that weigh less than `limit`; in a part, from the landmarks of its bound."""
-    bound = None if core is work.structure.network.core else work.remaining.bound
-    known = [] if bound is None else list(_known_landmarks(bound, core, weights.scale // work.weights.scale))
-    return Branching(core, weights.weight[core.labels], limit, weights.step, work.clock.is_over, known)
+    return is_proven and (work.state.is_over or _takes_others(work, core, plan, below))
 
 
 def _known_landmarks(bound: Bound, core: Core, scale: int) -> Iterator[tuple[int, tuple[int, ...]]]:
@@ -255,7 +262,7 @@ def _known_landmarks(bound: Bound, core: Core, scale: int) -> Iterator[tuple[int
             yield charge * scale, members
 
 
-def _takes_others(work: SolveRun, core: Core, plan: set[int]) -> bool:
+def _takes_others(work: SolveRun, core: Core, plan: set[int], below: Callable[[int], Branching]) -> bool:
     """Go on with the labels of all plans that cost as little as the incumbent, the least, and may change less.
 
     False if the search for them takes too many steps.
@@ -263,7 +270,7 @@ def _takes_others(work: SolveRun, core: Core, plan: set[int]) -> bool:
     best, weights = work.state.best, work.weights
     if best is None:
         return False
-    search = _search(work, core, weights, weights.of_key(best.key))
+    search = below(weights.of_key(best.key))
     known = np.flatnonzero(np.isin(core.labels, numbers(plan))).tolist()
     others = search.others(known, work.clock.tuning.decide.steps)
     if others is not None:
