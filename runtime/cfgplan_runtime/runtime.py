@@ -51,8 +51,8 @@ class OwnThread:
 
     def begin(self, make: Callable[[], Supervisor]) -> Supervisor:
         self._thread = threading.Thread(target=self._run, args=(make,), name="cfgplan-supervisor", daemon=True)
-        self._thread.start()
         try:
+            self._thread.start()
             self._supervisor = _result(self._made)
         except BaseException:
             if not self._made.cancel() and self._made.exception() is None:

@@ -173,7 +173,7 @@ def test_a_unit_that_writes_into_foreign_descriptors_takes_nobody_with_it(
     runtime.apply(start(unit("count.1"), feeds, unit("work.1", topic="/result", x="count.1/n")))
     eventually(lambda: bool(seen(runtime, UnitDied)))
     assert {event.unit for event in seen(runtime, UnitDied)} == {"scribbler.1"}
-    assert "descriptors of others" in seen(runtime, UnitDied)[0].cause
+    assert "file descriptors that are not its own" in seen(runtime, UnitDied)[0].cause
     listener = Listener("/result")
     eventually(lambda: len(listener.received) > 20)
 

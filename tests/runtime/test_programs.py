@@ -87,7 +87,7 @@ def test_an_answer_may_have_several_results_or_none(run_units: StartRuntime, for
         ("no answer", "no answer", "`output`"),
         ("no step", "no answer", "its `step` is missing"),
         ("two steps", "no answer", "all answers of a list must have one `step`"),
-        ("skips", "no answer", "has none before that of step"),
+        ("skips", "no answer", "got no answer before step"),
         ("port", "unknown port", "there is no output port 'z', only y"),
         ("time", "time going back", "the time 1 is before 2, the last at y"),
         ("no time", "no answer", "`int` <="),
