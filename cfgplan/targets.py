@@ -65,7 +65,7 @@ class Target:
             is_limit=True,
         ),
     ] = ()
-    host: Annotated[str | None, Row("the host to which the stream is sent; if absent, it is sent to no certain host")] = None
+    host: Annotated[str | None, Row("the host to which the stream is sent; sent to no certain host if absent")] = None
     silent_us: Annotated[
         Natural | None,
         Row(

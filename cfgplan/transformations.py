@@ -431,7 +431,7 @@ class Transformation:
     requires: Annotated[
         str | None,
         Row(
-            "when its units may run: an expression over facts, such as `visibility >= 2 and not night`; always if absent",
+            "when its units may run: an expression over facts, such as `depth >= 2 and not night`; always if absent",
             form="RequirementText",
             xml=UNSAID,
         ),
@@ -477,7 +477,7 @@ class Transformation:
     max_instances: Annotated[
         Natural | None,
         Row(
-            "the largest number of its units, spares included; if absent, any number may run, and a plan mostly starts one",
+            "the largest number of its units, spares included; if absent, any number may run, plans mostly start one",
             feature=Feature.INSTANCES,
             is_limit=True,
             limits_units=True,

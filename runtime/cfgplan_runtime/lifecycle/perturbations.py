@@ -79,7 +79,7 @@ class Difference:
 
 
 class WorldChanged(Perturbation, frozen=True):
-    """Transformations, targets, individuals or settings were added, removed or changed; `by` is a file or the requester.
+    """Transformations, targets, individuals or settings were added, removed or changed; `by` is the file or requester.
 
     `difference` has the labels that were added, removed, replaced, changed or repriced, the ontology and the settings.
     """
@@ -114,7 +114,7 @@ class FactsChanged(Perturbation, frozen=True):
 
 
 class QualitiesObserved(Perturbation, frozen=True):
-    """Streams show that outputs are better or worse than planned; each is listed with its new and its declared value."""
+    """Streams show that outputs are better or worse than planned; each is listed with its new and declared value."""
 
     outputs: tuple[str, ...]
 

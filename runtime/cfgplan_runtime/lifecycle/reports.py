@@ -224,8 +224,8 @@ class Observed(Report, frozen=True):
 class BackedOff(Report, frozen=True):
     """A transformation has failed again and is not started for some time.
 
-    `backing_off` has the transformation, the number of its failures, left_s (the seconds before it may start again), the
-    cause and the host (null: on any host).
+    `backing_off` has the transformation, the number of its failures, left_s (the seconds until it may start again),
+    the cause and the host (null: on any host).
     """
 
     backing_off: BackingOff
