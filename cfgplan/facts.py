@@ -80,7 +80,7 @@ class Fact:
     topic: Annotated[
         str | None,
         Row(
-            "in place of `by`: the topic that observes the fact in a run; a target's or, with `type`, any ROS topic",
+            "in place of `by`: the topic that observes the fact in a run: a target's or, with `type`, any ROS topic",
             use=Use.RUNNING,
         ),
     ] = None
@@ -95,7 +95,7 @@ class Fact:
     type: Annotated[
         str | None,
         Row(
-            "the message type of `topic`, such as `std_msgs/Float32`, which is then a ROS topic of any publisher",
+            "the message type, such as `std_msgs/Float32`; `topic` is then a ROS topic, whoever publishes it",
             use=Use.RUNNING,
             xml="message",
         ),

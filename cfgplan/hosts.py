@@ -60,8 +60,8 @@ class Host:
     energy: Annotated[
         Natural | None,
         Row(
-            "watt seconds that its units may take over the horizon, by the watts that they state as `power` under "
-            "`needs`; no limit if absent",
+            "watt seconds that its units may take over the horizon, computed from the watts that they state as "
+            "`power` under `needs`; no limit if absent",
             most=LARGEST_AMOUNT**2,
             is_limit=True,
         ),

@@ -88,7 +88,7 @@ class QualityAttribute:
     rule: Annotated[
         QualityRule,
         Row(
-            "`add`, `limit`, `scale` or `set`: how the number counts of an output that states only a number",
+            "`add`, `limit`, `scale` or `set`: the rule of outputs whose quality is only a number",
             form="RuleName",
             use=Use.NONE,
         ),
@@ -97,7 +97,7 @@ class QualityAttribute:
     worst: Annotated[
         int,
         Row(
-            "the worst value, which a source has that states none; if absent 0, or 100000 with `better: lower`",
+            "the worst value, also of a source that states no quality; if absent 0, or 100000 with `better: lower`",
             form="PositiveMicro",
             absent=None,
         ),
@@ -307,7 +307,7 @@ class Wish:
     attribute: str
     bound: int | None = None
     weight_us: Annotated[
-        Natural, Row("CPU seconds that each unit of the attribute between the value and the best one costs")
+        Natural, Row("a price in CPU seconds, multiplied by the difference between the value and the best one")
     ] = 0
 
 

@@ -82,7 +82,7 @@ FOUND = Row(use=Use.NONE)
 """The row of an attribute that a run finds out: it is in no file, and no plan is stale for it."""
 QOS = Row(
     "in ROS 2: the quality of service, such as `best_effort` or `reliable transient_local deadline=0.1`; "
-    "`cfgplan check` names pairs that it keeps apart",
+    "`cfgplan check` names ports that it keeps from connecting",
     form="QosText",
     use=Use.RUNNING,
 )

@@ -31,7 +31,7 @@ class Target:
     """
 
     label: Annotated[
-        str, Row("the name of the target; unique; has every template variable of the target in it", xml=ELEMENT)
+        str, Row("the name of the target; unique; contains every template variable of the target", xml=ELEMENT)
     ]
     tag: Annotated[
         str,
@@ -65,7 +65,7 @@ class Target:
             is_limit=True,
         ),
     ] = ()
-    host: Annotated[str | None, Row("the host to which the stream is sent; to none if absent")] = None
+    host: Annotated[str | None, Row("the host to which the stream is sent; sent to no certain host if absent")] = None
     silent_us: Annotated[
         Natural | None,
         Row(

@@ -351,7 +351,7 @@ class Transformation:
     label: Annotated[
         str,
         Row(
-            "the name of the transformation; unique; has every template variable of the transformation in it",
+            "the name of the transformation; unique; contains every template variable of the transformation",
             use=Use.BOTH,
             xml=ELEMENT,
         ),
@@ -390,7 +390,7 @@ class Transformation:
         str | None,
         Row(
             "the unit code: package.module:Class, units.py:Class relative to this file, or program:./FILE; in ROS "
-            "node:PACKAGE/EXECUTABLE and others; needed for a run",
+            "node:PACKAGE/EXECUTABLE and other forms; needed for a run",
             use=Use.RUNNING,
             xml=ELEMENT,
         ),
@@ -431,7 +431,7 @@ class Transformation:
     requires: Annotated[
         str | None,
         Row(
-            "when its units may run: an expression over facts, `visibility >= 2.25 and not night`; always if absent",
+            "when its units may run: an expression over facts, such as `depth >= 2 and not night`; always if absent",
             form="RequirementText",
             xml=UNSAID,
         ),
@@ -452,7 +452,7 @@ class Transformation:
     beside: Annotated[
         tuple[str, ...],
         Row(
-            "labels of transformations: each needs a unit on every host where a unit of this one runs; none if absent",
+            "labels of transformations; wherever a unit of this one runs, a unit of each runs too; none if absent",
             key="with",
             feature=Feature.BESIDE,
             is_limit=True,
@@ -477,7 +477,7 @@ class Transformation:
     max_instances: Annotated[
         Natural | None,
         Row(
-            "the largest number of its units, spares included; no limit if absent",
+            "the largest number of its units, spares included; if absent, any number may run, plans mostly start one",
             feature=Feature.INSTANCES,
             is_limit=True,
             limits_units=True,
@@ -496,7 +496,7 @@ class Transformation:
     at_most: Annotated[
         Mapping[str, Natural],
         Row(
-            "selector of hosts to the largest number of its units on these hosts together; no limit if absent",
+            "selector of hosts to the largest number of its units on all of these hosts together; no limit if absent",
             form="dict[SelectorText, AtMost]",
             feature=Feature.INSTANCES,
             is_limit=True,

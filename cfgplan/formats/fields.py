@@ -556,7 +556,7 @@ class EnvironmentPart(Part, title="cfgplan environment"):
         xml=ELEMENT,
     )
     imports: Imports | None = row(
-        "where to find ontologies that an ontology imports: IRI to a file, relative to this file, or to `ignore`; "
+        "the files of imported ontologies: IRI to a file, relative to this file, or to `ignore`; "
         "`imports: ignore` skips every import that is not found; if absent, such an import is an error"
     )
     rules: Literal["ignore"] | None = row("`ignore`: use the ontology without its rules (SWRL); with them if absent")

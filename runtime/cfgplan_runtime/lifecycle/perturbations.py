@@ -13,7 +13,7 @@ class Perturbation(msgspec.Struct, frozen=True):
 
 
 class Started(Perturbation, frozen=True):
-    """The manager has started, without running units or with those that it has taken over."""
+    """The manager has started, with no running units or with units that it has taken over."""
 
 
 class UnitGone(Perturbation, frozen=True):
@@ -79,7 +79,7 @@ class Difference:
 
 
 class WorldChanged(Perturbation, frozen=True):
-    """Transformations, targets, individuals or settings have come, gone or changed; `by` is a file or who asked.
+    """Transformations, targets, individuals or settings were added, removed or changed; `by` is the file or requester.
 
     `difference` has the labels that were added, removed, replaced, changed or repriced, the ontology and the settings.
     """
@@ -105,7 +105,7 @@ class FactsChanged(Perturbation, frozen=True):
     """Facts have changed the environment of the plan.
 
     Transformations `left_out` may not run any more, those `back` may again, and outputs of those `requalified` are
-    better or worse than before. A transformation that facts of a host bar from it is called `mapper on r1`.
+    better or worse than before. `mapper on r1` means that facts of the host r1 forbid the mapper there.
     """
 
     left_out: tuple[str, ...] = ()
@@ -114,13 +114,13 @@ class FactsChanged(Perturbation, frozen=True):
 
 
 class QualitiesObserved(Perturbation, frozen=True):
-    """Streams say that outputs are better or worse than was known; each with its value and the declared one."""
+    """Streams show that outputs are better or worse than planned; each is listed with its new and declared value."""
 
     outputs: tuple[str, ...]
 
 
 class LinkMeasured(Perturbation, frozen=True):
-    """A link between hosts carries another rate than was known, in bytes per second; null: no less than declared.
+    """A link between hosts carries another rate than planned, in bytes per second; null: no less than declared.
 
     `between` are the two selectors of its hosts.
     """
@@ -130,13 +130,13 @@ class LinkMeasured(Perturbation, frozen=True):
 
 
 class LookDue(Perturbation, frozen=True):
-    """A transformation that was found too bad runs for some seconds, to see whether it has become better."""
+    """A transformation whose quality was too bad runs for some seconds, to measure whether it has become better."""
 
     transformation: str
 
 
 class LookOver(Perturbation, frozen=True):
-    """The units of a look have run for its time; their observed qualities decide whether they stay."""
+    """The time of a look is over; the observed qualities of its units decide whether they stay."""
 
     units: tuple[str, ...]
 

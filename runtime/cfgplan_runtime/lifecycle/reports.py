@@ -224,16 +224,16 @@ class Observed(Report, frozen=True):
 class BackedOff(Report, frozen=True):
     """A transformation has failed again and is not started for some time.
 
-    `backing_off` has the transformation, its failures, left_s (how long it is not started), the cause and the host
-    (null: wherever it runs).
+    `backing_off` has the transformation, the number of its failures, left_s (the seconds until it may start again),
+    the cause and the host (null: on any host).
     """
 
     backing_off: BackingOff
 
 
 class WorldRefused(Report, frozen=True):
-    """The environment file has errors (message, file, line, mend), and the last valid version holds; without faults, it
-    is valid again.
+    """The environment file has errors (`faults` with message, file, line, mend), and the last valid version holds; if
+    `faults` is empty, the file is valid again.
     """
 
     by: str

@@ -13,14 +13,14 @@ class Event(msgspec.Struct, frozen=True):
 
 
 class UnitReady(Event, frozen=True):
-    """A unit has started; `labor_us` is the CPU time that took, in microseconds."""
+    """A unit has started; `labor_us` is the CPU time of its start, in microseconds."""
 
     unit: str
     labor_us: int
 
 
 class UnitDied(Event, frozen=True):
-    """A unit has ended without being told to, or could not start, with the `cause`."""
+    """A unit has ended without being told to, or could not start; `cause` says why."""
 
     unit: str
     cause: str
@@ -33,7 +33,7 @@ class UnitStopped(Event, frozen=True):
 
 
 class SparePrepared(Event, frozen=True):
-    """The code of a cold spare is constructed in a process that waits; `labor_us` is the CPU time that took."""
+    """A process has constructed the code of a cold spare and waits; `labor_us` is the CPU time that this took."""
 
     unit: str
     labor_us: int
@@ -70,14 +70,14 @@ class UnitFailed(Event, frozen=True):
 
 
 class UnitHung(Event, frozen=True):
-    """A unit has given no sign of life for longer than it may, and is killed."""
+    """A unit has given no sign of life for longer than its `hang` allows, and is killed."""
 
     unit: str
     silent_s: float
 
 
 class UnitTooLarge(Event, frozen=True):
-    """A unit uses more memory than it may, and is killed."""
+    """A unit uses more memory than its limit, and is killed."""
 
     unit: str
     memory_bytes: int
@@ -86,7 +86,7 @@ class UnitTooLarge(Event, frozen=True):
 class UnitCutShort(Event, frozen=True):
     """A unit that was told to end had not ended after `after_s` seconds (`run: {stop: ...}`), and is killed.
 
-    `waiting` elements waited at its inputs when it gave its last sign of life.
+    At its last sign of life, `waiting` elements waited at its inputs.
     """
 
     unit: str
@@ -118,7 +118,7 @@ class InputLost(Event, frozen=True):
 
 
 class WireSwitched(Event, frozen=True):
-    """An input continues with the stream of this wire."""
+    """An input has switched to the stream of the wire with this number."""
 
     wire: int
 
@@ -193,16 +193,16 @@ class HelperAlive(Event, frozen=True):
 
 
 class HelperHung(Event, frozen=True):
-    """A helper process beside the units (nursery, outlets) has given no sign of life, and is replaced."""
+    """A helper process of the run (nursery, outlets) has given no sign of life, and is replaced."""
 
     helper: str
     silent_s: float
 
 
 class CertificateEnds(Event, frozen=True):
-    """The certificate of a host, or of the manager, ends within 30 days, and links of others with it end then.
+    """The certificate of a host, or of the manager, expires within 30 days; its links end when it expires.
 
-    Reported once a day; `ends` is its time.
+    The run reports it once a day; `ends` is the time at which it expires.
     """
 
     host: str
@@ -220,17 +220,17 @@ class OutOfDescriptors(Event, frozen=True):
 
 
 class HostLost(Event, frozen=True):
-    """A host can't be reached any more: its units and topics count as gone, and no end of a unit there is reported."""
+    """A host can't be reached any more: its units and topics count as gone, without a `UnitDied` for each of them."""
 
     host: str
     cause: str
 
 
 class HostJoined(Event, frozen=True):
-    """A host has joined, for the first time or again. It has no units of the run.
+    """A host has joined, for the first time or again. No units of the run are on it.
 
-    `ahead_us` is the difference of its time of day from the manager's, in microseconds. Times of elements are not
-    affected: they are on the run's clock on every host.
+    Its time of day is `ahead_us` microseconds ahead of the manager's. Times of elements are not affected: every host
+    takes them from the run's clock.
     """
 
     host: str
@@ -238,14 +238,14 @@ class HostJoined(Event, frozen=True):
 
 
 class ClockMoved(Event, frozen=True):
-    """A host's time of day, or the manager's, was set: it is ahead by `ahead_us` now."""
+    """The time of day of a host, or of the manager, was set; the host's is now `ahead_us` microseconds ahead."""
 
     host: str
     ahead_us: int
 
 
 class ElementsLost(Event, frozen=True):
-    """A lost host is back, and some of its elements for other hosts had not arrived, as far as it knows."""
+    """A lost host is back. So many of its `elements` for other hosts had not arrived, as far as it knows."""
 
     host: str
     elements: int
@@ -254,8 +254,8 @@ class ElementsLost(Event, frozen=True):
 class Applied(Event, frozen=True):
     """The change set `id` was carried out.
 
-    `seconds` is the time of each phase; `unswitched` counts inputs whose new source had given nothing yet when the old
-    one was taken away.
+    `seconds` has the duration of each phase. `unswitched` counts the inputs whose old source was removed before the new
+    one had sent anything.
     """
 
     id: str
