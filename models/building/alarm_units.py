@@ -33,7 +33,8 @@ def fire_alarm(
     """Return an alarm while the smoke of a room is at its limit or above, with temperature and people if measured; else
     None.
 
-    `settings` has the limit of each room; without it the limit is 0.5."""
+    `settings` has the limit of each room; without it the limit is 0.5.
+    """
     if smoke < (settings or {}).get(room, 0.5):
         return None
     known = {"temperature": temperature, "people": people}

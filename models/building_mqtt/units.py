@@ -11,7 +11,8 @@ def celsius(fahrenheit: float) -> float:
 class Thermostat:
     """Maps temperatures in degrees Celsius to "ON" or "OFF" for the heater.
 
-    It switches on below `wanted_c - band_c`, and off at or above `wanted_c + band_c`."""
+    It switches on below `wanted_c - band_c`, and off at or above `wanted_c + band_c`.
+    """
 
     def __init__(self, wanted_c: float, band_c: float = 0.2) -> None:
         self._wanted_c, self._band_c = wanted_c, band_c

@@ -41,7 +41,8 @@ def visibility_m(at_s: float, period_s: float) -> float:
 class Water:
     """Yields the visibility in metres, `range_m`, as a sensor measures it.
 
-    `noise` is the standard deviation of the sensor's error, as a share of the visibility."""
+    `noise` is the standard deviation of the sensor's error, as a share of the visibility.
+    """
 
     def __init__(self, period_s: float, pace: float = 1.0, noise: float = 0.0) -> None:
         import random

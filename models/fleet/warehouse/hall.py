@@ -64,7 +64,8 @@ def crates(time_ns: int) -> tuple[Crate, ...]:
 def pose(robot: str, time_ns: int) -> Pose:
     """Return the true pose of a robot at a time.
 
-    r1 moves along the west wall, r2 along the east wall; both face the middle."""
+    r1 moves along the west wall, r2 along the east wall; both face the middle.
+    """
     if robot not in ("r1", "r2"):
         raise ValueError(f"no robot {robot!r} is in the hall, only r1, r2")
     side = -1 if robot == "r1" else 1
@@ -107,7 +108,8 @@ def pixel(pose: Pose, x: float, y: float, height: float) -> tuple[float, float] 
 def on_floor(pose: Pose, u: float, v: float, beyond_m: float = 0.0) -> tuple[float, float, float] | None:
     """Return x and y of the point on the floor that a pixel shows, and its distance, all in metres.
 
-    The point is moved away from the camera by `beyond_m`. None if the pixel does not show the floor."""
+    The point is moved away from the camera by `beyond_m`. None if the pixel does not show the floor.
+    """
     down = (v - CENTRE[1]) / FOCAL
     drop = math.sin(TILT) + math.cos(TILT) * down
     if drop <= 1e-3:

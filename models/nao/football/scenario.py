@@ -42,7 +42,8 @@ def light(time_ns: int, day_s: float | None) -> float:
 def pose(robot: str, time_ns: int) -> Pose:
     """Return the true pose of a robot: it moves around the ball at 0.9 to 2.3 m, and its heading sways.
 
-    Raises ValueError for an unknown robot."""
+    Raises ValueError for an unknown robot.
+    """
     if robot not in _COMPANIONS:
         raise ValueError(f"no robot {robot!r} is on the field, only {', '.join(_COMPANIONS)}")
     companion = _COMPANIONS[robot]

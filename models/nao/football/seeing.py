@@ -61,7 +61,8 @@ def subsampled(channel: Bytes) -> dict[int, Bytes]:
 def field_hull(luma: Bytes, v: Bytes) -> Points | None:
     """Return the convex hull of the green area of small Y and V images, (n, 2), in pixels of the full image.
 
-    None if hardly any pixel is green."""
+    None if hardly any pixel is green.
+    """
     mask = ((v < _GREEN_V) & (luma > _GREEN_Y[0]) & (luma < _GREEN_Y[1])).astype(np.uint8)
     mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))  # type: ignore[assignment]
     outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
@@ -79,7 +80,8 @@ def field_hull(luma: Bytes, v: Bytes) -> Points | None:
 def find_ball(hull: Points, fine: Bytes, coarse: Bytes) -> Seen | None:
     """Return the ball inside the hull, or None.
 
-    It is found by its size in `coarse`, the 320 x 240 luma, and measured in `fine`, the 640 x 480 luma."""
+    It is found by its size in `coarse`, the 320 x 240 luma, and measured in `fine`, the 640 x 480 luma.
+    """
     scale = fine.shape[1] / coarse.shape[1]
     inside = np.zeros(coarse.shape, np.uint8)
     corners = (hull + 0.5) / scale - 0.5

@@ -107,7 +107,8 @@ def _living(unit: ComputationUnit, gone: Sequence[str]) -> tuple[Subscription, .
 def silence(samples: Sequence[Sample], began_ns: int, until_ns: int) -> Silence | None:
     """Return the longest pause between two positions that overlaps a span of time, extended by a frame at each end.
 
-    None without a pause."""
+    None without a pause.
+    """
     near = [
         (last, first)
         for last, first in pairwise(samples)

@@ -98,7 +98,8 @@ class Comparison:
 def compare(robots: Sequence[Robot], times_ns: Iterable[int]) -> Comparison | None:
     """Compare two robots and their fusion with the true positions, at the times when both see the ball.
 
-    None if both never see it at the same time."""
+    None if both never see it at the same time.
+    """
     fuse = FuseBallPos()
     first, second = robots
     errors: list[tuple[float, float, float]] = []
