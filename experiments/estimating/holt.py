@@ -13,7 +13,7 @@ from cfgplan_runtime.estimating.history import CostSample
 class Holt:
     """Double exponential smoothing: a level and a trend, each moved towards the observations (Holt 1957).
 
-    The level forgets twice as fast as `memory`, the trend as fast. Samples may be irregular (Wright 1986).
+    `memory` is the half-life of the trend, and twice that of the level. Samples may be irregular (Wright 1986).
     """
 
     memory: float

@@ -85,7 +85,7 @@ class Program:
     def missed(self, chosen: list[int]) -> Rows:
         """Return the landmarks that the chosen units miss, as rows.
 
-        A row requires one of the units of `ways_in`, or one unit outside a closed set. For a fleet, landmarks of the
+        A row requires a unit of `ways_in`, or a unit outside a largest set that still misses a goal. For a fleet, landmarks of the
         problem without hosts are added.
         """
         rows = Rows()
