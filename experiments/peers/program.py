@@ -85,8 +85,8 @@ class Program:
     def missed(self, chosen: list[int]) -> Rows:
         """Return the landmarks that the chosen units miss, as rows.
 
-        A row requires a unit of `ways_in`, or a unit outside a largest set that still misses a goal. For a fleet, landmarks of the
-        problem without hosts are added.
+        A row requires a unit of `ways_in`, or a unit outside a largest set that still misses a goal. For a fleet,
+        landmarks of the problem without hosts are added.
         """
         rows = Rows()
         if self.placing is not None:
