@@ -80,7 +80,7 @@ def _rows(options: argparse.Namespace, folder: Path) -> list[Row]:
 
 
 def in_order(rows: Iterable[Row]) -> list[Row]:
-    """The rows by planner, in the order of the registries; repeated runs stand last in the file."""
+    """Return the rows sorted by planner, in the order of the registries. Repeated runs are last in the file."""
     places = {name: place for place, name in enumerate(ENTRANTS)}
     return sorted(rows, key=lambda row: places.get(row.planner, len(places)))
 

@@ -1,6 +1,6 @@
 """A generated instance as an environment file with its ontology: `python -m experiments.export NAME --out FOLDER`.
 
-NAME is as in the tables, such as 'nao(robots=2)#0'. The loaded file is a problem with the same optimum.
+NAME is the instance's name in the tables, such as 'nao(robots=2)#0'. The file is a problem with the same optimum.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ ENVIRONMENT = "environment.yaml"
 def export(problem: Problem, folder: Path) -> Path:
     """Write a problem's environment and an ontology that entails its similarity; returns the environment file.
 
-    Offered and demanded tags become classes of their own, so that transitivity adds no match. Raises InputError for
-    open pairs of tags, which an ontology can't express.
+    Offered and demanded tags become separate classes, so that transitivity adds no match. Raises InputError if a pair
+    of tags is undecided, which an ontology can't express.
     """
     if problem.similarity.open:
         raise InputError.of("some pairs of tags are open", mend="match the environment with a reasoner first")

@@ -1,4 +1,4 @@
-"""How the estimators converge on units whose costs are constant, noisy, stepping, drifting, spiky, or that crash.
+"""How estimators converge on units whose costs are constant, noisy, stepping, drifting or spiky, and on crashing units.
 
 python experiments/estimating/convergence.py [--out experiments/estimating]
 """
@@ -38,7 +38,7 @@ NEAR = 0.1
 
 @dataclass(frozen=True)
 class Scenario:
-    """`truth` is the upkeep in microseconds per second at a second; `noise` is what each second adds to it."""
+    """A unit: `truth` maps a second to its upkeep in microseconds per second, `noise` to a random addition."""
 
     name: str
     truth: Callable[[int], float]
@@ -51,7 +51,7 @@ class Scenario:
         return Behaviour(start_s=0.1, dies_s=self.dies_s, upkeep_us=lambda now_s: seconds[int(now_s)])
 
     def expected_us(self, now_s: int) -> float:
-        """Return the true expected value at a moment: the mean over the horizon, without noise."""
+        """Return the true value to estimate at a moment: the mean upkeep over the horizon, without noise."""
         return sum(self.truth(now_s + second) for second in range(HORIZON_S)) / HORIZON_S
 
 

@@ -1,4 +1,4 @@
-"""Double exponential smoothing as a forecaster: compared with the product's, which it does not surpass."""
+"""Double exponential smoothing as a forecaster. It is not better than cfgplan's own."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cfgplan_runtime.estimating.history import CostSample
 class Holt:
     """Double exponential smoothing: a level and a trend, each moved towards the observations (Holt 1957).
 
-    The level forgets twice as fast as `memory`, the trend as fast as it. Samples may be at any distance (Wright 1986).
+    `memory` is the half-life of the trend, and twice that of the level. Samples may be irregular (Wright 1986).
     """
 
     memory: float

@@ -54,7 +54,7 @@ def library() -> tuple[Transformation, ...]:
 
 
 def upkeeps(seed: int, length_s: int) -> dict[str, list[float]]:
-    """The true upkeep of each transformation at each second: constant, then at random moments another."""
+    """Return the true upkeep of each transformation at each second; it jumps at random moments."""
     dice, found = random.Random(seed), {}
     for stage in range(len(STAGES)):
         for label in labels(stage):
@@ -89,7 +89,7 @@ class Knowing:
         self._now_s = now_s
 
     def failed(self, transformation: str, now_s: float) -> None:
-        """Nothing fails here."""
+        """Ignore failures: no unit fails here."""
 
     def labor_us(self, transformation: Transformation, horizon_s: int) -> int:  # noqa: ARG002
         return transformation.labor_us
@@ -114,7 +114,7 @@ ESTIMATORS: dict[str, Callable[[dict[str, list[float]]], Knowing | LearningEstim
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result of one run.
+    """The result of one run of a manager.
 
     `regret` is the cost beyond the omniscient planner's, as a fraction of the latter; `course` is how it grew, in CPU
     seconds at each second.
@@ -129,7 +129,7 @@ class Outcome:
 
 
 def run(case: tuple[str, int, int, int]) -> Outcome:
-    """One manager through one world."""
+    """Run one manager through one world."""
     name, horizon_s, seed, length_s = case
     truth = upkeeps(seed, length_s + 1)
     dice = random.Random(seed)

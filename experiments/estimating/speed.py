@@ -1,4 +1,4 @@
-"""The CPU time of learning: for one look at running units, and for the estimates of a large library at a review.
+"""The CPU time of learning: of one observation of running units, and of estimating a large library at a review.
 
 python experiments/estimating/speed.py
 """

@@ -1,4 +1,4 @@
-"""Families of instances: seeded functions from parameters to a planning problem, by name.
+"""Families of instances, by name: functions from a seed and parameters to a planning problem.
 
 The same seed and parameters give the same problem on every machine.
 """

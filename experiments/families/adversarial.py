@@ -1,4 +1,4 @@
-"""Hand-made hard cases that grow with one size: each makes a weakness of some planner as bad as it gets.
+"""Handmade hard cases of any size, each of which is the worst case of some planner.
 
 Every tag matches itself and nothing else.
 """
@@ -16,7 +16,7 @@ from cfgplan.planning import Problem
 
 
 def adversarial(seed: int, *, kind: str, size: int) -> Problem:
-    """The case `kind` (a key of `KINDS`) at `size`; only `cover` depends on the seed."""
+    """Return the case `kind` (a key of `KINDS`) of a size; only `cover` depends on the seed."""
     if kind not in KINDS:
         raise InvalidValueError(f"{kind!r} is no adversarial case: there are {', '.join(sorted(KINDS))}")
     if size < 1:
@@ -25,16 +25,16 @@ def adversarial(seed: int, *, kind: str, size: int) -> Problem:
 
 
 def dedicated(size: int, _: Random) -> Problem:
-    """`size` targets with a transformation of 10 each, and one transformation of 11 that serves them all."""
+    """Return `size` targets: each has a transformation that costs 10, and one that costs 11 serves them all."""
     wanted = [f"q{i}" for i in range(size)]
     library = [unit(f"dedicated{i}", 10, (), (tag,)) for i, tag in enumerate(wanted)]
     return problem([*library, unit("shared", 11, (), wanted)], wanted)
 
 
 def tower(size: int, _: Random) -> Problem:
-    """`size` floors of two units that both rest on both units below: linear as a graph, exponential as a tree.
+    """Return `size` floors of two units that each need both units below: linear as a graph, exponential as a tree.
 
-    Beside it a direct way that costs more than the graph and less than the tree.
+    An alternative costs more than the graph and less than the tree.
     """
     library = [unit("base", 1, (), ("a0", "b0"))]
     for floor in range(1, size + 1):
@@ -45,7 +45,7 @@ def tower(size: int, _: Random) -> Problem:
 
 
 def blow_up(size: int, _: Random) -> Problem:
-    """`size` floors, each of three alternatives with two inputs from the floor below: (2 * 3) ** size tree nodes."""
+    """Return `size` floors of three alternatives with two inputs from the floor below: (2 * 3) ** size tree nodes."""
     library = [unit(f"source{i}", 3 + i, (), ("c0",)) for i in range(3)]
     for floor in range(1, size + 1):
         library += [unit(f"t{floor}_{i}", 3 + i, (f"c{floor - 1}",) * 2, (f"c{floor}",)) for i in range(3)]
@@ -53,14 +53,14 @@ def blow_up(size: int, _: Random) -> Problem:
 
 
 def ring(size: int, _: Random) -> Problem:
-    """`size` units of no cost that feed each other in a ring, which any of `size` dear sources can start."""
+    """Return a ring of `size` free units that feed each other; any of `size` expensive sources can feed the ring."""
     library = [unit(f"ring{i}", 0, (f"c{i}",), (f"c{(i + 1) % size}", f"q{i}")) for i in range(size)]
     sources = [unit(f"source{i}", 10 + i, (), (f"c{i}",)) for i in range(size)]
     return problem([*library, *sources], [f"q{i}" for i in range(size)])
 
 
 def fusion(size: int, _: Random) -> Problem:
-    """A fusion of `size` different transformations, where the cheapest of `2 * size` sources suits every input."""
+    """Return a fusion of `size` different transformations; each of `2 * size` sources matches every input."""
     sources = [unit(f"source{i}", 1 + i, (), ("position",)) for i in range(2 * size)]
     inputs = tuple(InputPort(f"in{i}", "position", distinct="sources") for i in range(size))
     fuse = Transformation("fuse", inputs, (OutputPort("out0", "q"),), labor_us=MICROSECONDS)
@@ -68,7 +68,7 @@ def fusion(size: int, _: Random) -> Problem:
 
 
 def cover(size: int, random: Random) -> Problem:
-    """Weighted set cover: `size` targets and twice as many transformations that each give three to six of them."""
+    """Return a weighted set cover: `size` targets and twice as many transformations that each meet three to six."""
     wanted = [f"q{i}" for i in range(size)]
     library = [unit(f"single{i}", 12, (), (tag,)) for i, tag in enumerate(wanted)]
     for i in range(2 * size):
@@ -90,7 +90,7 @@ KINDS: Mapping[str, Callable[[int, Random], Problem]] = MappingProxyType(
 
 
 def unit(label: str, labor_s: int, needs: Sequence[str], gives: Sequence[str]) -> Transformation:
-    """A transformation without upkeep."""
+    """Return a transformation without upkeep, with labor in seconds, demanded tags and offered tags."""
     return Transformation(
         label,
         tuple(InputPort(f"in{i}", tag) for i, tag in enumerate(needs)),
@@ -100,7 +100,7 @@ def unit(label: str, labor_s: int, needs: Sequence[str], gives: Sequence[str]) -
 
 
 def problem(library: Sequence[Transformation], wanted: Sequence[str]) -> Problem:
-    """Nothing runs; one target for each of the tags."""
+    """Return a problem in which nothing runs, with a target for each wanted tag."""
     tags = {i.tag for t in library for i in t.inputs} | {o.tag for t in library for o in t.outputs} | set(wanted)
     targets = tuple(Target(tag, tag, f"/{tag}") for tag in wanted)
     return Problem(

@@ -1,4 +1,4 @@
-"""Running systems to start from: a valid configuration that is cheap but not optimal, or units in any state."""
+"""Running configurations to start from: a valid one that is cheap but not optimal, or one with gaps."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ MILLISECONDS = 1000
 
 
 def cheap_configuration(environment: Environment, similarity: Similarity, horizon_s: int) -> Environment:
-    """Return the environment with a valid running configuration, in which the cheapest chain alone feeds each demand.
+    """Return the environment with a valid running configuration: the cheapest chain of units for each demand.
 
-    The chains are those of h_add (Bonet and Geffner 2001), which counts shared units twice. Every target must be
+    Chains are compared by h_add (Bonet and Geffner 2001), which counts shared units twice. Every target must be
     satisfiable; `distinct` and `feedback` inputs are not supported.
     """
     providers = Providers(environment.library, similarity)
@@ -58,7 +58,7 @@ def cheap_configuration(environment: Environment, similarity: Similarity, horizo
 def wired_where_possible(
     environment: Environment, similarity: Similarity, labels: Collection[str]
 ) -> tuple[ComputationUnit, ...]:
-    """A unit of each of the labels, its inputs fed by the units before it where one matches, else left as gaps."""
+    """Return a unit of each label. Its inputs are fed by earlier units that match; other inputs are gaps."""
     latest: dict[str, Transformation] = {}
     units = []
     for label in labels:
@@ -74,7 +74,7 @@ def wired_where_possible(
 
 
 def without(units: Collection[ComputationUnit], dead: Collection[str]) -> tuple[ComputationUnit, ...]:
-    """The units that are left when those with the ids `dead` fail; subscriptions to these become gaps."""
+    """Return the units that remain when the units with the ids `dead` fail; subscriptions to these become gaps."""
     return tuple(
         ComputationUnit(
             unit.id,

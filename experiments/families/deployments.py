@@ -1,7 +1,6 @@
-"""Deployments: replicated services on rented machines, many identical ones of both.
+"""Deployments: replicated services on rented machines, with many identical units and hosts.
 
-The published deployments of OpenStack are the pattern: 17 components, some of them many times, on few sizes of
-machines.
+They follow published deployments of OpenStack: 17 components, some replicated, on machines of a few sizes.
 """
 
 from __future__ import annotations
@@ -18,10 +17,11 @@ COMPONENTS = 17
 def deployment(
     seed: int, *, hosts: int = 6, replicas: int = 2, minimise: tuple[Objective, ...] = (Objective.COST,)
 ) -> Problem:
-    """A deployment of 17 components on machines of two sizes.
+    """Return a deployment of 17 components on machines of two sizes.
 
-    About a third of the components run `replicas` times; each needs streams of one to three earlier ones, of some of
-    several different units. Some serve only so many, some are never together on a machine, one is wherever others are.
+    About a third of the components run `replicas` times. Each needs streams of one to three earlier components, some
+    from several units. Some serve a limited number of consumers, some never share a machine, and one accompanies
+    others.
     """
     rng = random.Random(seed)
     library: list[Transformation] = []
@@ -61,7 +61,7 @@ def deployment(
 
 
 def with_one_word(problem: Problem, **said: object) -> Problem:
-    """The deployment with an input more at one of its components, which says a word of its own."""
+    """Return the deployment with one more input at a component, which has the given fields."""
     library = list(problem.environment.library)
     more = InputPort("more", "Sc00", **said)  # type: ignore[arg-type]
     library[5] = replace(library[5], inputs=(*library[5].inputs, more))
@@ -69,7 +69,7 @@ def with_one_word(problem: Problem, **said: object) -> Problem:
 
 
 def with_a_ring(problem: Problem) -> Problem:
-    """The deployment with two components that may feed each other, or be fed by an expensive source."""
+    """Return the deployment with two more components that may feed each other or use an expensive source."""
     library = list(problem.environment.library)
     offers = dict(problem.similarity.offers)
     for reader, provider in ((5, 8), (8, 5)):

@@ -1,4 +1,4 @@
-"""Fleets: a random library on a few identical hosts with limited capacity and a price for carrying streams."""
+"""Fleets: a random library on a few identical hosts with limited capacity and a price for transfers."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def fleet(
 ) -> Problem:
     """Return a random library on identical hosts, with most targets on one of them.
 
-    All hosts together have `room` times the CPU time and `memory` times the memory estimated for the targets; 0: no
-    limit. Carrying a megabyte costs `transfer_us`.
+    All hosts together have `room` times the CPU time and `memory` times the memory estimated for the targets; 0 means
+    no limit. A transfer costs `transfer_us` microseconds of CPU time per megabyte.
     """
     problem = random_library(seed, transformations=transformations, targets=targets)
     random = Random(seed)

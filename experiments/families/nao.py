@@ -35,7 +35,7 @@ PIPELINE: tuple[tuple[str, int, int, tuple[str, ...], tuple[str, ...]], ...] = (
 
 
 def nao(seed: int, *, robots: int = 2, event: str = "registered", fusion: int = 0, horizon_s: int = 60) -> Problem:
-    """`robots` NAOs that can all report where the ball is, to one target.
+    """Return a problem with one target, the ball's position, and `robots` NAOs that can all provide it.
 
     `event` is `registered` (nothing runs yet), `lost` (the first robot's pipeline has lost its segmenter) or
     `left` (the first robot's transformations but its camera have left the library while its pipeline

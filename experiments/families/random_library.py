@@ -36,14 +36,13 @@ def random_library(
     distinct: float = 0.0,
     horizon_s: int = 60,
 ) -> Problem:
-    """A library of `depth` layers, whose first needs no input, and targets among its last concepts that can be met.
+    """Return a library of `depth` layers, whose first has no inputs, with satisfiable targets in the last layer.
 
-    About `branching` outputs give one concept. An input asks for a concept of the layer before (70 %) or
-    of any lower one, or, with probability `back`, of its own layer or a higher one, which closes cycles.
-    It asks for a parent of four concepts with probability `parents`, and for one of the tenth of the
-    layer that all like best with probability `sharing`. All inputs of a transformation ask for the same, from
-    different ones, with probability `distinct`. A unit of each transformation runs with probability `running`.
-    Costs are whole milliseconds.
+    About `branching` outputs offer each concept. An input demands a concept of the layer before (70 %) or of any lower
+    one; with probability `back`, one of its own layer or a higher one, which closes cycles. With probability `parents`
+    it demands a parent of four concepts, with probability `sharing` a concept among the most popular tenth of the
+    layer. With probability `distinct`, all inputs of a transformation demand one concept from different
+    transformations. A unit of each transformation runs with probability `running`. Costs are whole milliseconds.
     """
     if min(transformations, depth, branching, outputs) < 1 or transformations < depth:
         raise InvalidValueError("a random library needs a transformation for each layer, a branching and an output")

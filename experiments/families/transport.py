@@ -1,7 +1,7 @@
-"""Transport: crates in stacks, trucks that carry them, hoists that lift them, and nothing is undone.
+"""Transport: crates in stacks, trucks that carry them, hoists that lift them; no action deletes a fact.
 
-These are the depots of the planning competitions without their delete effects. Actions give back what others took, so
-that facts give each other in many and long cycles, and all actions cost the same.
+These are the depots of the planning competitions without delete effects. Since actions are reversible, facts support
+each other in many long cycles, and all actions cost the same.
 """
 
 from __future__ import annotations

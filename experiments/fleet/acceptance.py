@@ -3,8 +3,8 @@
     python experiments/fleet/acceptance.py [--case NAME ...] [--short]
 
 The computers are network namespaces (`network.py`) whose agents have certificates; the manager runs on `base`. Each
-case prints its figures and its limit. The exit code is 1 if one does not hold (with --short: limits of time, which a
-busy computer misses, do not count), 77 if namespaces are not available.
+case prints its figures and its limit. The exit code is 1 if a limit is missed, 77 if namespaces are not available.
+With --short, time limits are ignored, since a busy computer misses them.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ PATIENT_LEASE_S = 10.0
 
 @dataclass(frozen=True)
 class Seen:
-    """The result of a case: figures as text, whether they are right, and whether they keep the limits of time."""
+    """The result of a case: figures as text, whether they are correct, and whether they keep the time limits."""
 
     text: str
     is_right: bool
@@ -130,7 +130,9 @@ def old_term(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
 
 
 def returning(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
-    """A host returns: its leftover units end within 1 s, and their elements of the meantime are reported as lost."""
+    """A host returns: its leftover units end within 1 s, and the elements that they sent meanwhile are reported as
+    lost.
+    """
     from cfgplan.domain import ChangeSet
 
     with stream(fleet, "r2", "r1") as (runtime, listener):
@@ -158,7 +160,7 @@ def returning(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
 
 
 def witness(fleet: Fleet, runtime: Any, host: str) -> Listener:
-    """Return a listener to a topic of a host: a unit there that publishes a stream on it knows each element that was
+    """Return a listener to a topic at a host. It gets every element that a unit there publishes, also elements that are
     lost on the way to other hosts.
     """
     from cfgplan_runtime.streams.run_folder import topics_of
@@ -172,7 +174,7 @@ def witness(fleet: Fleet, runtime: Any, host: str) -> Listener:
 
 @contextlib.contextmanager
 def managed(fleet: Fleet) -> Iterator[tuple[Any, Listener, Any]]:
-    """A manager of what gives numbers at the base, on r1 or r2, and the unit that runs on one of these."""
+    """Yield a manager, a listener at the base, and the unit that sends numbers to it from r1 or r2."""
     from dataclasses import replace
 
     from cfgplan_runtime import Manager
@@ -194,7 +196,7 @@ def managed(fleet: Fleet) -> Iterator[tuple[Any, Listener, Any]]:
 
 
 def agent_killed(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
-    """An agent is killed: the manager has its unit on another host, silence under 100 ms."""
+    """An agent is killed: the manager moves its unit to another host, silence under 100 ms."""
     with managed(fleet) as (runtime, listener, moving):
         start = time.monotonic()
         fleet.kill_agent(moving.host)
@@ -257,7 +259,7 @@ def overload(fleet: Fleet, short: bool) -> Seen:
 
 
 def slow_links(fleet: Fleet, short: bool) -> Seen:
-    """0.5 MB at 0.6 Hz over 5 Mbit/s, 2 MB at 2 Hz and 10 MB at 0.4 Hz over 50: all come, others wait under 0.1 s."""
+    """0.5 MB at 0.6 Hz over 5 Mbit/s, 2 MB at 2 Hz and 10 MB at 0.4 Hz over 50: all arrive, others wait under 0.1 s."""
     from cfgplan.domain import ChangeSet
 
     texts, holds, is_in_time = [], True, True
@@ -284,9 +286,7 @@ def slow_links(fleet: Fleet, short: bool) -> Seen:
 
 
 def crowded_link(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
-    """2 MB at 2 Hz, 32 Mbit/s, over a 20 Mbit/s link: a run reports that the link takes less, both rates, and the
-    result.
-    """
+    """2 MB at 2 Hz, 32 Mbit/s, over a 20 Mbit/s link: a run reports the overload, both rates, and the consequence."""
     from cfgplan_runtime.operating.crowded_links import CrowdedLinks
     from cfgplan_runtime.operating.flows import Flows
 
@@ -311,7 +311,9 @@ def crowded_link(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
 
 
 def measured_rate(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
-    """32 Mbit/s of pictures over a link that gives 20: the run measures it, and compresses them from then on."""
+    """32 Mbit/s of pictures over a link of 20 Mbit/s: the run measures the link, and compresses the pictures from then
+    on.
+    """
     from cfgplan_runtime import Manager
     from cfgplan_runtime.lifecycle.perturbations import LinkMeasured
     from cfgplan_runtime.lifecycle.reports import Perturbed, Report
@@ -365,8 +367,8 @@ def measured_rate(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
 
 
 def lossy_links(fleet: Fleet, short: bool) -> Seen:
-    """20 % of all packets lost and 100 ms of delay, one way: no host is lost, no unit moves, and no element is lost
-    uncounted; on a computer with time for it, none is lost.
+    """20 % of all packets lost and 100 ms of delay, one way: no host is lost, no unit moves, and every lost element is
+    counted; on an idle computer none is lost.
     """
     with managed(fleet) as (runtime, listener, moving), contextlib.ExitStack() as stack:
         stack.enter_context(fleet.network.lossy(0.2, 0.1))
@@ -485,7 +487,10 @@ def load(fleet: Fleet, short: bool) -> Seen:
 
 
 def environment_file(fleet: Fleet, name: str = "", *, source: str, worker: str, targets: str = "") -> Path:
-    """Numbers from a host through another (`[r1, r2]`: one of these) to a topic at the base; `other` is for r1."""
+    """Write an environment file: numbers from a host through a worker on another host to a topic at the base.
+
+    `[r1, r2]` allows either host; the target `other` needs r1.
+    """
     path, code = fleet.folder / f"environment{name}.yaml", UNITS / "measured_units.py"
     path.write_text(f"""\
 format: cfgplan/1
@@ -502,7 +507,7 @@ targets:
 
 
 def manager_killed(fleet: Fleet, short: bool) -> Seen:
-    """A manager is killed and started again, there, elsewhere, and beside a living one: 0 lost, silence under 50 ms."""
+    """A manager is killed and restarted on its host, on another, beside a living one: 0 lost, silence under 50 ms."""
     path, texts, silences = environment_file(fleet, source="r1", worker="r2"), [], list[float]()
     with contextlib.ExitStack() as stack:
         manager = stack.enter_context(fleet.manager("base", path))
@@ -567,17 +572,17 @@ def storm(fleet: Fleet, short: bool) -> Seen:
 
 
 def images_lost(values: Sequence[int]) -> int:
-    """How many images are missing, by their numbers modulo 256."""
+    """Return the number of missing images, by their numbers modulo 256."""
     return sum((after - before) % 256 - 1 for before, after in pairwise(list(values)))
 
 
 def dropped_by(runtime: Any, name: str) -> int:
-    """The elements that were dropped on their way to a unit."""
+    """Return the number of elements that were dropped on their way to a unit."""
     return sum(one.dropped for one in runtime.observe() if one.unit == name)
 
 
 def dropped_between_hosts(runtime: Any) -> int:
-    """The elements that were dropped on their way to other hosts, to units and to topics."""
+    """Return the number of elements that were dropped on their way to other hosts, to units and to topics."""
     told = events(runtime, "CrossingsStatus")
     return sum(counts.dropped for counts in told[-1].crossings.values()) if told else 0
 
@@ -615,7 +620,7 @@ LOSING = (agent_killed, partition, storm, returning, cut_for_good)
 
 
 def played(network: Network, names: Sequence[str], short: bool) -> bool:
-    """Play cases on a network, from within it. Returns whether all hold."""
+    """Run cases on a network, from within it. Returns whether all passed."""
     from cfgplan_runtime.fleet.certificates import make
 
     from cfgplan.errors import CfgplanError

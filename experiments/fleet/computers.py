@@ -48,7 +48,7 @@ sys.exit(main())
 
 
 class Manager(NamedTuple):
-    """A run as a process of its own; `said` is the file with its output."""
+    """A run in a separate process; `said` is the file with its output."""
 
     process: subprocess.Popen[str]
     said: Path
@@ -58,15 +58,15 @@ class Manager(NamedTuple):
         self.await_text("Running 2 units")
 
     def await_text(self, text: str) -> float:
-        """Wait until it has printed something; returns how long that took."""
+        """Wait until it has printed a text; returns the seconds that it took."""
         return eventually(lambda: text in self.said.read_text())
 
 
 class Fleet:
-    """Agents on all hosts of a network, as commands; `secrets` has their certificates, `units` their code. A context
-    manager.
+    """Agents on all hosts of a network, started by commands; a context manager.
 
-    Without `is_secured` they do without, which only this experiment allows beyond loopback.
+    `secrets` is the folder of their certificates, `units` that of their code. Without `is_secured` they use no
+    certificates, which beyond loopback only this experiment allows.
     """
 
     def __init__(
@@ -100,14 +100,16 @@ class Fleet:
             eventually(lambda host=host: "listens on" in self.said(host))
 
     def start_agent(self, host: str, *, ahead_ns: int = 0) -> None:
-        """Start a host's agent, with its clock ahead. Each pair of hosts is named once: see the runtime's README."""
+        """Start a host's agent, its clock ahead by `ahead_ns`. Each link is named at one end only: see the runtime's
+        README.
+        """
         others = [f"--connect={self.endpoints[other]}" for other in self.hosts[: self.hosts.index(host)]]
         arguments = ["agent", f"--name={host}", f"--listen={self.endpoints[host]}", *others, f"--folder={self._units}"]
         self.agents[host] = self._start(host, arguments, self._secrets / host, self._base(host), ahead_ns=ahead_ns)
 
     @contextlib.contextmanager
     def manager(self, host: str, environment: Path) -> Iterator[Manager]:
-        """`cfgplan run --take-over` on a host, which is killed at the end if it still runs."""
+        """Run `cfgplan run --take-over` on a host; it is killed at the end if it still runs."""
         self._managers += 1
         base = self._base(f"manager-{self._managers}")
         connect = [f"--connect={endpoint}" for endpoint in self.endpoints.values()]
@@ -120,7 +122,7 @@ class Fleet:
 
     @contextlib.contextmanager
     def twin(self, name: str, host: str) -> Iterator[tuple[subprocess.Popen[str], Path]]:
-        """A second agent of a name, on another host; yields it, and the file with its output."""
+        """Run a second agent with the name of another on a host; yields its process and the file with its output."""
         base, listen = self._base(f"twin-{name}"), f"--listen=tls/{self.network.address[host]}:7448"
         others = [f"--connect={endpoint}" for endpoint in self.endpoints.values()]
         arguments = ["agent", f"--name={name}", listen, *others, f"--folder={self._units}"]
@@ -138,12 +140,12 @@ class Fleet:
         make(self._secrets, {host: [self.network.address[host]]}, days=1)
 
     def said(self, host: str) -> str:
-        """The output of a host's agent."""
+        """Return the output of a host's agent."""
         return (self._base(host) / "said").read_text()
 
     @contextlib.contextmanager
     def operated(self, environment: Environment, folder: Path) -> Iterator[Any]:
-        """A runtime of this fleet for an operation."""
+        """Yield a runtime of this fleet for an operation on an environment."""
         from cfgplan_runtime.fleet import fleet_runtime
 
         secured = self._secrets / "manager" if self._is_secured else None
@@ -152,17 +154,17 @@ class Fleet:
             yield runtime
 
     def run_folder(self, host: str) -> Path:
-        """The folder of the topics at a host."""
+        """Return the folder of the topics at a host."""
         from cfgplan_runtime.streams.run_folder import is_alive
 
         return next(run for run in (self._base(host) / "cfgplan").iterdir() if is_alive(run))
 
     def units(self, host: str) -> dict[str, int]:
-        """The units that really run on a host, with their process ids."""
+        """Return the process ids of the units that run on a host, by unit, as its process list has them."""
         return {name: pid for name, pid in self._processes(host).items() if name not in HELPERS}
 
     def helpers(self, host: str) -> dict[str, int]:
-        """The processes of an agent that are no units."""
+        """Return the process ids of an agent's processes other than units, by title."""
         return {name: pid for name, pid in self._processes(host).items() if name in HELPERS}
 
     def _processes(self, host: str) -> dict[str, int]:
@@ -204,14 +206,14 @@ class Fleet:
         self._await_agents()
 
     def kill_agent(self, host: str) -> None:
-        """Kill an agent as a crash does."""
+        """Kill a host's agent by SIGKILL, as in a crash."""
         agent = self.agents[host]
         agent.kill()
         agent.wait()
 
     @contextlib.contextmanager
     def runtime(self, *, is_empty: bool = False) -> Iterator[Any]:
-        """A runtime of this fleet that knows the library, the targets and the hosts, or nothing yet."""
+        """Yield a runtime of this fleet with its library, targets and hosts, or with none of them if `is_empty`."""
         from cfgplan_runtime.fleet import fleet_runtime
 
         from cfgplan.domain import ChangeSet, Environment, Host
@@ -270,14 +272,14 @@ def library() -> tuple[Any, ...]:
 
 
 def targets() -> tuple[Any, ...]:
-    """Two topics at the base."""
+    """Return targets for two topics at the base."""
     from cfgplan.domain import Target
 
     return Target("result", "Y", "/result", host="base"), Target("images", "Y", "/images", host="base")
 
 
 def unit(name: str, host: str, *, x: str | None = None, topic: str | None = None) -> Any:
-    """A unit `transformation.N` of a host."""
+    """Return a unit on a host; `name` has the form `transformation.N`."""
     from cfgplan.domain import ComputationUnit, Publication, Stream, Subscription
 
     feeds = () if x is None else (Subscription("x", Stream.parse(x)),)
@@ -286,8 +288,9 @@ def unit(name: str, host: str, *, x: str | None = None, topic: str | None = None
 
 
 class Listener:
-    """Collects the elements on a topic, with times, until the run ends; the run is given by id, or by a
-    host's folder.
+    """Collects the elements on a topic with their arrival times until the run ends.
+
+    The run is given by its id, or by a host's folder.
     """
 
     def __init__(self, run: str | Path, topic: str = "/result", *, number: Callable[[Any], Any] = int) -> None:
@@ -312,23 +315,23 @@ class Listener:
             self.at_s.append(time.monotonic())
 
     def await_more(self, more: int = 20) -> None:
-        """Wait for so many more elements."""
+        """Wait for `more` further elements."""
         wanted = len(self.values) + more
         eventually(lambda: len(self.values) >= wanted)
 
     def wrong(self) -> int:
-        """How many elements were lost, came again or out of order."""
+        """Return the number of elements that were lost, repeated or out of order."""
         values = list(self.values)
         return sum(1 if after <= before else after - before - 1 for before, after in pairwise(values))
 
     def silence_s(self, since_s: float = 0.0) -> float:
-        """The longest time between two elements since then."""
+        """Return the longest time between two elements since a moment, in seconds."""
         times = [since_s, *(at_s for at_s in list(self.at_s) if at_s > since_s)] if since_s else list(self.at_s)
         return max((after - before for before, after in pairwise(times)), default=float("inf"))
 
 
 def eventually(is_so: Callable[[], bool], patience_s: float = PATIENCE_S) -> float:
-    """Wait until something is so; returns how long that took. Raises TimeoutError."""
+    """Wait until `is_so()` is true; returns the seconds that it took. Raises TimeoutError after `patience_s`."""
     start = time.monotonic()
     while not is_so():
         if time.monotonic() > start + patience_s:
@@ -338,13 +341,15 @@ def eventually(is_so: Callable[[], bool], patience_s: float = PATIENCE_S) -> flo
 
 
 def events(runtime: Any, kind: str) -> list[Any]:
-    """The events of a kind that a runtime has told so far."""
+    """Return the events of a kind that a runtime has reported so far."""
     return [event for event in list(runtime.events.queue) if type(event).__name__ == kind]
 
 
 @contextlib.contextmanager
 def stream(fleet: Fleet, *hosts: str) -> Iterator[tuple[Any, Listener]]:
-    """Numbers from the first host, through the second, to a topic at the base."""
+    """Run a stream of numbers from the first host through the second to a topic at the base; yields runtime and
+    listener.
+    """
     from cfgplan.domain import ChangeSet
 
     with fleet.runtime() as runtime:

@@ -1,11 +1,11 @@
-"""Streams between two computers: cfgplan compared with bare Zenoh, NATS and TCP, with and without TLS; agents' cost.
+"""Streams between two computers: cfgplan, bare Zenoh, NATS and TCP compared, with and without TLS; the cost of agents.
 
     python experiments/fleet/crossing.py [--seconds 5]
 
 NATS is measured if it is installed: `apt install nats-server`, `pip install nats-py`.
 
-The computers are network namespaces on a bridge (`network.py`). Latency is from unit code to unit code, at the median,
-with one clock for both. In the throughput test a source gives as fast as it can, and received elements are counted.
+The computers are network namespaces on a bridge (`network.py`). Latency is the median from unit code to unit code,
+with one clock for both. In the throughput test a source sends as fast as it can, and received elements are counted.
 """
 
 from __future__ import annotations
@@ -44,12 +44,12 @@ Take: TypeAlias = Callable[[bytes | bytearray], None]
 
 
 def stamped(size: int) -> bytes:
-    """A payload that begins with the time."""
+    """Return a payload of a size in bytes that begins with the time."""
     return time.monotonic_ns().to_bytes(_STAMP, "little") + bytes(size - _STAMP)
 
 
 def ticks(rate_hz: float, seconds: float) -> Iterator[None]:
-    """At a rate for so long; as fast as possible if it is 0."""
+    """Yield at a rate for some seconds; as fast as possible if the rate is 0."""
     start = time.monotonic()
     for number in itertools.count():
         now = time.monotonic()
@@ -61,7 +61,7 @@ def ticks(rate_hz: float, seconds: float) -> Iterator[None]:
 
 
 def send(way: str, secrets: Path, address: str, size: int, rate_hz: float, seconds: float) -> None:
-    """Send over a way for some seconds, then tell that this was all."""
+    """Send over a transport for some seconds, then send an end mark."""
     put = _SENDERS[way.partition(",")[0]](way, secrets, address)
     for _ in ticks(rate_hz, seconds):
         put(stamped(size))
@@ -71,7 +71,7 @@ def send(way: str, secrets: Path, address: str, size: int, rate_hz: float, secon
 
 
 def receive(way: str, secrets: Path, address: str) -> None:
-    """Receive until the last; print how many came, the median age in microseconds, and over how many seconds."""
+    """Receive until the end mark; print the number of elements, their median age in microseconds, and the seconds."""
     ages_us: list[float] = []
     begun: list[float] = []
 
@@ -198,7 +198,7 @@ _RECEIVERS = {"TCP": _receive_tcp, "Zenoh": _receive_zenoh, "NATS": _receive_nat
 
 
 def bare(network: Network, way: str, secrets: Path, size: int, rate_hz: float, seconds: float) -> tuple[float, float]:
-    """Median latency in milliseconds and elements a second from r1 to base, without cfgplan."""
+    """Return the median latency in milliseconds and elements per second from r1 to base, without cfgplan."""
     address = network.address["base"]
     call = [
         sys.executable,
@@ -222,7 +222,7 @@ def bare(network: Network, way: str, secrets: Path, size: int, rate_hz: float, s
 
 
 def library(size: int, rate_hz: float) -> tuple[Any, ...]:
-    """A source of stamped payloads, and a unit that collects how old they are."""
+    """Return a source of stamped payloads, and a unit that collects their ages."""
     from cfgplan.domain import InputPort, OutputPort, RunOptions, Transformation
 
     run = RunOptions(rate_hz=rate_hz or None)
@@ -236,7 +236,7 @@ def library(size: int, rate_hz: float) -> tuple[Any, ...]:
 
 
 def crossing(fleet: Fleet, size: int, rate_hz: float, seconds: float) -> tuple[float, float]:
-    """The same for a stream of cfgplan's, from unit to unit."""
+    """Return the median latency in milliseconds and elements per second of a cfgplan stream, from unit to unit."""
     from cfgplan.domain import ChangeSet
 
     with fleet.runtime() as runtime:
@@ -252,7 +252,7 @@ def crossing(fleet: Fleet, size: int, rate_hz: float, seconds: float) -> tuple[f
 
 
 def idle(fleet: Fleet, seconds: float) -> str:
-    """Return the CPU time and memory of an idle agent: all its processes."""
+    """Return the CPU time and memory of an idle agent with all its processes, as text."""
     tree = [psutil.Process(fleet.agents["r1"].pid)]
     tree += tree[0].children(recursive=True)
 
@@ -266,7 +266,7 @@ def idle(fleet: Fleet, seconds: float) -> str:
 
 
 def first_update(fleet: Fleet) -> float:
-    """Seconds until the first element of a source on r1 and a unit on r2 is heard at the base."""
+    """Return the seconds from the first update to the first element at the base, sent by r1 through r2."""
     from cfgplan.domain import ChangeSet
 
     with fleet.runtime() as runtime:
@@ -303,7 +303,7 @@ def measure(network: Network, seconds: float) -> None:
 
 
 def tell(way: str, figures: Callable[..., tuple[float, float]]) -> None:
-    """Print a row: for each size the median latency, and how many come a second flat out."""
+    """Print a row: for each size the median latency, and the elements per second at full speed."""
     cells = [way]
     for size, rate_hz in SIZES.items():
         cells += [f"{figures(size, rate_hz)[0]:.2f} ms", f"{figures(size, 0.0)[1]:,.0f}/s"]

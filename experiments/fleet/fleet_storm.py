@@ -1,6 +1,6 @@
-"""A storm on three computers: links are cut, agents, helpers and units killed, hosts given up, wishes changed.
+"""A storm on three computers: links are cut, agents, helpers and units killed, hosts removed, targets changed.
 
-The final configuration must be as good as a fresh optimal plan, on all hosts, and no other process may be left there.
+The final configuration must be as good as a fresh optimal plan, and no other process may be left on any host.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ PAUSES_S = (0.0, 0.0, 0.01, 0.1, 0.5, 2.5)
 
 
 class Weather:
-    """Draws faults of computers; it may mend them later."""
+    """Draws random faults of computers, and may repair them later."""
 
     def __init__(self, fleet: Fleet, randoms: random.Random) -> None:
         self._fleet, self._randoms = fleet, randoms
@@ -30,7 +30,7 @@ class Weather:
         self.happened: Counter[str] = Counter()
 
     def strike(self) -> bool:
-        """Let something happen to a computer, or (False) nothing."""
+        """Cause a random fault or repair. Returns False if none was drawn."""
         kind = self._randoms.choices(("units", "link", "agent", "helper", ""), (20, 10, 6, 4, 60))[0]
         host = self._randoms.choice(HOSTS)
         match kind:
@@ -51,7 +51,7 @@ class Weather:
         return bool(kind)
 
     def clear_up(self) -> None:
-        """Mend every link, and start every agent that was killed."""
+        """Restore every link, and restart every killed agent."""
         for host in self._cut:
             self._fleet.network.mend(host)
         self._fleet.restart()

@@ -1,4 +1,4 @@
-"""Random libraries with quality, hosts and spares laid over them, for measuring planners at scale."""
+"""Random libraries with quality, hosts and spares added, to measure planners at scale."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ LATENCY = QualityAttribute("latency", Better.LOWER, worst=1000 * MICRO)
 
 
 def plain(seed: int, transformations: int = 415, targets: int = 8) -> Problem:
-    """The library that the others are made from."""
+    """Return the library that the other instances extend."""
     return random_library(seed, transformations=transformations, targets=targets)
 
 
 def weighted(seed: int, transformations: int = 415, targets: int = 8) -> Problem:
-    """Each target charges for latency, about as much as a good part of the plan costs."""
+    """Return the library with a price of latency at each target, which amounts to a large part of the plan's cost."""
     problem = _with_quality(plain(seed, transformations, targets), seed)
     return _asking(problem, Wish("latency", weight_us=3 * MICRO))
 
 
 def bounded(seed: int, transformations: int = 415, targets: int = 8, *, most_latency: int = 10 * MICRO) -> Problem:
-    """Each target bounds latency."""
+    """Return the library with a bound on latency at each target; `most_latency` is in millionths of the unit."""
     problem = _with_quality(plain(seed, transformations, targets), seed)
     return _asking(problem, Wish("latency", most_latency))
 
 
 def both(seed: int, transformations: int = 415, targets: int = 8) -> Problem:
-    """Each target bounds latency and charges for error."""
+    """Return the library with a bound on latency and a price of error at each target."""
     problem = _with_quality(plain(seed, transformations, targets), seed)
     return _asking(problem, Wish("latency", 10 * MICRO), Wish("error", weight_us=2 * MICRO))
 
@@ -44,7 +44,7 @@ def hosted(seed: int, transformations: int = 415, targets: int = 8, *, hosts: in
 
 
 def surviving(seed: int, transformations: int = 60, targets: int = 3) -> Problem:
-    """Any unit may fail; half of the transformations can be cold spares."""
+    """Return a problem in which any unit may fail, and half of the transformations can be cold spares."""
     problem = plain(seed, transformations, targets)
     random = Random(seed)
     library = tuple(
@@ -54,7 +54,7 @@ def surviving(seed: int, transformations: int = 60, targets: int = 3) -> Problem
 
 
 def running(problem: Problem, units: tuple[ComputationUnit, ...]) -> Problem:
-    """The problem with these units running."""
+    """Return the problem with these units as the running configuration."""
     return replace(problem, environment=replace(problem.environment, units=units))
 
 

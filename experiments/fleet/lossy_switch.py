@@ -57,7 +57,7 @@ def main() -> None:
 
 
 def make_plain(device: str) -> None:
-    """Let a device send frames as on a wire."""
+    """Let a device send frames as on a wire: with checksums, and no larger than a packet."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as control:
         for command in _SET_OFF:
             value = ctypes.create_string_buffer(struct.pack("II", command, 0))
@@ -67,7 +67,7 @@ def make_plain(device: str) -> None:
 
 
 def opened(device: str) -> socket.socket:
-    """A socket that sends and receives the frames of a device."""
+    """Return a socket that sends and receives the frames of a device."""
     make_plain(device)
     end = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(_ALL_PROTOCOLS))
     end.bind((device, 0))
@@ -77,7 +77,7 @@ def opened(device: str) -> socket.socket:
 
 
 def received(end: socket.socket) -> list[bytes]:
-    """The frames that have come to a device from outside."""
+    """Return the frames that a device has received from outside since the last call."""
     frames = []
     for _ in range(_FRAMES_AT_ONCE):
         try:

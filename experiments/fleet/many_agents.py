@@ -2,9 +2,9 @@
 
     python experiments/fleet/many_agents.py [--agents 100] [--linked]
 
-Each unit may run on two hosts. The agents are cfgplan's, all in one process, but their units are simulated: each is
-ready, gives a sign each second and ends, and no element flows. The manager is linked with each agent by a socket; with
---linked all agents are also linked with each other.
+Each unit may run on two hosts. The agents are those of cfgplan, all in one process, but their units are simulated: a
+unit gets ready, sends a sign of life each second and ends, and no element flows. The manager is linked with each agent
+by a socket; with --linked all agents are also linked with each other.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ PATIENCE_S = 120.0
 
 
 class Simulated:
-    """An agent's simulated computer."""
+    """An agent with a simulated computer."""
 
     clock_offset_ns = 0
     code_folder = Path("/")
@@ -70,7 +70,7 @@ class Simulated:
         self._is_over = False
 
     def end(self) -> None:
-        """Have the agent end, from any thread."""
+        """Make the agent end; may be called from any thread."""
         self._is_over = True
         self.wake()
 
@@ -128,7 +128,7 @@ class Simulated:
 
 
 def be_agents(count: int, folder: Path, *, are_linked: bool) -> None:
-    """Be all agents, until this process is killed; a number on standard input is that of one to be lost."""
+    """Run all agents until this process is killed. A number on standard input ends the agent with that number."""
     from cfgplan_runtime.processes.nursery import die_with_parent
 
     die_with_parent(os.getppid())
@@ -154,7 +154,7 @@ def name_of(number: int) -> str:
 
 
 def environment(count: int, places: int = 2) -> Environment:
-    """For each host a chain of units to a topic; each unit may run on that host or on the next."""
+    """Return an environment with a chain of units to a topic for each host; each unit may run on `places` hosts."""
 
     def link(host: int, place: int) -> Transformation:
         label = f"t{host}_{place}"
@@ -195,7 +195,7 @@ def cost(what: str, process: psutil.Process, seconds: float) -> str:
 
 
 def reviewed(manager: Manager, perturb: Callable[[], None]) -> list[Review]:
-    """The reviews that a perturbation calls for."""
+    """Perturb, and return the reviews that follow."""
     known = manager.snapshot().reviews[-1].number
     perturb()
     eventually(lambda: manager.snapshot().reviews[-1].number > known and manager.is_settled, PATIENCE_S)
@@ -203,21 +203,21 @@ def reviewed(manager: Manager, perturb: Callable[[], None]) -> list[Review]:
 
 
 def lose(process: subprocess.Popen[str], number: int) -> None:
-    """Have an agent end."""
+    """End the agent with a number."""
     assert process.stdin is not None
     process.stdin.write(f"{number}\n")
     process.stdin.flush()
 
 
 def told(reviews: Sequence[Review]) -> str:
-    """How long reviews and the phases of one took, at the median."""
+    """Return the median durations of reviews and of their phases, as text."""
     whole = statistics.median(sum(review.seconds.values()) for review in reviews)
     phases = {phase: statistics.median(review.seconds.get(phase, 0.0) for review in reviews) for phase in PHASES}
     return f"{ms(whole)} ({', '.join(f'{phase} {ms(seconds)}' for phase, seconds in phases.items() if seconds)})"
 
 
 def orders(runtime: Runtime, count: int) -> None:
-    """Print how long it takes to have a unit started, on one host and on all."""
+    """Print the time to start a unit on one host, and on all hosts."""
 
     def unit(number: int, host: int) -> ComputationUnit:
         return ComputationUnit(f"alone.{number}", "alone", (), (), name_of(host))

@@ -4,8 +4,8 @@
         network.start("r1", ["ping", "-c", "1", network.address["base"]]).wait()
         network.cut("r1")
 
-Each namespace is held by a `cat` that reads from this process: if that ends, however it ends, so do they, and so do
-their devices. Nothing has a name outside.
+Each namespace is held by a `cat` that reads from this process. When this process ends in any way, the `cat`s end, and
+with them the namespaces and their devices. No name is visible outside.
 """
 
 from __future__ import annotations
@@ -29,7 +29,9 @@ _FORWARDS, _IS_DISABLED = "3", "0"
 
 
 class Network:
-    """Hosts by name, each with an `address`; a context manager. Raises NotAllowedError."""
+    """Named hosts in network namespaces, each with an `address`; a context manager. Raises NotAllowedError without
+    namespaces.
+    """
 
     def __init__(self, hosts: Sequence[str]) -> None:
         self.address = {host: f"10.77.0.{number}" for number, host in enumerate(hosts, 1)}
@@ -57,24 +59,24 @@ class Network:
 
     @property
     def token(self) -> str:
-        """The argument of `joined`."""
+        """The argument with which another process calls `joined`."""
         return json.dumps([self.address, self._pids, self._switch])
 
     @classmethod
     def joined(cls, token: str) -> Network:
-        """A network that another process has made, for who was started on one of its hosts."""
+        """Return the network that another process made, in a process on one of its hosts."""
         network = cls.__new__(cls)
         network.address, network._pids, network._switch = json.loads(token)
         network._rights, network._stack, network._cut_loudly = [], ExitStack(), set()
         return network
 
     def start(self, host: str, command: Sequence[str], **options: Any) -> subprocess.Popen[str]:
-        """Start a command on a host; it is left to the caller to end it. Options are those of Popen."""
+        """Start a command on a host; the caller ends it. Options are those of Popen."""
         environment: Mapping[str, str] = options.pop("env", os.environ)
         return subprocess.Popen([*self._enter(host), *command], env=environment, text=True, **options)
 
     def cut(self, host: str, *, loudly: bool = False) -> None:
-        """Let nothing through to or from a host. Loudly: the host sees that its cable is gone."""
+        """Block all traffic to and from a host. With `loudly` the host sees that its cable is gone."""
         if loudly:
             self._cut_loudly.add(host)
             self._in("switch", "ip", "link", "set", host, "down")
@@ -91,7 +93,7 @@ class Network:
             self._in("switch", "bridge", "link", "set", "dev", host, "state", _FORWARDS)
 
     def limit(self, host: str, mbit_s: float) -> None:
-        """Let no more than so much through to a host and from it."""
+        """Limit the traffic to a host and from it to `mbit_s` megabits per second each."""
         rate = ["tbf", "rate", f"{mbit_s}mbit", "burst", "32kb", "latency", "50ms"]
         self._in("switch", "tc", "qdisc", "replace", "dev", host, "root", *rate)
         self._in(host, "tc", "qdisc", "replace", "dev", "eth0", "root", *rate)
@@ -103,7 +105,7 @@ class Network:
 
     @contextmanager
     def lossy(self, loss: float, delay_s: float) -> Iterator[None]:
-        """Let a switch in user space lose a share of all frames, and delay the others, one way."""
+        """Let a switch in user space lose the share `loss` of all frames, and delay the others by `delay_s` one way."""
         line = [*self._enter("switch"), sys.executable, str(_LOSSY_SWITCH), str(loss), str(delay_s), *self.address]
         for host in self.address:
             self._in(host, sys.executable, str(_LOSSY_SWITCH), "plain", "eth0")
@@ -141,12 +143,14 @@ class Network:
 
 
 class NotAllowedError(Exception):
-    """This system gives no network namespaces; the message says why."""
+    """Raised if this system allows no network namespaces; the message has the reason."""
 
 
 def run_within(hosts: Sequence[str], token: str | None, work: Callable[[Network], bool | None]) -> int:
-    """Without a token: make a network of these hosts, and run this command again on its first host, with the option
-    `--within=TOKEN`. Returns that command's exit code, or SKIPPED.
+    """Run `work` on the first host of a network of `hosts`.
+
+    Without a token: make the network, and run this command again on its first host with the option `--within=TOKEN`.
+    Returns that command's exit code, or SKIPPED.
 
     With the token: call `work` with the network. Returns 1 if it returns False, otherwise 0.
     """

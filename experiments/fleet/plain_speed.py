@@ -1,7 +1,7 @@
-"""Whether environments that use no feature of a fleet are solved as fast as by another checkout.
+"""Compare the planning times of two checkouts on environments that use no feature of a fleet.
 
 `git worktree add ../before COMMIT && python experiments/fleet/plain_speed.py ../before`: both checkouts plan the same
-problems in turn, each in processes of their own; the table holds medians of CPU milliseconds and their ratio.
+problems in turn, in separate processes; the table has medians of CPU milliseconds and their ratio.
 """
 
 from __future__ import annotations

@@ -1,15 +1,15 @@
-"""A run on four computers under everything that fleets do, with a consumer that checks every element.
+"""A run on four computers under all faults of fleets, with a consumer that checks every element.
 
 python experiments/fleet/soak.py [--minutes 60] [--seed 1]
 
-The computers are network namespaces (`network.py`). Each round does every deed once, in a random order: links are cut
-for a moment or longer, lose packets, or carry too little beside large elements; units and agents are killed, one host
-is bad for the code, a second agent has the name of the first, a certificate expires, the file is edited (well and
-badly) and includes a pipe that nobody writes. There is at least one round.
+The computers are network namespaces (`network.py`). Each round causes every fault once, in a random order: links are
+cut for a moment or longer, lose packets, or are too slow for large elements; units and agents are killed, the code
+fails on one host, a second agent has the name of the first, a certificate expires, the file gets valid and invalid
+edits, and includes a pipe without a writer. At least one round runs.
 
-Checks: elements are lost only while something was killed or cut for long, or are counted; none is repeated or out of
-order; a bad host is left within 10 s; a twin and an agent whose certificate has ended say so and end; no target counts
-as met while it is silent; in the end every target is met, and no unit is left on any host.
+Checks: elements are lost only around a kill or a long cut, or are counted; none is repeated or out of order; a failing
+host is left within 10 s; an agent with a duplicate name or an expired certificate says so and ends; no silent target
+counts as met; in the end every target is met, and no unit is left on any host.
 The exit code is 77 if namespaces are not available.
 """
 
@@ -75,7 +75,7 @@ SLACK_S = 0.3
 
 
 class Soak:
-    """A run of count -> work -> /result and large -> /large on a fleet, under attack."""
+    """A run of count -> work -> /result and large -> /large on a fleet, and the faults that it survives."""
 
     def __init__(self, fleet: Fleet, path: Path, seed: int) -> None:
         self.fleet, self.path, self.randoms = fleet, path, random.Random(seed)
@@ -105,7 +105,7 @@ class Soak:
         ]
 
     def short_cut(self) -> None:
-        """No element is lost."""
+        """Cut a link for a moment: no element is lost."""
         host = self.randoms.choice(WORKERS)
         self.fleet.network.cut(host)
         time.sleep(0.3)
@@ -121,12 +121,12 @@ class Soak:
             self._await_hosts()
 
     def lossy_links(self) -> None:
-        """No host is lost."""
+        """Let links lose packets: no host is lost."""
         with self.keeping_hosts(), self.fleet.network.lossy(LOSS, DELAY_S):
             time.sleep(LOSSY_S)
 
     def slow_link(self) -> None:
-        """Large elements arrive over a slow link, and the others beside them."""
+        """Slow a link down: large elements and the others beside them still arrive."""
         self.fleet.network.limit("r1", SLOW_MBIT_S)
         self.large.await_more(3)
         self.fleet.network.unlimit("r1")
@@ -147,7 +147,7 @@ class Soak:
             self._await_hosts()
 
     def bad_host(self) -> None:
-        """Code that fails on one host runs on another."""
+        """Let the code fail on one host: it runs on another."""
         host = self._worker.host
         bad = self.fleet.folder / f"bad-{host}"
         with self.excused():
@@ -157,14 +157,14 @@ class Soak:
             bad.unlink()
 
     def twin(self) -> None:
-        """A second agent of a name ends, and the first keeps its units."""
+        """Start a second agent of the same name: it ends, and the first keeps its units."""
         name, place = self._worker.host, self.randoms.choice([host for host in WORKERS if host != self._worker.host])
         with self.keeping_hosts(), self.fleet.twin(name, place) as (second, said):
             _await(lambda: second.poll() is not None, lambda: f"a second {name} on {place} says {said.read_text()!r}")
             assert f"the fleet has an agent '{name}'" in said.read_text(), said.read_text()
 
     def certificate_ends(self) -> None:
-        """An agent whose certificate ends says so, and its host is used again with a new certificate."""
+        """Let a certificate expire: its agent says so, and its host is used again with a new certificate."""
         from cfgplan_runtime.fleet import certificates
 
         host, make_host = self._worker.host, certificates._make_host
@@ -196,13 +196,13 @@ class Soak:
         time.sleep(1.0)
 
     def bad_edit(self) -> None:
-        """A file that can't be read changes nothing."""
+        """Write an invalid file: the run changes nothing."""
         self.path.write_text("format: cfgplan/1\ntransformations: [{")
         time.sleep(0.5)
         self.write()
 
     def blocked_file(self) -> None:
-        """An included file that blocks whoever reads it holds up edits, and nothing else."""
+        """Include a pipe that blocks its reader: it delays edits, and nothing else."""
         pipe, whole = self.path.with_name("pipe.yaml"), json.loads(self.path.read_text())
         os.mkfifo(pipe)
         self.path.write_text(json.dumps({**whole, "include": [pipe.name]}))
@@ -215,15 +215,15 @@ class Soak:
 
     @contextmanager
     def excused(self) -> Iterator[None]:
-        """Elements may be lost from now until the targets are met again."""
+        """Allow lost elements from now until the targets are met again."""
         begin_s = time.monotonic()
         yield
         self.settle()
         self.excused_s.append((begin_s - SLACK_S, time.monotonic() + SLACK_S))
 
     def settle(self, *, without: str = "") -> None:
-        """Wait until elements come again, no review is pending, and every target is met but the one that needs a host
-        which is not there.
+        """Wait until elements come, no review is pending, and every target is met but those that need the host
+        `without`.
         """
         end_s = time.monotonic() + PATIENCE_S
         while not (self._comes() and self.operation.manager.settle(1.0) and self.unmet() <= {without}):
@@ -235,7 +235,7 @@ class Soak:
         return {view.label for view in self.operation.manager.snapshot().targets if not view.is_met}
 
     def lost_hosts(self) -> list[str]:
-        """The hosts that were lost so far and the causes, by the log."""
+        """Return the hosts that were lost so far and the causes, from the log."""
         log = self.operation.log
         assert log is not None
         told = [json.loads(line) for line in log.path.read_text().splitlines()]
@@ -243,14 +243,14 @@ class Soak:
 
     @contextmanager
     def keeping_hosts(self) -> Iterator[None]:
-        """No host may be lost meanwhile."""
+        """Check that no host is lost within the context."""
         before = len(self.lost_hosts())
         yield
         lost = self.lost_hosts()[before:]
         assert not lost, f"lost: {', '.join(lost)}"
 
     def wrong(self) -> tuple[int, int]:
-        """The elements lost outside of excused times, and those repeated or out of order."""
+        """Return the number of elements lost outside of excused times, and of elements repeated or out of order."""
         lost = repeated = 0
         places = list(zip(self.result.at_s, self.result.values, strict=False))
         for (before_s, before), (after_s, after) in pairwise(places):
@@ -260,12 +260,12 @@ class Soak:
         return lost, repeated
 
     def counted(self) -> int:
-        """The elements that were reported as dropped: by units, or on the way to other hosts, topics included."""
+        """Return the number of elements that were reported as dropped, by units or on the way to other hosts."""
         by_units = sum(one.dropped for one in self.operation.runtime.observe())
         return max(by_units, sum(counts.dropped for counts in self.operation.flows.crossings.values()))
 
     def write(self) -> None:
-        """Write the file as an editor does: beside it, then in its place."""
+        """Replace the file as an editor does: write a new one beside it, and rename it."""
 
         def known(label: str, code: str, host: Any, output: str, upkeep_us: int, **more: Any) -> dict[str, Any]:
             shown = {"label": label, "source": f"units.py:{code}", "host": host, "labor": 0}
@@ -322,8 +322,9 @@ def _await(is_so: Callable[[], bool], else_say: Callable[[], str]) -> None:
 
 
 def soak(network: Network, minutes: float, seed: int, names: Sequence[str]) -> None:
-    """Run it with the named deeds, or all, from within the network; raises AssertionError or TimeoutError for anything
-    that must not be.
+    """Run the soak with the named faults, or all, from within the network.
+
+    Raises AssertionError or TimeoutError if a check fails.
     """
     from cfgplan_runtime.fleet.certificates import make
     from cfgplan_runtime.lifecycle.back_off import BackOffRules

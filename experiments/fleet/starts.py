@@ -1,4 +1,4 @@
-"""How often a link between two sessions stays silent in one direction if it opens as late as possible.
+"""How often a link between two Zenoh sessions stays silent in one direction if it opens as late as possible.
 
     python experiments/fleet/starts.py [--trials 60] [--as-zenoh]
 
@@ -29,7 +29,7 @@ LAST_OF_OPENING = 2
 
 
 class Proxy:
-    """Passes messages between a port and a new one, and delays one message of the first connection."""
+    """Relays messages between a new port and an existing one, and delays one message of the first connection."""
 
     def __init__(self, port: int, late_s: float) -> None:
         self._port, self._late_s = port, late_s
@@ -54,7 +54,7 @@ class Proxy:
 
 
 def pass_on(source: socket.socket, sink: socket.socket, due_s: float = 0.0) -> None:
-    """Pass messages on until an end is closed, the last of opening not before it is due."""
+    """Relay messages until an end is closed; hold the last message of the handshake until `due_s`."""
     number = 0
     with contextlib.suppress(OSError, EOFError):
         while True:
@@ -80,7 +80,7 @@ def received(source: socket.socket, size: int) -> bytes:
 
 
 def hears(late_s: float) -> bool:
-    """Whether who connects hears who listens."""
+    """Return whether the connecting session receives from the listening one."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     listening = ZenohLink(links.config([f"tcp/127.0.0.1:{port}"]))

@@ -1,10 +1,9 @@
-"""Whether Zenoh's routing lets two sessions that are linked only through a third one hear each other without being
-told.
+"""Test whether Zenoh's routing connects two sessions that are linked only through a third one.
 
     python experiments/fleet/third.py [--trials 15]
 
-`r1`, `r2` and `manager` connect to `base`, at about the same time. Then `r1` and `r2` end, and restart at once. A trial
-is counted if, 5 s later, some session is not heard by every other one, or does not seem alive.
+`r1`, `r2` and `manager` connect to `base`, at about the same time. Then `r1` and `r2` end, and restart at once. The
+table counts the trials in which, 5 s later, a session does not reach every other one, or does not seem alive to it.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ WAYS: dict[str, tuple[str, str, dict[str, Any]]] = {
 
 
 class Session:
-    """One of the sessions, and whom it hears, and believes to be alive."""
+    """A session, the sessions that it receives from, and the sessions that seem alive to it."""
 
     def __init__(self, name: str, base: str, way: tuple[str, str, dict[str, Any]]) -> None:
         self.heard, self.alive = set[str](), set[str]()
@@ -65,7 +64,7 @@ def opened(names: Iterable[str], sessions: dict[str, Session], make: Callable[[s
 
 
 def is_whole(sessions: dict[str, Session]) -> bool:
-    """Whether each hears all others soon, and knows that they are alive."""
+    """Return whether, before a deadline, each session receives from all others, and sees that they are alive."""
     pairs = [(one, other) for one in NAMES for other in NAMES if one != other]
     puts = [sessions[one].link.publisher(f"cfgplan/{one}/data/{other}/x", "small") for one, other in pairs]
     for session in sessions.values():
@@ -81,7 +80,7 @@ def is_whole(sessions: dict[str, Session]) -> bool:
 
 
 def trial(way: tuple[str, str, dict[str, Any]]) -> tuple[bool, bool]:
-    """Whether all hear all, first and after two came again."""
+    """Return whether all sessions reach each other, at first and after two have restarted."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         base = f"tcp/127.0.0.1:{free.getsockname()[1]}"
     sessions: dict[str, Session] = {}

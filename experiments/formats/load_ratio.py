@@ -1,9 +1,9 @@
 """The cost of loading before and after a change: `python experiments/formats/load_ratio.py BEFORE AFTER`.
 
-Loads libraries of three sizes, as `cfgplan.load` does, by one checkout and by the other in turn, each in a process of
-its own that has loaded a small file before. Prints the medians of CPU seconds and of peak memory, and the median of the
-ratios of the pairs. Without an ontology every name in a tag is free. The last row is `cfgplan solve` of the README's
-case as a whole process, with compiled files and kept answers about tags.
+Each checkout in turn loads libraries of three sizes by `cfgplan.load`, each in a new process that has loaded a small
+file before. Prints the medians of CPU seconds and of peak memory, and the median of the ratios of the pairs. The
+libraries have no ontology. The last row is a whole process of `cfgplan solve` on the README's case, with compiled
+files and cached answers about tags.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ print(took, int(re.search(r"VmHWM:\\s+(\\d+)", open("/proc/self/status").read())
 
 
 def loaded(checkout: Path, small: Path, file: Path) -> tuple[float, float]:
-    """CPU seconds of a load, and the peak memory of its process in MiB."""
+    """Return the CPU seconds of a load, and the peak memory of its process in MiB."""
     search = {"PYTHONPATH": f"{checkout}:{checkout / 'runtime'}"}
     command = [sys.executable, "-c", LOADED, str(small), str(file)]
     done = subprocess.run(command, env=os.environ | search, stdout=subprocess.PIPE, text=True, check=True, cwd=checkout)
@@ -43,7 +43,7 @@ def loaded(checkout: Path, small: Path, file: Path) -> tuple[float, float]:
 
 
 def solved(checkout: Path, folder: Path) -> tuple[float, float]:
-    """CPU seconds of a process that solves the README's case; its peak memory is not measured (0)."""
+    """Return the CPU seconds of a process that solves the README's case, and 0: its memory is not measured."""
     kept = folder / checkout.name
     search = {"PYTHONPATH": f"{checkout}:{checkout / 'runtime'}", "XDG_CACHE_HOME": str(kept / "answers")}
     environment = {**os.environ, **search, "PYTHONPYCACHEPREFIX": str(kept / "compiled")}

@@ -1,4 +1,4 @@
-"""How fast environment files load, and which step takes the time.
+"""The loading time of environment files, in total and for each step.
 
     python experiments/formats/load_speed.py [--transformations 50000]
 
@@ -30,7 +30,7 @@ T = TypeVar("T")
 
 
 class FreeNames:
-    """No ontology: no class has individuals, every tag passes."""
+    """Stands for an ontology: no class has individuals, and every tag is accepted."""
 
     def instances(self, _class_name: str) -> tuple[str, ...]:
         return ()
@@ -40,7 +40,7 @@ class FreeNames:
 
 
 def environment(count: int) -> dict[str, object]:
-    """A plain environment: `count` transformations with three ports each, a chain of units, targets."""
+    """Return a plain environment: `count` transformations with three ports each, a chain of units, targets."""
     transformations = [
         {
             "label": f"transformation{number}",
@@ -85,7 +85,7 @@ def timed(what: str, step: Callable[[], T], unit_s: float | None = None) -> tupl
 
 
 def bare_events(text: str) -> int:
-    """The number of events in a YAML text."""
+    """Return the number of parser events in a YAML text."""
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)(text)
     return sum(1 for _ in iter(loader.get_event, None))
 

@@ -2,9 +2,9 @@
 
 python experiments/lifecycle/reaction.py [--repeat 50] [--library 10] [--library 1000] [--json FILE]
 
-A source at 500 Hz, a chain of three workers and the target /result run as processes, among so many transformations
-that could do the same. `without results` is the longest time after the perturbation in which a consumer of /result had
-no element. Read times as orders of magnitude.
+A source at 500 Hz, a chain of three workers and the target /result run as processes; the library has `--library`
+transformations that could replace them. `without results` is the longest time after the perturbation in which a
+consumer of /result had no element. Read times as orders of magnitude.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ Row = dict[str, Any]
 
 
 def environment_text(size: int) -> str:
-    """A source and three stages, each with alternatives that cost more; `size` transformations in all."""
+    """Return an environment of `size` transformations: a source and three stages, with more expensive alternatives."""
     randoms = random.Random(0)
     library: list[Row] = []
     for number in range(size):
@@ -73,7 +73,7 @@ def environment_text(size: int) -> str:
 
 
 class Consumer:
-    """When each element of a topic came, in nanoseconds since 1970."""
+    """Records the arrival time of each element on a topic, in nanoseconds since the epoch."""
 
     def __init__(self, topic: str, run: str) -> None:
         self.came: list[int] = []
@@ -86,13 +86,13 @@ class Consumer:
             self.came.append(time.time_ns())
 
     def longest_gap_ns(self, since_ns: int) -> int | None:
-        """The longest time without an element after a moment; None if nothing has come since."""
+        """Return the longest time without an element after a moment; None if none has come since."""
         came = [since_ns, *self.came[bisect(self.came, since_ns) :]]
         return max((end - begin for begin, end in pairwise(came)), default=None)
 
 
 class Run:
-    """A running life-cycle that is perturbed."""
+    """A running life-cycle to perturb."""
 
     def __init__(self, runtime: Runtime, manager: Manager, file: Path) -> None:
         self.runtime = runtime
@@ -107,7 +107,7 @@ class Run:
             self.reviews.append(report.review)
 
     def unit_at(self, stage: int) -> str:
-        """The unit that runs at a stage; 0 is the source."""
+        """Return the unit that runs at a stage; 0 is the source."""
         return next(u.id for u in self.runtime.environment.units if _stage(u.transformation) == stage)
 
     def kill(self, stage: int) -> None:
@@ -169,7 +169,7 @@ def _stage(label: str) -> int:
 
 
 def measure(run: Run, name: str, perturb: Callable[[], None], after: Callable[[], None] | None, topic: str) -> Row:
-    """Perturb once; the times in milliseconds."""
+    """Perturb once; returns the durations in milliseconds."""
     consumer = run.consumer if topic == "/result" else Consumer(topic, run.runtime.id)
     run.manager.settle(PATIENCE_S)
     time.sleep(0.3)
@@ -202,7 +202,7 @@ def _applied(reviews: list[Review]) -> Review | None:
 
 
 def rows(size: int, repeat: int) -> list[Row]:
-    """Every kind of perturbation so many times."""
+    """Measure every kind of perturbation `repeat` times."""
     found: list[Row] = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -237,7 +237,7 @@ def rows(size: int, repeat: int) -> list[Row]:
 
 
 def table(found: list[Row]) -> str:
-    """Medians, and the 99th percentile of the time without results, in milliseconds.
+    """Return a table of medians, and of the 99th percentile of the time without results, in milliseconds.
 
     `noticed after` is from the perturbation to the beginning of the review; the planner's share is of the time from the
     perturbation to the end of the update.

@@ -2,10 +2,10 @@
 
     python experiments/lifecycle/storm.py [--perturbations 200] [--seeds 10] [--seed 0] [--real | --hosts]
 
-Units are simulated, on a clock that jumps, or with --real processes. With --hosts they are placed on three hosts, which
-are lost and come back. With an even seed starts are free, and the configuration must cost exactly as much as a fresh
-plan; otherwise exactly as much as a planner without memory finds from the running units. The met targets must be the
-same, no rule of the judge may be broken, and elements must come on the topics of processes.
+Units are simulated on a virtual clock; with --real they are processes. With --hosts they are placed on three hosts,
+which are lost and come back. If the seed is even, starts are free, and the configuration must cost exactly as much as
+a fresh plan. Otherwise it must cost exactly as much as the plan that a planner without memory finds from the running
+units. The met targets must be the same, the judge must accept the plan, and the topics of processes must have elements.
 """
 
 from __future__ import annotations
@@ -59,7 +59,9 @@ UNITS = Path(__file__).parent / "storm_units.py"
 def library(
     randoms: random.Random, *, is_free_to_start: bool, places: tuple[tuple[str, ...], ...] = PLACES
 ) -> list[Transformation]:
-    """Sources of A, and for each further layer transformations that need one or two tags of the layer before."""
+    """Return sources of the tag A, and for each further layer transformations that need one or two tags of the layer
+    before.
+    """
     made = []
     for layer, letter in enumerate(LAYERS):
         for number in range(4):
@@ -81,7 +83,7 @@ def library(
 
 
 def targets() -> list[Target]:
-    """One for each tag of the last two layers, some more important than others."""
+    """Return a target for each tag of the last two layers, some more important than others."""
     return [
         Target(f"{letter}{number}", f"{letter}{number}", f"/{letter}{number}", priority=number)
         for letter in LAYERS[2:]
@@ -90,7 +92,7 @@ def targets() -> list[Target]:
 
 
 class Storm:
-    """Draws perturbations for a manager; it may restore removed items later."""
+    """Draws random perturbations for a manager, and may restore removed items later."""
 
     def __init__(self, seed: int, known: list[Transformation], wanted: list[Target]) -> None:
         self.randoms = random.Random(seed)
@@ -98,7 +100,7 @@ class Storm:
         self._wanted = {target.label: target for target in wanted}
 
     def change(self, manager: Manager) -> Change:
-        """A change that fits the state of the manager."""
+        """Return a random change that is possible in the manager's state."""
         world, randoms, seen = manager.world.environment, self.randoms, manager.snapshot()
         gone = sorted(set(self._known) - set(world.transformation))
         unwanted = sorted(set(self._wanted) - set(world.target))
@@ -121,8 +123,8 @@ class Storm:
 
 
 def faults(manager: Manager, running: Environment, *, is_free_to_start: bool) -> list[str]:
-    """Return each way in which the running configuration is worse than possible, by a planner without memory and the
-    judge.
+    """Return the faults of the running configuration: a higher cost or fewer met targets than a planner without memory
+    finds, and the rules that the judge finds broken.
     """
     world, lost = manager.world, manager.snapshot().lost_hosts
     hosts = tuple(host for host in world.environment.hosts if host.name not in lost)
@@ -153,12 +155,14 @@ def faults(manager: Manager, running: Environment, *, is_free_to_start: bool) ->
 
 
 def on_hosts(seed: int, perturbations: int) -> list[str]:
-    """A storm on a simulated backend with hosts, which are lost and come back."""
+    """Run a storm on a simulated backend with hosts that are lost and come back. Returns the faults."""
     return in_thought(seed, perturbations, hosts=HOSTS)
 
 
 def in_thought(seed: int, perturbations: int, hosts: tuple[Host, ...] = ()) -> list[str]:
-    """A storm on a simulated backend, with crashes and cut subscriptions among the perturbations."""
+    """Run a storm on a simulated backend, with crashes and cut subscriptions among the perturbations. Returns the
+    faults.
+    """
     is_free_to_start = seed % 2 == 0
     places = CHOICES if hosts else PLACES
     known = library(random.Random(seed), is_free_to_start=is_free_to_start, places=places)
@@ -198,7 +202,7 @@ def in_thought(seed: int, perturbations: int, hosts: tuple[Host, ...] = ()) -> l
 
 
 def on_processes(seed: int, perturbations: int) -> list[str]:
-    """A storm on real processes; some requests come before the last is answered."""
+    """Run a storm on real processes; some requests come before the last is answered. Returns the faults."""
     is_free_to_start = seed % 2 == 0
     known = library(random.Random(seed), is_free_to_start=is_free_to_start)
     world = api.world(Environment((), tuple(known), tuple(targets())), horizon_s=HORIZON_S)
@@ -217,7 +221,7 @@ def on_processes(seed: int, perturbations: int) -> list[str]:
 
 
 def faults_at_rest(manager: Manager, runtime: Runtime, *, is_free_to_start: bool) -> list[str]:
-    """The faults once everything has been answered, and that nothing comes for a target that is met."""
+    """Return the faults once every request is answered; a met target without elements is a fault."""
     manager.settle(PATIENCE_S)
     await_answer(manager.request(ReviewNow()), PATIENCE_S)
     manager.settle(PATIENCE_S)
@@ -247,7 +251,7 @@ def _gives(topic: str, run: str) -> bool:
 
 
 def await_answer(outcome: Outcome, patience_s: float) -> None:
-    """Wait at most `patience_s` seconds for an answer; a request that came too late is refused, which is ignored."""
+    """Wait at most `patience_s` seconds for an answer; ignore that a request that came too late is refused."""
     with suppress(InputError, TimeoutError):
         outcome.result(patience_s)
 

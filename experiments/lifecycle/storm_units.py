@@ -1,4 +1,4 @@
-"""Unit code of storms: a source gives 1 at 50 Hz, every other unit the sum of its inputs."""
+"""Unit code of storms: a source sends 1 at 50 Hz, every other unit the sum of its inputs."""
 
 from __future__ import annotations
 

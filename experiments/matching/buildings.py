@@ -48,13 +48,13 @@ def brick_shaped(seed: int = 0, classes: int = 1000) -> Ontology:
 
 
 def brick(path: Path) -> Ontology:
-    """Brick as it is published."""
+    """Return Brick from its published file."""
     ontology = load_ontology([path], {"": None})
     return Ontology(ontology.axioms, {"brick": BRICK, "": BUILDING}, dropped=ontology.dropped)
 
 
 def building(ontology: Ontology, points: int = 1000, tags: int = 100, seed: int = 0) -> World:
-    """Return a building with some points; its tags are points of a kind that belong to some equipment or location."""
+    """Return a building with `points` points; each tag is a kind of point of some equipment or location."""
     rng = random.Random(seed)
     below: dict[str, list[str]] = {kind: [] for kind in ("Point", "Equipment", "Location")}
     above: dict[str, list[str]] = {}
@@ -103,7 +103,7 @@ def building(ontology: Ontology, points: int = 1000, tags: int = 100, seed: int 
 
 
 def main() -> None:
-    """Match the tags of a building and print how long it took and who decided how many pairs."""
+    """Match the tags of a building; print the time, and the number of pairs that each engine decided."""
     paths = list(map(Path, sys.argv[1:]))
     world = building(brick(paths[0]) if paths else brick_shaped())
     matcher = Matcher(world.ontology)

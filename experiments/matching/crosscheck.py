@@ -1,10 +1,10 @@
-"""Compares the fast engine with HermiT on random ontologies and tags, and writes a table of the result.
+"""Compares the fast engine with HermiT on random ontologies and tags, and writes a table.
 
     python experiments/matching/crosscheck.py --worlds 400 --tags 80 --large 20 --out experiments/matching/crosscheck.md
 
-HermiT classifies all tags. The results of the fast engine and of finite models are compared with that, and so are
-HermiT's answers about some of the pairs that they leave open. Two errors are counted: a match that HermiT's
-classification denies (false positive), and a match of HermiT that is denied instead of left open (certified miss). Both
+HermiT classifies all tags. Its classification is compared with the results of the fast engine, with those of finite
+models, and with HermiT's own answers about some pairs that both leave undecided. Two errors are counted: a match that
+the classification denies (false positive), and a match of the classification that is denied (certified miss). Both
 counts must be zero.
 """
 
@@ -33,7 +33,7 @@ MOST_TAGS_FAR = 40
 
 
 def compare(world: World) -> Counter[str]:
-    """Count the pairs of one world by what the fast engine, finite models and HermiT say."""
+    """Count the pairs of one world by the answers of the fast engine, finite models and HermiT."""
     found: Counter[str] = Counter(worlds=1)
     try:
         fast = match(world.offered, world.demanded, world.ontology, reasoner="el")
@@ -101,7 +101,7 @@ def _count_errors(found: Counter[str], world: World, told: Matching, reference: 
 
 
 def main() -> int:
-    """Run the comparison and print or write its table; 1 if an error was found."""
+    """Run the comparison and print or write its table. Returns 1 if an error was found, otherwise 0."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--worlds", type=int, default=200)
     parser.add_argument("--tags", type=int, default=60)
@@ -136,7 +136,7 @@ def main() -> int:
 
 
 def table(totals: dict[str, Counter[str]]) -> str:
-    """The counts as a Markdown table."""
+    """Return the counts as a Markdown table."""
     rows = [
         "worlds",
         "inconsistent, both agree",

@@ -1,9 +1,9 @@
-"""Plans where the fast engine does not settle which tags match: `python experiments/matching/deciding.py [Brick.ttl]`.
+"""Plans with tags that the fast engine does not decide: `python experiments/matching/deciding.py [Brick.ttl]`.
 
-100 transformations and 10 targets are planned from nothing as `cfgplan.solve` does it: in a building of 1,000 points,
-whose ontology is Brick or one of its shape, in the two ontologies of `far_outside.py`, and in one that nothing settles.
-Printed are the wall time of matching and planning, the answer, who decided how many pairs of tags, and about how
-many HermiT was asked.
+100 transformations and 10 targets are planned by `cfgplan.solve`, with no running units: in a building of 1,000
+points, whose ontology is Brick or one of its shape, in the two ontologies of `far_outside.py`, and in one that no
+engine decides. Prints the wall time of matching and planning, the answer, the number of pairs of tags that each engine
+decided, and the number that HermiT was asked about.
 """
 
 from __future__ import annotations
@@ -28,9 +28,7 @@ DEAR_US = 10**8
 
 
 def planned(tags: World) -> api.World:
-    """Return a world of drivers with offered tags, expensive drivers with demanded tags, derived streams, and
-    targets.
-    """
+    """Return a world to plan: drivers that offer `tags`, expensive drivers, derived streams, and targets."""
     rng = random.Random(0)
     given, derived = tags.offered[:-DERIVED], tags.offered[-DERIVED:]
 
@@ -60,7 +58,7 @@ def _priced(
 
 
 def clashing(seed: int = 0, classes: int = 300) -> Ontology:
-    """Classes with successors of any of some others, all of whose predecessors are of some, and clashes."""
+    """Return random classes whose property restrictions clash, too hard for every engine."""
     rng = random.Random(seed)
     names = [iri(f"C{number}") for number in range(classes)]
 

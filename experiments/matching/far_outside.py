@@ -1,8 +1,8 @@
-"""Matches tags in ontologies far outside the fast fragment: one that HermiT classifies, one where it is lost.
+"""Matches tags in ontologies far outside the fast fragment: one that HermiT can classify, and one that it can't.
 
     python experiments/matching/far_outside.py [--kind adversarial] [--limit 60]
 
-To compare two versions, run both in turns, each with its own PYTHONPATH.
+To compare two versions, run them alternately, each with its own PYTHONPATH.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from cfgplan.matching import Matcher, Ontology
 
 
 def layered(seed: int = 0, classes: int = 300) -> Ontology:
-    """Classes below later ones, with unions, restrictions, disjointness, a transitive and an inverse property."""
+    """Return random classes with unions, restrictions, disjointness, and a transitive and an inverse property."""
     rng = random.Random(seed)
     axioms = [
         f"TransitiveObjectProperty({iri('p')})",
@@ -44,7 +44,7 @@ def layered(seed: int = 0, classes: int = 300) -> Ontology:
 
 
 def adversarial(seed: int = 0, classes: int = 300) -> Ontology:
-    """Classes with successors, by a property and its inverse, that may be any other class, and unions."""
+    """Return classes with unions and with restrictions of a property and its inverse to arbitrary other classes."""
     rng = random.Random(seed)
     axioms = [f"InverseObjectProperties({iri('r')} {iri('s')})"]
     for number in range(classes):
@@ -56,7 +56,7 @@ def adversarial(seed: int = 0, classes: int = 300) -> Ontology:
 
 
 def tagged(ontology: Ontology, tags: int = 300, seed: int = 1) -> World:
-    """The ontology with names and conjunctions of a name with a restriction as tags, offered and demanded."""
+    """Return the ontology with offered and demanded tags: names, and conjunctions of a name and a restriction."""
     rng = random.Random(seed)
     names = sorted(ontology.classes)
 
@@ -71,7 +71,7 @@ KINDS = {"layered": layered, "adversarial": adversarial}
 
 
 def main() -> None:
-    """Match the tags of one ontology and print how long it took and who decided how many pairs."""
+    """Match the tags of one ontology; print the time, and the number of pairs that each engine decided."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kind", choices=KINDS, default="layered")
     parser.add_argument("--tags", type=int, default=300)
@@ -88,7 +88,7 @@ def main() -> None:
 
 
 def cpu_s() -> float:
-    """CPU seconds of this process and of those that it started and that have ended."""
+    """Return the CPU seconds of this process and of its ended children."""
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
     return time.process_time() + children.ru_utime + children.ru_stime
 

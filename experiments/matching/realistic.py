@@ -1,4 +1,4 @@
-"""Large worlds that look like the ontologies of streams: a taxonomy of information, devices, places and qualities."""
+"""Large worlds similar to real ontologies of streams: a taxonomy of information, devices, places and qualities."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from cfgplan.matching import Ontology
 
 
 def realistic_world(tags: int, seed: int = 0) -> World:
-    """A world with `tags` distinct tags, half of them offered; the ontology grows with the square root of that.
+    """Return a world with `tags` distinct tags, half of them offered; the ontology grows with the square root of
+    `tags`.
 
-    Definitions (A ≡ B ⊓ ∃r.C), disjointness, a role hierarchy, a transitive part-of with a chain, domains and ranges,
-    and individuals that are devices in places.
+    It has definitions (A ≡ B ⊓ ∃r.C), disjointness, a role hierarchy, a transitive part-of with a chain, domains and
+    ranges, and individuals: devices in places.
     """
     rng = random.Random(seed)
     size = max(20, int(12 * tags**0.5))

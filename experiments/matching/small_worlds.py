@@ -1,4 +1,4 @@
-"""Random ontologies and tags: small ones of every construct to find errors, large ones to measure."""
+"""Random small ontologies with every construct, and tags, to find errors of the matching."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ NAMESPACE = "http://world.example/#"
 
 @dataclass(frozen=True)
 class World:
-    """An ontology with tags to match in it."""
+    """An ontology, with offered and demanded tags to match."""
 
     ontology: Ontology
     offered: tuple[str, ...]
@@ -20,9 +20,9 @@ class World:
 
 
 def small_world(seed: int, tags: int = 40, *, outside: float = 0.0, far: bool = False) -> World:
-    """A dense little ontology of the fast fragment, with a share `outside` of axioms that leave it.
+    """Return a small, dense ontology of the fast fragment, with a share `outside` of axioms outside of it.
 
-    With `far` these are of every kind that OWL has for classes, properties and individuals, and so are the tags.
+    With `far` these axioms, and the tags, are of every kind that OWL has for classes, properties and individuals.
     """
     return _Small(random.Random(seed), outside, far).world(tags)
 
@@ -197,5 +197,5 @@ class _Small:
 
 
 def iri(name: str) -> str:
-    """A name of a world as an IRI in brackets."""
+    """Return a name of a world as an IRI in angle brackets."""
     return f"<{NAMESPACE}{name}>"

@@ -1,6 +1,6 @@
-"""A robot's graph of ROS nodes, and the tags that a person gave its ports in SOSA, before any were proposed.
+"""A robot's graph of ROS nodes, and the SOSA tags that a person gave its ports before cfgplan proposed any.
 
-SOSA itself is not part of this project: https://github.com/w3c/sdw-sosa-ssn has it.
+SOSA is not included in this project; download it from https://github.com/w3c/sdw-sosa-ssn.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ WRITTEN = {
 
 
 def robot() -> RosGraph:
-    """The graph."""
+    """Return the robot's graph: its nodes, topics and message types."""
     roles = {"gives": Role.PUBLISHES, "takes": Role.SUBSCRIBES}
     return RosGraph(
         tuple(

@@ -2,8 +2,8 @@
 
     python experiments/matching/speed.py --out experiments/matching/speed.md
 
-Times are CPU seconds, so that other work on the machine counts little; compare mainly the ratios in one run. HermiT is
-asked only for the small sizes. "Reading the changed matrix" builds the whole relation as one value again.
+Times are CPU seconds, which other processes change little; compare mainly the ratios in one run. HermiT is measured
+only at the small sizes. "Reading the changed matrix" builds the whole relation again.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ TRANSFORMATIONS = 15
 
 
 def measure(tags: int) -> dict[str, float]:
-    """Times in seconds and the peak memory in MB for one world, measured in a process of its own."""
+    """Return times in seconds and the peak memory in MB for one world, measured in a new process."""
     world = realistic_world(tags)
     newcomers = realistic_world(tags, seed=1)
     found: dict[str, float] = {"tags": len(world.offered) + len(world.demanded), "axioms": len(world.ontology.axioms)}

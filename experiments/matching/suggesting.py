@@ -1,9 +1,9 @@
-"""Is the tag that a person wrote among the first three that are proposed?
+"""Test whether the tag that a person wrote is among the first three proposed tags.
 
     python experiments/matching/suggesting.py [sosa-common.ttl sosa-observation.ttl sosa-actuation.ttl]
 
-The tags of a world are left out, all of them (`⊤` stands for each), or one after the other, and proposed from names,
-types of messages and wires. Two tags are the same if they are equal as concepts. Worlds: the paper's case study, and
+The tags of a world are replaced by `⊤`, all together or one at a time, and proposed from names, message types and
+connections. Two tags are the same if they are equal as concepts. Worlds: the paper's case study, and
 with SOSA's files the graph of ROS nodes of `sosa_robot.py`, imported as `cfgplan import ros2` does it.
 """
 
@@ -28,7 +28,7 @@ NAO = Path(__file__).parents[2] / "models" / "nao"
 
 
 def with_tags(environment: Environment, tags: Mapping[str, str]) -> Environment:
-    """The environment with other tags at some ports and targets."""
+    """Return the environment with other tags at the ports and targets that `tags` names."""
     library = tuple(
         replace(
             t,
@@ -42,7 +42,7 @@ def with_tags(environment: Environment, tags: Mapping[str, str]) -> Environment:
 
 
 def found(world: api.World, written: Mapping[str, str], names: list[str]) -> dict[str, int]:
-    """At which place, from 1, the written tag of each port is proposed; 0: it is not."""
+    """Return the rank, from 1, at which the written tag of each port is proposed; 0 if it is not proposed."""
     places = {}
     for name, suggestions in api.suggested_tags(world, names, foreign=ROS_NAMES, reasoner="el").items():
         wanted = parse_tag(written[name], world.ontology)
@@ -52,7 +52,7 @@ def found(world: api.World, written: Mapping[str, str], names: list[str]) -> dic
 
 
 def shown(what: str, world: api.World, written: Mapping[str, str], left_out: str) -> None:
-    """Print how many written tags are proposed, with all tags left out and with one."""
+    """Print the number of written tags that are proposed, with all tags left out and with one left out."""
     names = list(written)
     bare = replace(world, environment=with_tags(world.environment, dict.fromkeys(names, left_out) if left_out else {}))
     places = found(bare, written, names)
@@ -68,7 +68,7 @@ def shown(what: str, world: api.World, written: Mapping[str, str], left_out: str
 
 
 def bare_tag(world: api.World, name: str) -> str:
-    """The tag of a port in the world as it is."""
+    """Return the written tag of a port of the world."""
     return world.environment.outputs.get(name) or world.environment.demands[name]
 
 

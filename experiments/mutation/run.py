@@ -1,7 +1,7 @@
-"""Breaks rules one at a time and says which survive: `python experiments/mutation/run.py`.
+"""Breaks one rule at a time, and lists the mutants that no test notices: `python experiments/mutation/run.py`.
 
-Each mutant is written into a copy of the project, where the tests of its room run until one fails. Ends with 1 if a
-mutant survived, and before anything is run if the text that one replaces is not found exactly once.
+Each mutant is written into a copy of the project, where the tests of its room run until one fails. The exit code is 1
+if a mutant survived; also, before any test runs, if the text that a mutant replaces is not found exactly once.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ PATIENCE_S = 600
 
 
 def stale() -> list[str]:
-    """The mutants whose text is not there, or not once."""
+    """Return the mutants whose text does not occur in their file exactly once."""
     found = []
     for mutant in MUTANTS:
         times = (PROJECT / mutant.file).read_text(encoding="utf-8").count(mutant.old)
@@ -42,9 +42,7 @@ def stale() -> list[str]:
 
 
 def verdict(tree: Path, mutant: Mutant | None, tests: tuple[str, ...]) -> int | None:
-    """Return pytest's exit code in a copied tree, with a mutant in it or none; a test that takes too long has
-    failed.
-    """
+    """Return pytest's exit code in a copied tree, with a mutant or without; a timeout counts as a failure."""
     path = tree / mutant.file if mutant is not None else None
     whole = path.read_text(encoding="utf-8") if path is not None else ""
     if path is not None and mutant is not None:
@@ -74,7 +72,7 @@ def _run_tests(tree: Path, tests: tuple[str, ...]) -> None:
 
 
 def survivors(mutants: list[Mutant], processes: int) -> list[Mutant]:
-    """Run the tests of each mutant, several at a time; raises if a result is neither killed nor survived."""
+    """Return the mutants that no test kills, running several at a time; raises if pytest fails otherwise."""
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(processes) as pool:
         trees = [Path(folder) / str(number) for number in range(processes)]
         for tree in trees:

@@ -1,4 +1,4 @@
-"""The mutants: rules broken one at a time, each with the tests of its own room, which must notice."""
+"""The mutants: each breaks one rule, and names the tests of its room that must fail."""
 
 from __future__ import annotations
 

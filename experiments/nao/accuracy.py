@@ -1,4 +1,4 @@
-"""How right the ball's positions are, with one robot and with both, over minutes of the game; nothing is started.
+"""The errors of the ball's positions, with one robot and with both, over minutes of the game; no unit is started.
 
 python experiments/nao/accuracy.py [--frames 3000] [--every 3]
 """

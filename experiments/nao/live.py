@@ -1,4 +1,4 @@
-"""How right the ball's positions are on running units: with one robot, then with both and their fusion.
+"""The errors of the ball's positions on running units: with one robot, then with both and their fusion.
 
 python experiments/nao/live.py [--seconds 60]
 """

@@ -1,4 +1,4 @@
-"""The world of `models/nao`, what its units take, and errors as a table."""
+"""The world of `models/nao`, the CPU time of its units, and a table of errors."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ROBOTS = ("piff", "puff")
 
 
 class Timed:
-    """Calls units; `cpu_s` adds up what each takes."""
+    """Calls units; `cpu_s` sums the CPU seconds of each."""
 
     def __init__(self) -> None:
         self.cpu_s: dict[str, float] = defaultdict(float)
@@ -33,26 +33,26 @@ class Timed:
 
 
 def error(position: Mapping[str, Any], time_ns: int) -> tuple[float, float]:
-    """How far a position is from the truth of its moment, along both axes, in metres."""
+    """Return the error of a position along both axes, in metres, at a time in nanoseconds since the epoch."""
     x, y = scenario.ball(time_ns)
     return position["x"] - x, position["y"] - y
 
 
 def surprise(position: Mapping[str, Any], time_ns: int) -> float:
-    """The squared error in units of its own covariance; 2 on average if that is honest."""
+    """Return the squared Mahalanobis distance of the error; 2 on average if the position's covariance is right."""
     xx, xy, yy = position["covariance"]
     off = np.array(error(position, time_ns))
     return float(off @ np.linalg.solve([[xx, xy], [xy, yy]], off))
 
 
 def distance(robot: str, time_ns: int) -> float:
-    """From a robot to the ball, in metres."""
+    """Return the true distance from a robot to the ball, in metres."""
     pose, ball = scenario.pose(robot, time_ns), scenario.ball(time_ns)
     return math.hypot(pose.x - ball[0], pose.y - ball[1])
 
 
 def summary(errors: list[tuple[float, float]]) -> str:
-    """Cells of a table: elements, root mean square, median, 95 %, largest."""
+    """Return the cells of a table row: number of elements, root mean square, median, 95 % and largest error."""
     lengths = np.hypot(*np.array(errors).T)
     cells = (math.sqrt(float((lengths**2).mean())), np.median(lengths), np.quantile(lengths, 0.95), lengths.max())
     return " | ".join([f"{len(errors):,}", *(f"{100 * cell:.1f} cm" for cell in cells)])

@@ -1,8 +1,8 @@
-"""Are deviations of streams from their declared qualities attributed to the right transformations?
+"""Test whether deviations of streams from their declared qualities are attributed to the right transformations.
 
-A chain of STAGES stages has WAYS transformations for each, whose true errors differ from the declared ones. Some
-configurations run, one after the other, and some of the outputs say their quality. Then the configuration with the
-least learned error is chosen. Its regret is the share by which its true error exceeds the least possible one.
+Each of STAGES stages in a chain has WAYS transformations, whose true errors differ from the declared ones. Some
+configurations run, one after the other, and some outputs report their quality. Then the configuration with the least
+learned error is chosen. Its regret is the share by which its true error exceeds the least possible one.
 
     python experiments/observed/attribution.py --draws 200
 """
@@ -39,12 +39,12 @@ Table = dict[tuple[int, int], float]
 
 
 def label(stage: int, way: int) -> str:
-    """The transformation of a stage's way."""
+    """Return the label of a stage's transformation number `way`."""
     return f"t{stage}{way}"
 
 
 def environment_of(rule: QualityRule, declared: Table) -> Environment:
-    """The library of a line of stages."""
+    """Return the library of the chain, with declared errors."""
 
     def transformation(stage: int, way: int) -> Transformation:
         stated = Contribution(ERROR, rule, round(declared[stage, way] * MICRO), observe=ERROR)
@@ -56,7 +56,7 @@ def environment_of(rule: QualityRule, declared: Table) -> Environment:
 
 
 def running(environment: Environment, configuration: Configuration) -> Environment:
-    """The library with the units of a configuration."""
+    """Return the environment with the units of a configuration running."""
     units = []
     for stage, way in enumerate(configuration):
         feeds = (Subscription("in", Stream(units[-1].id, "out")),) if units else ()
@@ -65,7 +65,7 @@ def running(environment: Environment, configuration: Configuration) -> Environme
 
 
 def values(rule: QualityRule, table: Table, configuration: Configuration) -> list[float]:
-    """The error after each stage."""
+    """Return the error after each stage of a configuration, by the errors in a table."""
     parts = [table[place] for place in enumerate(configuration)]
     return list(
         itertools.accumulate(parts, (lambda a, b: a * b) if rule is QualityRule.SCALE else (lambda a, b: a + b))
@@ -108,7 +108,9 @@ def draw(seed: int, rule: QualityRule, share: float, runs: int) -> tuple[float, 
 
 
 def main(arguments: Sequence[str] | None = None, tell: Callable[[str], object] = print) -> None:
-    """Show the regrets by rule, by the share of outputs that say how good they are, and by configurations that ran."""
+    """Print the regrets by rule, by the share of outputs that report their quality, and by the number of
+    configurations.
+    """
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--draws", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0)

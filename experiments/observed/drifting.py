@@ -1,9 +1,10 @@
-"""What it is worth to observe how good streams are, in worlds whose truth drifts.
+"""The benefit of observing the quality of streams, in worlds whose true errors drift.
 
-Some sources can meet one target. Each has upkeep, labor and a declared error, and the true errors drift. A second costs
-the upkeep of all units that run and the target's price of the true error; a start costs its labor. A run (the real
-manager, with simulated units) that observes streams is compared with one that believes what is declared, and with a
-clairvoyant who knows all true errors, and chooses each second what is cheapest if they stay.
+Several sources can meet one target. Each has upkeep, labor and a declared error, and the true errors drift. A second
+costs the upkeep of all running units and the target's price of the true error; a start costs its labor. A run (the
+real manager, with simulated units) that observes streams is compared with a run that uses the declared errors, and
+with a clairvoyant. The clairvoyant knows all true errors, and each second chooses the cheapest source as if the errors
+stayed constant.
 
     python experiments/observed/drifting.py --worlds 50 --kind walk
 """
@@ -47,12 +48,12 @@ class Drift:
     true: list[list[float]]
 
     def second(self, source: int) -> Callable[[float], float]:
-        """The true error of a source at a time."""
+        """Return the true error of a source as a function of time in seconds."""
         return lambda at_s: self.true[min(int(at_s), SPAN_S - 1)][source]
 
 
 def drawn(seed: int, kind: str) -> Drift:
-    """A world of three to five sources."""
+    """Return a random world of three to five sources; `kind` is how their errors drift."""
     chance = random.Random(f"{seed} {kind}")
     number = chance.randint(3, 5)
     declared = [round(chance.uniform(0.2, 1.0), 6) for _ in range(number)]
@@ -70,7 +71,7 @@ def drawn(seed: int, kind: str) -> Drift:
 
 
 def lived(drift: Drift, *, observes: bool, seed: int = 0) -> tuple[float, int]:
-    """What a run costs in CPU seconds, and how many units it starts."""
+    """Return the cost of a run in CPU seconds, and the number of units that it starts."""
     sources = range(len(drift.declared))
 
     def behaviour(source: int) -> Behaviour:
@@ -110,7 +111,7 @@ def lived(drift: Drift, *, observes: bool, seed: int = 0) -> tuple[float, int]:
 
 
 def clairvoyant(drift: Drift) -> tuple[float, int]:
-    """What it costs to know all true errors, and to believe each second that they stay."""
+    """Return the clairvoyant's cost in CPU seconds, and the number of its starts."""
     sources = range(len(drift.declared))
 
     def foreseen(source: int, errors: Sequence[float], runs: int | None) -> float:
@@ -127,7 +128,7 @@ def clairvoyant(drift: Drift) -> tuple[float, int]:
 
 
 def main(arguments: Sequence[str] | None = None, tell: Callable[[str], object] = print) -> None:
-    """Show costs against those of the clairvoyant, the share of the gap that observing wins, and the starts."""
+    """Print costs relative to the clairvoyant's, the share of the difference that observing saves, and the starts."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--worlds", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)

@@ -1,4 +1,4 @@
-"""NAO at night: plays days that have a night, says how the run follows them, and draws it.
+"""NAO at night: plays days with a night, prints how well the run follows the light, and draws a chart.
 
 python experiments/observed/night.py [--days 2] [--out models/nao/8-night.svg]
 """
@@ -34,7 +34,7 @@ LEAST_LIGHT = 0.84
 
 @dataclass(frozen=True)
 class Look:
-    """The light, and the state of the run, at one time."""
+    """A sample of the light and of the run's state."""
 
     at_s: float
     light: float
@@ -46,7 +46,7 @@ class Look:
 
 @dataclass
 class Positions:
-    """The positions that came on /result: when each was made, and how far off it was."""
+    """The positions received on /result: the time of each, and its error."""
 
     run: str
     at_ns: list[int] = field(default_factory=list)

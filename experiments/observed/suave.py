@@ -3,10 +3,10 @@
     python experiments/observed/suave.py [--missions 3] [--pace 5] [--out models/suave/mission.svg]
     python experiments/observed/suave.py --crossings [--noise 0.2]
 
-A mission takes 300 simulated seconds. After 35 s a thruster fails. Missions are run with the world's library, and with
-a single altitude of the search each, as without adaptation. With `--crossings` the search takes 480 s in real time,
-noise-free: each crossing of a comparison has to be answered by one switch. With `--noise` five values come in a second,
-with this standard deviation as a share of the visibility, and crossings are those of the truth.
+A mission takes 300 simulated seconds. After 35 s a thruster fails. Missions are run with the world's library, and, for
+comparison without adaptation, with each single altitude. With `--crossings` the search takes 480 s in real time,
+without noise: each time the visibility crosses a bound, the run has to switch once. With `--noise` five values come a
+second, with this standard deviation as a share of the visibility, and crossings of the true visibility are counted.
 
 Reference: Rezende Silva et al., SUAVE: an exemplar for self-adaptive underwater vehicles, SEAMS 2023.
 """
@@ -51,9 +51,7 @@ _LOOK_S = 0.05
 
 @dataclass
 class Mission:
-    """The result of a mission: when the pipeline was found, in simulated seconds, and how many metres were
-    inspected.
-    """
+    """The result of a mission: the time when the pipeline was found, in simulated seconds, and the inspected metres."""
 
     name: str
     found_s: float | None = None
@@ -89,7 +87,7 @@ def main() -> None:
 
 
 def at_pace(world: World, pace: float) -> World:
-    """The world with its units at a pace."""
+    """Return the world with its units at a pace, in simulated seconds per second."""
     library = tuple(
         replace(one, params={**one.params, "pace": pace}) if one.label in ("water", "all_thrusters", "recover") else one
         for one in world.environment.library
@@ -98,7 +96,7 @@ def at_pace(world: World, pace: float) -> World:
 
 
 def alone(world: World, altitude: str) -> World:
-    """The world with one altitude of the search only, whatever the water is like."""
+    """Return the world with a single altitude of the search, which is allowed at any visibility."""
 
     def kept(one: Transformation) -> bool:
         return one.label not in LEAST_M or one.label == altitude
@@ -110,7 +108,7 @@ def alone(world: World, altitude: str) -> World:
 
 
 def mission(name: str, world: World, pace: float) -> Mission:
-    """Run a mission, which begins with a period of the visibility."""
+    """Run a mission; it starts at the beginning of a period of the visibility."""
     idle = tuple(one for one in world.environment.targets if not one.quality)
     with begun(replace(world, environment=replace(world.environment, targets=idle))) as operation:
         now_s = time.time() * pace
@@ -153,7 +151,7 @@ def _target(file: Path) -> Target:
 
 @contextmanager
 def begun(world: World) -> Iterator[Operation]:
-    """A run of the world, once its first review is over."""
+    """Yield a run of the world after its first review."""
     with Operation(world, ENVIRONMENT, Settings(estimator="declared", adjust=lambda _: world)) as operation:
         operation.begun.wait()
         yield operation

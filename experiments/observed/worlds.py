@@ -1,9 +1,10 @@
-"""Whether facts, also of hosts, and observed qualities are planned right, in random worlds.
+"""Check plans with facts, facts of hosts and observed qualities in random worlds.
 
-A world has facts of the world and of hosts, transformations that require them, and outputs that say their quality. A
-run (the real manager, with simulated units) is told facts and hears streams. Its next review is compared with `solve
---observed` of the file that `ctl observed --out` writes, with the plan for the same world in which the hosts of each
-transformation are written out for the present facts, and with the oracle. The judge checks the plan.
+A world has facts of the world and of hosts, transformations that require them, and outputs that report their quality.
+A run (the real manager, with simulated units) gets values of facts and elements of streams. Its next review is
+compared with `solve --observed` of the file that `ctl observed --out` writes, with the plan of the same world without
+facts, in which each transformation lists the hosts that the present facts allow, and with the oracle. The judge
+checks the plan.
 
     python experiments/observed/worlds.py --worlds 1000
 """
@@ -49,7 +50,7 @@ VALUES = {"v": ("0", "1.5", "2", "4"), "night": ("true", "false"), "battery": ("
 
 
 def drawn(chance: random.Random) -> Environment:
-    """A world of three or four transformations in three layers, on two or three hosts or none."""
+    """Return a random world of three or four transformations in three layers, on two or three hosts or none."""
     has_hosts, stated = chance.random() < 0.7, chance.random() < 0.6
     library = []
     for number in range(chance.randint(3, 4)):
@@ -83,7 +84,7 @@ def _holds(environment: Environment, requires: str | None, host: str) -> bool:
 
 
 def written_out(environment: Environment) -> Environment:
-    """The same world without facts: each transformation with the hosts where its requirement holds."""
+    """Return the same world without facts: each transformation lists the hosts where its requirement holds."""
     library = []
     for t in environment.library:
         hosts = [
@@ -95,7 +96,7 @@ def written_out(environment: Environment) -> Environment:
 
 
 def outcome(plan: Plan) -> tuple[Status, int | None]:
-    """The status and cost of a plan, which all planners agree on."""
+    """Return the status and the cost of a plan, which must be the same for all planners."""
     return plan.status, plan.cost_us
 
 
@@ -127,7 +128,7 @@ class Lived:
             self.manager.step(5.0)
 
     def told(self) -> None:
-        """Tell the run other values of one to three facts, and let streams be heard."""
+        """Give the run new values of one to three facts, and new elements of streams."""
         for _ in range(self.chance.randint(1, MOST_TOLD)):
             key = self.chance.choice(sorted(self.world.environment.variable))
             self.manager.request(SetFact(key, self.chance.choice(VALUES[key.rpartition(".")[2]])))
@@ -136,7 +137,7 @@ class Lived:
             self._settle()
 
     def observed(self, file: Path) -> Environment:
-        """What runs, in the world as `--observed` reads it."""
+        """Return the running configuration in the world as `--observed` reads it from `file`."""
         snapshot = self.manager.snapshot()
         state = snapshot_record(snapshot)
         file.write_text(observed_text(state["facts"], state["qualities"]), encoding="utf-8")
@@ -144,12 +145,12 @@ class Lived:
 
 
 def problem_of(environment: Environment) -> Problem:
-    """The problem of an environment with atomic tags."""
+    """Return the problem of an environment with atomic tags."""
     return api.match(api.world(environment, horizon_s=HORIZON_S))
 
 
 def differences(run: Lived, file: Path) -> Iterator[str]:
-    """What the present plans for a run disagree in."""
+    """Yield each difference between the present plans for a run."""
     environment = run.observed(file)
     problem, plain = problem_of(environment), problem_of(written_out(environment))
     plan = PLANNERS["cpsat"](problem)
@@ -167,7 +168,7 @@ def differences(run: Lived, file: Path) -> Iterator[str]:
 
 
 def compared(worlds: range) -> tuple[Counter[str], list[str]]:
-    """How many worlds were compared, in how many units ran or facts forbade something, and each difference."""
+    """Return the number of worlds of each kind, such as `with units`, and all differences."""
     counts: Counter[str] = Counter()
     found = []
     with tempfile.TemporaryDirectory() as folder:

@@ -71,7 +71,7 @@ def measured(folder: Path, shape: str, rate: int, kills: int, *, is_recorded: bo
 
 
 def reaction_s(operation: Operation) -> float:
-    """How long it takes until a killed unit is replaced and connected."""
+    """Return the seconds from a unit's kill until its replacement is connected."""
     time.sleep(0.2)
     unit = next(unit.id for unit in operation.runtime.environment.units if unit.transformation == "same")
     began = time.perf_counter()

@@ -1,4 +1,4 @@
-"""README's first picture: the page of a run while one of its units is killed and replaced, as an animated PNG.
+"""The README's first picture, an animated PNG: the page of a run while a unit is killed and replaced.
 
 `python experiments/operating/film.py [--out FILE]` runs the case study of `models/nao` on this computer, films its page
 in headless Chromium, kills the segmenter's process by SIGKILL, and ends when the target is met again. The film shows
@@ -47,7 +47,7 @@ LAST_MS = 2000
 
 
 class Shot(NamedTuple):
-    """A picture of the page (PNG), how many seconds it was shown, the health that it says, and the shell's line."""
+    """A picture of the page (PNG), the seconds that it was shown, the health on it, and the line of the shell."""
 
     png: bytes
     seconds: float
@@ -127,7 +127,7 @@ def _passed(seconds: float) -> Callable[[], bool]:
 
 
 def write(shots: list[Shot], path: Path) -> None:
-    """Write the film; a picture that equals the one before makes that one longer."""
+    """Write the film; equal consecutive pictures are merged into one."""
     drawn = [_with_the_shell(shot) for shot in shots]
     palette = _palette([next(each for each, shot in zip(drawn, shots, strict=True) if shot.level == level)
                         for level in ("well", "bad")] + drawn[-1:])  # fmt: skip

@@ -1,6 +1,6 @@
-"""Guests of the soak: transformations whose code does what it must not, each with a target of its own.
+"""Guests of the soak: transformations with harmful code, each with its own target.
 
-A guest may harm itself only. Each has an outcome that the run has to report.
+A guest may harm only itself. Each has an outcome that the run has to report.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ class Silent(Guest):
 
 @dataclass(frozen=True)
 class Guest:
-    """A guest's code and options, and how its outcome is told; without `shows` it is only to run for a while."""
+    """A guest's code and options, and the event that shows its outcome; without `shows` it just runs for a while."""
 
     code: str
     shows: Callable[[Event], bool] | None = None
@@ -129,7 +129,7 @@ class Guest:
 
     @property
     def text(self) -> str:
-        """What is added to the run's environment."""
+        """Return the YAML that is added to the run's environment."""
         name, tag = self.label, f"G{self.code}"
         ports = f"inputs: {{x: N}}, outputs: {{y: {tag}}}"
         return (
@@ -139,7 +139,7 @@ class Guest:
         )
 
     def is_shown_by(self, event: Event) -> bool:
-        """Whether an event of one of its units is the outcome."""
+        """Return whether an event of one of its units is the outcome."""
         return self.shows is not None and self.shows(event)
 
 

@@ -1,4 +1,4 @@
-"""The CPU time and the memory of units that give no elements.
+"""The CPU time and the memory of units that send no elements.
 
 `python experiments/operating/idle.py [--units 100] [--for 20]` starts `cfgplan run` on so many targets, each with a
 unit of its own behind one slow source, and prints a line for each kind of process: CPU time in percent of a core, and
@@ -60,7 +60,7 @@ def main() -> None:
 
 
 def await_units(run: subprocess.Popen[bytes], number: int, out: Path) -> None:
-    """Wait until so many units of the run are there. Raises SystemExit with the run's output if it ends before."""
+    """Wait until `number` units of the run have started. Raises SystemExit with the run's output if it ends before."""
     end_s = time.monotonic() + START_S
     while len(kinds(run.pid)["unit"]) < number:
         if run.poll() is not None or time.monotonic() > end_s:
@@ -70,7 +70,7 @@ def await_units(run: subprocess.Popen[bytes], number: int, out: Path) -> None:
 
 
 def kinds(run: int) -> dict[str, list[psutil.Process]]:
-    """The processes of a run by kind: unit, outlets, nursery, manager."""
+    """Return the processes of a run by kind: unit, outlets, nursery, manager."""
     found: dict[str, list[psutil.Process]] = defaultdict(list)
     manager = psutil.Process(run)
     found["manager"].append(manager)
@@ -101,12 +101,12 @@ def show(run: int, seconds: float) -> None:
 
 
 def cpu_s(process: psutil.Process) -> float:
-    """The CPU time of a process in seconds, finer than the system's ticks."""
+    """Return the CPU time of a process in seconds, at a finer resolution than the system's ticks."""
     return time.clock_gettime_ns(~process.pid << 3 | 2) / 1e9
 
 
 def switches(process: psutil.Process) -> int:
-    """How often the threads of a process have waited."""
+    """Return the number of voluntary context switches of a process's threads."""
     counts = 0
     for thread in Path(f"/proc/{process.pid}/task").iterdir():
         for line in (thread / "status").read_text().splitlines():

@@ -1,8 +1,8 @@
-"""The page in headless Chromium: the CPU time of an update at 3, 31 and 151 units, and how soon it shows a kill.
+"""The page in headless Chromium: the CPU time of an update at 3, 31 and 151 units, and the delay until it shows a kill.
 
 `python experiments/operating/page.py [--seconds 10] [--kills 5] [--busy 1]` prints a table and a line. The units of the
-table are those of a fake manager, whose figures change each second; the line is of units of a real run that are killed
-from outside, beside as many busy loops as `--busy` says. `--seconds 0` leaves the table out.
+table are those of a fake manager, whose figures change each second. The line is about units of a real run that are
+killed from outside, beside `--busy` busy loops. `--seconds 0` leaves the table out.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def main() -> None:
 
 @contextmanager
 def own_runs() -> Iterator[Path]:
-    """A folder for runs of this command alone."""
+    """Yield a folder for the runs of this command only."""
     with tempfile.TemporaryDirectory() as folder:
         os.environ["XDG_RUNTIME_DIR"] = folder
         yield Path(folder)

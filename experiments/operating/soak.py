@@ -1,17 +1,17 @@
-"""A run in operation under everything that real machines do, with a consumer that checks every element.
+"""A run in operation under the faults of real machines, with a consumer that checks every element.
 
 python experiments/operating/soak.py [--minutes 30] [--seed 1]
 
-Each round does every deed once, in a random order: units, outlets and nursery are killed and stopped, the whole run is
-stalled, forks fail, a dead unit leaves a process behind that holds its sockets open, a unit loads slowly, the disk is
-full, the file is edited (well and badly) and includes a pipe that nobody writes, requests come through the control
-socket, and guests come whose code is hostile (`hostile_guests.py`). There is at least one round.
+Each round causes every fault once, in a random order: units, outlets and nursery are killed and stopped, the whole run
+is stalled, forks fail, a dead unit leaves a process behind that holds its sockets open, a unit loads slowly, the disk
+is full, the file gets valid and invalid edits and includes a pipe without a writer, requests come through the control
+socket, and guests with harmful code join (`hostile_guests.py`). At least one round runs.
 
-Checks: elements are lost only while something was killed or stopped, or a unit counts them as dropped because it got no
-CPU time, never by an edit, a request, a stall, a slow start, a failing fork, a full disk or a guest; none comes out of
-order; what each guest does is told, and a guest that
-sends nothing counts as unmet; every target is met in the end, at exactly the cost that `cfgplan solve` finds for the
-file as it is then; no process, descriptor or thread is left over, nor a daemon of a guest; memory stays flat.
+Checks: elements are lost only around a kill or a stop, or a unit counts them as dropped because it got no CPU time.
+None is lost by an edit, a request, a stall, a slow start, a failing fork, a full disk or a guest; none comes out of
+order. The outcome of each guest is reported, and the target of a silent guest counts as unmet. In the end every target
+is met, at exactly the cost that `cfgplan solve` finds for the final file; no process, descriptor, thread or daemon of a
+guest is left over; memory stays flat.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ MOST_GROWTH_KB = 30_000
 
 @dataclass
 class Soak:
-    """A run of count -> first -> second -> /result under attack."""
+    """A run of count -> first -> second -> /result, and the faults that it survives."""
 
     operation: Operation
     path: Path
@@ -146,7 +146,7 @@ class Soak:
             self.came_ns.append(time.time_ns())
 
     def note(self, event: Event) -> None:
-        """Keep an event for the deed under way, and count the elements that units have dropped for lack of room."""
+        """Keep an event for the current fault, and count the elements that units dropped from full queues."""
         if not isinstance(event, SIGNS):
             self.told.append(event)
         if isinstance(event, UnitStatus) and event.unit.partition(".")[0] in WORKERS.keys() | {"count"}:
@@ -178,7 +178,7 @@ class Soak:
         self._signal_nursery(signal.SIGSTOP)
 
     def stall(self) -> None:
-        """Stop this process with supervisor and consumer: no unit may be reported as hung."""
+        """Stop this process, with supervisor and consumer, for a while: no unit may be reported as hung."""
         me, before, now = os.getpid(), self.faults_told(), time.monotonic()
         subprocess.run(["sh", "-c", f"(kill -STOP {me}; sleep {STALL_S}; kill -CONT {me}) &"], check=True)
         _await_gap(now)
@@ -187,7 +187,7 @@ class Soak:
         assert self.faults_told() == before, self.faults_told()
 
     def failing_fork(self) -> None:
-        """Let a start fail: the running units continue until it succeeds."""
+        """Let the fork of a start fail: the running units continue until it succeeds."""
         full = Path(os.environ["CFGPLAN_SOAK_FULL"])
         full.touch()
         self._edit_params()
@@ -212,7 +212,7 @@ class Soak:
         )
 
     def full_disk(self) -> None:
-        """For a moment no file of this process may grow: the log loses lines, the run continues."""
+        """Forbid this process to enlarge files for a moment: the log loses lines, and the run continues."""
         soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
         resource.setrlimit(resource.RLIMIT_FSIZE, (1, hard))
         self._call("review")
@@ -231,13 +231,13 @@ class Soak:
         self._edit_params()
 
     def bad_edit(self) -> None:
-        """A file that can't be read changes nothing."""
+        """Write an invalid file: the run changes nothing."""
         self.path.write_text("format: cfgplan/1\ntransformations: [{")
         time.sleep(0.5)
         self.write()
 
     def blocked_file(self) -> None:
-        """An included file that blocks whoever reads it holds up edits, and nothing else."""
+        """Include a pipe that blocks its reader: it delays edits, and nothing else."""
         pipe = self.path.with_name("pipe.yaml")
         os.mkfifo(pipe)
         whole = self.path.read_text()
@@ -274,7 +274,7 @@ class Soak:
         return deed
 
     def requests(self) -> None:
-        """A guest comes through the control socket, one target goes and comes back, and the guest leaves."""
+        """Add a guest through the control socket, remove and restore a target, and remove the guest."""
         self._call("add", name="guest", text=GUEST)
         self._call("remove_target", label="other")
         self._call("state")
@@ -282,18 +282,18 @@ class Soak:
         self._call("withdraw", name="guest")
 
     def settle(self) -> None:
-        """Wait until elements come again, no review is pending and every target is met."""
+        """Wait until elements come, no review is pending and every target is met."""
         self._await_result()
         _await(lambda: self.operation.manager.settle(1.0) and not self.unmet(), f"unmet: {self.unmet()}")
 
     def faults_told(self) -> dict[str, int]:
-        """How often the log tells of something that died or was taken for hung."""
+        """Return the number of deaths and hangs in the log, by kind."""
         assert self.operation.log is not None
         told = Counter(json.loads(line)["event"] for line in self.operation.log.path.read_text().splitlines())
         return {kind: told[kind] for kind in ("UnitDied", "UnitHung", "HelperHung", "OutletsLost")}
 
     def await_review(self, what: Callable[[], bool], else_say: str) -> None:
-        """Request reviews until `what()` is true: a review may exclude recently failed transformations for a while."""
+        """Request reviews until `what()` is true, since reviews exclude recently failed transformations for a while."""
 
         def reviewed() -> bool:
             self._call("review")
@@ -306,7 +306,7 @@ class Soak:
         return [view.label for view in self.operation.manager.snapshot().targets if not view.is_met]
 
     def write(self) -> None:
-        """Write the file as an editor does: beside it, then in its place."""
+        """Replace the file as an editor does: write a new one beside it, and rename it."""
         known: list[dict[str, object]] = [
             {
                 "label": "count",
@@ -436,11 +436,10 @@ def _await_gap(since_s: float) -> None:
 
 
 def anomalies(soak: Soak) -> list[str]:
-    """Return everything in the received elements that a consumer must not see.
+    """Return each anomaly in the received elements: unexplained losses, repetitions and wrong order.
 
-    A kill costs the elements that are on their way then, however long they have been: those after which the next one
-    comes once the kill has begun. A unit that gets no CPU time for longer than its queue is long drops elements, and
-    counts them.
+    A kill may lose the elements that are on their way when it begins. A unit that gets no CPU time until its queue is
+    full drops elements, and counts them.
     """
     found = []
     elements = zip(soak.times_ns, soak.values, soak.came_ns, strict=True)
@@ -462,7 +461,7 @@ def _when(at_ns: int) -> str:
 
 
 def fresh_cost_us(path: Path) -> int:
-    """Return the cost that `cfgplan solve` finds for the file, which lists no running unit."""
+    """Return the cost in microseconds that `cfgplan solve` finds for the file, which lists no running unit."""
     code = "import sys; from cfgplan.cli import main; sys.exit(main())"
     line = [sys.executable, "-c", code, "solve", str(path), "--json"]
     solved = subprocess.run(line, capture_output=True, text=True, check=True)
@@ -472,7 +471,7 @@ def fresh_cost_us(path: Path) -> int:
 
 
 def running_cost_us(operation: Operation) -> int:
-    """Return the cost of the running units over the horizon; their starts were free."""
+    """Return the cost of the running units over the horizon in microseconds; their starts were free."""
     world = operation.manager.world
     upkeep = sum(
         world.environment.transformation[u.transformation].upkeep_us for u in operation.runtime.environment.units
@@ -481,14 +480,14 @@ def running_cost_us(operation: Operation) -> int:
 
 
 def of_run(run: str) -> list[psutil.Process]:
-    """The processes of a run, by their titles."""
+    """Return the processes whose titles name a run."""
     found = psutil.process_iter(["cmdline"])
     return [process for process in found if " ".join(process.info["cmdline"] or ()).startswith(f"cfgplan {run} ")]
 
 
 @contextmanager
 def operated(folder: Path, seed: int) -> Iterator[Soak]:
-    """A run of the soak's world, with log and recording, and a consumer."""
+    """Yield a run of the soak's world, with log and recording, and a consumer."""
     path = folder / "env.json"
     (folder / "units.py").write_text(UNITS)
     (folder / "hostile.py").write_text(CODE)
@@ -512,7 +511,7 @@ def operated(folder: Path, seed: int) -> Iterator[Soak]:
 
 
 def soak(minutes: float, seed: int) -> dict[str, object]:
-    """Run it; raises AssertionError for anything that must not be."""
+    """Run the soak and return its figures; raises AssertionError if a check fails."""
     me, done, sizes, descriptors = psutil.Process(), Counter[str](), list[int](), list[int]()
     before, threads = me.num_fds(), threading.active_count()
     end = time.monotonic() + 60 * minutes

@@ -1,7 +1,8 @@
-"""Other ways to plan, for comparison only: solvers, which need the extra `peers`, and the paper's search mended.
+"""Other planners, for comparison only: solvers, which need the extra `peers`, and a corrected version of the paper's
+search.
 
-Each models the whole problem: groundedness, sharing, and the savings of reuse. It refuses features that it does not
-know. Fleets and deployments with an empty running configuration are known to clingo, HiGHS and SCIP.
+Each models the whole problem: groundedness, sharing, and the savings of reuse. Unsupported features raise InputError.
+clingo, HiGHS and SCIP support fleets and deployments in which nothing runs yet.
 """
 
 from __future__ import annotations

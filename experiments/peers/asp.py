@@ -1,4 +1,4 @@
-"""clingo: answer sets are grounded by definition, so the rules below are the whole problem."""
+"""The peer clingo. Answer sets are grounded by definition, so that the rules below are the whole problem."""
 
 from __future__ import annotations
 
@@ -73,21 +73,21 @@ CHEAP_FIRST = ("--opt-heuristic=sign,model",)
 def plan_by_cores(
     problem: Problem, *, time_limit_s: float | None = None, report: Callable[[Progress], None] | None = None
 ) -> Plan:
-    """Optimisation from below, by unsatisfiable cores, large weights first: without that it is many times slower."""
+    """Minimise the cost from below, by unsatisfiable cores; stratification makes it many times faster."""
     return _plan("clingo-usc", CORES, problem, time_limit_s, report)
 
 
 def plan_by_cores_led(
     problem: Problem, *, time_limit_s: float | None = None, report: Callable[[Progress], None] | None = None
 ) -> Plan:
-    """The same after `cpsat`'s bounds: with its landmarks, below the cost of its plan, and only what these leave."""
+    """Minimise by cores with the landmarks of `cpsat`, its cost as a limit, and only its remaining candidates."""
     return _plan("clingo-usc-led", CORES, problem, time_limit_s, report, is_led=True)
 
 
 def plan_by_branching(
     problem: Problem, *, time_limit_s: float | None = None, report: Callable[[Progress], None] | None = None
 ) -> Plan:
-    """Optimisation from above, by branch-and-bound."""
+    """Minimise the cost from above, by branch-and-bound."""
     return _plan("clingo-bb", "bb", problem, time_limit_s, report)
 
 

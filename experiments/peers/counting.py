@@ -1,7 +1,6 @@
-"""A deployment as numbers: how many units of each transformation are on each host; and which unit then takes which
-stream.
+"""A deployment as numbers of units of each transformation on each host, and the wiring of these units.
 
-Where streams are carried for nothing, and providers come before takers, that is all there is to decide.
+If transfers are free and the problem has no cycles, the numbers determine the cost.
 """
 
 from __future__ import annotations
@@ -26,15 +25,17 @@ Where = tuple[str, str]
 
 
 def is_counted(problem: Problem) -> bool:
-    """Whether a problem asks for more than hosts beyond the paper: then numbers of units have to be chosen."""
+    """Return whether a problem uses features beyond the paper other than hosts, so that numbers of units must be
+    chosen.
+    """
     return not problem.features <= {Feature.HOSTS}
 
 
 class Counting:
     """The transformations and hosts of a problem without running units. Raises InputError for unknown features.
 
-    If a stream serves a limited number, no other transformation gives its tag: so its consumers are known, and if they
-    are assigned in turn, the streams of its units are used about equally often.
+    If a stream serves a limited number of consumers, no other transformation may offer its tag. Its consumers are then
+    known, and assigning them in turn uses the streams of its units about equally.
     """
 
     def __init__(self, problem: Problem, who: str) -> None:
@@ -67,16 +68,18 @@ class Counting:
         return self.problem.environment.transformation[label]
 
     def providers(self, tag: str) -> tuple[Where, ...]:
-        """The labels with an output that matches a demanded tag, and the output."""
+        """Return the label and the output of each provider of a demanded tag."""
         return tuple(dict.fromkeys((self.candidates.label_of(s), s.port) for s in self.candidates.streams(tag)))
 
     def serves(self, provider: Where) -> int | None:
-        """How many may take a stream; None: any number."""
+        """Return the number of consumers that a stream may serve; None if unlimited."""
         return self.kind(provider[0]).output[provider[1]].serves
 
     @cached_property
     def most(self) -> dict[Where, int]:
-        """Return how many units of a transformation each host holds by itself; pairs that hold none are missing."""
+        """Return the largest number of units of each transformation that fit on each host alone; pairs with 0 are
+        missing.
+        """
         found = {}
         for label, units in self.kinds.items():
             for name, place in units[0].places.items():
@@ -90,7 +93,7 @@ class Counting:
         return self.problem.environment.host[host].room(resource, self.problem.horizon_s)
 
     def cost_us(self, where: Where) -> int:
-        """Return the cost of a unit."""
+        """Return the cost of a unit of a transformation on a host, in microseconds."""
         return self.kinds[where[0]][0].places[where[1]].cost_us
 
     def takes(self, where: Where) -> Mapping[str, int]:
@@ -101,7 +104,7 @@ class Counting:
         return {host.name: host.rent_us * self.problem.horizon_s for host in self.problem.environment.hosts}
 
     def alike(self) -> Iterator[tuple[str, str]]:
-        """Hosts that may take each other's place, each with the next one."""
+        """Yield consecutive pairs of interchangeable hosts."""
         kinds: dict[object, list[str]] = defaultdict(list)
         for host in self.problem.environment.hosts:
             here = [where for where in self.most if where[1] == host.name]
@@ -115,21 +118,23 @@ class Counting:
         return sorted({resource for where in self.most for resource in self.takes(where)})
 
     def company(self, label: str) -> dict[str, tuple[str, ...]]:
-        """With whom a transformation does not run, and with whom it has to."""
+        """Return the labels that a transformation conflicts with, anywhere or on a host, and needs beside it."""
         kind = self.kind(label)
         said = {"conflict": kind.conflicts, "conflict_on_host": kind.conflicts_on_host}
         apart = {name: tuple(o for o in others if o != label and o in self.kinds) for name, others in said.items()}
         return {**apart, "beside": kind.beside}
 
     def limited(self) -> Iterator[tuple[Where, int]]:
-        """The outputs that serve only so many."""
+        """Yield the outputs with a limited number of consumers, and the limit."""
         for label in self.kinds:
             for port in self.kind(label).outputs:
                 if port.serves is not None:
                     yield (label, port.name), port.serves
 
     def takers(self, provider: Where) -> Iterator[tuple[str, int]]:
-        """Whose units take streams that serve only so many, how many each; targets have no label."""
+        """Yield the consumers of a limited stream: their label (empty for targets), and the streams that each unit
+        takes.
+        """
         for label in self.kinds:
             for port in self.kind(label).inputs:
                 if provider in self.providers(port.tag):
@@ -146,7 +151,7 @@ class Counting:
         seconds: Mapping[str, float],
         counts: Mapping[str, int],
     ) -> Plan:
-        """The plan with so many units; `bound_us` is proven."""
+        """Return the plan with these numbers of units; `bound_us` is the proven lower bound of the cost."""
         if numbers is None:
             return Plan(self.who, Status.UNKNOWN, bound_us=bound_us, seconds=seconds, counts=counts)
         units = lean(self.candidates, list(self._wired(numbers)))

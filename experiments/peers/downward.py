@@ -1,7 +1,7 @@
-"""Fast Downward, by A* with LM-cut: starting a unit is an action, what its streams feed are its effects.
+"""The peer Fast Downward, by A* with LM-cut: starting a unit is an action, whose effects are the fed demands.
 
-The task is written in Fast Downward's own input format, so that its translator takes no time. It comes as
-a program inside the package `up-fast-downward` (GPL), which is never imported.
+The task is written in Fast Downward's own input format, so that its translator takes no time. Fast Downward is a
+program inside the package `up-fast-downward` (GPL), which is never imported.
 """
 
 from __future__ import annotations
@@ -31,7 +31,9 @@ PROGRAM = "downward/builds/release/bin/downward"
 def plan(
     problem: Problem, *, time_limit_s: float | None = None, report: Callable[[Progress], None] | None = None
 ) -> Plan:
-    """The cheapest update; refuses feedback inputs and distinct groups. Raises ImportError if not installed."""
+    """Return the cheapest update. Raises InputError for feedback inputs and distinct groups, ImportError if not
+    installed.
+    """
     began = time.monotonic()
     program = _program()
     selection = Selection(problem, WHO)

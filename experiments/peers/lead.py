@@ -1,6 +1,6 @@
 """A head start for peers: the results of `cpsat` on a plain problem before it calls its solver.
 
-These are a plan, a bound, landmarks, and the units that no better plan has.
+The results are a plan, a bound, landmarks, and the candidates that no better plan uses.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from experiments.peers.selection import Selection
 
 @dataclass(frozen=True)
 class Lead:
-    """Results about a selection's candidates, by their numbers.
+    """Results about a selection's candidates, which are given by index.
 
-    A landmark is the least total that a plan has, and for each of its candidates how often it counts.
+    A landmark is a least total, and the weight of each of its candidates: every plan reaches the total.
     """
 
     plan: list[int] | None
@@ -28,7 +28,7 @@ class Lead:
 
 
 def lead_apart(problem: Problem, who: str, time_limit_s: float | None) -> Lead:
-    """The lead, found in a process of its own, since ortools shares none with the solvers of others."""
+    """Return the lead, computed in another process, since ortools can't share a process with the peers' solvers."""
     ours, theirs = (context := get_context("fork")).Pipe(duplex=False)
     process = context.Process(target=_send, args=(theirs, problem, who, time_limit_s))
     process.start()
@@ -45,7 +45,7 @@ def _send(to: Connection, problem: Problem, who: str, time_limit_s: float | None
 
 
 def lead_of(problem: Problem, who: str, time_limit_s: float | None) -> Lead:
-    """Return the results of bounds and closing; the planner's own search of small problems is not used."""
+    """Return the results of the bounds and of closing the gap, without the planner's search of small problems."""
     from cfgplan.planners.exact.memory import Memory
     from cfgplan.planners.exact.session import offer_running_units
     from cfgplan.planners.exact.solve_run import SolveRun

@@ -1,4 +1,4 @@
-"""HiGHS, with landmarks added after each solution that is not grounded.
+"""The peer HiGHS, with landmarks added after each solution that is not grounded.
 
 HiGHS and ortools can't share a process. It computes in doubles; the plan's cost is recomputed exactly.
 """
@@ -23,7 +23,7 @@ Report = Callable[[Progress], None] | None
 
 
 def plan(problem: Problem, *, time_limit_s: float | None = None, report: Report = None) -> Plan:
-    """The cheapest update; refuses feedback inputs. See `planning.Planner`."""
+    """Return the cheapest update. Raises InputError for feedback inputs. See `planning.Planner`."""
     began = time.monotonic()
     if is_counted(problem):
         return _plan_numbers(Counting(problem, "highs"), began, time_limit_s, report)
@@ -31,9 +31,9 @@ def plan(problem: Problem, *, time_limit_s: float | None = None, report: Report 
 
 
 def plan_led(problem: Problem, *, time_limit_s: float | None = None, report: Report = None) -> Plan:
-    """The same after `cpsat`'s bounds: with its landmarks, and only what these and its plan leave.
+    """Return the cheapest update, using the landmarks and the remaining candidates of `cpsat`.
 
-    Where HiGHS 1.16 is given a first solution it may end with the optimum of one and the values of the other.
+    No first solution is given, since with one HiGHS 1.16 may return an objective and values of different solutions.
     """
     began = time.monotonic()
     selection = Selection(problem, "highs-led")
@@ -98,7 +98,7 @@ def _plan_numbers(counting: Counting, began: float, time_limit_s: float | None, 
 
 
 class Model:
-    """A program in HiGHS."""
+    """An integer program in HiGHS."""
 
     def __init__(self, program: Program | NumberProgram) -> None:
         import highspy  # not before `lead_apart` has made its process
@@ -129,7 +129,9 @@ class Model:
         return bool(self._highs.getModelStatus() == self._highspy.HighsModelStatus.kInfeasible)
 
     def solve(self, left_s: float | None) -> tuple[list[int] | None, int, int, bool]:
-        """The values of the best solution, a bound, the nodes, and whether the solution is proven optimal."""
+        """Return the values of the best solution or None, a bound, the number of nodes, and whether optimality is
+        proven.
+        """
         self._highs.setOptionValue("time_limit", 1e9 if left_s is None else left_s)
         self._highs.run()
         info = self._highs.getInfo()

@@ -1,7 +1,7 @@
-"""A fleet as a plain problem with limits: the choices are units on a host, and transfers of streams to a host.
+"""A fleet as a plain problem with limits: the candidates are units on a host, and transfers of streams to a host.
 
-A unit on a host has its needs on that host; the streams there are those of its units, and those transferred to it. So
-the rules of groundedness hold here too. Limits say how much a host holds, and that a unit is on one host.
+A unit on a host demands streams on that host: streams of its units, or streams transferred to it. So the rules of
+groundedness hold here too. Limits are the capacity of a host, and one host for each unit.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from experiments.peers.selection import Limit, Selection
 
 
 class Placing(Selection):
-    """The units on hosts, and the journeys, of a problem in which nothing runs yet and every unit is on a host.
+    """The units on hosts, and the transfers, of a problem in which nothing runs yet and every unit has a host.
 
-    Raises InputError for more.
+    Raises InputError for any other problem.
     """
 
     def __init__(self, problem: Problem, who: str) -> None:
@@ -68,7 +68,7 @@ class Placing(Selection):
         return replace(found, change_set=self._fleet.environment.change_to(self._units(found.change_set.started)))
 
     def places(self, kinds: Collection[int]) -> list[int]:
-        """The choices to run some of the hostless candidates, wherever."""
+        """Return the candidates that run some of the hostless candidates, on any host."""
         return [i for kind in kinds for i in self._places[self.hostless.candidates[kind].transformation.label]]
 
     def kinds(self, chosen: Collection[int]) -> list[int]:
@@ -163,5 +163,5 @@ def _there(tag: str, host: str) -> str:
 
 
 def selection_of(problem: Problem, who: str) -> Selection:
-    """Return the choices of a plain problem, or of a fleet."""
+    """Return the candidates of a plain problem, or of a fleet."""
     return Placing(problem, who) if Feature.HOSTS in problem.features else Selection(problem, who)

@@ -1,4 +1,4 @@
-"""The problem as an integer program over units and demanded tags, with landmarks added where units are not grounded."""
+"""The problem as an integer program over units and demanded tags, with landmarks added for ungrounded units."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from experiments.peers.selection import Selection
 
 @dataclass
 class Rows:
-    """Linear constraints `low <= sum(value * column)`, in the compressed form that HiGHS takes all at once."""
+    """Linear constraints `low <= sum(value * column)`, in HiGHS's compressed form for adding many rows."""
 
     low: list[float] = field(default_factory=list)
     starts: list[int] = field(default_factory=list)
@@ -31,14 +31,14 @@ class Rows:
         self.values += values
 
     def implies(self, column: int, others: Sequence[int]) -> None:
-        """column <= sum of the others"""
+        """Add the constraint `column <= sum(others)`."""
         self.at_least(0, [*others, column], [1.0] * len(others) + [-1.0])
 
     def some(self, columns: Sequence[int]) -> None:
         self.at_least(1, columns, [1.0] * len(columns))
 
     def each(self) -> Iterable[tuple[float, list[int], list[float]]]:
-        """Each row's least value, columns and coefficients."""
+        """Yield the lower bound, columns and coefficients of each row."""
         ends = [*self.starts[1:], len(self.columns)]
         for low, start, end in zip(self.low, self.starts, ends, strict=True):
             yield low, self.columns[start:end], self.values[start:end]
@@ -47,7 +47,7 @@ class Rows:
 class Program:
     """x for each candidate, y for each demanded tag, f for each feeder of a port in a distinct group.
 
-    All are at most 1, the x are whole. Raises InputError if there are feedback inputs.
+    All are between 0 and 1; the x are integers. Raises InputError for feedback inputs.
     """
 
     def __init__(self, selection: Selection, lead: Lead | None) -> None:
@@ -85,8 +85,8 @@ class Program:
     def missed(self, chosen: list[int]) -> Rows:
         """Return the landmarks that the chosen units miss, as rows.
 
-        One row demands one of the ways in, or one unit outside a grown set. For a fleet, landmarks of the hostless
-        problem are added.
+        A row requires a unit of `ways_in`, or a unit outside a largest set that still misses a goal. For a fleet,
+        landmarks of the problem without hosts are added.
         """
         rows = Rows()
         if self.placing is not None:
@@ -127,8 +127,9 @@ def _needs(selection: Selection) -> list[list[str]]:
 
 
 class NumberProgram:
-    """Integer variables: the number of units of each transformation on each host, whether that is positive, whether a
-    host is used, and which transformations run.
+    """An integer program over the number of units of each transformation on each host.
+
+    Binary variables say whether a number is positive, whether a host is used, and whether a transformation runs.
 
     Among identical hosts the first ones are used.
     """
@@ -176,7 +177,7 @@ class NumberProgram:
             self._at_most(-targets, taken)
 
     def numbers(self, values: Sequence[float]) -> dict[Where, int]:
-        """How many units are where."""
+        """Return the number of units by transformation and host, from the values of the variables."""
         return {where: number for where, column in self.at.items() if (number := round(values[column]))}
 
     def _keep_company(self, counting: Counting, label: str) -> None:

@@ -1,4 +1,4 @@
-"""SCIP, with landmarks as lazy constraints: a solution that is not grounded is cut off inside its one search.
+"""The peer SCIP, with landmarks as lazy constraints, which cut off ungrounded solutions within a single search.
 
 It computes in doubles; the plan's cost is recomputed exactly.
 """
@@ -24,7 +24,7 @@ Report = Callable[[Progress], None] | None
 
 
 def plan(problem: Problem, *, time_limit_s: float | None = None, report: Report = None) -> Plan:
-    """The cheapest update; refuses feedback inputs. See `planning.Planner`."""
+    """Return the cheapest update. Raises InputError for feedback inputs. See `planning.Planner`."""
     began = time.monotonic()
     if is_counted(problem):
         return _plan_numbers(Counting(problem, "scip"), began, time_limit_s, report)
@@ -32,7 +32,7 @@ def plan(problem: Problem, *, time_limit_s: float | None = None, report: Report 
 
 
 def plan_led(problem: Problem, *, time_limit_s: float | None = None, report: Report = None) -> Plan:
-    """The same after `cpsat`'s bounds: with its landmarks, its plan as the first one, and only what these leave."""
+    """Return the cheapest update, using the landmarks, the plan and the remaining candidates of `cpsat`."""
     began = time.monotonic()
     selection = Selection(problem, "scip-led")
     lead = lead_apart(problem, selection.who, time_limit_s)

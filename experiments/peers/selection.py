@@ -1,6 +1,6 @@
-"""The units that a plan may choose from, and the results of a choice: whether it is grounded, and its wiring.
+"""The candidate units of a plan; tells of a set of candidates whether it is grounded, and how it is wired.
 
-For planners that search for a set of units and leave the wiring for last; it knows no solver.
+It serves planners that first choose units and then wire them, and is independent of any solver.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from cfgplan.reasons import assign_different
 
 @dataclass(frozen=True)
 class Limit:
-    """Some candidates take so much each, and all that are chosen of them at most `most`."""
+    """A limit: the chosen ones of some candidates use at most `most` together; each has its own use."""
 
     most: int
     takes: Mapping[int, int]
 
 
 class Selection:
-    """The candidates of a problem by index, in canonical order: units that can be fed and that a target may need.
+    """The candidates of a problem by index, in canonical order: units that can be fed and may help to meet a target.
 
-    A transformation with a running unit has no new one, which could do nothing better. `kept` are the running units of
-    pinned transformations, `wanted` the tags of the targets. Raises InputError if a transformation is required, since a
-    set of units does not tell which of them a target uses, and for all beyond the paper.
+    A transformation with a running unit has no new candidate, since the running unit is never worse. `kept` are the
+    running units of pinned transformations, `wanted` the tags of the targets. Raises InputError for features beyond the
+    paper, and for required transformations, since a set of units does not say which unit a target uses.
     """
 
     limits: tuple[Limit, ...] = ()
@@ -54,7 +54,7 @@ class Selection:
         self._feeders: dict[str, tuple[int, ...]] = {}
 
     def feeders(self, tag: str) -> tuple[int, ...]:
-        """The candidates with an output that matches the demanded tag."""
+        """Return the candidates with an output that matches the demanded tag."""
         if tag not in self._feeders:
             self._feeders[tag] = tuple(i for label in self._givers.of(tag) for i in self._by_label.get(label, ()))
         return self._feeders[tag]
@@ -65,7 +65,9 @@ class Selection:
     def answer(
         self, chosen: Collection[int] | None, bound_us: int, *, seconds: Mapping[str, float], counts: Mapping[str, int]
     ) -> Plan:
-        """Return a plan that runs the chosen units; `bound_us` is proven. Ties in cost are broken arbitrarily."""
+        """Return a plan that runs the chosen units; `bound_us` is the proven lower bound. Ties in cost are broken
+        arbitrarily.
+        """
         largest = self.problem.max_cost_us
         if largest is not None and bound_us > largest:
             return Plan(self.who, Status.TOO_EXPENSIVE, bound_us=bound_us, seconds=seconds, counts=counts)
@@ -79,7 +81,7 @@ class Selection:
         return Plan(self.who, status, changes, cost_us, bound_us, required_proven=True, seconds=seconds, counts=counts)
 
     def grounded(self, chosen: Collection[int]) -> list[int]:
-        """Return the chosen units that other chosen units can feed from sources, in an order of feeding."""
+        """Return the grounded ones of the chosen units, each after the units that feed it."""
         alive = frozenset(chosen)
         while True:
             order = self._fed_in_order(alive, alive)
@@ -88,10 +90,10 @@ class Selection:
             alive = frozenset(order)
 
     def ways_in(self, chosen: Collection[int]) -> list[int]:
-        """Return further units such that every valid superset of the chosen ones has one, if these are not valid by
-        themselves.
+        """Return units of which every valid superset of the chosen ones has at least one, if the chosen ones are not
+        valid.
 
-        In the order of feeding of such a superset, the first further unit is fed by chosen ones, or needs no feeding.
+        The first added unit in such a superset's order of feeding is fed by chosen units, or has no inputs.
         """
         anyone = range(len(self.candidates))
         fed = set(self._fed_in_order(frozenset(chosen), anyone))
@@ -109,21 +111,21 @@ class Selection:
         return order
 
     def can_be_fed(self, index: int, before: Collection[int], anywhere: Collection[int]) -> bool:
-        """Whether candidates `before` can feed a candidate's inputs, and candidates `anywhere` its feedback inputs."""
+        """Return whether the candidates `before` can feed a candidate's inputs, and `anywhere` its feedback inputs."""
         return self._feed(index, before, anywhere) is not None
 
     def satisfied(self, chosen: Collection[int]) -> bool:
-        """Whether the chosen are all grounded and meet every target."""
+        """Return whether all chosen units are grounded and meet every target."""
         return not self.open_demands(frozenset(chosen)) and len(self.grounded(chosen)) == len(chosen)
 
     def plan_within(self, chosen: Collection[int]) -> list[int] | None:
-        """Return the grounded ones of the chosen units if they are a plan: the other ones feed no needed unit."""
+        """Return the grounded ones of the chosen units if they meet every target, otherwise None."""
         grounded = self.grounded(chosen)
         is_plan = self.kept <= set(grounded) and not self.open_demands(frozenset(grounded))
         return grounded if is_plan else None
 
     def open_demands(self, chosen: frozenset[int]) -> dict[str, tuple[int, ...]]:
-        """The demands of the targets and of the chosen that no chosen one feeds, each with its feeders."""
+        """Return the demands of targets and chosen units that no chosen unit feeds, each with its feeders."""
         tags = dict.fromkeys(self.wanted)
         for i in sorted(chosen):
             tags.update(dict.fromkeys(port.tag for port in self.candidates[i].transformation.inputs))

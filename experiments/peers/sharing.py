@@ -1,10 +1,10 @@
-"""Branch-and-bound that counts sharing correctly: over sets of units instead of trees of them.
+"""Branch-and-bound over sets of units instead of trees, which counts shared units once.
 
-This is the paper's search at its best, to compare against. A state is a set of chosen units, each paid for once. It
-branches over the feeders of a demand that no chosen unit feeds, most promising state first. The bound adds the cheapest
-feeders of open demands that have no feeder in common. A set without open demands that is not grounded (or not distinct)
-branches over further units such that one of them must run (`Selection.ways_in`). Now and then it dives for a plan. Ties
-are not distinguished, so they are never proven.
+This is the best version of the paper's search, for comparison. A state is a set of chosen units, each paid for once. It
+branches over the feeders of a demand that no chosen unit feeds, the state with the best bound first. The bound adds the
+cheapest feeders of open demands that have no feeder in common. A set without open demands that is not grounded (or not
+distinct) branches over further units such that one of them must run (`Selection.ways_in`). From time to time it dives
+for a plan. It does not break ties, so that it proves only the cost.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def plan(
     time_limit_s: float | None = None,
     report: Callable[[Progress], None] | None = None,
 ) -> Plan:
-    """The cheapest update, proven so unless the time runs out; see `planning.Planner`."""
+    """Return the cheapest update, proven optimal unless the time runs out; see `planning.Planner`."""
     began = time.monotonic()
     until = began + (float("inf") if time_limit_s is None else time_limit_s)
     refuse_features(problem, NAME)

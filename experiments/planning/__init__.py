@@ -1,4 +1,4 @@
-"""The planner at scale, against itself without its parts and against the peers."""
+"""The planner at scale, compared with variants that lack a part, and with the peers."""
 
 from __future__ import annotations
 
@@ -35,10 +35,12 @@ MODELS, LARGE = frozenset({"levels-alone", "cpsat-defaults"}), 5_000
 
 
 def takes_part(instance: Instance, entrant: Entrant) -> bool:
-    """Whether an entrant runs on an instance: the planner and its closest peers on all seeds, all on every first seed.
+    """Return whether a planner runs on an instance.
 
-    The others run on the first three, unless they tell little there. From `LARGE` transformations on a model without
-    preprocessing has not even a plan within the limit.
+    cpsat and its closest peers run on all seeds, every planner runs on the first seed.
+
+    The others run on the first three seeds of most families. Variants without preprocessing are left out from `LARGE`
+    transformations on, since they find no plan within the limit.
     """
     if instance.seed == SCALE_SEEDS[0] or entrant.name in ALL_SEEDS:
         return True

@@ -1,6 +1,6 @@
 """Replanning: `python experiments/planning/benchmark.py replan` and `... changes` write the tables beside this file.
 
-`replan` is what a manager does after each failure, `changes` all that may happen to a running configuration.
+`replan` plans as a manager does after each failure, `changes` after every kind of change of a running configuration.
 `--limit` is the time for each plan in seconds. Times are CPU seconds of the planning process, all threads together,
 because the machine may be shared.
 """
@@ -46,7 +46,7 @@ def in_own_process(work: Callable[..., Found], *arguments: object) -> Found:
 
 
 def replan(limit_s: float) -> Iterator[str]:
-    """Every running unit dies once, in random order, each time from the same optimal configuration."""
+    """Yield rows: every running unit dies once, in random order, each time from the same optimal configuration."""
     yield "| family | seed | units | first plan, CPU s | median ms | p99 ms | not proven | solver not called |"
     yield "|---|---|---|---|---|---|---|---|"
     for family, parameters in FAMILIES.items():
@@ -69,7 +69,9 @@ def replanned(seed: int, parameters: dict[str, float], limit_s: float) -> str:
 
 
 def changes(limit_s: float) -> Iterator[str]:
-    """Median and p99 in ms for each kind of change; in between, the session sees the old configuration again."""
+    """Yield rows with median and p99 in ms for each kind of change; between changes the session plans the old
+    configuration.
+    """
     yield f"| median / p99 ms | {' | '.join(FAMILIES)} |"
     yield f"|---|{'---|' * len(FAMILIES)}"
     times_ms = {
@@ -95,9 +97,9 @@ def changed(seed: int, parameters: dict[str, float], limit_s: float) -> dict[str
 
 
 def at_rest(session: PlannerSession, seed: int, parameters: dict[str, float], limit_s: float) -> tuple[Problem, float]:
-    """A problem whose best configuration runs, and the CPU seconds of the first plan.
+    """Return a problem whose optimal configuration runs, and the CPU seconds of the first plan.
 
-    As a manager does, the session plans once more when an update is done, until nothing changes.
+    As with a manager, the session replans after each update until nothing changes.
     """
     problem = random_library(seed, **parameters)  # type: ignore[arg-type]
     found, first_ms = timed(session, problem, 10 * limit_s)
@@ -108,7 +110,7 @@ def at_rest(session: PlannerSession, seed: int, parameters: dict[str, float], li
 
 
 def timed(session: PlannerSession, problem: Problem, limit_s: float) -> tuple[Plan, float]:
-    """Return a plan and its CPU milliseconds, including the preparation of the next plan if nothing changes."""
+    """Return a plan and its CPU milliseconds, including the preparation of the next plan if the update is empty."""
     began = time.process_time()
     found = session.plan(problem, time_limit_s=limit_s)
     return found, 1000 * (time.process_time() - began)

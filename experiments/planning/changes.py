@@ -13,7 +13,7 @@ DEARER, CHEAPER = 1.1, 0.9
 
 
 def a_unit_dies(problem: Problem, draw: random.Random) -> Iterator[Environment]:
-    """Each once, in random order."""
+    """Yield an environment without one unit, for each running unit, in random order."""
     units = [unit.id for unit in problem.environment.units]
     draw.shuffle(units)
     for unit in units:
@@ -27,7 +27,7 @@ def two_units_die(problem: Problem, draw: random.Random) -> Iterator[Environment
 
 
 def a_running_one_gets_dearer(problem: Problem, draw: random.Random) -> Iterator[Environment]:
-    """By a tenth; so below."""
+    """Yield environments in which a running transformation costs a tenth more."""
     for label in _running(problem, draw):
         yield _with(problem, _times(problem.environment.transformation[label], DEARER))
 
@@ -43,14 +43,14 @@ def another_one_gets_cheaper(problem: Problem, draw: random.Random) -> Iterator[
 
 
 def all_costs_move(problem: Problem, draw: random.Random) -> Iterator[Environment]:
-    """Each by up to a hundredth, as estimates do."""
+    """Yield environments with all costs changed by up to 1 %, as by new estimates."""
     while True:
         library = tuple(_times(t, draw.uniform(0.99, 1.01)) for t in problem.environment.library)
         yield replace(problem.environment, library=library)
 
 
 def a_transformation_joins(problem: Problem, draw: random.Random) -> Iterator[Environment]:
-    """Add a cheaper version of an existing transformation."""
+    """Yield environments with a cheaper version of an existing transformation added."""
     for label in _others(problem, draw):
         joins = replace(_times(problem.environment.transformation[label], CHEAPER), label=f"{label}_new")
         yield replace(problem.environment, library=(*problem.environment.library, joins))
@@ -67,7 +67,7 @@ def a_running_one_is_withdrawn(problem: Problem, draw: random.Random) -> Iterato
 
 
 def a_target_comes(problem: Problem, draw: random.Random) -> Iterator[Environment]:
-    """For something that some transformation offers."""
+    """Yield environments with a new target for a tag that some transformation offers."""
     wanted = {target.tag for target in problem.environment.targets}
     offered = sorted({port.tag for t in problem.environment.library for port in t.outputs} - wanted)
     draw.shuffle(offered)

@@ -1,9 +1,8 @@
-"""Networks with cycles: the planner, the planner without answer sets, and clingo, in CPU seconds.
+"""Networks with cycles: the CPU seconds of the planner, of the planner without answer sets, and of clingo.
 
 `python experiments/planning/cycles.py`; `--limit` is the wall time for each plan in seconds. Prints a row for each
-family: geometric means over the seeds, how many are proven, and how many times as long as clingo's cores the planner
-takes, at the mean and at worst. Where neither proves anything an instance says nothing about time and is left out of
-the ratio.
+family: geometric means over the seeds, the number of proofs, and the mean and the worst ratio of the planner's time to
+that of clingo's cores. Instances that neither proves are left out of the ratio.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ Planned = tuple[float, bool]
 
 
 def costs_alike(seed: int, values: int, **parameters: float) -> Problem:
-    """A random library whose transformations cost one of so many whole seconds."""
+    """Return a random library whose transformations have one of `values` costs, in whole seconds."""
     problem = random_library(seed, **parameters)  # type: ignore[arg-type]
     random = Random(seed)
     library = tuple(
@@ -62,7 +61,7 @@ FAMILIES: dict[str, Callable[[int], Problem]] = {
 
 
 def planned(plan: Callable[..., Plan], problem: Problem, limit_s: float) -> Planned:
-    """A plan's figures. Raises ValueError if the judge finds fault with it."""
+    """Return a plan's figures. Raises ValueError if the judge rejects it."""
     began = time.process_time()
     found = plan(problem, time_limit_s=limit_s)
     taken = time.process_time() - began

@@ -1,4 +1,4 @@
-"""Deployments planned by counting, and by naming each unit and host: CPU seconds and proofs.
+"""Deployments planned with numbers of units, and with a variable for each unit and host: CPU seconds and proofs.
 
 `python experiments/planning/deployments.py`; `--limit` is the wall time for each plan in seconds.
 """
@@ -24,7 +24,7 @@ ORDERS = ((Objective.COST,), (Objective.HOSTS, Objective.UNITS))
 
 
 def figures(problem: Problem, tuning: Tuning, limit_s: float) -> str:
-    """CPU seconds and status of a plan; Raises ValueError if the judge finds fault with it."""
+    """Return CPU seconds and status of a plan as text. Raises ValueError if the judge rejects it."""
     began = time.process_time()
     found = PlannerSession(tuning).plan(problem, time_limit_s=limit_s)
     taken = time.process_time() - began

@@ -35,7 +35,9 @@ def base(seed: int) -> Problem:
 
 
 def with_latency(seed: int, slack: float | None = None, weight_us: int = 0) -> Problem:
-    """Outputs add 1 to 100 ms; targets allow `slack` times the least latency, or pay for each ms."""
+    """Return a problem with latency: outputs add 1 to 100 ms; targets allow `slack` times the least latency, or pay per
+    ms.
+    """
     problem, draw = base(seed), random.Random(seed)
     library = tuple(
         replace(t, outputs=tuple(replace(o, quality=(_adds(draw.randint(1, 100)),)) for o in t.outputs))
@@ -57,7 +59,10 @@ def _adds(ms: int) -> Contribution:
 
 
 def with_hosts(seed: int, room: float, transfer_us: int) -> Problem:
-    """A fifth has a fixed host; the hosts have `room` times the CPU time that the plan without hosts takes."""
+    """Return a problem with three hosts: a fifth of the transformations has a fixed host.
+
+    The hosts have `room` times the CPU time that the plan without hosts takes.
+    """
     problem, draw = base(seed), random.Random(seed)
     change_set = plan(problem).change_set
     assert change_set is not None

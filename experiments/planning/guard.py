@@ -107,7 +107,7 @@ def measured(family: str, seed: int, limit_s: float) -> dict[str, object]:
 
 
 def in_checkout(checkout: Path, family: str, seed: int, limit_s: float) -> dict[str, object]:
-    """The same, with the planner of a checkout."""
+    """Return the figures of `measured` with the planner of a checkout."""
     setting = {**os.environ, "PYTHONPATH": os.pathsep.join([str(checkout), str(checkout / "runtime")])}
     command = [sys.executable, __file__, "--one", family, "--seeds", str(seed), "--limit", str(limit_s), str(checkout)]
     answer = subprocess.run(command, env=setting, capture_output=True, text=True, check=True).stdout
@@ -116,7 +116,7 @@ def in_checkout(checkout: Path, family: str, seed: int, limit_s: float) -> dict[
 
 
 def rows(checkouts: list[Path], families: list[str], seeds: list[int], limit_s: float) -> Iterator[str]:
-    """A row for each instance, then one for each family that is too slow; raises SystemExit at the end of a bad one."""
+    """Yield a row for each instance, then one for each family; raises SystemExit at the end if a check fails."""
     ratios: dict[str, list[float]] = defaultdict(list)
     bad = []
     for family in families:

@@ -1,7 +1,7 @@
-"""How far one planner leads others in time to proof, and in bounds and plans on instances that neither proved.
+"""The lead of one planner over others in time to proof, and in bounds and plans on instances that neither proved.
 
-A planner that did not prove an instance counts with its time limit, so the true lead is at least the given one.
-Instances that neither proved tell nothing about time; there bounds and plans are compared.
+A planner that did not prove an instance counts with its time limit, so that the true lead is at least the given one.
+On instances that neither proved, bounds and plans are compared instead.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from experiments.study.rows import SHORTEST_PROOF_S, Row
 
 @dataclass(frozen=True)
 class Lead:
-    """The geometric mean of other's time to proof over base's, on the `decided` instances that one of them proved.
+    """The geometric mean of the other's time to proof over the base's, on the `decided` instances that at least one
+    proved.
 
     `at_least`: the other left some of these unproven; `at_most`: the base did. `bounds` and `plans` count, among the
     undecided instances, how often the base had the better one, and how often the other had.
@@ -42,7 +43,7 @@ class Lead:
 
 
 def lead(pairs: Iterable[tuple[Row, Row]]) -> Lead:
-    """The lead of the base over the other, each pair their two rows of one instance."""
+    """Return the lead of the base over the other; a pair is the base's and the other's row of one instance."""
     ratios, censored, bounds, plans = [], [False, False], [0, 0], [0, 0]
     undecided = 0
     for base, other in pairs:
@@ -59,7 +60,7 @@ def lead(pairs: Iterable[tuple[Row, Row]]) -> Lead:
 
 
 def matched(rows: Iterable[Row], base: str, others: Sequence[str]) -> Iterator[tuple[Row, Row]]:
-    """For each instance the base's row and the first to prove among the others' rows, any if none did."""
+    """Yield for each instance the base's row, and the other row with the first proof (any row if none has one)."""
     for group in by_instance(rows).values():
         bases = [row for row in group if row.planner == base and took_part(row)]
         ties = [row for row in group if row.planner in others and took_part(row)]
@@ -68,12 +69,12 @@ def matched(rows: Iterable[Row], base: str, others: Sequence[str]) -> Iterator[t
 
 
 def seconds(row: Row) -> float:
-    """Until the proof, or the time limit."""
+    """Return the seconds until the proof, or the time limit without one."""
     return row.time_limit_s if row.proof_s is None else min(row.time_limit_s, max(SHORTEST_PROOF_S, row.proof_s))
 
 
 def took_part(row: Row) -> bool:
-    """Whether the planner did not refuse the problem, and was there."""
+    """Return whether the planner was installed and supports the problem."""
     return row.outcome not in (RunFailure.REFUSED, RunFailure.UNAVAILABLE)
 
 

@@ -1,9 +1,10 @@
-"""How well time limits are kept: `python experiments/planning/limits.py` writes `limits.md` beside this file.
+"""Tests whether plans keep their time limits: `python experiments/planning/limits.py` writes `limits.md` beside this
+file.
 
 With `depth` it prints the same for chains and rows of pairs, and their time without a limit.
 
-The planner's clock is one of CPU time here, because the machine may be shared; each row is made in a process of its
-own. A limit is kept if the plan takes no more than a tenth, or 10 ms, longer.
+The planner's clock measures CPU time here, because the machine may be shared; each row is measured in a new process.
+A limit is kept if the plan exceeds it by at most 10 % or 10 ms.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ Limits: TypeAlias = tuple[float, ...]
 
 
 def required(transformations: int) -> Problem:
-    """One of the last but one layer has to be used."""
+    """Return a problem in which a transformation of the last but one layer is required."""
     problem = random_library(0, transformations=transformations, targets=8)
     library = list(problem.environment.library)
     at = 3 * len(library) // 4
@@ -62,7 +63,7 @@ KINDS: dict[str, Callable[[int], Problem]] = {
 
 
 def chain(size: int, *, pairs: bool = False, hosts: tuple[Host, ...] = (), quality: bool = False) -> Problem:
-    """Each unit needs the one before; with `pairs` each of two needs both before, as different ones."""
+    """Return a chain: each unit needs the one before; with `pairs`, each of two units needs both units before."""
     error = QualityAttribute("error", Better.LOWER, worst=2 * size)
     adds = (Contribution("error", QualityRule.ADD, 1),) if quality else ()
     width = 2 if pairs else 1

@@ -1,4 +1,4 @@
-"""Random environments of each kind against the oracle: `python experiments/planning/night.py`.
+"""Compares the planner with the oracle on random environments of each kind: `python experiments/planning/night.py`.
 
 Cost, rewired and started units, status and the judge's word are compared. Environments are drawn a hundred at a time,
 each time from a seed. `--record` is a file with a line for each compared seed; these are not compared again: delete the
@@ -31,9 +31,9 @@ AT_A_TIME = 100
 
 
 def compared(kind: str, seed: int, *, shrinks: bool = False) -> dict[str, Any]:
-    """Return how many environments of one seed were compared and left open, and what differed.
+    """Return the number of environments of one seed that were compared, the number left undecided, and the differences.
 
-    Raises with the smallest that differs if it `shrinks`.
+    With `shrinks` it raises an error with the smallest environment that differs.
     """
     number, left_open, wrong = 0, 0, []
 
@@ -72,7 +72,7 @@ def known(record: Path) -> Iterator[dict[str, Any]]:
 
 
 def run(kinds: list[str], each: int, processes: int, record: Path) -> int:
-    """Compare the missing seeds of each kind; returns how many seeds had differences."""
+    """Compare the missing seeds of each kind; returns the number of seeds with differences."""
     numbers: dict[str, int] = defaultdict(int)
     left_open: dict[str, int] = defaultdict(int)
     seen: dict[str, set[int]] = defaultdict(set)

@@ -43,12 +43,14 @@ SCALE_SEEDS = tuple(range(7310, 7320))
 
 
 def families() -> dict[str, tuple[str, Mapping[str, float]]]:
-    """All families by name: their generators and parameters."""
+    """Return the generator and the parameters of each family, by name."""
     return {**{name: ("random_library", parameters) for name, parameters in SCALE.items()}, **OTHERS}
 
 
 def scale() -> Iterator[Instance]:
-    """Random libraries of 50 to 50,000 transformations, robots, transports, fleets, deployments; ten of each family."""
+    """Yield random libraries of 50 to 50,000 transformations, robots, transports, fleets, deployments; ten of each
+    family.
+    """
     for family, parameters in families().values():
         for seed in SCALE_SEEDS:
             yield generated(family, seed, **parameters)

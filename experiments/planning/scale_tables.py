@@ -1,4 +1,4 @@
-"""The tables of the comparison at scale: per family who proves what, how fast, and how far `cpsat` is ahead."""
+"""The tables of the comparison at scale: proofs and times per family and planner, and the lead of `cpsat`."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ GAPS_S = 10.0
 
 
 def scale_text(rows: Sequence[Row], loads: Mapping[str, float]) -> str:
-    """The tables in Markdown; `loads` are the seconds to load an environment file, by the name of its instance."""
+    """Return the tables in Markdown; `loads` has the seconds to load the environment file of an instance, by name."""
     tables = (summary(rows), peer_by_peer(rows), behind(rows), building(rows, loads), everyone(rows))
     parts = ["# The planner at scale, and its peers", head(rows), *(table.markdown() for table in tables)]
     return "\n\n".join(part.strip() for part in parts) + "\n"
 
 
 def families(rows: Sequence[Row]) -> dict[str, list[Row]]:
-    """The rows by the name of their family, in the suite's order."""
+    """Return the rows by the name of their family, in the suite's order."""
     known = scale_suite.families().items()
     found = {name: [row for row in rows if row.parameters == parameters] for name, (_, parameters) in known}
     return {name: group for name, group in found.items() if group}
 
 
 def summary(rows: Sequence[Row]) -> Table:
-    """For each family the closest of the peers that ran on all of it; then the mean over the families."""
+    """Return a table of each family's closest peer among those that ran on all of it, and means over the families."""
     peers = _peers(rows)
     lines, closest, fastest = [], [], []
     for name, group in families(rows).items():
@@ -65,7 +65,7 @@ def summary(rows: Sequence[Row]) -> Table:
 
 
 def peer_by_peer(rows: Sequence[Row]) -> Table:
-    """Each peer by itself on all families that it ran on; at last those that began with what the base knows."""
+    """Return a table of each peer on all families that it ran on; peers with a head start from `cpsat` come last."""
     lines = []
     for peer in (*_peers(rows), *(name for name in planners(rows) if name in LED)):
         leads = {name: lead(matched(group, BASE, [peer])) for name, group in families(rows).items()}
@@ -77,7 +77,9 @@ def peer_by_peer(rows: Sequence[Row]) -> Table:
 
 
 def behind(rows: Sequence[Row]) -> Table:
-    """The instances on which another is faster, or, where neither proved anything, has the better bound or plan."""
+    """Return a table of the instances on which another planner is faster, or has a better bound or plan without a
+    proof.
+    """
     lines = []
     for name in planners(rows):
         for base, other in matched(rows, BASE, [name]) if name != BASE else ():
@@ -157,7 +159,7 @@ def everyone(rows: Sequence[Row]) -> Table:
 
 
 def known_after(row: Row, seconds: float) -> Row:
-    """The row as it would have been if the run had ended so many seconds after its start."""
+    """Return the row as if the run had ended `seconds` after its start."""
     if row.time_limit_s <= seconds or (row.proof_s is not None and row.proof_s <= seconds):
         return row
     known = [point for point in row.trace if point[0] <= seconds]

@@ -19,7 +19,7 @@ from experiments.study.rows import Row
 
 
 def measure_loads(instances: Iterable[Instance], folder: Path) -> None:
-    """Keep in `loads.json` the seconds to load the file of each instance; known times are not measured again."""
+    """Write the seconds to load the file of each instance to `loads.json`; known times are not measured again."""
     file = folder / "loads.json"
     known = read_loads(folder)
     for instance in instances:
@@ -30,14 +30,14 @@ def measure_loads(instances: Iterable[Instance], folder: Path) -> None:
 
 
 def read_loads(folder: Path) -> dict[str, float]:
-    """Seconds by the name of the instance."""
+    """Return the loading times in seconds, by the name of the instance."""
     file = folder / "loads.json"
     known: dict[str, float] = json.loads(file.read_text()) if file.exists() else {}
     return known
 
 
 def load_s(instance: Instance) -> float:
-    """Seconds that `cfgplan.load` takes, without an ontology, in a process that has loaded a small file before."""
+    """Return the seconds of `cfgplan.load` without an ontology, in a process that has loaded a small file before."""
     problem = instance.problem
     with TemporaryDirectory() as folder:
         small, file = Path(folder, "small.yaml"), Path(folder, "environment.yaml")
@@ -60,7 +60,7 @@ def timed(small: str, file: str) -> float:
 def write_scale(rows: Sequence[Row], folder: Path) -> list[Path]:
     """Write `tables.md` and the performance profile into the folder; returns the files.
 
-    Who did not run on all seeds is not in the picture, where what did not run would look unproven.
+    Planners that did not run on all seeds are left out of the profile, where missing runs would look unproven.
     """
     import matplotlib
 

@@ -1,7 +1,7 @@
-"""CPU time to prove each toy under `tests/planners/toys`: `python experiments/planning/toys.py`.
+"""The CPU time to prove each toy problem under `tests/planners/toys`: `python experiments/planning/toys.py`.
 
-It ends with 1 if the planner leaves one open, answers it differently or takes 0.3 s of CPU or more. With files as
-arguments, these are planned instead, and only their times and answers are printed.
+The exit code is 1 if the planner does not prove a toy, answers it differently or takes 0.3 s of CPU or more. With
+files as arguments, these are planned instead, and only their times and answers are printed.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ LONGEST_S = 0.3
 
 
 def planned(file: Path) -> tuple[float, str, str | None]:
-    """The CPU time that a plan takes, its status, and its cost in seconds if it has one."""
+    """Return the CPU seconds of a plan, its status, and its cost in seconds as text, None without a plan."""
     problem = api.match(api.load(file))
     began = time.process_time()
     found = plan(problem, time_limit_s=20)

@@ -1,4 +1,4 @@
-"""The same planner written in the obvious ways, for comparison: `module:function` planners."""
+"""Simpler variants of the planner, for comparison: planners for `module:function`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LEVELS = (*RULES, everything_rests_on_something_lower)
 
 
 class Defaults(Search):
-    """The search with the solver's default parameters but one worker."""
+    """The search with the solver's default parameters, on one worker."""
 
     def solver(self) -> CpSolver:
         solver = CpSolver()
@@ -51,15 +51,15 @@ def _unprepared(
 
 
 def cuts_alone(problem: Problem, *, time_limit_s: float | None = None, report: Report = None) -> Plan:
-    """Hub model with lazy cuts and the planner's parameters, without preprocessing, bounds or a first plan."""
+    """Plan by the hub model with lazy cuts and the planner's parameters; no preprocessing, bounds or first plan."""
     return _unprepared(Search, RULES, problem, time_limit_s, report)
 
 
 def levels_alone(problem: Problem, *, time_limit_s: float | None = None, report: Report = None) -> Plan:
-    """Hub model with level variables and the planner's parameters, without preprocessing."""
+    """Plan by the hub model with level variables and the planner's parameters, without preprocessing."""
     return _unprepared(Search, LEVELS, problem, time_limit_s, report)
 
 
 def defaults_alone(problem: Problem, *, time_limit_s: float | None = None, report: Report = None) -> Plan:
-    """Hub model with level variables and CP-SAT's default parameters on one worker."""
+    """Plan by the hub model with level variables and CP-SAT's default parameters on one worker."""
     return _unprepared(Defaults, LEVELS, problem, time_limit_s, report)

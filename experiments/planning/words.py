@@ -1,4 +1,4 @@
-"""The cost of a field that is given but has no effect: `python experiments/planning/words.py`.
+"""The cost of fields without effect: `python experiments/planning/words.py`.
 
 Each word of `tests/test_words.py` is added, in a library of 500 and of 1,000 transformations, to two that can't be
 started, and to two that no target needs. Hosts, resources and links that never bind are added to the plan's units, and
@@ -33,7 +33,7 @@ HOSTS = (Host("h"), Host("k"))
 
 
 def with_each(changed: Callable[[Transformation], Transformation]) -> Said:
-    """Change each transformation of an environment."""
+    """Return a function that changes each transformation of an environment."""
     return lambda environment: replace(environment, library=tuple(map(changed, environment.library)))
 
 
@@ -69,14 +69,14 @@ NEVER_BINDING: Mapping[str, Said] = {
 
 
 def planned(problem: Problem) -> tuple[Plan, float]:
-    """A plan and its CPU seconds."""
+    """Return a plan and its CPU seconds."""
     began = time.process_time()
     found = PlannerSession(is_asked_once=True).plan(problem, time_limit_s=60)
     return found, time.process_time() - began
 
 
 def ratio(said: Problem, usual: Problem) -> tuple[float, bool]:
-    """How many times the usual CPU time a plan takes, and whether it is as good."""
+    """Return the ratio of a plan's CPU time to the usual, and whether cost, status and proof are the same."""
     (before, usual_s), (found, took_s) = planned(usual), planned(said)
     rent_us = min((host.rent_us for host in said.environment.hosts), default=0) * said.horizon_s
     as_good = (found.status, found.cost_us, found.ties_proven) == (

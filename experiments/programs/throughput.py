@@ -2,8 +2,9 @@
 
 python experiments/programs/throughput.py [--seconds 2] [--rounds 5] [--json FILE]
 
-A source gives elements as fast as they are taken. Each round measures the Python unit and the programs one after the
-other; the ratios of a round are against its Python unit, and the median of them is what counts. Above 0.5 is the aim.
+A source sends elements as fast as the consumer takes them. Each round measures the Python unit and the programs one
+after the other. The result is the median over the rounds of a program's rate divided by that of the Python unit; the
+aim is more than 0.5.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ def compiled(folder: Path) -> None:
 
 
 def rate(source: str, size: int, form: ProgramFormat, seconds: float) -> float:
-    """Elements per second that come through a unit of this source."""
+    """Return the elements per second that a unit with the code `source` passes on; `size` is in bytes."""
     blocks = RunOptions(blocks=True, format=form)
     port, result = (InputPort("x", "N"),), (OutputPort("y", "N"),)
     library = (

@@ -13,24 +13,28 @@ Alarm = dict[str, Any]
 
 
 def smoke_sensor(room: str) -> float:
-    """Gives how thick the smoke is, from 0 to 1."""
+    """Return the density of the smoke in a room, from 0 (clear) to 1."""
     return 0.8 if (time.time() - ROOMS.index(room)) % 2 < 1 else 0.05
 
 
 def thermometer(room: str) -> float:
-    """Gives degrees Celsius."""
+    """Return the temperature of a room in degrees Celsius."""
     return 21 + 20 * smoke_sensor(room)
 
 
 def people_counter(room: str) -> int:
-    """Gives how many people there are in a room."""
+    """Return the number of people in a room."""
     return 3 + ROOMS.index(room)
 
 
 def fire_alarm(
     room: str, smoke: float, settings: dict[str, float] | None, temperature: float | None, people: int | None
 ) -> Alarm | None:
-    """Gives an alarm while there is too much smoke, with what else is known."""
+    """Return an alarm while the smoke of a room is at its limit or above, with temperature and people if measured; else
+    None.
+
+    `settings` has the limit of each room; without it the limit is 0.5.
+    """
     if smoke < (settings or {}).get(room, 0.5):
         return None
     known = {"temperature": temperature, "people": people}
@@ -38,18 +42,18 @@ def fire_alarm(
 
 
 def water_alarm() -> Alarm | None:
-    """Gives an alarm while the cellar is wet."""
+    """Return an alarm while the cellar is wet, otherwise None."""
     return {"what": "water", "where": "cellar"} if time.time() % 2 < 1 else None
 
 
 def logger(alarms: list[Alarm]) -> None:
-    """Prints each alarm."""
+    """Print each alarm as a line: its kind, its place, and the measurements that it has."""
     for alarm in alarms:
         print(*alarm.values())
 
 
 class Configuration:
-    """Gives from what on smoke is alarming: the more alarms there were, the more it takes, up to 0.7."""
+    """Computes the smoke limit of each room: 0.5, raised by 0.001 with each alarm there, up to 0.7."""
 
     def __init__(self) -> None:
         self.number = dict.fromkeys(ROOMS, 0)

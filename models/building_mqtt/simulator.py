@@ -24,11 +24,11 @@ from typing import Any
 
 HERE = Path(__file__).parent
 BROKER = "127.0.0.1:18830"
-"""The broker that the files of this world name."""
+"""The broker that this world's files name."""
 PERIOD_S = 0.5
 OUTSIDE_C = 8.0
 HEATING_C, LOSS = 0.15, 0.01
-"""What the heater adds in a period, and which share of the difference to outside is lost."""
+"""The rise by the heater in a period, in degrees, and the share of the difference to outside that is lost in it."""
 THERMOMETER, WINDOW, AIR, LOBBY = "thermometer", "window", "air", "lobby"
 TOPICS = {
     THERMOMETER: "office/meeting/thermometer",
@@ -40,7 +40,7 @@ SET, STATE = "office/meeting/heater/set", "office/meeting/heater/state"
 
 
 def sensor(name: str, kind: str, unit: str, area: str, **more: str) -> tuple[str, dict[str, Any]]:
-    """Return a discovery message: its topic and its content, in the short keys that devices use."""
+    """Return a discovery message: its topic and its content, with Home Assistant's abbreviated keys."""
     topic = TOPICS[name]
     said = {"stat_t": topic, "dev_cla": kind, "unit_of_meas": unit, "dev": {"name": name, "sa": area}, **more}
     return f"homeassistant/sensor/{name}/{kind}/config", said
@@ -62,7 +62,7 @@ DISCOVERY = dict(
 
 
 class Building:
-    """The rooms and their sensors; the heater is switched by messages."""
+    """The simulated rooms and sensors. Messages switch the heater, and silence or restore sensors."""
 
     def __init__(self, broker: str) -> None:
         try:
@@ -84,7 +84,7 @@ class Building:
         self._client.loop_start()
 
     def describe(self) -> None:
-        """Publish the discovery messages, which the broker keeps."""
+        """Publish the discovery messages; the broker retains them."""
         for topic, said in DISCOVERY.items():
             self._publish(topic, said, retain=True)
 
@@ -124,7 +124,7 @@ class Building:
 
 @contextmanager
 def mosquitto(broker: str) -> Iterator[None]:
-    """A mosquitto that listens there."""
+    """Run mosquitto at the address `broker`, HOST:PORT, while the context is open."""
     program = shutil.which("mosquitto", path=f"{os.environ.get('PATH', os.defpath)}:/usr/sbin")
     if program is None:
         sys.exit("there is no mosquitto: apt install mosquitto, or name a broker with --broker HOST:PORT")
@@ -154,7 +154,7 @@ def answers(port: int) -> bool:
 
 @contextmanager
 def world_at(broker: str) -> Iterator[Path]:
-    """The first stage, for this broker."""
+    """Yield the path of a copy of the first stage that uses this broker."""
     if broker == BROKER:
         yield HERE / "1-start.yaml"
         return

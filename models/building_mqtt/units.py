@@ -4,12 +4,15 @@ from __future__ import annotations
 
 
 def celsius(fahrenheit: float) -> float:
-    """Gives degrees Celsius."""
+    """Convert degrees Fahrenheit to degrees Celsius, rounded to hundredths."""
     return round((fahrenheit - 32) / 1.8, 2)
 
 
 class Thermostat:
-    """Switches the heater on below `wanted_c - band_c`, and off again from `wanted_c + band_c`."""
+    """Maps temperatures in degrees Celsius to "ON" or "OFF" for the heater.
+
+    It switches on below `wanted_c - band_c`, and off at or above `wanted_c + band_c`.
+    """
 
     def __init__(self, wanted_c: float, band_c: float = 0.2) -> None:
         self._wanted_c, self._band_c = wanted_c, band_c

@@ -1,6 +1,6 @@
 """The units of the fleet, as `transformations.yaml` names them; the package `warehouse` simulates their observations.
 
-Elements carry the time of their frame.
+The time of an element is that of the picture that it was computed from.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from warehouse.picture import Bytes, Photographer
 from warehouse.seeing import Box, Obstacle
 
 _DRIFT_M, _DRIFT = 0.03, math.radians(0.4)
-"""What a localiser gets wrong, as amplitudes along each axis and of the heading."""
+"""The amplitudes of a localiser's error: along each axis in metres, and of the heading in radians."""
 
 
 class Camera:
@@ -32,12 +32,12 @@ class Camera:
         return (None if time_ns is None else At(time_ns, self.picture(time_ns)) for time_ns in _frames(15))
 
     def picture(self, time_ns: int) -> Bytes:
-        """Return the camera's picture at a time."""
+        """Return the picture, (240, 320, 3), at a time in nanoseconds since the epoch."""
         return self._photographer.picture(hall.pose(self._robot, time_ns), hall.crates(time_ns))
 
 
 class Localiser:
-    """Gives where the robot believes it is, [x, y, heading] in metres and radians, 30 times a second."""
+    """Yields the robot's estimated pose, [x, y, heading] in metres and radians, 30 times a second."""
 
     def __init__(self, robot: str) -> None:
         self._robot = robot
@@ -47,7 +47,7 @@ class Localiser:
         return (None if time_ns is None else At(time_ns, self.pose(time_ns)) for time_ns in _frames(30))
 
     def pose(self, time_ns: int) -> list[float]:
-        """Return the robot's estimated pose at a time: the truth plus a slow drift."""
+        """Return the estimated pose at a time in nanoseconds since the epoch: the true pose plus a slow drift."""
         true = hall.pose(self._robot, time_ns)
         angle = time_ns / 1e9 % 1e6
         x, y, heading = (math.sin(angle / period + self._phase) for period in (2.0, 2.7, 3.1))
@@ -55,27 +55,27 @@ class Localiser:
 
 
 def small_detector(image: Bytes) -> list[Box]:
-    """Gives the crates of a picture, looking at each fourth row and column."""
+    """Return the crates in a picture, (240, 320, 3), found in every fourth row and column."""
     return seeing.boxes(image, 4)
 
 
 def large_detector(image: Bytes) -> list[Box]:
-    """Gives the crates of a picture, looking at every pixel."""
+    """Return the crates in a picture, (240, 320, 3), found with every pixel."""
     return seeing.boxes(image, 1)
 
 
 def obstacle_finder(boxes: list[Box], pose: list[float]) -> list[Obstacle]:
-    """Gives where on the floor the crates stand that a robot sees."""
+    """Return the positions on the floor of the crates that a robot at `pose`, [x, y, heading], sees."""
     return seeing.obstacles(boxes, Pose(*pose))
 
 
 def merge_obstacles(one: list[Obstacle], other: list[Obstacle]) -> list[Obstacle]:
-    """Gives what either robot sees."""
+    """Return the obstacles that either robot sees; one that both see is listed once."""
     return seeing.merged(one, other)
 
 
 def watchdog() -> dict[str, float]:
-    """Gives how many processes of its computer wait for a core, on average over a minute."""
+    """Return the load average of its computer over the last minute."""
     return {"load": os.getloadavg()[0]}
 
 

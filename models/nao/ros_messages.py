@@ -1,6 +1,6 @@
 """Shared by the nodes of ROS 1 and ROS 2: the ports of the case's units, and their values as ROS messages.
 
-A node imports it in its own ROS installation: both generations have the same names of packages and fields.
+Each node imports the message types of its own ROS installation; ROS 1 and ROS 2 name packages and fields equally.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ PORTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 }
 """The inputs and outputs of each class of `units.py`."""
 SEEN = {"BottomCam": "picture", "SelfLocalization": "pose"}
-"""By the classes without inputs: the method that tells what they give at a time in ns."""
+"""The method of each class without inputs that returns its output at a time in ns."""
 _MOST_WAITING = 64
-"""The moments for which an input may be missing."""
+"""The largest number of times that may wait for a missing input; the oldest is then dropped."""
 _KINDS: dict[str, Any] = {
     "hull": PolygonStamped,
     "pixel": PointStamped,
@@ -39,12 +39,12 @@ _KINDS: dict[str, Any] = {
 
 
 def kind_of(port: str) -> Any:
-    """The message type of a port."""
+    """Return the class of the messages at a port."""
     return _KINDS.get(port, Image)
 
 
 def outputs_of(name: str, value: Any) -> dict[str, Any]:
-    """Return a result of a class by output; empty if it is None."""
+    """Return the result of the class `name` as values by output; empty if it is None."""
     outputs = PORTS[name][1]
     if value is None:
         return {}
@@ -52,14 +52,14 @@ def outputs_of(name: str, value: Any) -> dict[str, Any]:
 
 
 class Aligned:
-    """Calls `step` with the values of all inputs and their time in ns, once it has those of one moment."""
+    """Calls `step` with the values of all inputs and their time in ns, once all inputs have a value of that time."""
 
     def __init__(self, inputs: tuple[str, ...], step: Callable[[dict[str, Any], int], None]) -> None:
         self._inputs, self._step = inputs, step
         self._waiting: dict[int, dict[str, Any]] = {}
 
     def take(self, port: str, time_ns: int, message: Any) -> None:
-        """Take an input's message."""
+        """Take the message of an input, whose stamp is `time_ns`."""
         values = self._waiting.setdefault(time_ns, {})
         values[port] = value_of(port, message)
         if len(values) == len(self._inputs):
@@ -70,7 +70,7 @@ class Aligned:
 
 
 def message_of(port: str, value: Any) -> Any:
-    """A value as a message, without a time."""
+    """Convert a value at a port to a message without a stamp."""
     message = kind_of(port)()
     if port == "hull":
         message.polygon.points = [Point32(x=u, y=v) for u, v in value.tolist()]
@@ -93,7 +93,7 @@ def message_of(port: str, value: Any) -> Any:
 
 
 def value_of(port: str, message: Any) -> Any:
-    """A message as the value that it was made of."""
+    """Convert a message at a port to a value; the inverse of `message_of`."""
     if port == "hull":
         return np.array([(point.x, point.y) for point in message.polygon.points], np.float32)
     if port == "pixel":

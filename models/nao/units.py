@@ -1,6 +1,6 @@
 """The units of the case study, as `pipeline.yaml` names them; the package `football` has their algorithms.
 
-Elements carry the time of their frame.
+The time of an element is that of its frame.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 from football.walking import Gait
 
 BEACON_ERROR_M = 0.25
-"""The standard deviation of the beacon's error in each direction."""
+"""The standard deviation of the beacon's error along each axis."""
 
 
 class Position(TypedDict):
-    """Where the ball is, in metres; the covariance of the error in square metres: xx, xy, yy."""
+    """The ball's position in metres, and the covariance of its error in square metres: [xx, xy, yy]."""
 
     x: float
     y: float
@@ -35,7 +35,7 @@ class Position(TypedDict):
 
 
 class BottomCam:
-    """Gives images as YUYV 4:2:2, packed: (480, 640, 2). With `day_s` it gets dark, once in so many seconds."""
+    """Yields images as packed YUYV 4:2:2, (480, 640, 2). With `day_s` a night comes every so many seconds."""
 
     def __init__(self, robot: str, day_s: float | None = None) -> None:
         self._robot = robot
@@ -47,13 +47,13 @@ class BottomCam:
         return _frames(self.picture)
 
     def picture(self, time_ns: int) -> Bytes:
-        """Return the camera's picture at a time."""
+        """Return the image at a time in nanoseconds since the epoch."""
         camera = self._gait.camera(scenario.pose(self._robot, time_ns))
         return self._renderer.picture(camera, scenario.ball(time_ns), scenario.light(time_ns, self._day_s))
 
 
 class Photometer:
-    """Gives how bright it is, {light}, with 1 by day, as a sensor sees it whose error has a deviation of 5 %."""
+    """Yields the brightness, {light}: 1 by day. The sensor's error has a standard deviation of 5 % of the value."""
 
     def __init__(self, day_s: float) -> None:
         self._day_s = day_s
@@ -66,7 +66,7 @@ class Photometer:
 
 
 class Beacon:
-    """Gives the ball's position by its infrared beacon, coarsely: an error of 25 cm in each direction."""
+    """Yields the ball's position by its infrared beacon, with a standard deviation of 25 cm along each axis."""
 
     def __init__(self) -> None:
         self._random = np.random.default_rng(2)
@@ -75,13 +75,13 @@ class Beacon:
         return _frames(self.position)
 
     def position(self, time_ns: int) -> Position:
-        """Where the ball seems to be at a time."""
+        """Return the measured position at a time in nanoseconds since the epoch."""
         x, y = np.array(scenario.ball(time_ns)) + self._random.normal(0, BEACON_ERROR_M, 2)
         return _as_value(BallPosition(float(x), float(y), np.eye(2) * BEACON_ERROR_M**2))
 
 
 class Subsampler:
-    """Gives the three channels in five sizes each: 640 x 480 down to 40 x 30."""
+    """Maps an image, (480, 640, 2), to its channels in five sizes each, from `y640` (640 x 480) to `v40` (40 x 30)."""
 
     def __call__(self, image: Bytes) -> dict[str, Bytes]:
         channels = {"y": image[..., 0], "u": image[:, 0::2, 1], "v": image[:, 1::2, 1]}
@@ -93,14 +93,14 @@ class Subsampler:
 
 
 class Segmenter:
-    """Gives the corners of the convex hull of the green field, as pixels of the full image: (n, 2)."""
+    """Maps 80 x 60 channels to the corners of the green field's convex hull, (n, 2), in pixels of the full image."""
 
     def __call__(self, y: Bytes, v: Bytes) -> seeing.Points | None:
         return seeing.field_hull(y, v)
 
 
 class BallDetector:
-    """Gives the ball's centre and radius in pixels of the full image, {u, v, radius}; nothing where it sees none."""
+    """Finds the ball's centre and radius in pixels of the full image: {u, v, radius}, or None if it sees no ball."""
 
     def __call__(self, hull: seeing.Points, fine: Bytes, coarse: Bytes) -> dict[str, float] | None:
         ball = seeing.find_ball(hull, fine, coarse)
@@ -108,7 +108,7 @@ class BallDetector:
 
 
 class SelfLocalization:
-    """Gives where the robot believes it is, {x, y, heading} in metres and radians, with the frames' times."""
+    """Yields the robot's estimated pose, {x, y, heading} in metres and radians, at the time of each frame."""
 
     def __init__(self, robot: str) -> None:
         self._robot = robot
@@ -118,13 +118,13 @@ class SelfLocalization:
         return _frames(self.pose)
 
     def pose(self, time_ns: int) -> dict[str, float]:
-        """Return the robot's estimated pose at a time."""
+        """Return the estimated pose at a time in nanoseconds since the epoch."""
         believed = self._gait.believed(scenario.pose(self._robot, time_ns), time_ns)
         return {"x": believed.x, "y": believed.y, "heading": believed.heading}
 
 
 class BallLocalization:
-    """Gives the ball's position on the field."""
+    """Maps the ball's pixel and the robot's pose to the ball's position on the field; None if that is not nearby."""
 
     def __call__(self, pixel: dict[str, float], pose: dict[str, float]) -> Position | None:
         ball = located(pixel["u"], pixel["v"], Pose(pose["x"], pose["y"], pose["heading"]))
@@ -132,7 +132,7 @@ class BallLocalization:
 
 
 class FuseBallPos:
-    """Gives one position for two of the same moment."""
+    """Fuses two positions of the same time into one."""
 
     def __call__(self, first: Position, second: Position) -> Position:
         return _as_value(fused(_from_value(first), _from_value(second)))

@@ -1,7 +1,7 @@
 """A unit of cfgplan in plain Python, without cfgplan and without any package: a camera that looks at a lamp.
 
-It is a source of its own pace with `run: {format: msgpack}`, and gives ten images of 480 x 960 bytes a second. The lamp
-is on for three seconds, then off for three.
+It is a source with `run: {format: msgpack}` that keeps its own pace, and sends ten images of 480 x 960 bytes a second.
+The lamp is on for three seconds, then off for three.
 """
 
 import struct

@@ -1,5 +1,5 @@
 #!/usr/bin/env node
-// A unit of cfgplan in Node.js, without a package: the mean of the last numbers of bright pixels.
+// A unit of cfgplan in Node.js, without a package: the moving average of the number of bright pixels.
 "use strict";
 
 const last = [];

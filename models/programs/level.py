@@ -1,4 +1,4 @@
-"""A unit of cfgplan in plain Python, without cfgplan: the mean of the last numbers of bright pixels."""
+"""A unit of cfgplan in plain Python, without cfgplan: the moving average of the number of bright pixels."""
 
 import collections
 import json

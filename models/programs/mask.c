@@ -1,4 +1,4 @@
-/* A unit of cfgplan in C, without a library: an image comes, and one goes whose pixels are 255 where it was bright, else 0.
+/* A unit of cfgplan in C, without a library: it maps an image to a mask, 255 where the image is bright, else 0.
 
        cc -O3 -o mask mask.c
        source: program:./mask LEVEL OUTPUT [COUNT]     with     run: {format: msgpack}
@@ -12,7 +12,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-typedef struct { const uint8_t *at, *end; } Reader; /* msgpack that is read */
+typedef struct { const uint8_t *at, *end; } Reader; /* the unread rest of a msgpack message */
 
 static void fail(const char *why) {
     fprintf(stderr, "mask: %s\n", why);
@@ -26,7 +26,7 @@ static const uint8_t *take(Reader *reader, size_t count) {
     return taken;
 }
 
-/* msgpack's numbers begin with their largest byte, lengths of frames with their smallest. */
+/* Numbers of msgpack are big-endian, lengths of frames little-endian. */
 static uint64_t number(Reader *reader, size_t bytes) {
     const uint8_t *from = take(reader, bytes);
     uint64_t value = 0;
@@ -42,7 +42,7 @@ static void put_length(uint8_t *to, uint32_t value) {
     for (int n = 0; n < 4; n++) to[n] = value >> 8 * n & 255;
 }
 
-/* Go over one value, with all that is in it. */
+/* Skip one value, including nested ones. */
 static void skip(Reader *reader) {
     uint8_t kind = *take(reader, 1);
     uint64_t inside = 0, bytes = 0;
@@ -69,7 +69,7 @@ static uint64_t count_of_map(Reader *reader) {
     return kind & 15;
 }
 
-/* Whether the key that comes next is this text; goes over it. */
+/* Read the next key; return whether it is this text. */
 static int is_key(Reader *reader, const char *text) {
     const uint8_t *key = reader->at;
     skip(reader);

@@ -1,6 +1,6 @@
 """The units of the rescue robots, as `transformations.yaml` names them.
 
-Where everything really is is a function of time. The scouts ant and bee face each other, 10 m apart, and sweep about.
+True poses are functions of time. The scouts ant and bee face each other, 10 m apart, and look from side to side.
 """
 
 from __future__ import annotations
@@ -14,44 +14,44 @@ from numpy.typing import NDArray
 
 Image = NDArray[np.uint8]
 Place = list[float]
-"""x and y in metres, of a robot also its heading in radians."""
+"""[x, y] of a person, [x, y, heading] of a robot, or [bearing, distance] of a sighting; in metres and radians."""
 
 PEOPLE = ((0.5, 1.8), (-1.0, -1.5), (2.0, -0.2))
 _STARTS = {"ant": (-5.0, 0.0), "bee": (5.0, math.pi)}
 _HALF_VIEW = math.radians(40)
 _TALL = 0.9
-"""How much of a picture's height a person fills at a distance of one metre."""
+"""The share of a picture's height that a person fills at a distance of one metre."""
 
 
 def camera(robot: str) -> Iterator[Image]:
-    """Gives pictures, (120, 160, 3): people are orange."""
+    """Yield pictures, (120, 160, 3), in which people are orange."""
     for picture in _pictures(robot, 120, 160):
         yield picture[..., None] // np.array([1, 2, 4], np.uint8)
 
 
 def heat_camera(robot: str) -> Iterator[Image]:
-    """Gives heat images, (60, 80): people are warm."""
+    """Yield heat images, (60, 80), in which people are bright."""
     yield from _pictures(robot, 60, 80)
 
 
 def localiser(robot: str) -> Iterator[Place]:
-    """Gives where a robot is."""
+    """Yield the pose of a robot, [x, y, heading], in metres and radians."""
     while True:
         yield pose(robot, time.time())
 
 
 def person_finder(image: Image) -> list[Place]:
-    """Gives bearing and distance of each person in a picture."""
+    """Return bearing and distance, in radians and metres, of each person in a picture."""
     return _found(image[..., 0] - image[..., 2] > 100)
 
 
 def warm_spot_finder(image: Image) -> list[Place]:
-    """Return bearing and distance of every spot as warm as a person."""
+    """Return bearing and distance, in radians and metres, of each spot that is as warm as a person."""
     return _found(image > 150)
 
 
 def search_map(ant: list[Place], ant_at: Place, bee: list[Place], bee_at: Place) -> list[Place]:
-    """Return the places of people; a person seen by both scouts is listed once."""
+    """Return the positions of people, [x, y] in metres; a person that both scouts see is listed once."""
     found: list[Place] = []
     for sightings, (x, y, heading) in ((ant, ant_at), (bee, bee_at)):
         for bearing, distance in sightings:
@@ -62,7 +62,7 @@ def search_map(ant: list[Place], ant_at: Place, bee: list[Place], bee_at: Place)
 
 
 def pose(robot: str, time_s: float) -> Place:
-    """Where a robot really is at a time."""
+    """Return the true pose of a robot at a time in seconds since the epoch."""
     x, heading = _STARTS[robot]
     return [x, math.sin(time_s / 11), heading + 0.2 * math.sin(time_s / 7)]
 

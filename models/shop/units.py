@@ -11,20 +11,20 @@ from typing import Any
 
 ARTICLES = 7
 _ROLL_CALL = 8
-"""Of so many requests, one goes to all backends: the balancer knows those that answer."""
+"""One in this many requests goes to all backends, so that the balancer learns which backends answer."""
 
 Message = dict[str, Any]
 
 
 def entrance() -> Iterator[Message]:
-    """Gives the requests of visitors. Numbers rise, also when another entrance takes over."""
+    """Yield the requests of visitors. Their numbers also rise when another entrance takes over."""
     first = time.time_ns() // 10_000_000
     for number in count(first):
         yield {"number": number, "article": number % ARTICLES}
 
 
 class Balancer:
-    """Gives each request to one of the backends in turn, and to visitors what these answer."""
+    """Sends each request to one of the backends in turn, and returns their answers to visitors."""
 
     def __init__(self) -> None:
         self._answered = 0
@@ -38,7 +38,7 @@ class Balancer:
 
 
 class Backend:
-    """Answers the requests that are for it or for all: how many are left, by the newest copy of the stock."""
+    """Answers requests to itself or to all backends with the article's number in the newest copy of the stock."""
 
     def __init__(self) -> None:
         self._name = uuid.uuid4().hex[:6]
@@ -58,7 +58,7 @@ class Backend:
 
 
 def database() -> Iterator[Message]:
-    """Gives each sale, and the whole stock after it. Versions go on when another database takes over."""
+    """Yield each sale, and the whole stock after it. Versions also rise when another database takes over."""
     while True:
         version = int(time.time() * 100)
         left = {article: 100 - version // 10 % (10 + article) for article in range(ARTICLES)}
@@ -70,7 +70,7 @@ def database() -> Iterator[Message]:
 
 
 class Replica:
-    """Gives the stock, by the database's changes."""
+    """Applies the database's changes to a copy of the stock, and returns the copy."""
 
     def __init__(self) -> None:
         self._left: dict[int, int] = {}
@@ -81,7 +81,7 @@ class Replica:
 
 
 class Cache:
-    """Gives the three articles that have been sold most often."""
+    """Counts the sales, and returns the three articles that were sold most often."""
 
     def __init__(self) -> None:
         self._sold: Counter[int] = Counter()
@@ -92,5 +92,5 @@ class Cache:
 
 
 def python() -> Iterator[None]:
-    """A package: its unit runs, and gives nothing."""
+    """Stand for an installed package: the unit runs, but yields nothing."""
     yield from ()

@@ -1,6 +1,6 @@
-"""Units of an underwater robot that looks for a pipeline and follows it, simulated `pace` times as fast as in truth.
+"""Units of an underwater robot that searches a pipeline and follows it; simulated time passes `pace` times as fast.
 
-Elements carry simulated seconds as `at_s`; a day of the water is a period of the visibility.
+`at_s` of an element is in simulated seconds since the epoch; `period_s` is the period of the visibility.
 """
 
 from __future__ import annotations
@@ -11,17 +11,17 @@ from collections.abc import Iterator
 from typing import TypedDict
 
 MEAN_M, SWING_M = 2.5, 1.25
-"""The visibility swings around its mean, in metres."""
+"""The mean and the amplitude of the visibility, in metres."""
 SPEED_M_S = 0.3
-"""The robot's speed with all thrusters."""
+"""The robot's speed with all thrusters, in metres per second."""
 SEEN_M = 1.15
-"""How wide a strip the camera sees from an altitude of 1 m."""
+"""The width in metres of the strip that the camera sees from an altitude of 1 m."""
 PIPELINE_M = 4.3
-"""How far from the start of the search the pipeline is: so that a search takes about as long as in SUAVE."""
+"""The distance from the start of the search to the pipeline; with it a search takes about as long as in SUAVE."""
 
 
 class Motion(TypedDict):
-    """The robot's speed in metres per simulated second, for so many simulated seconds until `at_s`."""
+    """The robot's speed in metres per simulated second during the `for_s` simulated seconds until `at_s`."""
 
     speed: float
     for_s: float
@@ -29,17 +29,20 @@ class Motion(TypedDict):
 
 
 def simulated_s(pace: float) -> float:
-    """Simulated seconds since the epoch."""
+    """Return the simulated time, in seconds since the epoch."""
     return time.time() * pace
 
 
 def visibility_m(at_s: float, period_s: float) -> float:
-    """How far one sees under water, from 1.25 to 3.75 m; a period begins with the mean, and clears up first."""
+    """Return the visibility at a simulated time, 1.25 to 3.75 m. A period begins at the mean, and rises first."""
     return MEAN_M + SWING_M * math.sin(2 * math.pi * at_s / period_s)
 
 
 class Water:
-    """Gives the visibility in metres, `range_m`; `noise` is the standard deviation of a sensor's error."""
+    """Yields the visibility in metres, `range_m`, as a sensor measures it.
+
+    `noise` is the standard deviation of the sensor's error, as a share of the visibility.
+    """
 
     def __init__(self, period_s: float, pace: float = 1.0, noise: float = 0.0) -> None:
         import random
@@ -55,7 +58,7 @@ class Water:
 
 
 class Thrusters:
-    """Drives the robot: with all thrusters, or more slowly with those that are left."""
+    """Yields the robot's motion at a `share` of its full speed: 1 with all thrusters."""
 
     def __init__(self, share: float, pace: float = 1.0) -> None:
         self._speed, self._pace = share * SPEED_M_S, pace
@@ -69,7 +72,7 @@ class Thrusters:
 
 
 class Spiral:
-    """Searches the ground in a spiral. From higher up a wider strip is seen, where the water is clear enough."""
+    """Searches the ground in a spiral. A higher altitude shows a wider strip, if the water is clear enough."""
 
     def __init__(self, altitude: float, period_s: float) -> None:
         self._altitude, self._period_s = altitude, period_s

@@ -1,1 +1,1 @@
-"""A warehouse with crates that move about and two robots that look at them: the truth, the pictures, and the map."""
+"""A simulated warehouse: moving crates, two robots that look at them, their pictures, and the map."""

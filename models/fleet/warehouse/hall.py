@@ -1,7 +1,7 @@
 """The ground truth of the hall: crates, robots and their cameras, as functions of time.
 
-Metres from the middle of the hall; headings in radians from the x axis. The truth for any element of a stream can be
-computed from its time.
+The origin is the middle of the hall. Lengths are in metres, headings in radians from the x axis, times in nanoseconds
+since the epoch. The true state for any element of a stream can be computed from its time.
 """
 
 from __future__ import annotations
@@ -15,25 +15,25 @@ import numpy.typing as npt
 Floats = npt.NDArray[np.float32]
 
 WIDTH, HEIGHT = 320, 240
-"""Pixels of a picture; (u, v) is right and down from the centre of the top left one."""
+"""The size of a picture in pixels. A pixel is (u, v): right and down from the centre of the top left pixel."""
 FOCAL = WIDTH / 2 / math.tan(math.radians(30))
 CENTRE = ((WIDTH - 1) / 2, (HEIGHT - 1) / 2)
 CAMERA_M = 1.5
 TILT = math.radians(20)
-"""Cameras look down by so much, and are so high above the floor."""
+"""The downward tilt of the cameras in radians, and their height above the floor."""
 CRATE_M = 0.5
 """The edge of a crate. Its sides are parallel to the walls."""
 COLOURS = ((205, 120, 40), (50, 100, 200))
-"""Crates of the west are orange, those of the east blue."""
+"""Crates in the west are orange, crates in the east are blue."""
 HALL_M = (7.0, 4.5)
-"""From the middle to the walls, along x and y."""
+"""The distances from the middle to the walls, along x and y."""
 _NS_PER_S = 1_000_000_000
 _SWAY_M = 0.5
 
 
 @dataclass(frozen=True)
 class Pose:
-    """Where a robot stands, and where it looks."""
+    """The position and heading of a robot, in metres and radians."""
 
     x: float
     y: float
@@ -42,7 +42,7 @@ class Pose:
 
 @dataclass(frozen=True)
 class Crate:
-    """The place of a crate's middle on the floor; `colour` is an index of COLOURS."""
+    """The position of a crate's centre on the floor in metres; `colour` is an index of COLOURS."""
 
     x: float
     y: float
@@ -50,7 +50,7 @@ class Crate:
 
 
 def crates(time_ns: int) -> tuple[Crate, ...]:
-    """The four crates, at a time in nanoseconds since the epoch. They keep more than a metre apart."""
+    """Return the four crates at a time; they are always more than a metre apart."""
     return tuple(
         Crate(
             1.2 * (-1, 1)[east] + _SWAY_M * _wave(time_ns, 23 + 7 * number, number),
@@ -62,7 +62,10 @@ def crates(time_ns: int) -> tuple[Crate, ...]:
 
 
 def pose(robot: str, time_ns: int) -> Pose:
-    """Where a robot is: r1 goes up and down before the west wall, r2 before the east wall, both face the middle."""
+    """Return the true pose of a robot at a time.
+
+    r1 moves along the west wall, r2 along the east wall; both face the middle.
+    """
     if robot not in ("r1", "r2"):
         raise ValueError(f"no robot {robot!r} is in the hall, only r1, r2")
     side = -1 if robot == "r1" else 1
@@ -74,17 +77,17 @@ def pose(robot: str, time_ns: int) -> Pose:
 
 
 def time_of_frame(number: int, per_s: int) -> int:
-    """The time of a frame in nanoseconds since the epoch, rounded up to one; the same for all robots."""
+    """Return the time of a frame, rounded up to a nanosecond; it is the same for all robots."""
     return -(-number * _NS_PER_S // per_s)
 
 
 def last_frame(now_ns: int, per_s: int) -> int:
-    """The number of the last frame that is due by `now_ns`."""
+    """Return the number of the last frame whose time is not after `now_ns`."""
     return now_ns * per_s // _NS_PER_S
 
 
 def rays() -> Floats:
-    """The direction of each pixel, ahead, left and up of the robot: (240, 320, 3). One step ahead is not its length."""
+    """Return the direction of each pixel, as (ahead, left, up) of the robot: (240, 320, 3), not normalised."""
     u, v = np.meshgrid(np.arange(WIDTH) - CENTRE[0], np.arange(HEIGHT) - CENTRE[1])
     down = v / FOCAL
     ahead, up = math.cos(TILT) - math.sin(TILT) * down, -math.sin(TILT) - math.cos(TILT) * down
@@ -92,7 +95,7 @@ def rays() -> Floats:
 
 
 def pixel(pose: Pose, x: float, y: float, height: float) -> tuple[float, float] | None:
-    """Where a camera at `pose` sees a point; None if it is not in front of the camera."""
+    """Return the pixel (u, v) that shows a point to a camera at `pose`; None if the point is not in front of it."""
     ahead, left = _turned(x - pose.x, y - pose.y, -pose.heading)
     up = height - CAMERA_M
     depth = math.cos(TILT) * ahead - math.sin(TILT) * up
@@ -103,7 +106,10 @@ def pixel(pose: Pose, x: float, y: float, height: float) -> tuple[float, float] 
 
 
 def on_floor(pose: Pose, u: float, v: float, beyond_m: float = 0.0) -> tuple[float, float, float] | None:
-    """The x and y of the floor that a pixel shows, `beyond_m` further away, and the distance; None above the floor."""
+    """Return x and y of the point on the floor that a pixel shows, and its distance, all in metres.
+
+    The point is moved away from the camera by `beyond_m`. None if the pixel does not show the floor.
+    """
     down = (v - CENTRE[1]) / FOCAL
     drop = math.sin(TILT) + math.cos(TILT) * down
     if drop <= 1e-3:

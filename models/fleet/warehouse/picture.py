@@ -14,15 +14,15 @@ from warehouse.hall import CAMERA_M, COLOURS, CRATE_M, HALL_M, HEIGHT, WIDTH, Cr
 Bytes = npt.NDArray[np.uint8]
 
 NOISE = 4.0
-"""Standard deviation of the noise, in the 256 steps of a colour."""
+"""The standard deviation of the noise, on the scale 0-255."""
 _SPARE = 32
 _SHADES = (0.8, 0.65, 1.0)
-"""How bright the sides of a crate are that face x, y and up."""
+"""The brightness of a crate's sides that face x, y and up."""
 _WALL, _FLOOR, _TILE = 190, 120, 14
 
 
 class Photographer:
-    """Takes pictures. The noise is drawn once and shifted at random for each picture."""
+    """Renders the camera's pictures. The noise is drawn once, and shifted at random for each picture."""
 
     def __init__(self, seed: int) -> None:
         self._random = np.random.default_rng(seed)
@@ -35,12 +35,12 @@ class Photographer:
         self._floor = self._rays[..., :2] * np.minimum(reach, 50.0)[..., None]
 
     def picture(self, pose: Pose, crates: Iterable[Crate]) -> Bytes:
-        """The picture as RGB: (240, 320, 3)."""
+        """Return the picture of `crates` from a camera at `pose`, as RGB: (240, 320, 3)."""
         picture = np.repeat(self._hall(pose)[..., None], 3, axis=2)
         for crate in sorted(crates, key=lambda one: -math.hypot(one.x - pose.x, one.y - pose.y)):
             self._draw(picture, pose, crate)
         row, column = self._random.integers(0, _SPARE, 2)
-        # All shades are further from 0 and 255 than the noise goes.
+        # The noise can't overflow: no shade is near 0 or 255.
         picture += self._noise[row : row + HEIGHT, column : column + WIDTH]
         return picture
 

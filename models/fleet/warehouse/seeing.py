@@ -1,4 +1,4 @@
-"""Finding crates in a picture by their colour, and where on the floor they stand."""
+"""Find crates in a picture by their colour, and compute their positions on the floor."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from warehouse.hall import CAMERA_M, FOCAL, HEIGHT, WIDTH, Pose, on_floor
 from warehouse.picture import Bytes
 
 _LEAST_COLOUR = 35
-"""How far red and blue of a crate are apart at least; grey is the rest."""
+"""The least difference of red and blue on a crate; everything else is grey."""
 _FEWEST_COLUMNS = 3
 _LEAST_OF_WIDTH = 0.25
-"""A row belongs to a crate if so much of its width is coloured."""
+"""A row belongs to a crate if at least this share of its width is coloured."""
 _MARGIN = 3
 _MIDDLE_M = 0.3
-"""From the nearest edge of a crate on the floor to its middle, on average over the directions."""
+"""The distance on the floor from a crate's nearest edge to its centre, averaged over directions."""
 _WIDEST_M = 0.9
 _FARTHEST_M = 7.5
 _POSE_M = 0.05
 _SAME_M = 0.7
-"""Obstacles that two robots see are the same if they are no further apart."""
+"""Obstacles of two robots are the same if they are at most this far apart."""
 
 
 class Box(TypedDict):
-    """A crate in pixels of the picture; `grain` is how finely the detector looked."""
+    """The bounding box of a crate in pixels; `grain` is the step between the examined rows and columns."""
 
     left: float
     right: float
@@ -38,7 +38,7 @@ class Box(TypedDict):
 
 
 class Obstacle(TypedDict):
-    """Where a crate stands, and the error to be expected, in metres."""
+    """The position of a crate on the floor and its expected error, in metres."""
 
     x: float
     y: float
@@ -46,9 +46,9 @@ class Obstacle(TypedDict):
 
 
 def boxes(image: Bytes, grain: int) -> list[Box]:
-    """The crates that are seen whole down to the floor, from the left; only each `grain`th row and column is looked at.
+    """Return the crates that are visible down to the floor, from left to right, using every `grain`th row and column.
 
-    If a crate hides another of its colour, both are taken for one that is too wide, and `obstacles` leaves it out.
+    If a crate hides another of its colour, both give one box that is too wide for a crate; `obstacles` drops it.
     """
     coarse = image[grain // 2 :: grain, grain // 2 :: grain]
     warmth = coarse[..., 0].astype(np.int16) - coarse[..., 2]
@@ -58,7 +58,7 @@ def boxes(image: Bytes, grain: int) -> list[Box]:
 
 
 def obstacles(found: Sequence[Box], pose: Pose) -> list[Obstacle]:
-    """Where the crates stand that were found in a picture that was taken at `pose`."""
+    """Return the positions of the crates that were found in a picture taken at `pose`."""
     placed = []
     for box in found:
         place = on_floor(pose, (box["left"] + box["right"]) / 2, box["bottom"], _MIDDLE_M)
@@ -73,8 +73,9 @@ def obstacles(found: Sequence[Box], pose: Pose) -> list[Obstacle]:
 
 
 def merged(one: Sequence[Obstacle], other: Sequence[Obstacle]) -> list[Obstacle]:
-    """Return the obstacles of both; one seen by both is merged to the mean weighted by the inverse squares of the
-    errors.
+    """Return the obstacles of both lists.
+
+    Two entries for one crate become their mean, weighted by the inverse squares of their errors.
     """
     left = list(other)
     together = []

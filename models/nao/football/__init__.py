@@ -1,4 +1,4 @@
-"""A football field, two robots on it and a ball: the pictures of their cameras, and how they find the ball."""
+"""A simulated football field, two robots and a ball: the cameras' pictures, and the algorithms that find the ball."""
 
 try:
     import cv2  # noqa: F401

@@ -1,7 +1,7 @@
-"""The bottom camera: a pinhole above the ground, between field coordinates and pixels.
+"""The bottom camera as a pinhole above the ground: converts between field coordinates and pixels.
 
 It stands 0.45 m high and looks 22 degrees down (the NAO's bottom camera with the head raised), 60.9 degrees wide; its
-images have 640 x 480 pixels. They count from the centre of the top left one; (u, v) is right and down.
+images have 640 x 480 pixels. A pixel is (u, v): u to the right and v down from the centre of the top left pixel.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ TILT = math.radians(22.0)
 
 @dataclass(frozen=True)
 class Pose:
-    """Where a robot stands, in metres, and where it looks, in radians from the x axis."""
+    """The position of a robot in metres, and its heading in radians from the x axis."""
 
     x: float
     y: float
@@ -43,12 +43,12 @@ class Camera:
 
     @cached_property
     def place(self) -> Vector:
-        """Its centre in field coordinates."""
+        """The camera's centre in field coordinates, (3,), in metres."""
         return np.array([self.pose.x, self.pose.y, self.height])
 
     @cached_property
     def turn(self) -> Matrix:
-        """Takes directions of the field to directions of the camera: right, down, forward."""
+        """The rotation, (3, 3), from field directions to camera directions: right, down, forward."""
         ahead = np.array([math.cos(self.pose.heading), math.sin(self.pose.heading), 0.0])
         right = np.array([ahead[1], -ahead[0], 0.0])
         up = np.array([0.0, 0.0, 1.0])
@@ -59,30 +59,30 @@ class Camera:
 
     @cached_property
     def from_ground(self) -> Matrix:
-        """The homography from the ground, (x, y, 1) in metres, to pixels."""
+        """The homography, (3, 3), from ground points (x, y, 1) in metres to pixels (u, v, 1)."""
         columns = np.stack([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], -self.place], axis=1)
         matrix: Matrix = _LENS @ self.turn @ columns
         return matrix
 
     def seen_from(self, point: Vector) -> Vector:
-        """A point of the field in camera coordinates: right, down, forward, in metres."""
+        """Convert a point, (3,), from field to camera coordinates: right, down, forward, in metres."""
         seen: Vector = self.turn @ (point - self.place)
         return seen
 
     def pixel(self, point: Vector) -> tuple[float, float] | None:
-        """Where a point of the field is seen; None if it is not in front of the camera."""
+        """Return the pixel (u, v) that shows a point of the field; None if the point is not in front of the camera."""
         right, down, forward = self.seen_from(point)
         if forward <= 1e-6:
             return None
         return CENTRE[0] + FOCAL * right / forward, CENTRE[1] + FOCAL * down / forward
 
     def ray(self, u: float, v: float) -> Vector:
-        """The direction that a pixel looks, in field coordinates."""
+        """Return the direction of a pixel's ray in field coordinates, (3,), not normalised."""
         direction: Vector = self.turn.T @ _to_direction(u, v)
         return direction
 
     def point_at_height(self, u: float, v: float, height: float) -> tuple[float, float] | None:
-        """Where the ray of a pixel is `height` metres above the ground; None if nowhere before it."""
+        """Return x and y where a pixel's ray is `height` above the ground, in metres; None if the ray does not fall."""
         ray = self.ray(u, v)
         if ray[2] >= -1e-6:
             return None
@@ -90,7 +90,7 @@ class Camera:
         return self.pose.x + reach * ray[0], self.pose.y + reach * ray[1]
 
     def horizon(self, u: float) -> float:
-        """The row in which column `u` looks level."""
+        """Return the row v of the horizon in column `u`."""
         slope = self.turn[:, 2]
         return float(CENTRE[1] - (slope[0] * (u - CENTRE[0]) + slope[2] * FOCAL) / slope[1])
 

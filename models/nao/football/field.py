@@ -1,4 +1,4 @@
-"""The field: its measures in metres, and its look from above as a texture for the renderer.
+"""The field: its dimensions in metres, and a picture of it from above as a texture for the renderer.
 
 The origin is the field's centre, x points to the opponent's goal, y to the left.
 """
@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 Bytes = npt.NDArray[np.uint8]
 Colour = tuple[int, int, int]
-"""Luma Y and the colour differences U (Cb) and V (Cr), as JPEG has them: 0-255, 128 is no colour."""
+"""Luma Y and chroma U (Cb) and V (Cr) as in JPEG: 0-255; a chroma of 128 is grey."""
 
 LENGTH_M, WIDTH_M = 9.0, 6.0
 CARPET_M = (10.4, 7.4)
@@ -23,7 +23,7 @@ CARPET_M = (10.4, 7.4)
 LINE_M = 0.05
 BALL_RADIUS_M = 0.05
 SPARE_BALLS = ((0.9, 4.3), (-2.6, -4.2), (5.8, 0.6))
-"""Balls that lie beside the field, and are not the ball."""
+"""Positions of distractor balls beside the field."""
 
 GREEN: Colour = (88, 112, 92)
 WHITE: Colour = (225, 128, 128)
@@ -32,16 +32,16 @@ WALL: Colour = (150, 132, 122)
 
 TEXELS_PER_M = 200.0
 _AREAS_M = ((0.6, 2.2), (1.65, 4.0))
-"""Goal area and penalty area: depth and width."""
+"""Depth and width of the goal area and the penalty area."""
 _SHIFT = 4
 _HALF = 1 << (_SHIFT - 1)
-"""Drawing counts in sixteenths of a texel, from the centre of the first."""
+"""Drawing coordinates are in sixteenths of a texel, from the centre of the first texel."""
 _TUFT = 256
 
 
 @dataclass(frozen=True)
 class Texture:
-    """The carpet from above: luma, and the colour differences at half the resolution."""
+    """The carpet from above: luma, and chroma at half the resolution."""
 
     luma: Bytes
     chroma: Bytes
@@ -51,7 +51,7 @@ class Texture:
 
 @cache
 def texture() -> Texture:
-    """The carpet; made once per process."""
+    """Return the texture of the carpet; it is computed once per process."""
     luma, chroma = _carpet(GREEN[:1]), _carpet(GREEN[1:])
     random = np.random.default_rng(1)
     grass = cv2.GaussianBlur(random.normal(0.0, 9.0, (_TUFT, _TUFT)).astype(np.float32), (0, 0), 1.5)

@@ -1,4 +1,4 @@
-"""From the ball's pixel to the field, with the error to be expected, and the fusion of two such positions."""
+"""The ball's position on the field from its pixel, with the error's covariance, and the fusion of two positions."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from football.field import BALL_RADIUS_M
 Covariance = npt.NDArray[np.float64]
 
 POSITION_M = 0.045
-"""What a robot does not know of its place, as a standard deviation along each axis."""
+"""The standard deviation of a robot's estimated position along each axis, in metres."""
 HEADING = math.radians(1.6)
 TILT = math.radians(0.55)
-"""How far the camera may be tilted otherwise than it is thought to be; it sways as the robot walks."""
+"""The standard deviation of the camera's tilt, in radians, which sways as the robot walks."""
 FARTHEST_M = 6.0
 
 
 @dataclass(frozen=True)
 class BallPosition:
-    """The ball on the field in metres, and the covariance of its error."""
+    """The ball's position on the field in metres, and the covariance of its error, (2, 2), in square metres."""
 
     x: float
     y: float
@@ -31,7 +31,7 @@ class BallPosition:
 
 
 def located(u: float, v: float, pose: Pose) -> BallPosition | None:
-    """Where the ray of the ball's centre is one radius above the ground; None if that is nowhere near."""
+    """Return where the ray of pixel (u, v) is one ball radius above the ground; None if that is not nearby."""
     place = Camera(pose).point_at_height(u, v, BALL_RADIUS_M)
     if place is None:
         return None
@@ -49,7 +49,7 @@ def located(u: float, v: float, pose: Pose) -> BallPosition | None:
 
 
 def fused(first: BallPosition, second: BallPosition) -> BallPosition:
-    """The most likely position if both covariances are true: each counts by the inverse of its own."""
+    """Return the mean of two positions, weighted by the inverses of their covariances, with its covariance."""
     weights = [np.linalg.inv(one.covariance) for one in (first, second)]
     covariance = np.linalg.inv(weights[0] + weights[1])
     x, y = covariance @ (weights[0] @ (first.x, first.y) + weights[1] @ (second.x, second.y))

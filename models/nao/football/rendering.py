@@ -1,6 +1,4 @@
-"""The picture of the bottom camera, as YUYV 4:2:2: carpet and lines by a homography, balls by ray casting,
-and noise.
-"""
+"""Renders the bottom camera's pictures in YUYV 4:2:2: carpet and lines by a homography, balls by ray casting, noise."""
 
 from __future__ import annotations
 
@@ -18,7 +16,7 @@ from football.field import BALL_RADIUS_M, Bytes, Colour
 cv2.setNumThreads(1)
 
 NOISE = 4.0
-"""Standard deviation of the luma's noise, in its 256 steps."""
+"""The standard deviation of the luma's noise, on the scale 0-255."""
 _GREY = 128
 _SPARE = 64
 _PANEL_COS = math.cos(math.radians(22))
@@ -26,13 +24,13 @@ _PANEL: Colour = (196, 128, 128)
 _AMBIENT = 0.72
 _WALL_ROWS = 6
 _CHROMA = np.array([[0.5, 0.0, -0.25], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
-"""From pixels of the luma to pixels of the chroma, which has every second column."""
+"""Maps pixels of the luma to pixels of the chroma, which has every second column."""
 
 _Floats = npt.NDArray[np.float32]
 
 
 class Renderer:
-    """Takes pictures. The noise is drawn once and shifted at random for each picture."""
+    """Renders the camera's pictures. The noise is drawn once, and shifted at random for each picture."""
 
     def __init__(self, seed: int) -> None:
         self._random = np.random.default_rng(seed)
@@ -40,9 +38,9 @@ class Renderer:
         self._noise = np.clip(self._random.normal(0.0, NOISE, shape), -127, 127).round().astype(np.int8)
 
     def picture(self, camera: Camera, ball: tuple[float, float], light: float = 1.0) -> Bytes:
-        """The picture as an array (480, 640, 2): luma, and U in the even, V in the odd columns.
+        """Return a picture, (480, 640, 2): luma, and chroma with U in even and V in odd columns. `ball` is in metres.
 
-        Less `light` makes it darker and greyer, with the same noise.
+        A `light` below 1 makes the picture darker and greyer; the noise stays the same.
         """
         luma, chroma = _ground(camera)
         _wall(luma, chroma, camera)

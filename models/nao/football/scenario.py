@@ -1,6 +1,6 @@
-"""The ground truth of the play: the ball's and the robots' places as functions of time, and the clock of the frames.
+"""The ground truth of the game: the positions of ball and robots as functions of time, and the clock of the frames.
 
-The truth for any element of a stream can be computed from its time stamp.
+The true state for any element of a stream can be computed from its time, in nanoseconds since the epoch.
 """
 
 from __future__ import annotations
@@ -28,19 +28,22 @@ _COMPANIONS = {"piff": _Companion(math.pi, 1.5, 31.0), "puff": _Companion(-0.9, 
 
 
 def ball(time_ns: int) -> tuple[float, float]:
-    """The ball's place on the field in metres, at a time in nanoseconds since the epoch."""
+    """Return the ball's position on the field, (x, y) in metres, at a time."""
     return 2.3 * _wave(time_ns, 53.0), 1.3 * _wave(time_ns, 31.0, 0.8)
 
 
 def light(time_ns: int, day_s: float | None) -> float:
-    """How bright it is, from 0.05 at night to 1, half of each day that long; always 1 without days."""
+    """Return the brightness, from 0.05 at night to 1 by day. Day and night last `day_s` seconds; None: no night."""
     if day_s is None:
         return 1.0
     return min(1.0, max(0.05, 0.8 + 0.75 * _wave(time_ns, day_s)))
 
 
 def pose(robot: str, time_ns: int) -> Pose:
-    """Where a robot is and looks: it keeps 0.9 to 2.3 m from the ball, moves around it, and lets its gaze sway."""
+    """Return the true pose of a robot: it moves around the ball at 0.9 to 2.3 m, and its heading sways.
+
+    Raises ValueError for an unknown robot.
+    """
     if robot not in _COMPANIONS:
         raise ValueError(f"no robot {robot!r} is on the field, only {', '.join(_COMPANIONS)}")
     companion = _COMPANIONS[robot]
@@ -56,16 +59,16 @@ def pose(robot: str, time_ns: int) -> Pose:
 
 
 class FrameClock:
-    """Gives the frames their times: multiples of 1/15 s, the same for all robots, so that streams can be aligned.
+    """Tells which frames are due. Their times are multiples of 1/15 s for all robots, so that streams can be aligned.
 
-    It is asked about twice as often, so that delays on a busy computer are made up for.
+    Call `frame` about twice as often, so that delays on a busy computer skip no frame.
     """
 
     def __init__(self) -> None:
         self._last: int | None = None
 
     def frame(self, now_ns: int) -> int | None:
-        """The time of the next frame that is due; None if none is. Frames that are long overdue are left out."""
+        """Return the time of the next frame that is due; None if none is. Frames that are long overdue are skipped."""
         due = now_ns * FRAMES_PER_S // _NS_PER_S
         if self._last is None or due - self._last > _OVERDUE:
             self._last = due
@@ -77,7 +80,7 @@ class FrameClock:
 
 
 def time_of_frame(number: int) -> int:
-    """The time of a frame in nanoseconds since the epoch, rounded up to one."""
+    """Return the time of a frame, rounded up to a nanosecond."""
     return -(-number * _NS_PER_S // FRAMES_PER_S)
 
 

@@ -1,4 +1,4 @@
-"""From images to the ball's pixel: sizes of a channel, the convex hull of the green field, and the ball within it."""
+"""Finds the ball in an image: subsampled channels, the convex hull of the green field, and the ball within it."""
 
 from __future__ import annotations
 
@@ -23,17 +23,18 @@ SIZES = (640, 320, 160, 80, 40)
 _GREEN_V = 112
 _GREEN_Y = (40, 140)
 _BRIGHTER = 34
-"""How much brighter than the grass lines and balls are."""
+"""Lines and balls are brighter than the grass by at least this much luma."""
 _LIKELY = (0.72, 1.5)
-"""A ball's largest inscribed disc, in radii of the ball that could be seen there. A line's is below 0.5."""
+"""The radius of the largest disc inside a ball's bright pixels, at least and at most, in radii of a ball at that place.
+A line's is below 0.5."""
 _MOST_CANDIDATES = 4
 _SMALLEST = 6.0
-"""Radius in pixels of the full image; 4.5 m away. What is beyond is not looked for."""
+"""The radius in pixels of the full image of a ball 4.5 m away. Balls further away are not searched."""
 _RINGS = (0.3, 0.15, 0.08, 0.06)
-"""How far from the circle, in radii, points may be that the next, better circle is fitted to: a line that touches the
-ball is left out step by step."""
+"""The largest distance from the circle, in radii, of the points that the next circle is fitted to. It shrinks, so that
+a line that touches the ball is excluded step by step."""
 _SECTORS, _FEWEST_SECTORS = 16, 10
-"""So much of the circle must be seen: the end of a line at the edge of the image shows less."""
+"""A ball's outline has points in at least this many sectors; the end of a line at the edge of the image has fewer."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class Seen:
 
 
 def subsampled(channel: Bytes) -> dict[int, Bytes]:
-    """A channel at all `SIZES`, each made from the next larger one; by width."""
+    """Return a channel in all `SIZES`, by width; each is computed from the next larger one."""
     images: dict[int, Bytes] = {}
     for width in SIZES:
         size = (width, width * HEIGHT // WIDTH)
@@ -58,7 +59,10 @@ def subsampled(channel: Bytes) -> dict[int, Bytes]:
 
 
 def field_hull(luma: Bytes, v: Bytes) -> Points | None:
-    """Return the convex hull of the green area of small Y and V images; None if hardly any pixel is green."""
+    """Return the convex hull of the green area of small Y and V images, (n, 2), in pixels of the full image.
+
+    None if hardly any pixel is green.
+    """
     mask = ((v < _GREEN_V) & (luma > _GREEN_Y[0]) & (luma < _GREEN_Y[1])).astype(np.uint8)
     mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))  # type: ignore[assignment]
     outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
@@ -74,7 +78,10 @@ def field_hull(luma: Bytes, v: Bytes) -> Points | None:
 
 
 def find_ball(hull: Points, fine: Bytes, coarse: Bytes) -> Seen | None:
-    """The ball inside the hull: found in the 320 x 240 luma by its size, measured in the 640 x 480 one."""
+    """Return the ball inside the hull, or None.
+
+    It is found by its size in `coarse`, the 320 x 240 luma, and measured in `fine`, the 640 x 480 luma.
+    """
     scale = fine.shape[1] / coarse.shape[1]
     inside = np.zeros(coarse.shape, np.uint8)
     corners = (hull + 0.5) / scale - 0.5

@@ -1,1 +1,1 @@
-"""The paper's case study as a play on running processes: `cfgplan demo nao`."""
+"""The paper's case study, performed step by step on running processes: `cfgplan demo nao`."""

@@ -1,4 +1,4 @@
-"""The page's charts as SVG: the field from above, the error over time, and the moments around a failure."""
+"""The report page's charts as SVG: the field from above, the error over time, and the seconds around a failure."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from nao_demo.played import FRAME_NS, Played
 
 _NAMES = ("accent", "bad", "band", "gap", "ink", "rule", "soft", "source0", "source1", "truth")
 CSS = MappingProxyType({name: f"#{number:06x}" for number, name in enumerate(_NAMES, 1)})
-"""Stand-ins for the page's CSS variables, so that charts follow its light and dark looks."""
+"""Placeholders for the page's CSS variables, so that charts follow its light and dark colours."""
 _STYLE: Any = {
     "svg.fonttype": "none",
     "svg.hashsalt": "cfgplan",
@@ -47,7 +47,7 @@ _AROUND_S = 0.7
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a robot stands and looks at the end."""
+    """The pose of a robot at the end of the play."""
 
     name: str
     x: float
@@ -56,7 +56,7 @@ class Place:
 
 
 def by_source(played: Sequence[Played]) -> dict[str, list[Sample]]:
-    """All positions, by the transformation that they came from."""
+    """Return all positions, by the transformation that they came from."""
     found: dict[str, list[Sample]] = {}
     source = ""
     for step in played:
@@ -67,7 +67,7 @@ def by_source(played: Sequence[Played]) -> dict[str, list[Sample]]:
 
 
 def field_map(played: Sequence[Played], robots: Iterable[Place]) -> str:
-    """The field from above with the ball's true way and the positions that came."""
+    """Draw the field from above with the ball's true path, the received positions and the robots. Returns SVG."""
     figure = Figure(figsize=(10.4, 7.4))
     axes = figure.add_axes((0, 0, 1, 1), xlim=(-5.2, 5.2), ylim=(-3.7, 3.7), aspect="equal")
     axes.set_axis_off()
@@ -99,7 +99,7 @@ def field_map(played: Sequence[Played], robots: Iterable[Place]) -> str:
 
 
 def error_chart(played: Sequence[Played]) -> str:
-    """How far each position was off over the whole play, and how far it expected to be."""
+    """Draw the true and the expected error of each position over the whole play. Returns SVG."""
     start_ns, end_s = played[0].began_ns, (played[-1].ended_ns - played[0].began_ns) / 1e9
     with rc_context(_STYLE):
         figure, axes = _chart(3.2)
@@ -123,7 +123,7 @@ def error_chart(played: Sequence[Played]) -> str:
 
 
 def failure_chart(step: Played, samples: Sequence[Sample]) -> str:
-    """Draw the ball's x around a failure: the truth, each picture's position, and the times of the repair's steps."""
+    """Draw the ball's x around a failure as SVG: the truth, each picture's position, and the times of the repair."""
     came_ns = step.first.came_ns if step.first is not None else step.ended_ns
     events = (
         ("killed", step.began_ns),

@@ -1,4 +1,4 @@
-"""Listening to the ball's positions during the play, and comparing each with the truth of its moment."""
+"""Listens to the ball's positions during the play, and compares each with the true position at its time."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ _PATIENCE_S = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """A position on the topic, in metres, with the moment that it is of, when it came, and where the ball really was.
+    """A received position in metres, the time of its picture, its arrival time, and the ball's true position.
 
-    `expected_m` is the error that the position itself expects, a standard deviation.
+    `expected_m` is the standard deviation that the position's own covariance gives.
     """
 
     time_ns: int
@@ -47,14 +47,14 @@ class Listener:
         self._thread.start()
 
     def samples(self, since_ns: int = 0, until_ns: int | None = None) -> tuple[Sample, ...]:
-        """The positions of moments in between."""
+        """Return the received positions whose pictures were taken between two times, in nanoseconds since the epoch."""
         with self._news:
             return tuple(
                 s for s in self._samples if s.time_ns >= since_ns and (until_ns is None or s.time_ns < until_ns)
             )
 
     def wait_for(self, since_ns: int, timeout_s: float) -> Sample | None:
-        """Wait for the first position of a moment from `since_ns` on. None if there is none in time."""
+        """Wait for the first position whose picture was taken at `since_ns` or later. None if none comes in time."""
 
         def first() -> Sample | None:
             return next((sample for sample in self._samples if sample.time_ns >= since_ns), None)
@@ -63,7 +63,7 @@ class Listener:
             return self._news.wait_for(first, timeout_s)
 
     def close(self) -> None:
-        """End the thread. To be called after the end of the run."""
+        """End the thread. Call it after the end of the run."""
         self._is_over = True
         self._thread.join()
 

@@ -22,9 +22,9 @@ from nao_demo.story import SECTION_V, Step
 
 
 def show(screen: Screen, step_s: float, out: Path, port: int | None = None) -> None:
-    """Play the story, each step watched for `step_s` seconds, and write the report about it to `out`.
+    """Play the story, watch each step for `step_s` seconds, and write the HTML report to `out`.
 
-    With a `port` (0: any) a page about the run is served there meanwhile.
+    With a `port` (0: any free one), the page of the run is served there meanwhile.
     """
     with Interrupts(), Narrator(screen) as narrator:
         played = play(SECTION_V, step_s, narrator, port)
@@ -34,7 +34,7 @@ def show(screen: Screen, step_s: float, out: Path, port: int | None = None) -> N
 
 
 class Narrator:
-    """Tells the play on the screen: in words, or as a JSON line for each step."""
+    """Prints the play on the screen: in words, or as a JSON line for each step."""
 
     def __init__(self, screen: Screen) -> None:
         self._screen = screen

@@ -1,4 +1,4 @@
-"""The report page of a play: one HTML file that needs nothing else."""
+"""The report page of a play: one HTML file that loads no other file."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _MOMENTS = 100
 
 @dataclass(frozen=True, slots=True)
 class Bar:
-    """A plan's cost beside those of others; `share` is of the largest on the page, in percent."""
+    """A bar with the cost of a plan; `share` is its length in percent of the largest cost on the page."""
 
     what: str
     cost: str
@@ -41,7 +41,7 @@ class Bar:
 
 
 def page(played: Sequence[Played], version: str) -> str:
-    """The page as HTML."""
+    """Return the report of a play as HTML."""
     templates = Templates(
         loader=FileSystemLoader(Path(__file__).parent),
         autoescape=select_autoescape(),

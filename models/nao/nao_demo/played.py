@@ -29,7 +29,7 @@ class Alternative:
 
 @dataclass(frozen=True, slots=True)
 class Silence:
-    """The longest time without a position: the last one before, the first one after, and the frames in between."""
+    """The longest time without a position: the last position before it, the first after it, and the frames between."""
 
     last: Sample
     first: Sample
@@ -40,7 +40,7 @@ class Silence:
 class Played:
     """The result of a step.
 
-    Times are in nanoseconds since the epoch; `first` is the first position of a moment after the step began.
+    Times are in nanoseconds since the epoch; `first` is the first position of a picture taken after the step began.
     """
 
     step: Step
@@ -62,7 +62,7 @@ class Played:
 
     @property
     def left(self) -> Environment:
-        """The configuration before the step without its dead units, with the targets of afterwards."""
+        """The configuration before the step, without the units that died, and with the targets after the step."""
         units = (replace(u, subscriptions=_living(u, self.gone)) for u in self.before.units if u.id not in self.gone)
         return replace(self.before, units=tuple(units), targets=self.after.targets)
 
@@ -79,23 +79,23 @@ class Played:
 
     @property
     def updated_ns(self) -> int:
-        """When the update had been carried out."""
+        """The time when the update was complete."""
         return updated_ns(self.review)
 
     @property
     def settled(self) -> tuple[Sample, ...]:
-        """The positions of moments after the update."""
+        """The positions whose pictures were taken after the update."""
         return tuple(sample for sample in self.samples if sample.time_ns >= self.updated_ns)
 
     @property
     def rms_error_m(self) -> float | None:
-        """The root mean square of the errors of the positions after the update."""
+        """The root mean square error of the positions after the update, in metres; None without positions."""
         squares = [sample.error_m**2 for sample in self.settled]
         return math.sqrt(sum(squares) / len(squares)) if squares else None
 
 
 def updated_ns(review: Review) -> int:
-    """When the update of a review had been carried out, in nanoseconds since the epoch."""
+    """Return the time when the update of a review was complete, in nanoseconds since the epoch."""
     seconds = sum(took for phase, took in review.seconds.items() if phase != "detect")
     return round((review.time_s + seconds) * 1e9)
 
@@ -105,7 +105,10 @@ def _living(unit: ComputationUnit, gone: Sequence[str]) -> tuple[Subscription, .
 
 
 def silence(samples: Sequence[Sample], began_ns: int, until_ns: int) -> Silence | None:
-    """The longest pause between two positions that touches this time, give or take a frame; None without any."""
+    """Return the longest pause between two positions that overlaps a span of time, extended by a frame at each end.
+
+    None without a pause.
+    """
     near = [
         (last, first)
         for last, first in pairwise(samples)

@@ -1,4 +1,4 @@
-"""Plays the story on running processes, by a manager that is told nothing but what happens."""
+"""Plays the story on running processes. The manager gets only the events of the story, no instructions."""
 
 from __future__ import annotations
 
@@ -36,39 +36,39 @@ from nao_demo.played import TOPIC, Alternative, Played, silence
 from nao_demo.story import WORLD, Begin, Kill, Offer, Register, Step, declared_by, offered
 
 PRELOADED = ("numpy", "cv2")
-"""What all units import: the nursery imports it once, so that a unit is there in milliseconds."""
+"""Packages that all units import. The nursery imports them once, so that a unit starts within milliseconds."""
 _BEFORE_NS = 1_000_000_000
-"""How far before a step to look for its last position."""
+"""The last position before a step is searched this far back."""
 _NOTHING_S = 1.5
-"""How long to watch that nothing comes."""
+"""If no target can be met, the topic is watched for this long."""
 _LOOK_S = 0.2
 LONGEST_S = 120.0
-"""How long anything may take before the play is given up."""
+"""The longest time that one action may take before the play is aborted."""
 
 
 class Audience(Protocol):
     """Receives the events of a play."""
 
     def is_served(self, url: str) -> None:
-        """A page about the play is served at this address."""
+        """Take the address at which the page of the run is served."""
 
     def begins(self, step: Step) -> None:
-        """A step begins."""
+        """Take a step that begins."""
 
     def answers(self, answered: Played) -> None:
-        """The manager has answered it; positions come later."""
+        """Take the manager's answer to the step; it has no positions yet."""
 
     def watches(self, sample: Sample | None) -> None:
-        """The newest position, if there is any; told a few times a second while a step is watched."""
+        """Take the newest position, or None before the first; called a few times a second while a step is watched."""
 
     def ends(self, played: Played) -> None:
-        """A step has ended."""
+        """Take the result of a step that has ended, with its positions."""
 
 
 def play(story: Sequence[Step], step_s: float, audience: Audience, port: int | None = None) -> tuple[Played, ...]:
-    """Play the story; each step is watched for `step_s` seconds. With a `port` (0: any) a page about it is served.
+    """Play the story, and watch each step for `step_s` seconds. With a `port` (0: any), the run's page is served there.
 
-    Raises RuntimeFaultError if a step does not come to its end.
+    Returns the results of the steps. Raises RuntimeFaultError if a step does not finish within `LONGEST_S`.
     """
     played: list[Played] = []
     world = api.load(WORLD / "0-target-only.yaml")

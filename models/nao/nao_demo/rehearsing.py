@@ -1,4 +1,4 @@
-"""The world's units called one after the other, without any process: for pictures, and for fair comparisons."""
+"""Calls the world's units one after the other without processes, for pictures and for comparisons on equal moments."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Seen:
 
 
 Call = Callable[..., Any]
-"""Calls a unit's code: the unit's name, its code, its values by input port."""
+"""Calls the code of a unit, given the unit's name, its code, and its values by input port."""
 
 
 def _plainly(_unit: str, code: Callable[..., Any], **values: object) -> Any:
@@ -36,7 +36,7 @@ def _plainly(_unit: str, code: Callable[..., Any], **values: object) -> Any:
 
 
 class Robot:
-    """The units of one robot, called by `call`."""
+    """The units of one robot. Each is called through `call`, which may measure it."""
 
     def __init__(self, name: str, call: Call = _plainly) -> None:
         self.name = name
@@ -49,7 +49,7 @@ class Robot:
         self._localization = BallLocalization()
 
     def see(self, time_ns: int) -> Seen:
-        """Take the picture of a moment and look for the ball in it."""
+        """Take the picture at a time, in nanoseconds since the epoch, and search the ball in it."""
         call, ball, position = self._call, None, None
         image = call("bottom_cam", self._camera.picture, time_ns=time_ns)
         sizes = call("subsampler", self._subsampler, image=image)
@@ -72,7 +72,7 @@ class View:
 
 
 def view(robot: Robot, time_ns: int) -> View:
-    """Take the picture of a moment again and mark the field's hull and the ball."""
+    """Return the picture at a time, with the field's hull and the ball marked."""
     seen = robot.see(time_ns)
     channels = np.dstack([seen.sizes[name] for name in ("y640", "v640", "u640")])
     shown = cv2.cvtColor(channels, cv2.COLOR_YCrCb2BGR)
@@ -88,7 +88,7 @@ def view(robot: Robot, time_ns: int) -> View:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Root mean squares of the errors at the same moments, in metres, for each robot alone and for both fused."""
+    """Root mean square errors in metres, of each robot alone and of both fused, over the same `moments`."""
 
     moments: int
     alone_m: Mapping[str, float]
@@ -96,7 +96,10 @@ class Comparison:
 
 
 def compare(robots: Sequence[Robot], times_ns: Iterable[int]) -> Comparison | None:
-    """Hold two robots and their fusion against the truth, where both see the ball; None if that is nowhere."""
+    """Compare two robots and their fusion with the true positions, at the times when both see the ball.
+
+    None if both never see it at the same time.
+    """
     fuse = FuseBallPos()
     first, second = robots
     errors: list[tuple[float, float, float]] = []

@@ -1,4 +1,4 @@
-"""Section V of the paper in steps: the event of each, its alternatives, and the robots' declarations."""
+"""Section V of the paper as a list of steps, each with its event and alternatives, and the robots' declarations."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ Act: TypeAlias = Begin | Register | Kill | Offer
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One step: its title, where it is in the paper, what happens, and other plans worth the comparison.
+    """One step: its title, its place in the paper, its event, and alternative plans to compare with.
 
-    `others` says what a plan would be like and which transformation it would have to use.
+    `others` has a description of each alternative plan, and the transformation that it must use.
     """
 
     title: str
@@ -92,13 +92,13 @@ SECTION_V = (
 
 
 def declared_by(robot: str) -> Declare:
-    """Return a robot's declaration when it registers: itself, and the pipeline that it can run."""
+    """Return the declaration that a robot makes when it registers: itself, and the pipeline that it can run."""
     text = (WORLD / "pipeline.yaml").read_text(encoding="utf-8").replace("${NAO}", robot)
     return Declare(robot, _transformations(text), (Individual(robot, ("NAO",)),))
 
 
 def offered(name: str, stage: str) -> Declare:
-    """The transformations of a stage's file, which belong to no robot."""
+    """Return a declaration of the transformations in a stage's file; they belong to no robot."""
     return Declare(name, _transformations((WORLD / f"{stage}.yaml").read_text(encoding="utf-8")))
 
 

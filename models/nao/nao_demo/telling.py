@@ -1,4 +1,4 @@
-"""Reports of a step, in words and figures, for the terminal and the page."""
+"""Describes the results of a step in words and figures, for the terminal and the page."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ _PHASE_WORDS = {
 
 
 def cpu(cost_us: int) -> str:
-    """A cost, rounded to hundredths of a CPU second: `20.55 s`."""
+    """Format a cost in microseconds, rounded to hundredths of a CPU second: `20.55 s`."""
     return f"{Decimal(cost_us) / 1_000_000:.2f} s"
 
 
 def span(seconds: float) -> str:
-    """A time: `3.2 ms`, `48 ms`, `1.25 s`."""
+    """Format a duration: `3.2 ms`, `48 ms`, `1.25 s`."""
     if seconds >= 1:
         return f"{seconds:.2f} s"
     return f"{seconds * 1000:.0f} ms" if seconds >= 0.01 else f"{seconds * 1000:.1f} ms"
@@ -91,7 +91,7 @@ def cost(played: Played) -> str | None:
 
 
 def labor(played: Played) -> int:
-    """The labor in the cost of the plan, in microseconds."""
+    """Return the labor in the cost of the plan, in microseconds."""
     library = played.after.transformation
     upkeep_us = sum(keep_cost_us(library[u.transformation], played.review.horizon_s) for u in played.after.units)
     return max(0, (played.review.cost_us or 0) - upkeep_us)
@@ -104,7 +104,7 @@ def others(played: Played) -> list[str]:
 
 
 def times(played: Played) -> list[tuple[str, float]]:
-    """How long each phase of the review took, in seconds, for those that took any time."""
+    """Return the phases of the review and their durations in seconds; phases of no duration are left out."""
     seconds = played.review.seconds
     return [(_PHASE_WORDS[phase], seconds[phase]) for phase in PHASES if seconds.get(phase, 0.0) >= 0.0005]
 
@@ -124,5 +124,5 @@ def seen(played: Played) -> str | None:
 
 
 def lost_frames(played: Played) -> int:
-    """How many pictures in a row around the step gave no position."""
+    """Return the number of consecutive pictures around the step that gave no position."""
     return 0 if played.silence is None or not played.before.units else played.silence.lost_frames

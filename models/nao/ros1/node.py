@@ -27,7 +27,7 @@ LOOK_S = 1 / 30
 
 
 def main(name: str) -> None:
-    """Run a class as a node until it is told to end."""
+    """Run the class `name` of `units.py` as a node until ROS shuts it down."""
     rospy.init_node(name)
     inputs, outputs = PORTS[name]
     publishers = {port: rospy.Publisher(port, kind_of(port), queue_size=8) for port in outputs}

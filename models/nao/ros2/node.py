@@ -27,7 +27,7 @@ DEPTH = 8
 
 
 class UnitNode(Node):
-    """Runs a class on the messages at its inputs, or at the time of each frame."""
+    """Calls a class with the messages at its inputs, or, for a source, at the time of each frame."""
 
     def __init__(self, name: str) -> None:
         super().__init__(name)

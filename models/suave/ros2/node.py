@@ -24,9 +24,9 @@ from auv import Follow, Motion, Spiral, Thrusters, Water
 DEPTH = 8
 RATES_HZ = {"Water": 5, "Thrusters": 20}
 SEARCH = "/search"
-"""The target's topic: a new altitude continues from what was searched there."""
+"""The target's topic. A new altitude continues from the searched area that was published there."""
 LISTENS_S = 1.0
-"""So long a new altitude waits for what was searched before it: at the first start there is nothing."""
+"""A new altitude waits this long for the searched area of the previous one; at the first start none is published."""
 
 
 class WaterNode(Node):
@@ -60,7 +60,7 @@ class ThrustersNode(Node):
 
 
 class MovedNode(Node):
-    """A node that is moved by thrusters. The first message only tells when the movement begins."""
+    """A node that computes with the motion of the thrusters. Its first message only marks the beginning."""
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
@@ -78,7 +78,7 @@ class MovedNode(Node):
 
 
 class SpiralNode(MovedNode):
-    """Publishes the altitude, the searched area and whether the pipeline was found (1) as a point."""
+    """Publishes a point: x is the altitude in metres, y the searched area, z is 1 if the pipeline was found."""
 
     def __init__(self) -> None:
         super().__init__("spiral")
@@ -100,7 +100,7 @@ class SpiralNode(MovedNode):
 
 
 class FollowNode(MovedNode):
-    """Publishes how much of the pipeline was inspected, in metres."""
+    """Publishes the inspected length of the pipeline, in metres."""
 
     def __init__(self) -> None:
         super().__init__("follow")
