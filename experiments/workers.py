@@ -109,7 +109,7 @@ def runtime_of(kind: str) -> Runtime:
     return Runtime(backend=lambda: Ros1Backend(folder=HERE / "ros1"))
 
 
-# What comes on the topic.
+# Elements of the topic come here.
 
 
 @contextmanager

@@ -96,3 +96,11 @@ def test_a_sentence_that_is_read_twice_is_noticed(sentence: str) -> None:
 @pytest.mark.parametrize("sentence", ["Return the interval.", "Send all frames that are due.", "None if unknown."])
 def test_a_plain_sentence_is_not(sentence: str) -> None:
     assert not _forms(sentence)
+
+
+def test_no_comment_begins_with_a_word_that_has_to_be_read_twice() -> None:
+    begins = re.compile(r"(?:^|\s)# (?:What|Those|That|Of) ")
+    files = (path for top in (*TOPS, "tests") for path in (ROOT / top).rglob("*"))
+    sources = (path for path in files if path.suffix in {".py", ".yaml"})
+    lines = ((path, line) for path in sources for line in path.read_text(encoding="utf-8").splitlines())
+    assert [f"{path.relative_to(ROOT)}: {line.strip()}" for path, line in lines if begins.search(line)] == []

@@ -139,7 +139,7 @@ _COMMANDS = (
 def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _CTL_EXAMPLE
     which = "name (of `cfgplan run --name`) or id of the run; needed if several are live"
-    parser.add_argument("--name", "-n", "--run", dest="run_id", metavar="NAME", help=which)
+    shared.add_run(parser, which)
     add_links(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)

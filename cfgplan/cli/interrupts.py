@@ -103,12 +103,12 @@ class Interrupts:
     def _hear(self, number: int, frame: FrameType | None) -> None:
         self.count += 1
         if self._raises:
-            # What that lets go is not to be interrupted by the second.
+            # A second interrupt must not stop the clean-up of the first.
             self._raises = False
             before = self._before[signal.Signals(number)]
             if number == signal.SIGINT and callable(before):
                 before(number, frame)
             raise KeyboardInterrupt
         if self.count > _MOST_PATIENT:
-            # What runs ends with this process, and its folder is removed by the next run.
+            # Running units end with this process, and the next run removes its folder.
             os._exit(Exit.INTERRUPTED)

@@ -42,7 +42,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     topic = "the topic of a target, such as /result, or a unit and its output port, such as camera.1/image"
     parser.add_argument("topic", type=normal, metavar="TOPIC", help=topic)
     which = "id or name of the run; needed if several runs have the topic"
-    parser.add_argument("--name", "-n", "--run", dest="run_id", metavar="NAME", help=which)
+    shared.add_run(parser, which)
     parser.add_argument("--count", type=shared.count, metavar="N", help="stop after N elements (default: no limit)")
     shared.add_span(parser)
     shared.add_time(parser, "--wait", 0.0, "how long to wait until the topic exists, such as 10s (default: 0)")

@@ -144,6 +144,11 @@ def add_time(parser: argparse.ArgumentParser, name: str, default_s: float, means
     parser.add_argument(name, type=duration, default=default_s, metavar="TIME", help=means)
 
 
+def add_run(parser: argparse.ArgumentParser, means: str) -> None:
+    """Add `--name`, also `-n` and `--run`: the name or id of a live run; None for the only one."""
+    parser.add_argument("--name", "-n", "--run", dest="run_id", metavar="NAME", help=means)
+
+
 def add_span(
     parser: argparse._ActionsContainer, means: str = "stop after this time, such as 30s, 5m or 1h (default: no limit)"
 ) -> None:

@@ -26,7 +26,7 @@ _ENDED_LOOK_S = 0.5
 def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _OF_A_PAGE
     which = "id or name of the run; needed if several are live"
-    parser.add_argument("--name", "-n", "--run", dest="run_id", metavar="NAME", help=which)
+    shared.add_run(parser, which)
     parser.add_argument(
         "--address",
         default="127.0.0.1",

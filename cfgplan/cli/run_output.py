@@ -70,7 +70,7 @@ class Lines(RunOutput):
             if said is not None:
                 self._screen.tell(printable(said))
             if where is not None and where not in self._told:
-                # What fails at each step says where only once.
+                # A fault of each step says its place only once.
                 self._told.add(where)
                 for line in where.splitlines():
                     self._screen.tell(printable(line))

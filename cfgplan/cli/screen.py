@@ -216,7 +216,7 @@ class Screen:
                 """Leave it to `main`, as with everything else that is written."""
                 raise BrokenPipeError
 
-        # What goes to a file or a program is not cut at the edge of a screen that is not there.
+        # Text for a file or a program is not cut at the edge of a screen.
         width = None if sys.stdout.isatty() else _WIDTH_OF_A_FILE
         return Out(highlight=False, markup=False, emoji=False, width=width)
 

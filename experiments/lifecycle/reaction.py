@@ -209,7 +209,7 @@ def rows(size: int, repeat: int) -> list[Row]:
         file = folder / "env.yaml"
         (folder / "units.py").write_text(UNITS)
         file.write_text(environment_text(size))
-        # What is killed or cut again and again is not to blame.
+        # A unit that is killed or cut again and again is not to blame.
         policy = Policy(back_off=BackOffRules(first_s=0.0), most_loss_s=0.0)
         with (
             Runtime(folder=folder) as runtime,

@@ -111,7 +111,7 @@ def _plain_model(program: Program | NumberProgram) -> tuple[Any, list[Any]]:
 
 def _model(program: Program) -> Any:
     model, _ = _plain_model(program)
-    # What is known of the rows alone would cut off solutions, or fix variables, that landmarks to come allow.
+    # Rules about the present rows alone would cut off solutions, or fix variables, that landmarks to come allow.
     model.setParam("misc/allowstrongdualreds", False)
     model.setParam("misc/allowweakdualreds", False)
     return model

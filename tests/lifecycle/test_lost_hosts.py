@@ -199,7 +199,7 @@ def test_hosts_that_do_not_come_are_planned_without_and_used_when_they_come() ->
 def test_cold_spares_are_started_when_they_are_needed() -> None:
     life = fleet("4-base-may-fail")
     spares = {unit.id for unit in life.runtime.environment.units if unit.standby}
-    # Those on r1 are as good as those on r2.
+    # Units on r1 are as good as units on r2.
     names = sorted(spare.partition("(")[0] for spare in spares)
     assert names == ["camera", "localiser", "obstacle_finder", "small_detector"]
     assert spares.isdisjoint(life.runtime.backend.units)

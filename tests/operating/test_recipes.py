@@ -86,7 +86,7 @@ def test_the_service_is_one_that_systemd_takes(tmp_path: Path) -> None:
     text = OTHERS["ini"]
     assert "/opt/cfgplan/bin/cfgplan run /etc/cfgplan/heating.yaml" in text
     unit = tmp_path / "cfgplan.service"
-    # What has to be there is there: an executable, and a user.
+    # Everything that has to be there is there: an executable, and a user.
     unit.write_text(text.replace("/opt/cfgplan/bin/cfgplan", sys.executable).replace("User=cfgplan", "User=daemon"))
     verified = subprocess.run(["systemd-analyze", "verify", "--man=no", unit], capture_output=True, text=True)
     assert [line for line in verified.stderr.splitlines() if "cfgplan.service" in line] == []

@@ -81,7 +81,7 @@ def test_a_robot_registers_itself_is_used_and_leaves_again(env: Path, capsys: py
     state = ctl(capsys, "state")
     assert state["declared"] == ["robot2"]
     assert [(target["label"], target["met"]) for target in state["targets"]] == [("ball", True), ("paffs ball", True)]
-    # What was added stays when the file changes.
+    # Additions stay when the file changes.
     env.write_text(ENVIRONMENT.replace("horizon: 600", "horizon: 500"))
     eventually(lambda: state_now(capsys)["horizon_s"] == 500)
     assert len(ctl(capsys, "state")["targets"]) == 2
@@ -136,7 +136,7 @@ def test_targets_and_transformations_can_be_removed_and_restored(capsys: pytest.
 @pytest.mark.usefixtures("run")
 def test_a_unit_that_is_killed_is_replaced(capsys: pytest.CaptureFixture[str]) -> None:
     killed = ctl(capsys, "kill", "detector(piff).1")
-    # That its topic has lost its source may be noticed before its end.
+    # The loss of its topic's source may be noticed before its end.
     assert [each["how"] for each in killed["review"]["perturbations"] if "how" in each] == ["killed"]
     assert [unit["transformation"] for unit in killed["review"]["change_set"]["started"]] == ["detector(piff)"]
     with subscribe("/result", timeout_s=PATIENCE_S) as subscription:
@@ -186,7 +186,7 @@ def test_what_happens_can_be_followed(run: subprocess.Popen[str], capsys: pytest
         # Both have subscribed when they have heard of something.
         while not select.select([people.stdout], [], [], 0)[0] or not select.select([program.stdout], [], [], 0)[0]:
             assert ctl(capsys, "review")
-        assert ctl(capsys, "review")  # What they heard may have been the end of the last one.
+        assert ctl(capsys, "review")  # They may have heard the end of the last one.
         ctl(capsys, "stop")
         told = [json.loads(line) for line in program.stdout]
         assert any(" Review " in line for line in people.stdout)

@@ -86,7 +86,7 @@ def test_a_topic_of_ros_feeds_a_run_and_what_it_gives_is_read_in_ros(env: Path, 
         told = await_event(process, "Warning")
         assert told["text"].startswith("/place: a value is not published in ROS 2: x: a number (float64) is needed")
 
-        # What the file says of targets holds as soon as it is edited.
+        # Targets of the file hold as soon as it is edited.
         aloud = observer.listen("/aloud")
         edited = ENVIRONMENT.replace(", type: geometry_msgs/Point", "")
         env.write_text(edited + "  - {label: aloud, topic: /aloud, tag: Reply, type: std_msgs/String}\n")

@@ -171,7 +171,7 @@ def test_nothing_is_lost_while_the_broker_is_away(broker: Broker, hear: Hear, pu
     for number in range(100, 150):
         publisher(x=number)
     rest = [*iter(heard.next, 149)]
-    # What the broker had not heard of as taken comes again: `qos` 1 is at least once.
+    # Messages that the broker had not confirmed come again: `qos` 1 is at least once.
     assert [*dict.fromkeys(number for number in rest if number >= 50)] == [*range(50, 149)]
 
 

@@ -240,7 +240,7 @@ class _Package:
         sources = [path for path in self._files if path.suffix in _CPP]
         return [(one or other, path) for path in sources for one, other in _REGISTERED.findall(_text(path))]
 
-    # What files use
+    # Parts of a package that its files use.
 
     def _used_by(self, path: Path) -> Iterator[Path]:
         """The files of the package that a file uses: its headers and their sources, or its modules."""

@@ -134,7 +134,7 @@ class Routes:
         crossing = route.crossing
         if crossing is None or not has_both_ends:
             return [route.ended]
-        # What the source has given is under way: the end has to come behind it.
+        # Elements of the source are under way: the end has to come behind them.
         return [(route.source, EndWireOrder(crossing.wire, route.stream, Inlet(RELAY, crossing.name)))]
 
     def stop(self, unit: str, host: str) -> list[OrderTo]:

@@ -114,7 +114,7 @@ class Manager:
         self._decide(Started())
         middleware.listen(self._hear)
 
-    # What others ask, from any thread.
+    # Any thread may call these.
 
     def request(self, change: Change) -> Outcome:
         """Ask for a change. Returns a future that is done when the review of the change is over.

@@ -74,7 +74,7 @@ class MqttTargets:
         self._connection.close(with_will=True)
 
     def _say_online(self) -> None:
-        # Of quality 0, since it then goes out before all that has waited.
+        # Quality 0 goes out before all that has waited.
         self._outbox.put(self._status, _ONLINE, 0, retain=True)
 
     def _tell_refused(self) -> None:

@@ -219,7 +219,7 @@ class PageServer:
             refused = "; ".join(map(str, error.faults)) or str(error)
         except ControlError as error:
             refused = str(error)
-        # What the run refuses is an answer, and none of the page's own errors, which browsers tell.
+        # A refusal of the run is an answer, and no error of the page, which browsers would report.
         return JSONResponse({"refused": refused}, headers=_HEADERS)
 
 

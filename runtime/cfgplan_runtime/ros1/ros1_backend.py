@@ -258,7 +258,7 @@ class Ros1Backend:
         self._posted.close()
         self.run_folder.close()
 
-    # What watches tell, from their threads.
+    # Watches report by these, from their threads.
 
     def note_ready(self, node: str, address: str) -> None:
         if node in self._groups:

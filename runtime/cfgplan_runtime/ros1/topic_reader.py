@@ -84,7 +84,7 @@ class Ros1Reader:
         for number in list(self._topics):
             self.end(number)
 
-    # What the node's interface asks, in threads of its own.
+    # The node's interface calls these, in threads of its own.
 
     def published(self) -> Mapping[str, str]:
         return {}

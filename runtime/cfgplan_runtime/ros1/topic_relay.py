@@ -100,7 +100,7 @@ class TopicRelay:
                 due = time.monotonic() + SIGN_S
                 self._say(self._sign())
 
-    # What other threads ask.
+    # Other threads call these.
 
     def published(self) -> Mapping[str, str]:
         known = list(self._publications.values())
@@ -126,7 +126,7 @@ class TopicRelay:
         self._is_finishing = True
         self._posted.wake()
 
-    # What the run asks.
+    # The run calls these.
 
     def _hear(self) -> None:
         self._control.flush()
@@ -251,7 +251,7 @@ class TopicRelay:
             if publication.header is not None:
                 self._to_master.tell("unregisterPublisher", publication.topic, self._api.address)
 
-    # What comes from nodes.
+    # Nodes' messages come here.
 
     def _want(self, source: SourceTopic, addresses: set[str], *, adds: bool) -> None:
         """Connect to these publishers of a source. With `adds`, connections to other publishers are kept, since the
@@ -358,7 +358,7 @@ class TopicRelay:
             inlet.reported = active
             self._advertise(inlet.publication, source.header, partial(self._say, Switched(inlet.name, active)))
 
-    # What goes to nodes.
+    # Messages go to nodes from here.
 
     def _advertise(self, publication: RelayedPublication, of: Header, then: Callable[[], None]) -> None:
         """Publish with the type of a source, and call `then` once the master knows of the topic."""
@@ -452,7 +452,7 @@ class TopicRelay:
         self._ends.unwatch(writer.socket)
         writer.socket.close()
 
-    # What the master is told. Its answers come in the thread of the calls.
+    # Calls of the master. Its answers come in the thread of the calls.
 
     def _offer(self, service: Lead) -> None:
         self._to_master.ask(
@@ -488,7 +488,7 @@ class TopicRelay:
             then=registered,
         )
 
-    # What the run is told.
+    # Reports to the run.
 
     def _sign(self) -> Passed:
         now_s = time.monotonic()

@@ -166,7 +166,7 @@ class Relays:
         for order in waiting.values():
             self._lead_service(order)
 
-    # What the run asks.
+    # The run calls these.
 
     def _lead_service(self, order: dict[str, Any]) -> None:
         """Have calls of a service, or goals of an action, answered by another one, once its type is known."""
@@ -329,7 +329,7 @@ class Relays:
         if not is_used and self._sources.pop(source.topic, None) is source:
             source.close()
 
-    # What comes from nodes.
+    # Nodes' messages come here.
 
     def _take(self, sample: Sample) -> None:
         self.outside.pass_on(sample)
@@ -400,7 +400,7 @@ class Relays:
             self._refused.add((topic, cause))
             self._host.say("Refused", topic=topic, cause=cause)
 
-    # What the run is told.
+    # Reports to the run.
 
     def _sign(self) -> None:
         self._host.waiting.later(SIGN_S, self._sign)
