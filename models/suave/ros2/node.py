@@ -7,6 +7,7 @@ It needs a Python with rclpy; cfgplan need not be there.
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -62,26 +63,24 @@ class ThrustersNode(Node):
 class MovedNode(Node):
     """A node that computes with the motion of the thrusters. Its first message only marks the beginning."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, moved: Callable[[Motion], None]) -> None:
         super().__init__(name)
+        self._moved = moved
         self._last_s: float | None = None
         self.create_subscription(TwistStamped, "motion", self._move, DEPTH)
 
     def _move(self, message: TwistStamped) -> None:
         at_s = Time.from_msg(message.header.stamp).nanoseconds / 1e9
         if self._last_s is not None and at_s > self._last_s:
-            self.moved({"speed": message.twist.linear.x, "for_s": at_s - self._last_s, "at_s": at_s})
+            self._moved({"speed": message.twist.linear.x, "for_s": at_s - self._last_s, "at_s": at_s})
         self._last_s = at_s
-
-    def moved(self, motion: Motion) -> None:
-        raise NotImplementedError
 
 
 class SpiralNode(MovedNode):
     """Publishes a point: x is the altitude in metres, y the searched area, z is 1 if the pipeline was found."""
 
     def __init__(self) -> None:
-        super().__init__("spiral")
+        super().__init__("spiral", self._search)
         self._spiral = Spiral(_number(self, "altitude", 1.0), _number(self, "period_s", 80.0))
         self._path = self.create_publisher(Point, "path", DEPTH)
         self._listens_s = LISTENS_S
@@ -91,7 +90,7 @@ class SpiralNode(MovedNode):
         self._listens_s = 0
         self._spiral.set_state(max(self._spiral.get_state(), path.y))
 
-    def moved(self, motion: Motion) -> None:
+    def _search(self, motion: Motion) -> None:
         if self._listens_s > 0:
             self._listens_s -= motion["for_s"]
             return
@@ -103,11 +102,11 @@ class FollowNode(MovedNode):
     """Publishes the inspected length of the pipeline, in metres."""
 
     def __init__(self) -> None:
-        super().__init__("follow")
+        super().__init__("follow", self._inspect)
         self._follow = Follow()
         self._seen = self.create_publisher(Float64, "seen", DEPTH)
 
-    def moved(self, motion: Motion) -> None:
+    def _inspect(self, motion: Motion) -> None:
         self._seen.publish(Float64(data=self._follow(motion)["inspected_m"]))
 
 
