@@ -107,6 +107,7 @@ def test_memory_that_is_not_stated_is_the_most_that_a_unit_may_take() -> None:
 def test_conflicting_transformations_are_not_there_together_whoever_says_so() -> None:
     assert rules(with_library(CAMERA, replace(DETECTOR, conflicts=("camera",)))) == {Broken.APART}
     assert rules(with_library(replace(CAMERA, conflicts=("detector",)), DETECTOR)) == {Broken.APART}
+    assert rules(with_library(replace(CAMERA, conflicts=("other",)), DETECTOR)) == set()
 
 
 def test_too_few_and_too_many_instances_are_refused() -> None:
@@ -288,6 +289,9 @@ def test_a_link_has_its_price_and_bears_no_more_than_its_bandwidth() -> None:
     assert rules(linked) == set()
     assert rules(replace(linked, links=(replace(dearer, bandwidth=2_499_999),))) == {Broken.CAPACITY}
     assert rules(replace(linked, links=(usual,))) == {Broken.CAPACITY}
+    assert rules(replace(linked, links=(Link(("base", "base"), 0),))) == set(), "a link of others"
+    gone = replace(linked, library=(DETECTOR,), links=(replace(dearer, bandwidth=0),))
+    assert Broken.CAPACITY not in rules(gone), "the rate of a unit that has left the library is unknown"
     cost = COST + 10 * 5 // 2
     problem = Problem(replace(linked, units=()), SIMILARITY, horizon_s=10)
     assert plan_violations(problem, replace(PLAN, cost_us=cost, bound_us=cost)) == []

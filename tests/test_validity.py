@@ -127,6 +127,63 @@ def test_the_judge_knows_how_many_streams_an_input_takes(
         assert violations(wired, SIMILARITY) == []
 
 
+def test_an_input_that_takes_all_streams_does_not_take_its_own_unit_s() -> None:
+    hears = replace(DETECTOR, inputs=(DETECTOR.input["image"], replace(DETECTOR.input["old"], count=ALL)))
+    alone = replace(VALID, library=(CAMERA, hears))
+    assert [str(v) for v in violations(alone, SIMILARITY)] == [
+        "input old of unit detector.1 takes the streams of other units, not its own"
+    ]
+    first, second = (
+        replace(
+            detector, id=f"detector.{n}", subscriptions=(fed("image", "camera.1/out"), fed("old", f"detector.{m}/ball"))
+        )
+        for n, m in ((1, 2), (2, 1))
+    )
+    assert rules(replace(alone, units=(camera, first, replace(second, publications=())))) == set()
+
+
+def test_an_input_that_takes_several_streams_takes_them_of_different_units() -> None:
+    environment = second_camera(count=2)
+    both_eyes = replace(CAMERA, outputs=(OutputPort("out", "Image"), OutputPort("other", "Image")))
+
+    def said(number: int, *streams: str) -> list[str]:
+        feeds = (*(fed("image", stream) for stream in streams), fed("old", "detector.1/ball"))
+        units = (*environment.units[:number], replace(detector, subscriptions=feeds))
+        wired = replace(environment, library=(both_eyes, environment.library[1]), units=units)
+        return [str(violation) for violation in violations(wired, SIMILARITY)]
+
+    assert said(2, "camera.1/out", "camera.2/other") == []
+    assert said(1, "camera.1/out", "camera.1/other") == [
+        "input image of unit detector.1 takes streams of different units"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("more", "camera_serves", "feeder"),
+    [
+        (InputPort("more", "Image"), None, "camera.1/out"),
+        (InputPort("more", "Image"), 2, "camera.1/out"),
+        (InputPort("more", "Image"), 1, None),
+        (InputPort("more", "Image", distinct="ears"), None, "camera.1/out"),
+        (InputPort("more", "Image", distinct="eyes"), None, None),
+        (InputPort("more", "Ball", feedback=True), None, "detector.1/ball"),
+        (InputPort("more", "Ball"), None, None),
+    ],
+)
+def test_an_optional_input_stays_unfed_only_where_no_running_unit_can_feed_it(
+    more: InputPort, camera_serves: int | None, feeder: str | None
+) -> None:
+    """It is not fed by a stream that serves no more, by a feeder of its distinct group, nor in a cycle."""
+    image = replace(DETECTOR.input["image"], distinct="eyes")
+    library = (
+        replace(CAMERA, outputs=(replace(CAMERA.outputs[0], serves=camera_serves),)),
+        replace(DETECTOR, inputs=(image, DETECTOR.input["old"], replace(more, optional=True))),
+    )
+    said = f"optional input more of unit detector.1 is not fed, but {feeder} could feed it"
+    found = [str(violation) for violation in violations(replace(VALID, library=library), SIMILARITY)]
+    assert found == ([said] if feeder else [])
+
+
 def test_a_stream_that_more_take_than_it_serves_is_refused() -> None:
     scarce = replace(CAMERA, outputs=(replace(CAMERA.outputs[0], serves=1),))
     more = replace(detector, id="detector.2", publications=())
@@ -212,6 +269,25 @@ def test_inputs_of_one_distinct_group_must_not_share_a_transformation() -> None:
         ),
     )
     assert rules(Environment(units, (CAMERA, stereo), (TARGET,))) == {Rule.DISTINCT}
+    feeds = (fed("left", "camera.1/out"), fed("right", "other.1/out"))
+    other = (camera, ComputationUnit("other.1", "other"), replace(units[2], subscriptions=feeds))
+    library = (CAMERA, replace(CAMERA, label="other"), stereo)
+    assert rules(Environment(other, library, (TARGET,))) == set()
+    assert rules(Environment((camera, other[2]), library, (TARGET,))) == {Rule.FED}, (
+        "a unit that has gone feeds nothing"
+    )
+
+
+def test_each_input_of_a_distinct_group_finds_a_transformation_of_its_own_if_there_is_one() -> None:
+    """Two inputs that take the same tag need two transformations; one that takes another tag as well gives way."""
+    ports = tuple(InputPort(name, tag, distinct="eyes") for name, tag in (("a", "Image"), ("b", "Ball"), ("c", "Ball")))
+    both = replace(CAMERA, label="both", outputs=(OutputPort("out", "Image"), OutputPort("ball", "Ball")))
+    library = (CAMERA, both, Transformation("stereo", ports, (OutputPort("seen", "Seen"),)))
+    offers = Similarity({tag: frozenset({tag}) for tag in ("Image", "Ball", "Seen")})
+    refused = Plan("by hand", Status.INFEASIBLE, reasons={"seen": "no"})
+    for more, untrue in (((), set()), ((replace(both, label="third"),), {Rule.MET})):
+        environment = Environment((), (*library, *more), (Target("seen", "Seen", "/seen"),))
+        assert plan_rules(refused, Problem(environment, offers, horizon_s=1)) == untrue
 
 
 def test_a_unit_that_no_target_needs_is_too_much() -> None:
@@ -333,6 +409,29 @@ def test_a_pinned_unit_that_can_be_fed_must_not_be_stopped() -> None:
     assert plan_rules(plan, replace(EMPTY, environment=environment)) == {Rule.PINNED}
 
 
+def test_a_pinned_unit_that_nothing_can_feed_may_be_stopped() -> None:
+    logger = Transformation("logger", (InputPort("sound", "Sound"),), (), pinned=True)
+    running = ComputationUnit("logger.1", "logger", (fed("sound", "microphone.1/out"),))
+    environment = Environment((*VALID.units, running), (CAMERA, DETECTOR, logger), (TARGET,))
+    plan = Plan("by hand", Status.OPTIMAL, ChangeSet(stopped=("logger.1",)), cost_us=30, bound_us=30)
+    assert plan_rules(plan, replace(EMPTY, environment=environment)) == set()
+
+
+def test_a_unit_is_in_standby_only_if_its_transformation_says_what_that_costs() -> None:
+    spare = ComputationUnit("camera.2", "camera", standby=True)
+    for standby_us, broken in ((None, {Rule.LEAN, Rule.COST}), (0, {Rule.LEAN})):
+        library = (replace(CAMERA, standby_us=standby_us), DETECTOR)
+        problem = replace(EMPTY, environment=replace(EMPTY.environment, library=library))
+        plan = replace(GOOD, change_set=problem.environment.change_to((*VALID.units, spare)))
+        assert plan_rules(plan, problem) == broken
+
+
+def test_a_plan_whose_bound_depends_on_open_pairs_is_not_optimal() -> None:
+    undecided = (("Image", "Ball"),)
+    assert plan_rules(replace(GOOD, undecided=undecided)) == {Rule.BOUND}
+    assert plan_rules(replace(GOOD, status=Status.FEASIBLE, undecided=undecided)) == set()
+
+
 def test_a_required_transformation_that_is_not_used_must_be_named() -> None:
     library = (CAMERA, DETECTOR, Transformation("radar", (), (OutputPort("out", "Image"),), required=True))
     problem = replace(EMPTY, environment=replace(EMPTY.environment, library=library))
@@ -378,6 +477,20 @@ def test_a_plan_that_tells_an_objective_wrongly_is_found_out(
     units: Measured, cost: Measured, expected: set[Rule]
 ) -> None:
     assert plan_rules(replace(IN_ORDER, objectives=(units, cost)), ORDERED) == expected
+
+
+def test_what_runs_refutes_a_claim_about_all_plans_only_if_it_is_not_too_expensive() -> None:
+    cheap = (replace(CAMERA, label="cheap", upkeep_us=0), replace(DETECTOR, label="small", labor_us=0, upkeep_us=0))
+    minimise = (Objective.STARTED, Objective.COST)
+    environment = replace(VALID, library=(*VALID.library, *cheap), minimise=minimise)
+    feeds = (fed("image", "cheap.1/out"), fed("old", "small.1/ball"))
+    small = replace(detector, id="small.1", transformation="small", subscriptions=feeds)
+    changes = environment.change_to((ComputationUnit("cheap.1", "cheap"), small))
+    objectives = (Measured(Objective.STARTED, 2, 2), Measured(Objective.COST, 5, 5))
+    plan = Plan("by hand", Status.OPTIMAL, changes, 5, 5, objectives=objectives)
+    for max_cost_us, found in ((None, {Rule.BOUND}), (30, {Rule.BOUND}), (29, set())):
+        problem = replace(EMPTY, environment=environment, max_cost_us=max_cost_us)
+        assert plan_rules(plan, problem) == found, "what runs costs 30, and starts nothing"
 
 
 def test_too_expensive_is_no_answer_where_a_target_can_not_be_met_at_all() -> None:
