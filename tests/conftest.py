@@ -1,7 +1,10 @@
 """For all tests: how many run at a time, signals as at a shell, reruns, and which examples property tests draw.
 
-A push draws a sixth of each property's examples, with a seed made of the commit: the next commit draws others, and the
-same commit draws the same ones again. `CFGPLAN_SHARE=1` draws all of them, `CFGPLAN_SEED=N` repeats those of a seed.
+A push draws a sixth of each property's examples, and a sixth of the values of each test's parameter `seed`, with a seed
+made of the commit: the next commit draws others, and the same commit draws the same ones again. `CFGPLAN_SHARE=1` draws
+all of them, as `.ci/nightly` does, and `CFGPLAN_SEED=N` repeats those of a seed.
+
+Modules are compiled once: where PYTHONDONTWRITEBYTECODE is set, each process of each test would compile the product.
 
 `CFGPLAN_RERUNS=1`, which `.ci/run` sets, runs a test once more if it fails and waits for processes: the computer of the
 CI stops whole processes for seconds. pytest lists each such test, and each is a race to mend.
@@ -12,19 +15,27 @@ packages that other reasons name are installed there.
 
 from __future__ import annotations
 
+import compileall
 import os
 import re
 import signal
 import subprocess
+import sys
+from collections import defaultdict
 from collections.abc import Generator
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
+from warm import warm_socket
 
 FEWEST_EXAMPLES = 10
 """A property with fewer examples draws all of them."""
+SEEDED = "seed"
+"""The parameter of tests of which a push takes a share of the values."""
+PRODUCT = [Path(__file__).parents[1] / folder for folder in ("cfgplan", "runtime")]
 SHARE = 1 if "CFGPLAN_EXAMPLES" in os.environ else int(os.environ.get("CFGPLAN_SHARE", "6"))
 RERUNS = int(os.environ.get("CFGPLAN_RERUNS", "0"))
 ALLOWED_SKIPS = (
@@ -66,6 +77,25 @@ def pytest_configure(config: pytest.Config) -> None:
         signal.signal(signal.SIGHUP, signal.SIG_DFL)
     if config.option.hypothesis_seed is None:
         config.option.hypothesis_seed = os.environ.get("CFGPLAN_SEED") or str(_seed_of_the_commit())
+    if _keeps_bytecode(config) and not hasattr(config, "workerinput"):
+        for folder in PRODUCT:
+            compileall.compile_dir(folder, quiet=2)
+
+
+def _keeps_bytecode(config: pytest.Config) -> bool:
+    """Whether compiled modules may be kept; not in a run that is to leave nothing behind, as those of mutants are."""
+    return not config.pluginmanager.is_blocked("cacheprovider")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection(session: pytest.Session) -> Generator[None]:
+    """Let pytest keep the test modules that it compiles; the processes of tests still write none beside their files."""
+    was = sys.dont_write_bytecode
+    sys.dont_write_bytecode = was and not _keeps_bytecode(session.config)
+    try:
+        return (yield)
+    finally:
+        sys.dont_write_bytecode = was
 
 
 def pytest_report_header(config: pytest.Config) -> str:
@@ -73,8 +103,12 @@ def pytest_report_header(config: pytest.Config) -> str:
     return f"properties draw 1/{SHARE} of their examples: CFGPLAN_SHARE={SHARE} CFGPLAN_SEED={seed} repeats them"
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Lower the number of examples of each property and of each stateful test, once; mark what may be run again."""
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Draw seeds; lower the number of examples of each property and stateful test, once; mark what may be run again."""
+    left_out = {item.nodeid for item in seeds_left_out(items, int(config.option.hypothesis_seed))}
+    if left_out:
+        config.hook.pytest_deselected(items=[item for item in items if item.nodeid in left_out])
+        items[:] = [item for item in items if item.nodeid not in left_out]
     lowered: set[int] = set()
     for item in items:
         if RERUNS and item.path.parent.name in _ROOMS_WITH_PROCESSES:
@@ -93,11 +127,32 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             setattr(home, name, _share_of(getattr(home, name)))
 
 
+def seeds_left_out(items: list[pytest.Item], seed: int, share: int = SHARE) -> list[pytest.Item]:
+    """The tests that a push leaves out: it takes one in `share` of the seeds of each test function, at least one."""
+    by_test: defaultdict[str, list[tuple[Any, pytest.Item]]] = defaultdict(list)
+    for item in items:
+        parameters = getattr(getattr(item, "callspec", None), "params", {})
+        if SEEDED in parameters:
+            by_test[item.nodeid.partition("[")[0]].append((parameters[SEEDED], item))
+    found = []
+    for test, seeded in sorted(by_test.items()):
+        seeds = sorted({value for value, _ in seeded})
+        taken = Random(f"{seed} {test}").sample(seeds, -(-len(seeds) // share))
+        found += [item for value, item in seeded if value not in taken]
+    return found
+
+
 def _share_of(whole: settings) -> settings:
     number = max(min(FEWEST_EXAMPLES, whole.max_examples), whole.max_examples // SHARE)
     # A busy computer draws slowly, which says nothing about a strategy.
     ignored = {*whole.suppress_health_check, HealthCheck.too_slow}
     return settings(whole, max_examples=number, derandomize=False, database=None, suppress_health_check=ignored)
+
+
+@pytest.fixture(scope="session")
+def warm_cfgplan() -> str:
+    """The server of warm commands, which runs from here on: see tests/warm.py."""
+    return warm_socket()
 
 
 def pytest_xdist_auto_num_workers() -> int:

@@ -1,10 +1,10 @@
-"""Which skips fail in CI: see `ALLOWED_SKIPS` in tests/conftest.py."""
+"""Which tests a push runs, and which skips fail in CI: see tests/conftest.py."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import pytest
 
@@ -56,3 +56,25 @@ def test_each_listed_reason_is_one_that_a_test_or_a_peer_gives(conftest: ModuleT
     for allowed in conftest.ALLOWED_SKIPS:
         words = re.split(r"\.\*", allowed)
         assert any(all(re.search(word, source) for word in words) for source in sources), allowed
+
+
+class Seeded:
+    """A test of one seed, as far as the choice of tests looks at it."""
+
+    def __init__(self, test: str, seed: int) -> None:
+        self.nodeid, self.callspec = f"{test}[{seed}]", SimpleNamespace(params={"seed": seed})
+
+
+def test_a_push_takes_a_share_of_the_seeds_of_each_test_and_others_the_next_time(conftest: ModuleType) -> None:
+    usual = SimpleNamespace(nodeid="usual", callspec=SimpleNamespace(params={"number": 1}))
+    items = [usual, *(Seeded(f"test{n}", seed) for n in range(2) for seed in range(n, 13 + n))]
+
+    def taken(seed: int, share: int = 6) -> set[str]:
+        return {item.nodeid for item in items} - {item.nodeid for item in conftest.seeds_left_out(items, seed, share)}
+
+    assert taken(1, share=1) == {item.nodeid for item in items}
+    assert taken(1) == taken(1) != taken(2)
+    assert [sum(name.startswith(f"test{n}") for name in taken(1)) for n in range(2)] == [3, 3]
+    assert set.union(*map(taken, range(40))) == taken(1, share=1)
+    assert all("usual" in taken(seed) for seed in range(40))
+    assert taken(1, share=100) > {"usual"}

@@ -351,7 +351,7 @@ MODEL = _room(
 
 JUDGE = _room(
     "cfgplan/validity",
-    ("tests/test_validity.py", "tests/test_fleet_validity.py"),
+    ("tests/test_validity.py", "tests/test_fleet_validity.py", "tests/test_rewiring_validity.py"),
     ("a bound may exceed the cost", "plans.py", "if plan.bound_us > cost:", "if False:"),
     (
         "an optimal plan needs no bound",
@@ -412,6 +412,17 @@ JUDGE = _room(
     ("energy never ends", "hosts.py", "energy > host.energy:", "False:"),
     ("too many units are on one host", "hosts.py", "is not None and number > most:", "is not None and number < 0:"),
     ("what is left serves any number", "rewiring.py", "wiring.taken[stream] > most:", "False:"),
+    ("what is left feeds an input twice", "rewiring.py", "self._place[s.unit] > need.last", "True"),
+    ("what is left of a distinct group shares a feeder", "rewiring.py", "if entry in wiring.groups:", "if False:"),
+    ("company on another host starts a spare", "rewiring.py", "if not need.is_local or ", "if True or "),
+    (
+        "an input may take its own unit's stream at `all`",
+        "counts.py",
+        "if any(stream.unit == unit.id for",
+        "if any(False for",
+    ),
+    ("an input takes several streams of one unit", "counts.py", "if port.count > 1 and len(", "if False and len("),
+    ("an optional input closes a cycle", "counts.py", "stream.unit not in barred", "True"),
     (
         "what takes all closes cycles after a failure",
         "rewiring.py",

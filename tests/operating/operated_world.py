@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+from warm import cold_command as command
 
 PATIENCE_S = 60.0
 """Far longer than anything takes on the slowest machine."""
@@ -77,16 +78,11 @@ def write_world(folder: Path) -> Path:
     return path
 
 
-def command(*arguments: object) -> list[str]:
-    code = "import sys; from cfgplan.cli import main; sys.exit(main())"
-    return [sys.executable, "-c", code, *map(str, arguments)]
-
-
 @contextmanager
-def running(*arguments: object) -> Iterator[subprocess.Popen[str]]:
+def running(*arguments: object, call: Callable[..., list[str]] = command) -> Iterator[subprocess.Popen[str]]:
     """`cfgplan run --json`, once it runs; killed at the end if it still does."""
     estimates = () if "--estimates" in arguments else ("--no-estimates",)
-    line = command("run", "--json", *estimates, *arguments)
+    line = call("run", "--json", *estimates, *arguments)
     process = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     with process:
         try:

@@ -12,13 +12,16 @@ import signal
 import socket
 import subprocess
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import psutil
 import pytest
 from cfgplan_runtime import subscribe
-from operated_world import ENVIRONMENT, PATIENCE_S, ROBOT, UNITS, await_event, command, eventually, running, write_world
+from operated_world import ENVIRONMENT, PATIENCE_S, ROBOT, UNITS, await_event, eventually, write_world
+from operated_world import running as running_cold
+from warm import command
 
 from cfgplan.cli import main
 
@@ -41,6 +44,10 @@ SLOW_END = """
         import time
         time.sleep(3600)
 """
+
+
+pytestmark = pytest.mark.usefixtures("warm_cfgplan")
+running = partial(running_cold, call=command)
 
 
 @pytest.fixture
@@ -374,11 +381,13 @@ def test_a_horizon_that_was_given_holds_whatever_the_file_says(env: Path, capsys
 
 
 def test_a_killed_run_takes_its_units_along_and_the_next_begins_anew(
-    run: subprocess.Popen[str], env: Path, capsys: pytest.CaptureFixture[str]
+    env: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    units = psutil.Process(run.pid).children(recursive=True)
-    run.kill()
-    run.wait()
+    with running_cold(env) as run:
+        await_event(run, "Running", units=2)
+        units = psutil.Process(run.pid).children(recursive=True)
+        assert len(units) > 2
+        run.kill()
     eventually(lambda: not [unit for unit in units if unit.is_running() and unit.status() != psutil.STATUS_ZOMBIE])
     with running(env) as again:
         await_event(again, "Running", units=2)
@@ -531,7 +540,7 @@ def test_a_full_disk_for_what_it_prints_does_not_end_a_run(env: Path, tmp_path: 
 
 @pytest.mark.skipif(not hasattr(resource, "prlimit"), reason="only Linux limits another process")
 def test_a_recording_that_takes_no_more_is_told_while_it_runs(env: Path, tmp_path: Path) -> None:
-    with running(env, "--record", tmp_path / "run.mcap") as process:
+    with running_cold(env, "--record", tmp_path / "run.mcap") as process:
         await_event(process, "Running")
         resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (20_000, resource.RLIM_INFINITY))
         warning = await_event(process, "Warning")

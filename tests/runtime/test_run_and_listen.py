@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import signal
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+from warm import command
 from world import PATIENCE_S
 
 from cfgplan.cli import main
@@ -47,6 +47,7 @@ class Detector:
 """
 
 
+pytestmark = pytest.mark.usefixtures("warm_cfgplan")
 ALARMS = Path(__file__).parents[2] / "models" / "building" / "alarms-1-start.yaml"
 
 
@@ -59,8 +60,7 @@ def env(tmp_path: Path) -> Path:
 
 
 def cfgplan(*arguments: object) -> subprocess.Popen[str]:
-    command = [sys.executable, "-c", "import sys; from cfgplan.cli import main; sys.exit(main())"]
-    return subprocess.Popen([*command, *map(str, arguments)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    return subprocess.Popen(command(*arguments), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])

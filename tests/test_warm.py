@@ -1,0 +1,80 @@
+"""A warm `cfgplan` is the command that a new process would be."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import warm
+
+MODELS = Path(__file__).parents[1] / "models"
+LOST = MODELS / "nao" / "2-segmenter-lost.yaml"
+PATIENCE_S = 60
+pytestmark = pytest.mark.usefixtures("warm_cfgplan")
+RUN = ("run", MODELS / "building" / "alarms-1-start.yaml", "--json", "--no-estimates")
+
+
+def done(line: list[str], **more: object) -> tuple[int, bytes, bytes]:
+    """The exit code of a command, and what it says, without its times."""
+    said = subprocess.run(line, capture_output=True, timeout=PATIENCE_S, check=False, **more)  # type: ignore[call-overload]
+    return said.returncode, said.stdout, b"".join(each for each in said.stderr.splitlines() if b"Time: " not in each)
+
+
+@pytest.mark.parametrize("arguments", [("solve", LOST), ("solve", "nothere.yaml"), ("--help",), ("slove",)])
+def test_a_warm_command_ends_and_says_what_a_cold_one_does(arguments: tuple[object, ...]) -> None:
+    assert done(warm.command(*arguments)) == done(warm.cold_command(*arguments))
+
+
+@pytest.fixture
+def own_planner(tmp_path: Path) -> Callable[[str], tuple[list[str], dict[str, str]]]:
+    """The command line that plans with this code, and its environment."""
+
+    def planned(code: str) -> tuple[list[str], dict[str, str]]:
+        (tmp_path / "own.py").write_text(f"import os, signal, sys\ndef plan(problem, **_):\n    {code}\n")
+        where = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
+        return warm.command("solve", LOST, "--planner", "own:plan"), os.environ | {"PYTHONPATH": where, "TOLD": "é"}
+
+    return planned
+
+
+OwnPlanner = Callable[[str], tuple[list[str], dict[str, str]]]
+
+
+def test_it_has_the_folder_the_environment_and_the_input_of_its_caller(own_planner: OwnPlanner, tmp_path: Path) -> None:
+    line, environment = own_planner("open('told', 'w').write(os.environ['TOLD'] + sys.stdin.read())")
+    done(line, cwd=tmp_path, env=environment, input=b" heard")
+    assert (tmp_path / "told").read_text() == "é heard"
+
+
+def test_it_ends_by_the_signal_that_ends_its_command(own_planner: OwnPlanner) -> None:
+    line, environment = own_planner("os.kill(os.getpid(), signal.SIGKILL)")
+    assert done(line, env=environment) == (-signal.SIGKILL, b"", b"")
+
+
+@pytest.fixture
+def run(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Iterator[subprocess.Popen[bytes]]:
+    """A run that has begun."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))
+    with subprocess.Popen(warm.command(*RUN), stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert b"Planned" in process.stdout.readline()
+        assert b"Running" in process.stdout.readline()
+        yield process
+        process.kill()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_to_the_caller_is_one_to_the_command(number: int, run: subprocess.Popen[bytes]) -> None:
+    run.send_signal(number)
+    assert b"Observed" in run.communicate(timeout=PATIENCE_S)[0]
+    assert run.returncode == 0
+
+
+def test_a_killed_caller_takes_its_command_along(run: subprocess.Popen[bytes]) -> None:
+    run.kill()
+    assert run.stdout is not None
+    assert b"Observed" not in run.stdout.read(), "it is read until each process of the command has ended"
