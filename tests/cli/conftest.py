@@ -8,12 +8,18 @@ from pathlib import Path
 import pytest
 from command import Result, Run
 
+from cfgplan.cache_folder import cache_folder
 from cfgplan.cli import main
 
 
 @pytest.fixture
 def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Run:
+    archives = cache_folder() / "hermit"
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    # A cache of its own, but for the classes of HermiT's Java: each question would read them anew.
+    archives.mkdir(parents=True, exist_ok=True)
+    cache_folder().mkdir(parents=True)
+    (cache_folder() / "hermit").symlink_to(archives)
     monkeypatch.setenv("COLUMNS", "200")
 
     def run(*arguments: object) -> Result:
