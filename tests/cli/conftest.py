@@ -13,9 +13,11 @@ from cfgplan.cli import main
 
 
 @pytest.fixture
-def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Run:
+def run(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory
+) -> Run:
     archives = cache_folder() / "hermit"
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
     # A cache of its own, but for the classes of HermiT's Java: each question would read them anew.
     archives.mkdir(parents=True, exist_ok=True)
     cache_folder().mkdir(parents=True)
