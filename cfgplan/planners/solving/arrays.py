@@ -5,7 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    import numpy as np
+    import numpy
+
+    np = numpy
 else:
 
     class _ImportedAtFirstUse:
@@ -19,5 +21,3 @@ else:
             return found
 
     np = _ImportedAtFirstUse()
-
-__all__ = ["np"]
