@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
 from typing import Any
 
 _MOST_NAMES_COMPARED = 500
+_MOST_BESIDE = 500
+_ENDINGS = (".yaml", ".yml", ".json", ".xml")
 _LETTERS = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-./:()@ "
 
 
@@ -118,6 +122,22 @@ def close_names(name: str, names: Collection[str], most: int = 1) -> list[str]:
     else:
         close = [edited for edited in _edits(name) if edited in there][:most]
     return close
+
+
+def close_file(path: Path) -> Path | None:
+    """The file beside a missing one that is spelt much like it, or is named like it with another ending of its kind.
+
+    Only the first few hundred files of the folder are compared.
+    """
+    try:
+        names = [each.name for each in islice(path.parent.iterdir(), _MOST_BESIDE)]
+    except (OSError, ValueError):
+        return None
+    stems = {name.removesuffix(path.suffix) for name in names if name.endswith(path.suffix)}
+    if close := close_names(path.stem, stems - {""}):
+        return path.with_name(close[0] + path.suffix)
+    others = [path.with_suffix(suffix) for suffix in _ENDINGS if path.suffix in _ENDINGS]
+    return next((other for other in others if other.name in names), None)
 
 
 def _edits(name: str) -> Iterator[str]:

@@ -34,11 +34,11 @@ class Excerpt(NamedTuple):
 def excerpt(fault: Fault, command: Sequence[str]) -> Excerpt | None:
     """The line that a fault is about; None if it is about no line that can be shown."""
     if fault.file is not None and fault.line is not None:
-        return _of_file(fault.file, fault.line, fault.column)
+        return _of_file(fault.file, fault.line, fault.column, fault.message)
     return _of_command(fault, command) if fault.line is None and command else None
 
 
-def _of_file(file: str, number: int, column: int | None) -> Excerpt | None:
+def _of_file(file: str, number: int, column: int | None, message: str) -> Excerpt | None:
     try:
         if not Path(file).is_file():  # a pipe can't be read twice
             return None
@@ -55,7 +55,9 @@ def _of_file(file: str, number: int, column: int | None) -> Excerpt | None:
     if column > len(line) + 1:
         return None
     word = _MARKED_WORD.match(line, column - 1)
-    return Excerpt(line, column - 1, len(word[0]) if word else 1, number)
+    told = [one or other for one, other in _QUOTED.findall(message)]
+    texts = [word[0] if word else " ", *(text for text in told if line.startswith(text, column - 1))]
+    return Excerpt(line, column - 1, max(map(len, texts)), number)
 
 
 def _of_command(fault: Fault, words: Sequence[str]) -> Excerpt | None:

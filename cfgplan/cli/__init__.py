@@ -3,7 +3,7 @@
 import gc
 import os
 
-gc.set_threshold(50_000)  # a short command makes no garbage worth the twenty searches that its imports would set off
+gc.set_threshold(200_000)  # a short command makes no garbage worth a search, nor do the imports of a planner
 
 try:
     from cfgplan.cli.main import main

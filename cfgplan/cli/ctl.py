@@ -135,6 +135,9 @@ _COMMANDS = (
     _Command("stop", "stop the run; units may finish first"),
 )
 
+NAMES = tuple(command.name for command in _COMMANDS)
+"""The commands for a live run."""
+
 
 def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _CTL_EXAMPLE

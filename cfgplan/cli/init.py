@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.screen import Screen
-from cfgplan.errors import Fault, InputError
+from cfgplan.errors import Fault, InputError, close_names
 
 _START = Path(__file__).parents[1] / "manual" / "start"
 
@@ -78,8 +78,8 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "folder", metavar="FOLDER", nargs="?", default=".", help="folder to write to (default: this folder)"
     )
-    told = f"the environment to write, listed below (default: {_FIRST})"
-    parser.add_argument("--template", choices=list(TEMPLATES), default=_FIRST, metavar="NAME", help=told)
+    told = f"the environment to write, listed below (default: that of the folder's name, else {_FIRST})"
+    parser.add_argument("--template", choices=list(TEMPLATES), metavar="NAME", help=told)
     parser.set_defaults(run=run)
 
 
@@ -87,7 +87,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan import api
 
     folder = Path(options.folder)
-    start = sorted(path for path in (_START / options.template).iterdir() if path.is_file())
+    template = options.template or (folder.name if folder.name in TEMPLATES else _FIRST)
+    start = sorted(path for path in (_START / template).iterdir() if path.is_file())
     there = [folder / path.name for path in start if (folder / path.name).exists()]
     if there:
         mend = "name another folder: nothing is overwritten"
@@ -102,6 +103,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         if path.read_bytes().startswith(b"#!"):
             (folder / path.name).chmod(0o755)
     env = str(folder / "env.yaml")
-    steps = "".join(f"  {step.replace('ENV', env)}\n" for step in TEMPLATES[options.template].next)
+    steps = "".join(f"  {step.replace('ENV', env)}\n" for step in TEMPLATES[template].next)
+    if options.template is None and template != folder.name and (other := close_names(folder.name, TEMPLATES)):
+        steps += f"This is the template `{template}`; `cfgplan init FOLDER --template {other[0]}` writes another one.\n"
     screen.write(f"Wrote {', '.join(str(folder / path.name) for path in start)}. Next:\n{steps}")
     return Exit.OK

@@ -8,7 +8,8 @@ import io
 import os
 import re
 import sys
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
@@ -17,7 +18,7 @@ from typing import Any, NoReturn, TextIO, cast
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.interrupts import Ending, end_below_threads, ended_cleanly
 from cfgplan.cli.screen import FULL_DISK, Screen
-from cfgplan.errors import CfgplanError, Fault, InputError, did_you_mean, known
+from cfgplan.errors import CfgplanError, Fault, InputError, did_you_mean
 from cfgplan.extras import install
 from cfgplan.summary import some
 
@@ -178,14 +179,26 @@ class Parser(argparse.ArgumentParser):
         known, unknown = super().parse_known_args(args, namespace)
         if unknown:
             option = unknown[0].partition("=")[0]
-            close = did_you_mean(option, self._option_string_actions) if option.startswith("-") else None
-            self.error(f"unrecognized arguments: {' '.join(unknown)}", close)
+            mend = did_you_mean(option, self._option_string_actions) if option.startswith("-") else None
+            self.error(f"unrecognized arguments: {' '.join(unknown)}", mend or _mend_of_span(args, option))
         return known, unknown
 
     def error(self, message: str, mend: str | None = None) -> NoReturn:
+        if joined := re.fullmatch(r"argument (-\w)/\S*: ignored explicit argument '(.*)'", message):
+            word = f"{joined[1]}{joined[2]}"
+            message, mend = f"unrecognized arguments: {word}", did_you_mean(f"-{word}", self._option_string_actions)
         mend = mend or _mend_of_arguments(message)
         more = f"{self.prog} --help tells more"
         raise InputError.of(message, mend=f"{mend} {more}" if mend else more)
+
+
+def _mend_of_span(words: Sequence[str], unit: str) -> str | None:
+    """The mend of a span of time that was written as two words, such as `5 secs`; None if it is none."""
+    found = re.fullmatch(r"(s|m|h)(ecs?|econds?|ins?|inutes?|ours?)?", unit)
+    number = words[words.index(unit) - 1] if unit in words[1:] else ""
+    if found is None or not re.fullmatch(r"[\d.]+", number):
+        return None
+    return f"write `{number}{found[1]}` as one word;"
 
 
 def _mend_of_arguments(message: str) -> str | None:
@@ -222,15 +235,32 @@ class _Version(argparse.Action):
 def parser_of(arguments: Sequence[str]) -> Parser:
     """The parser of a command line: only the command that it names knows its options. Raises InputError."""
     asked = next((each for each in arguments if not each.startswith("-")), None)
-    if asked is not None:
-        known(asked, VERBS, "command", "cfgplan --help lists the commands")
-    return parser_with((asked,))
+    if asked is None:
+        return parser_with(())
+    if asked not in VERBS:
+        raise InputError.of(f"there is no command `{asked}`", mend=_mend_of_command(asked))
+    return parser_with((asked,), (asked,) if asked == arguments[0] else VERBS)
 
 
-def parser_with(filled: Collection[str | None]) -> Parser:
-    """Return a parser of all commands; only those in `filled` have their options, since these need their modules."""
+def _mend_of_command(asked: str) -> str | None:
+    from cfgplan.cli.ctl import NAMES
+
+    if Path(asked).suffix in _OF_ENVIRONMENTS:
+        return f"write a command before the file, such as `cfgplan solve {asked}`"
+    if asked in NAMES:
+        return f"write `cfgplan ctl {asked}`: it is a command for a live run"
+    return did_you_mean(asked, VERBS, "cfgplan --help lists the commands")
+
+
+_OF_ENVIRONMENTS = (".yaml", ".yml", ".json", ".xml")
+
+
+def parser_with(filled: Collection[str], verbs: Iterable[str] = VERBS) -> Parser:
+    """Return a parser of some commands; only those in `filled` have their options, since these need their modules."""
+    width = _columns() - 2
     parser = Parser(
         prog="cfgplan",
+        formatter_class=partial(argparse.HelpFormatter, width=width),
         description="Wire stream-processing components by meaning: the cheapest update of a running system, "
         "proven optimal.",
         epilog="Exit codes: 0 done, 1 check found something wrong, 2 the plan changes something (--detailed-exitcode), "
@@ -240,16 +270,28 @@ def parser_with(filled: Collection[str | None]) -> Parser:
     parser.add_argument(
         "--version", action=_Version, nargs=0, help="show the versions of cfgplan, its solver, its reasoner and Python"
     )
-    verbs = parser.add_subparsers(metavar="COMMAND")
-    for name, summary in VERBS.items():
+    commands = parser.add_subparsers(metavar="COMMAND", prog=parser.prog)
+    for name in verbs:
+        summary = VERBS[name]
         sentence = f"{summary[0].upper()}{summary[1:]}."
-        verb = verbs.add_parser(
-            name, help=summary, description=sentence, formatter_class=argparse.RawDescriptionHelpFormatter
+        verb = commands.add_parser(
+            name,
+            help=summary,
+            description=sentence,
+            formatter_class=partial(argparse.RawDescriptionHelpFormatter, width=width),
         )
         if name in filled:
             module, _, add_to = _OTHER_HOMES.get(name, f"{name}:add_to").partition(":")
             getattr(import_module(f"cfgplan.cli.{module}"), add_to)(verb)
     return parser
+
+
+def _columns() -> int:
+    """The width of the terminal; argparse would import the modules that compress files to find it."""
+    try:
+        return int(os.environ.get("COLUMNS", 0)) or os.get_terminal_size().columns or 80
+    except (ValueError, OSError):
+        return 80
 
 
 class LossyStream:

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from itertools import islice
 from pathlib import Path
 
-from cfgplan.errors import Fault, InputError, close_names
+from cfgplan.errors import Fault, InputError, close_file
 from cfgplan.formats.json_text import read_json
 from cfgplan.formats.places import Source
 from cfgplan.formats.yaml_text import read_yaml
 
 LARGEST_FILE_BYTES = 128 * 2**20
-_MOST_BESIDE = 500
 _UNREADABLE: dict[type[Exception], tuple[str, str]] = {
     FileNotFoundError: ("there is no such file", "check the path"),
     IsADirectoryError: ("this is a folder, not a file", "name the file in it"),
@@ -38,9 +36,11 @@ def read_text(path: Path) -> str:
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        line = content.count(b"\n", 0, error.start) + 1
-        message = f"byte {content[error.start]:#04x} is not UTF-8"
-        raise InputError([Fault(message, str(path), line, mend="save the file in the encoding UTF-8")]) from None
+        before = content[: error.start].rpartition(b"\n")[2].decode(errors="replace")
+        line, column = content.count(b"\n", 0, error.start) + 1, len(before.removeprefix("\ufeff")) + 1
+        is_utf_16 = content.startswith((b"\xff\xfe", b"\xfe\xff"))
+        told = "the file is in UTF-16" if is_utf_16 else f"byte {content[error.start]:#04x} is not UTF-8"
+        raise InputError([Fault(told, str(path), line, column, mend="save the file in the encoding UTF-8")]) from None
 
 
 def read_bytes(path: Path) -> bytes:
@@ -53,23 +53,16 @@ def read_bytes(path: Path) -> bytes:
         why = getattr(error, "strerror", None) or error
         message, mend = _UNREADABLE.get(type(error), (f"the file can't be read: {why}", "check the path"))
         mend = "name /dev/stdin for standard input" if name == "-" else mend
-        if isinstance(error, FileNotFoundError):
-            close = close_names(path.stem, _stems_beside(path))
-            mend = f"did you mean `{path.with_name(close[0] + path.suffix)}`?" if close else mend
+        if isinstance(error, FileNotFoundError) and (close := close_file(path)) is not None:
+            mend = f"did you mean `{close}`?"
+        elif isinstance(error, FileNotFoundError) and not is_folder(path.parent):
+            mend = f"check the path: there is no folder `{path.parent}`"
         raise InputError.of(message, file=name, mend=mend) from None
     if len(content) > LARGEST_FILE_BYTES:
         raise InputError.of(
             f"the file is larger than {LARGEST_FILE_BYTES // 2**20} MiB", file=name, mend="split it by `include:`"
         )
     return content
-
-
-def _stems_beside(path: Path) -> list[str]:
-    """The names, without their ending, of files beside a path that end as it does; the first few hundred."""
-    try:
-        return sorted(islice((each.stem for each in path.parent.iterdir() if each.suffix == path.suffix), _MOST_BESIDE))
-    except OSError:
-        return []
 
 
 def is_folder(path: Path) -> bool:

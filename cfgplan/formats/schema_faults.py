@@ -107,7 +107,7 @@ def _is_nominal(error: Any) -> bool:
 def _fault(source: Source, path: Path, at_key: bool, error: Any, part: type[BaseModel]) -> Fault:
     kind, value = error["type"], error["input"]
     if kind == "extra_forbidden":
-        return _unknown_key(source, path, part)
+        return _unknown_key(source, path, value, part)
     if kind == "missing":
         if _is_nominal(error):
             mend = "write it in quotes: a text that begins with { is read as a mapping"
@@ -145,7 +145,7 @@ def _fault(source: Source, path: Path, at_key: bool, error: Any, part: type[Base
     return source.fault(path, context.get("text", error["msg"]), context.get("mend"), at_key=at_key)
 
 
-def _unknown_key(source: Source, path: Path, part: type[BaseModel]) -> Fault:
+def _unknown_key(source: Source, path: Path, value: object, part: type[BaseModel]) -> Fault:
     fields = _keys_at(part, path[:-1])
     known, name = sorted(fields), str(path[-1])
     inner = next((key for key in known if name in _keys_within(fields[key])), None)
@@ -163,6 +163,8 @@ def _unknown_key(source: Source, path: Path, part: type[BaseModel]) -> Fault:
         mend = f"write {' or '.join(f'`{key}` ({_EACH_MEANS[key]})' for key in meant)}"
     elif name == "type" and "kind" in known:
         mend = "a message type belongs to a port: `image: {tag: Image, type: sensor_msgs/Image}`; `kind` is free text"
+    elif value is None and not meant and "tag" in known and name[:1].isupper():
+        mend = "in braces a comma ends the tag: join concepts by `and`, or put quotes around the tag"
     elif not meant and (holders := [key for key in known if name in _keys_of_each(fields[key])]):
         mend = f"it is a key of each entry of `{'` or `'.join(holders[:3])}`: write it there"
     else:
@@ -232,6 +234,8 @@ def _wrong_kind(source: Source, path: Path, wanted: str, value: object, part: ty
     if isinstance(value, str) and wanted == "true or false":
         return message, "write true or false" + _if_quoted(value)
     if wanted == "a list":
+        if isinstance(value, dict) and len(value) == 1 and isinstance(one := next(iter(value.values())), str):
+            return message, f"write `{one}` without a key, or begin each entry with `- `"
         is_one = isinstance(value, str | int | Decimal)
         return message, f"write [{value}], or begin each entry with `- `" if is_one else "begin each entry with `- `"
     if wanted.startswith("a mapping"):
@@ -265,6 +269,10 @@ def _as_number(path: Path, wanted: str, value: object) -> str:
         if found is not None and (megabytes := Decimal(found[1]) * _UNITS_OF_BYTES[found[2]]) >= 1:
             return f"write megabytes, a plain number: {_plain(megabytes // 1)}"
         return "write megabytes, a plain number, such as 200" + _if_quoted(value)
+    if path[-1] == "rate" and (found := re.fullmatch(r"(\d+(?:\.\d+)?) ?hz", value.casefold())):
+        return f"write elements per second, a plain number: {found[1]}"
+    if path[-1] == "size" and (found := re.fullmatch(r"(\d+(?:\.\d+)?) ?([kmg])i?b?", value.casefold())):
+        return f"write bytes, a plain number: {_plain(Decimal(found[1]) * _UNITS_OF_BYTES[found[2]] * 1_000_000)}"
     meant = guessed_s(value)
     if path[-1] == "horizon":
         seconds = 600 if meant is None else ceil(meant)

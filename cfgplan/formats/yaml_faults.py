@@ -82,12 +82,14 @@ def _slip(problem: str, mark: yaml.Mark, begin: yaml.Mark, lines: list[str]) -> 
 
 
 def _colon(written: str) -> str:
+    if quoted := re.fullmatch(r"""(["'])([\w.-]+: .+)\1\s*""", written):
+        return f"remove the quotes around the whole: `{quoted[2]}`"
     found = _KEY_BEGINS.match(written)
     if found is None:
         return "write `key: value`, or quote the text"
     if not found[4]:
         return f"put a colon after the key: `{found[1]}:`"
-    return f"put a colon and a space after the key: `{found[1]}: {found[4]}`"
+    return f"put a colon and a space after the key: `{found[1]}: {found[4].removeprefix('= ')}`"
 
 
 def _second_colon(before: str, number: int, lines: list[str]) -> str:
@@ -135,6 +137,8 @@ def _line_between(mark: yaml.Mark, begin: yaml.Mark, lines: list[str]) -> str:
     """Return the mend of a line that continues neither the list or mapping that begins at `begin` nor its content."""
     rest = lines[mark.line][mark.column :] if mark.line < len(lines) else ""
     before = lines[mark.line][: mark.column] if mark.line < len(lines) else ""
+    if before.strip() and rest[:1] in ("}", "]"):
+        return f"remove the `{rest[0]}`: the bracket that it would close is closed already"
     if before.strip():
         return "quote the text as a whole: what begins with a quote, { or [ ends with it"
     if re.match(r"-[^\s-]", rest):

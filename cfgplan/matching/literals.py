@@ -7,7 +7,6 @@ contradictions.
 from __future__ import annotations
 
 import re
-from calendar import monthrange
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Set
 from types import MappingProxyType
@@ -75,6 +74,8 @@ def is_well_formed(text: str, datatype: str) -> bool:
     found = re.fullmatch(_LITERAL_FORMS[name], text)
     if found is None or "day" not in found.groupdict():
         return found is not None
+    from calendar import monthrange
+
     # The calendar is the same again after 400 years.
     return 1 <= int(found["day"]) <= monthrange(2000 + int(found["year"]) % 400, int(found["month"]))[1]
 

@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import Any, Final
 from urllib.parse import unquote, urlsplit
 
-from cfgplan.errors import Fault, InputError
+from cfgplan.errors import Fault, InputError, close_file
 from cfgplan.matching.catalog import catalogued
 from cfgplan.matching.functional import LOGICAL, parse, rule_text
 from cfgplan.matching.names import short_name
@@ -193,7 +193,9 @@ def _read(path: Path, shown: str) -> _Document:
     except UnicodeDecodeError:
         raise InputError.of("is not an ontology: the file is not text in UTF-8", file=shown, mend=_NO_TEXT) from None
     except FileNotFoundError:
-        raise InputError.of("the ontology file does not exist", file=shown, mend=_MISSING) from None
+        close = close_file(path)
+        mend = _MISSING if close is None else f"did you mean `{Path(shown).with_name(close.name)}`?"
+        raise InputError.of("the ontology file does not exist", file=shown, mend=mend) from None
     except OSError as error:
         mend = "name an ontology file that may be read"
         raise InputError.of(f"the ontology can't be read: {error.strerror}", file=shown, mend=mend) from None

@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Iterator
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from cfgplan.domain import ComputationUnit, Environment, Similarity, Target
 from cfgplan.planning import Failures
 from cfgplan.validity.facts import known_units
-from cfgplan.validity.rewiring import Known, Rewiring
 from cfgplan.validity.rules import Rule, Violation
 from cfgplan.validity.startable import providers_by_tag, startable
+
+if TYPE_CHECKING:
+    from cfgplan.validity.rewiring import Known
 
 
 def survival_violations(
@@ -20,6 +23,8 @@ def survival_violations(
     """Yield each single failure that leaves a target without a stream, for any rewiring and any start of spares."""
     if survive is None:
         return
+    from cfgplan.validity.rewiring import Rewiring
+
     units, providers = list(known_units(environment)), providers_by_tag(environment, similarity)
     for what, lost, targets in _failures(environment, survive):
         left = _able([(unit, kind) for unit, kind in units if unit.id not in lost], similarity)

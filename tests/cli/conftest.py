@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
@@ -23,6 +24,8 @@ def run(
     cache_folder().mkdir(parents=True)
     (cache_folder() / "hermit").symlink_to(archives)
     monkeypatch.setenv("COLUMNS", "200")
+    # On a busy machine a phase may take so long that it is told on stderr; that is tested by itself.
+    monkeypatch.setattr("cfgplan.cli.screen.WORK_TOLD_S", threading.TIMEOUT_MAX)
 
     def run(*arguments: object) -> Result:
         try:

@@ -15,6 +15,16 @@ def test_what_it_writes_is_planned_and_has_another_way(run: Run, tmp_path: Path)
     assert "picture <- infrared_camera.1/picture" in other
 
 
+def test_a_folder_named_like_a_template_gets_that_template(run: Run, tmp_path: Path) -> None:
+    run("init", tmp_path / "robot")
+    run("init", tmp_path / "other", "--template", "robot")
+    texts = [(tmp_path / name / "env.yaml").read_text() for name in ("robot", "other")]
+    assert texts[0] == texts[1]
+    assert "This is the template" not in run("init", tmp_path / "kitchen").out
+    told = run("init", tmp_path / "robott").out.splitlines()[-1]
+    assert told == "This is the template `kitchen`; `cfgplan init FOLDER --template robot` writes another one."
+
+
 def test_what_it_writes_runs(run: Run, tmp_path: Path) -> None:
     run("init", tmp_path)
     ended = run("run", tmp_path / "env.yaml", "--for", "2s")

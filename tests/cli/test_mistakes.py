@@ -161,7 +161,46 @@ def test_what_is_told_to_programs_has_no_line_of_the_file(run: Run) -> None:
     assert '"mend": "did you mean `upkeep`?"' in out
 
 
+@pytest.mark.parametrize(
+    ("wrong", "right"), [("topics", "ctl topics"), ("hz /somebody", "ctl hz"), ("env.yaml", "solve env.yaml")]
+)
+def test_a_command_line_without_its_command_is_told_which(run: Run, wrong: str, right: str) -> None:
+    code, _, err = run(*wrong.split())
+    said, _, carets, mend = err.rstrip("\n").split("\n")
+    assert (code, said) == (REFUSED, f"error: there is no command `{wrong.split()[0]}`")
+    assert carets == " " * len("    $ cfgplan ") + "^" * len(wrong.split()[0])
+    assert f"`cfgplan {right}`" in mend
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "ascii"])
+@pytest.mark.parametrize("ending", ["\n", "\r\n"])
+def test_a_file_of_an_editor_of_windows_loads(run: Run, encoding: str, ending: str) -> None:
+    Path("env.yaml").write_bytes(WORLD.replace("\n", ending).encode(encoding))
+    assert run("check", "env.yaml").code == 0
+
+
+@pytest.mark.parametrize(
+    ("encoding", "place", "cause"),
+    [
+        ("latin-1", "env.yaml:13:14", "byte 0xfc is not UTF-8"),
+        ("utf-16-le", "env.yaml:1:1", "the file is in UTF-16"),
+        ("utf-16-be", "env.yaml:1:1", "the file is in UTF-16"),
+    ],
+)
+def test_a_file_in_another_encoding_is_told_with_its_first_foreign_byte(
+    run: Run, encoding: str, place: str, cause: str
+) -> None:
+    mark = "" if encoding == "latin-1" else "\ufeff"
+    Path("env.yaml").write_bytes((mark + _with("label: somebody", "label: für alle")).encode(encoding))
+    said, _, carets, mend = run("check", "env.yaml").err.rstrip("\n").split("\n")
+    assert said == f"error: {place}: {cause}"
+    assert carets.index("^") == len("      | ") + int(place.rpartition(":")[2]) - 1
+    assert mend == "       save the file in the encoding UTF-8"
+    Path("env.yaml").write_text(_with("label: somebody", "label: für alle"), encoding="utf-8")
+    assert run("check", "env.yaml").code == 0
+
+
 def test_the_table_has_the_mistakes_of_many_beginners() -> None:
-    assert len(ROWS) >= 120
-    assert len(COMMANDS) >= 30
+    assert len(ROWS) >= 190
+    assert len(COMMANDS) >= 40
     assert len({row.wrong for row in (*ROWS, *COMMANDS)}) == len(ROWS) + len(COMMANDS)

@@ -300,10 +300,10 @@ def test_a_path_that_can_be_no_file_is_refused() -> None:
 def test_another_encoding_is_named_with_its_line(tmp_path: Path) -> None:
     path = tmp_path / "env.yaml"
     path.write_bytes(b"format: cfgplan/1\n# caf\xe9\n")
-    with pytest.raises(InputError, match=r"env\.yaml:2: byte 0xe9 is not UTF-8"):
+    with pytest.raises(InputError, match=r"env\.yaml:2:\d+: byte 0xe9 is not UTF-8"):
         load(path)
     path.write_bytes("format: cfgplan/1\n".encode("utf-16"))
-    with pytest.raises(InputError, match="not UTF-8"):
+    with pytest.raises(InputError, match="the file is in UTF-16"):
         load(path)
 
 

@@ -6,6 +6,7 @@ import json
 import ssl
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,14 @@ import httpx
 import pytest
 from cfgplan_runtime.fleet.certificates import make
 from cfgplan_runtime.lifecycle.changes import Declare, KillUnit, LoseHost
+from cfgplan_runtime.lifecycle.reports import UnitEvent
 from cfgplan_runtime.operating.control_client import connect
 from cfgplan_runtime.operating.control_server import ControlServer
 from cfgplan_runtime.operating.methods import Methods
+from cfgplan_runtime.operating.records import report_record
 from cfgplan_runtime.page.server import METHODS, PageServer
-from fake_manager import FakeManager
+from cfgplan_runtime.supervision.events import UnitDied
+from fake_manager import SNAPSHOT, FakeManager
 from operated_world import PATIENCE_S, eventually
 
 from cfgplan.errors import InputError
@@ -49,6 +53,18 @@ def messages(page: PageServer) -> Iterator[tuple[str, Any]]:
                 kind = value
             elif name == "data":
                 yield kind, json.loads(value)
+
+
+def test_a_death_is_shown_at_once_and_not_with_the_next_refresh(
+    server: ControlServer, manager: FakeManager, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cfgplan_runtime.page.watched.REFRESH_S", 100 * PATIENCE_S)
+    with PageServer(connect) as page:
+        states = ([unit["id"] for unit in data["units"]] for kind, data in messages(page) if kind == "state")
+        assert next(states) == ["camera.1", "detector.1"]
+        manager.shows(replace(SNAPSHOT, units=SNAPSHOT.units[:1]))
+        server.publish(report_record(UnitEvent(UnitDied("detector.1", "killed by signal 9"))))
+        assert next(states) == ["camera.1"]
 
 
 def test_who_looks_is_told_of_the_run_its_state_its_health_and_its_reviews(page: PageServer) -> None:

@@ -6,6 +6,7 @@ from dataclasses import replace
 from itertools import pairwise
 from unittest.mock import patch
 
+import numpy as np
 import pytest
 from fixed import kind, unit
 from fixed import world as fixed_world
@@ -21,9 +22,12 @@ from cfgplan.planners import PLANNERS
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.first_plans import FirstPlans
 from cfgplan.planners.exact.grounded import Grounded
+from cfgplan.planners.exact.memory import Structure
 from cfgplan.planners.exact.session import offer_running_units
 from cfgplan.planners.exact.solve_state import SolveState
 from cfgplan.planners.exact.survivors import survive_without
+from cfgplan.planners.networks.greedy import plan_at
+from cfgplan.planners.networks.network import costs
 from cfgplan.planners.networks.reach import Reach
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import USUAL
@@ -108,6 +112,16 @@ def test_there_is_a_first_plan(problem: Problem) -> None:
     found = first(problem)
     assert found.status is Status.FEASIBLE
     assert plan_violations(problem, found) == []
+
+
+@some
+@given(problems(most=9))
+def test_a_small_network_has_the_same_first_plan_in_lists_as_in_arrays(problem: Problem) -> None:
+    network = Structure.of(problem, None, Clock()).network
+    cost = costs(problem, network)[1]
+    prices = [float(one) + 1.0 for one in cost]
+    assert network.core.is_small
+    assert plan_at(network, cost, prices) == plan_at(network, np.array(cost), np.array(prices))
 
 
 @some

@@ -27,8 +27,6 @@ def any_two_of_three() -> Core:
     return Core(
         Rows.of([[], [], [], *PAIRS, [3]]),
         Rows.of([[0], [1], [2], [3, 4, 5]]),
-        np.arange(6),
-        np.arange(4),
     )
 
 

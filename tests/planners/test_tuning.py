@@ -13,7 +13,7 @@ from cfgplan.planners.tuning import USUAL
 ROOM = Path(cfgplan.planners.__file__).parent
 README = Path(__file__).parents[2] / "experiments" / "planning" / "README.md"
 NOT_TUNED = {
-    "networks/core.py": {"NEVER", "MOST_PASSES", "MOST_DEMANDS"},
+    "networks/core.py": {"MOST_PASSES", "MOST_DEMANDS", "MOST_LISTED"},
     "networks/greedy.py": {"COST_CAP", "FREE"},
     "closing/program.py": {"FROM_THE_LAST_BASIS", "FINEST", "LARGEST_CHARGES"},
     "closing/separation.py": {"WHOLE", "CREEP"},

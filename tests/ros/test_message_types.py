@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from cfgplan.errors import InputError
-from cfgplan.ros import MessageType
+from cfgplan.ros.types import MessageType
 
 ODOMETRY = MessageType("nav_msgs", "Odometry")
 

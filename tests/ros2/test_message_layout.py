@@ -23,7 +23,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
-from cfgplan.ros import MessageType
+from cfgplan.ros.types import MessageType
 
 PACKAGES = (
     "std_msgs",

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
 from cfgplan.errors import InputError
-from cfgplan.ros import MessageType
+from cfgplan.ros.types import MessageType
 
 NOW_NS = 1_700_000_000_123_456_789
 HASHES = {

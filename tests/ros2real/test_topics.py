@@ -16,8 +16,8 @@ from operated_world import eventually
 from ros2_words import Observer
 
 from cfgplan.errors import InputError
-from cfgplan.ros import MessageType
 from cfgplan.ros.qos import ServiceQuality
+from cfgplan.ros.types import MessageType
 
 Open = Callable[..., RosTopics]
 USUAL, KEEPING = ServiceQuality(), ServiceQuality(transient_local=True)

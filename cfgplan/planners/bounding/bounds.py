@@ -11,10 +11,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from heapq import nsmallest
 
-import numpy as np
-
 from cfgplan.planners.bounding.landmarks import Landmark, ways_into
 from cfgplan.planners.networks.core import MOST_PASSES, NEVER, Core, Flags, Ints
+from cfgplan.planners.solving.arrays import np
 from cfgplan.planners.solving.clock import Clock
 
 

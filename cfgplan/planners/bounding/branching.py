@@ -11,12 +11,13 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from heapq import heappop, heappush
+from typing import TYPE_CHECKING
 
-import numpy as np
+from cfgplan.planners.networks.core import NEVER, Core
+from cfgplan.planners.solving.arrays import np
 
-from cfgplan.planners.bounding.bounds import Bound
-from cfgplan.planners.bounding.landmarks import Landmark
-from cfgplan.planners.networks.core import NEVER, Core, Ints
+if TYPE_CHECKING:
+    from cfgplan.planners.bounding.bounds import Bound
 
 LEFT_OUT = int(NEVER)
 """The price of a label that is left out."""
@@ -225,7 +226,7 @@ class Branching:
     def __init__(
         self,
         core: Core,
-        cost: Ints,
+        cost: Sequence[int],
         limit: int,
         step: int,
         is_over: Callable[[], bool],
@@ -234,9 +235,8 @@ class Branching:
         """The search begins with `known` landmarks: a weight, at most, and the members."""
         self.best: set[int] | None = None
         self.nodes = 0
-        self._core, self._weight = core, cost
+        self._core, self._cost = core, list(cost)
         self._links = Links(core)
-        self._cost: list[int] = cost.tolist()
         self.enough = limit - step + 1
         """A bound this high proves that no plan is better."""
         self._step = step
@@ -248,10 +248,13 @@ class Branching:
 
     def bound(self) -> Bound:
         """The root's bound for plans below the limit, with its landmarks in the core's numbering."""
+        from cfgplan.planners.bounding.bounds import Bound
+        from cfgplan.planners.bounding.landmarks import Landmark
+
         zones, landmarks = self._first or ([], [])
         new = landmarks[len(self._known) :]
         found = [Landmark(np.array(z), np.array(m)) for z, (_, m) in zip(zones, new, strict=False)]
-        bound = Bound(self._core, self._weight, found)
+        bound = Bound(self._core, np.array(self._cost, np.int64), found)
         bound.recharge([weight for weight, _ in new])
         return bound
 

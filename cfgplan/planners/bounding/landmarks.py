@@ -15,9 +15,8 @@ from dataclasses import dataclass
 from itertools import chain
 from types import MappingProxyType
 
-import numpy as np
-
 from cfgplan.planners.networks.core import NEVER, Core, Floats, Ints
+from cfgplan.planners.solving.arrays import np
 
 Zones = Mapping[int, Collection[int]]
 NOTHING: Zones = MappingProxyType({})

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-import numpy as np
-
 from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.bounding.landmarks import Landmark
 from cfgplan.planners.closing.neighbourhoods import Neighbourhoods
@@ -14,6 +12,7 @@ from cfgplan.planners.closing.separation import Separator
 from cfgplan.planners.networks.core import Floats, Ints
 from cfgplan.planners.networks.greedy import FREE, cost_of, plan_at
 from cfgplan.planners.networks.network import Network
+from cfgplan.planners.solving.arrays import np
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import USUAL, Close, Tuning
 

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterable, Iterator, Mapping
 
-import numpy as np
-
 from cfgplan.planners.bounding.bounds import Bound, tightened
 from cfgplan.planners.networks.core import Core, Flags, Floats, Ints, Rows
 from cfgplan.planners.networks.reach import Reach
+from cfgplan.planners.solving.arrays import np
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import Near
 
@@ -137,9 +136,9 @@ class Neighbourhoods:
         core, known = self._core, self._bound
         needs = core.needs.starts[core.goal]
         starts = np.append(core.needs.starts[:-1], needs + len(free))
-        rows = Rows(starts, np.append(core.needs.items[:needs], sorted(free)))
+        rows = Rows((starts, np.append(core.needs.items[:needs], sorted(free))))
         needed = [i for i, one in enumerate(known.landmarks) if not free.isdisjoint(one.zone.tolist())]
-        part = Core(rows, core.providers, core.labels, core.facts)
+        part = Core(rows, core.providers, core.numbers)
         bound = Bound(part, cost, [known.landmarks[i] for i in needed])
         bound.recharge([known.weights[i] for i in needed])
         return bound

@@ -9,12 +9,11 @@ from __future__ import annotations
 from itertools import repeat
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.bounding.landmarks import Landmark
 from cfgplan.planners.networks.core import Core, Floats, Ints
 from cfgplan.planners.networks.network import Network
+from cfgplan.planners.solving.arrays import np
 from cfgplan.planners.solving.clock import Clock
 
 if TYPE_CHECKING:

@@ -10,10 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-import numpy as np
-
 from cfgplan.planners.bounding.landmarks import Landmark, landmark_of
 from cfgplan.planners.networks.core import Core, Floats, Ints
+from cfgplan.planners.solving.arrays import np
 from cfgplan.planners.tuning import USUAL, Close
 
 WHOLE = 1_000_000

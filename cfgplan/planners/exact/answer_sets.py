@@ -9,14 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
-import numpy as np
-
 from cfgplan.extras import is_there
 from cfgplan.planners.exact.remaining import Remaining
 from cfgplan.planners.exact.solve_run import SolveRun, numbers
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.greedy import first_plan
 from cfgplan.planners.networks.network import LexicographicWeights, Network
+from cfgplan.planners.solving.arrays import np
 from cfgplan.planners.solving.clock import Clock
 
 if TYPE_CHECKING:

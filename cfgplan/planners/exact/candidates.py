@@ -8,8 +8,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
-import numpy as np
-
 from cfgplan.costs import keep_cost_us, standby_cost_us, start_cost_us, taken, transfer_cost_us
 from cfgplan.domain import ComputationUnit, Environment, Host, Stream, Target, Transformation
 from cfgplan.onward import grouped
@@ -18,6 +16,7 @@ from cfgplan.planners.networks.keys import may_stay
 from cfgplan.planners.networks.network import Network
 from cfgplan.planners.reducing.closure import Closure
 from cfgplan.planners.reducing.reduce import may_go_on
+from cfgplan.planners.solving.arrays import np
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Feature, Problem, fresh_units
 from cfgplan.qualities import QualityAttribute, worst_allowed

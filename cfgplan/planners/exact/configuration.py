@@ -9,8 +9,6 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from functools import partial
 
-import numpy as np
-
 from cfgplan.domain import ComputationUnit, Stream, Subscription, Target
 from cfgplan.planners.exact.candidates import Candidate, Candidates, HostName, Placement
 from cfgplan.planners.exact.grounded import Grounded
@@ -21,6 +19,7 @@ from cfgplan.planners.exact.wiring import named
 from cfgplan.planners.networks.core import Floats
 from cfgplan.planners.networks.greedy import FREE, plan_at
 from cfgplan.planners.networks.reach import Reach
+from cfgplan.planners.solving.arrays import np
 from cfgplan.planning import Failures
 from cfgplan.qualities import QualityAttribute
 

@@ -6,13 +6,12 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
-
 from cfgplan.domain import ComputationUnit, InputPort, Stream, Target
 from cfgplan.planners.exact.candidates import Candidates, HostName
 from cfgplan.planners.exact.company import have_company
 from cfgplan.planners.exact.rules import MAY_RUN_FOR_NOBODY
 from cfgplan.planners.exact.wiring import wired
+from cfgplan.planners.solving.arrays import np
 from cfgplan.planners.solving.clock import ContradictionError
 from cfgplan.planning import Feature
 

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 
-import numpy as np
-
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.configuration import Configuration, spare_prices
 from cfgplan.planners.exact.solve_state import SolveState
 from cfgplan.planners.networks.core import Floats
 from cfgplan.planners.networks.greedy import FREE, plan_at
 from cfgplan.planners.reducing.closure import with_companions
+from cfgplan.planners.solving.arrays import np
 from cfgplan.qualities import QualityAttribute, QualityRule
 
 

@@ -10,8 +10,6 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from dataclasses import replace
 
-import numpy as np
-
 from cfgplan.planners.bounding.bounds import Bound, cheapest_way, tightened
 from cfgplan.planners.exact.best_case import least_of_all, least_prices_us
 from cfgplan.planners.exact.candidates import Candidates
@@ -21,6 +19,7 @@ from cfgplan.planners.exact.quality_cuts import chain_cuts
 from cfgplan.planners.exact.remaining import Remaining, named_landmarks
 from cfgplan.planners.exact.solve_state import SolveState
 from cfgplan.planners.networks.core import Floats
+from cfgplan.planners.solving.arrays import np
 from cfgplan.planning import Feature
 
 
@@ -136,7 +135,7 @@ def remaining_by_bounds(candidates: Candidates, state: SolveState) -> Remaining:
         return Remaining(everything, bound.value, bound, is_complete=False)
     waiting = {c.transformation.label for c in candidates.all if c.may_wait and bound.value + c.waiting_cost_us <= most}
     part = Remaining.by(bound, most)
-    kept = [*part.labels.tolist(), *network.pinned, *candidates.numbers(waiting)]
+    kept = [*map(int, part.labels), *network.pinned, *candidates.numbers(waiting)]
     state.counts["left by bounds"] = len(set(kept))
     return replace(part, labels=np.unique(np.array(kept, np.int64)))
 

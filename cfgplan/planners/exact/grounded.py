@@ -17,7 +17,6 @@ from typing import Final
 
 from cfgplan.domain import InputPort, Stream
 from cfgplan.onward import grouped
-from cfgplan.planners.exact.best_case import stated_of
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.qualities import QualityAttribute, propagated
 from cfgplan.reasons import assign_different, distinct_groups
@@ -176,6 +175,8 @@ class Grounded:
         for port in candidate.transformation.outputs:
             stream, value, key = Stream(candidate.id, port.name), 0, -1
             if attribute is not None:
+                from cfgplan.planners.exact.best_case import stated_of
+
                 value = propagated(attribute, stated_of(port, attribute), inputs)
                 key = attribute.sign * value
             self._value[stream] = value

@@ -8,20 +8,22 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
 from operator import attrgetter
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from cfgplan.domain import ComputationUnit, Environment, Similarity, Transformation
-from cfgplan.planners.bounding.bounds import Bound, tightened
-from cfgplan.planners.bounding.landmarks import Landmark
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.solve_state import SolveState
-from cfgplan.planners.exact.warm_start import WarmStart
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.network import Network, costs
 from cfgplan.planners.reducing.closure import Closure
+from cfgplan.planners.solving.arrays import np
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Problem
+
+if TYPE_CHECKING:
+    from cfgplan.planners.bounding.bounds import Bound
+    from cfgplan.planners.bounding.landmarks import Landmark
+    from cfgplan.planners.exact.warm_start import WarmStart
 
 
 @dataclass(frozen=True)
@@ -132,6 +134,8 @@ class Memory:
 
     def bound(self, weight: Ints, scale: int = 1) -> Bound:
         """The bound by the landmarks that are kept, charged as before as far as residual costs allow."""
+        from cfgplan.planners.bounding.bounds import Bound
+
         core = self.structure.network.core
         if self._found is not None:
             (found, old_scale), self._found = self._found, None
@@ -150,8 +154,11 @@ class Memory:
 
     def settle(self, problem: Problem, clock: Clock) -> None:
         """After a proven plan that changes nothing, prepare for the next one: keep its `WarmStart`."""
+        from cfgplan.planners.bounding.bounds import tightened
+        from cfgplan.planners.exact.warm_start import WarmStart
+
         network = self.structure.network
-        _, cost = costs(problem, network)
+        cost = np.array(costs(problem, network)[1], np.int64)
         plan = np.array(sorted({network.number[label] for label in self.last} | set(network.pinned)), np.int64)
         if (
             self.warm_start is not None

@@ -14,10 +14,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 from cfgplan.domain import InputPort, Stream
 from cfgplan.figures import qualities_of_targets
-from cfgplan.planners.exact.best_case import OutputRule, least_badness, most_badness
 from cfgplan.planners.exact.candidates import HostName
-from cfgplan.planners.exact.quality_chains import ChainCut
-from cfgplan.planners.exact.quality_numbers import most_together, numbers_of
 from cfgplan.planners.exact.rule import CheckedUnits, Rule
 from cfgplan.planning import Feature
 from cfgplan.qualities import MICRO, Over, QualityAttribute, Wish, is_met
@@ -26,6 +23,7 @@ if TYPE_CHECKING:
     from ortools.sat.python.cp_model import IntVar, LinearExprT, LiteralT
 
     from cfgplan.planners.exact.model import Model
+    from cfgplan.planners.exact.quality_chains import ChainCut
 
 Counted: TypeAlias = "tuple[IntVar, list[LiteralT]]"
 """How bad what comes at an input is, and, if it may take none or several streams, that this one is taken."""
@@ -75,6 +73,9 @@ class _Badness:
     """
 
     def __init__(self, model: Model, attribute: QualityAttribute) -> None:
+        from cfgplan.planners.exact.best_case import least_badness, most_badness
+        from cfgplan.planners.exact.quality_numbers import numbers_of
+
         self.model, self.attribute = model, attribute
         self.numbers = numbers = numbers_of(model.candidates, attribute)
         found = least_badness(model.candidates, attribute)
@@ -205,6 +206,9 @@ class _Badness:
 
     def _made(self, stream: Stream) -> Iterator[tuple[int, LinearExprT, list[LiteralT]]]:
         """The lower bound of a stream's number times another one, under some literals."""
+        from cfgplan.planners.exact.best_case import OutputRule
+        from cfgplan.planners.exact.quality_numbers import most_together
+
         model, numbers, unit = self.model, self.numbers, self.model.unit_of(stream)
         transformation = model.candidates.all[unit].transformation
         making = OutputRule.of(self.attribute, transformation, transformation.output[stream.port])

@@ -17,12 +17,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
-
 from cfgplan.domain import Stream, Transformation
 from cfgplan.planners.exact.best_case import OutputRule, demands_of_quality, least_badness, most_badness
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.networks.core import Flags, Ints
+from cfgplan.planners.solving.arrays import np
 from cfgplan.planning import Feature
 from cfgplan.qualities import MICRO, Over, QualityAttribute
 

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-import numpy as np
-
 from cfgplan.domain import Target
 from cfgplan.planners.closing.program import FROM_THE_LAST_BASIS
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.quality_chains import ChainCut, Chains, Root
 from cfgplan.planners.networks.core import Floats, Ints
+from cfgplan.planners.solving.arrays import np
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.qualities import MICRO, Wish
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.network import Network
+from cfgplan.planners.solving.arrays import np
+
+if TYPE_CHECKING:
+    from cfgplan.planners.bounding.bounds import Bound
 
 
 @dataclass(frozen=True)
@@ -20,7 +22,7 @@ class Remaining:
     leave at most so many required transformations unused. `bound` has the landmarks.
     """
 
-    labels: Ints
+    labels: Sequence[int] | Ints
     value: int
     bound: Bound | None = None
     is_complete: bool = True
@@ -33,7 +35,7 @@ class Remaining:
 
     def names(self, network: Network) -> list[str]:
         """The labels of the transformations that are left."""
-        return [network.labels[i] for i in self.labels.tolist()]
+        return [network.labels[i] for i in self.labels]
 
     def landmarks(self, network: Network) -> list[tuple[list[str], int]]:
         """Short landmarks for plans that have no other labels, as (labels, number).

@@ -7,16 +7,15 @@ without bounds how many can be used.
 from __future__ import annotations
 
 import heapq
-
-import numpy as np
+from collections.abc import Sequence
 
 from cfgplan.planners.bounding.bounds import Bound, tightened
 from cfgplan.planners.exact.remaining import Remaining
 from cfgplan.planners.exact.solve_run import SolveRun
 from cfgplan.planners.exact.solve_state import Incumbent, SolveState
-from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.greedy import first_plan, support_of
 from cfgplan.planners.networks.network import LexicographicWeights, Network, costs
+from cfgplan.planners.solving.arrays import np
 
 
 def take_with_all(work: SolveRun) -> None:
@@ -37,10 +36,10 @@ def take_with_all(work: SolveRun) -> None:
             break
     best = state.best
     is_with_all = best is not None and best.key.unused == structure.unusable_required
-    limit = best.key.cost_us - fixed_us if best is not None and is_with_all else int(cost.sum())
-    part = Remaining.by(tightened(Bound(network.core, cost), limit, limit, clock), limit)
-    labels = np.union1d(part.labels, np.array(network.pinned, np.int64))
+    limit = best.key.cost_us - fixed_us if best is not None and is_with_all else sum(cost)
     weights = LexicographicWeights(cost, 1, 1, fixed_us)
+    part = Remaining.by(tightened(Bound(network.core, weights.weight), limit, limit, clock), limit)
+    labels = np.union1d(part.labels, np.array(network.pinned, np.int64))
     left = Remaining(labels, part.value, part.bound, holds_for=structure.unusable_required)
     work.take(left, network, weights)
 
@@ -61,7 +60,7 @@ def _few(work: SolveRun, required: frozenset[str], avoided: set[int]) -> list[st
     return None if plan is None else [wider.labels[i] for i in sorted(plan)]
 
 
-def _way_to_a_target(network: Network, cost: Ints, label: int, avoided: set[int]) -> list[int]:
+def _way_to_a_target(network: Network, cost: Sequence[int], label: int, avoided: set[int]) -> list[int]:
     """The cheapest chain from a label to one that meets a target; each label feeds the next one.
 
     Labels that feed the first are avoided, as they could hardly be fed by it. The chain is empty if there is none.
@@ -84,7 +83,7 @@ def _way_to_a_target(network: Network, cost: Ints, label: int, avoided: set[int]
                 way.append(before[way[-1]])
             return way
         for consumer in {one for fact in gives for one in core.needed_by.lists[fact]} - done - avoided:
-            heapq.heappush(ahead, (so_far + int(cost[consumer]), consumer))
+            heapq.heappush(ahead, (so_far + cost[consumer], consumer))
             before.setdefault(consumer, here)
     return []
 

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from cfgplan.planners.closing.gap import GapClosing
-from cfgplan.planners.closing.separation import Separator
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.configuration import wire, wired_as_before
 from cfgplan.planners.exact.memory import Memory
@@ -18,9 +14,12 @@ from cfgplan.planners.exact.remaining import Remaining
 from cfgplan.planners.exact.solve_state import SolveState
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.network import LexicographicWeights, Network
+from cfgplan.planners.solving.arrays import np
 from cfgplan.planners.solving.clock import Clock
 
 if TYPE_CHECKING:
+    from cfgplan.planners.closing.gap import GapClosing
+    from cfgplan.planners.closing.separation import Separator
     from cfgplan.planners.exact.search import LandmarkFinder, Landmarks, Search
 
 
@@ -67,7 +66,11 @@ class SolveRun:
             self.state.offer(candidates, units)
 
     def take(
-        self, remaining: Remaining, network: Network, weights: LexicographicWeights, plan: Ints | None = None
+        self,
+        remaining: Remaining,
+        network: Network,
+        weights: LexicographicWeights,
+        plan: Sequence[int] | Ints | None = None,
     ) -> None:
         """Continue with the remaining labels of a network: raise the proven bound and offer the plan, if one is known.
 
@@ -88,7 +91,7 @@ class SolveRun:
         cost_us = weights.cost_us(weights.of_plan(plan))
         if state.best is not None and state.best.key.cost_us == cost_us and self.clock.is_over():
             return
-        labels = frozenset(network.labels[i] for i in plan.tolist())
+        labels = frozenset(network.labels[i] for i in plan)
         chosen = self.candidates.first_of_each(labels)
         if self._offered is None or labels != self._offered[0]:
             self._offer(self.candidates, chosen)
@@ -143,6 +146,8 @@ class SolveRun:
 
     @cached_property
     def _separator(self) -> Separator:
+        from cfgplan.planners.closing.separation import Separator
+
         return Separator(self.structure.network.core, self.clock.tuning.close)
 
 

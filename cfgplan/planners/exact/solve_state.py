@@ -5,21 +5,29 @@ Nothing here needs the constraint solver: where the first plan meets the bound i
 
 from __future__ import annotations
 
-import logging
-from functools import partial
-from typing import Final, NamedTuple
+from functools import cache, partial
+from typing import TYPE_CHECKING, NamedTuple
 
 from cfgplan.domain import ComputationUnit, Objective
 from cfgplan.planners.exact.candidates import Candidates
-from cfgplan.planners.exact.reasons import joint_reasons
 from cfgplan.planners.exact.rules import flaws
 from cfgplan.planners.exact.wiring import in_order
 from cfgplan.planners.networks.keys import Key, key_of, unused_required
 from cfgplan.planners.solving.clock import Clock, ContradictionError
 from cfgplan.planning import Feature, Measured, OnProgress, Plan, Problem, Progress, Status
 
-LOG: Final = logging.getLogger("cfgplan")
-LOG.addHandler(logging.NullHandler())
+if TYPE_CHECKING:
+    import logging
+
+
+@cache
+def _log() -> logging.Logger:
+    """Return the log, which stays silent unless a program configures it; most plans write nothing there."""
+    import logging
+
+    log = logging.getLogger("cfgplan")
+    log.addHandler(logging.NullHandler())
+    return log
 
 
 class Incumbent(NamedTuple):
@@ -88,7 +96,7 @@ class SolveState:
         flaw = next(flaws(candidates, units), None)
         if flaw is not None:
             self.counts["refused configurations"] = self.counts.get("refused configurations", 0) + 1
-            LOG.info("a configuration is refused: %s", flaw)
+            _log().info("a configuration is refused: %s", flaw)
             return None
         key = key_of(self.problem, units)
         if self.best is None or key < self.best.key:
@@ -124,7 +132,7 @@ class SolveState:
     def note_failure(self, why: str) -> None:
         """Count a search that failed, and tell why in the log."""
         self.counts["failed searches"] = self.counts.get("failed searches", 0) + 1
-        LOG.warning("a search failed and is made again in the whole library: %s", why)
+        _log().warning("a search failed and is made again in the whole library: %s", why)
 
     def raise_bound(self, bound_us: int) -> None:
         if bound_us > self.bound_us:
@@ -159,6 +167,8 @@ class SolveState:
         problem, bound_us = self.problem, self.valid_bound_us
         plan = partial(Plan, "cpsat", seconds=self.clock.seconds, counts=self.counts)
         if self.is_infeasible:
+            from cfgplan.planners.exact.reasons import joint_reasons
+
             return plan(Status.INFEASIBLE, reasons=self.reasons or joint_reasons(self._whole))
         largest = problem.max_cost_us
         if largest is not None and bound_us > largest:

@@ -5,22 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-import numpy as np
-
-from cfgplan.planners.bounding.bounds import Bound, chained_bound, tightened
 from cfgplan.planners.bounding.branching import Branching
-from cfgplan.planners.closing.gap import GapClosing
 from cfgplan.planners.exact.answer_sets import prove_by_answer_sets
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.remaining import Remaining
-from cfgplan.planners.exact.required import take_with_all
 from cfgplan.planners.exact.solve_run import SolveRun, numbers
 from cfgplan.planners.networks.core import Core, Ints
 from cfgplan.planners.networks.greedy import FREE, cost_of, first_plan, is_plan, plan_at, with_less
 from cfgplan.planners.networks.network import LexicographicWeights, Network, costs
+from cfgplan.planners.solving.arrays import np
 from cfgplan.reasons import unmet_reasons
+
+if TYPE_CHECKING:
+    from cfgplan.planners.bounding.bounds import Bound
 
 Stage = Callable[[SolveRun], bool]
 
@@ -56,6 +55,8 @@ def use_all_required(work: SolveRun) -> bool:
     structure, network = work.structure, work.structure.network
     if not structure.has_required:
         return False
+    from cfgplan.planners.exact.required import take_with_all
+
     fixed_us, cost = costs(work.problem, network)
     plan = first_plan(network, cost, 0, work.clock)
     if plan is not None:
@@ -63,7 +64,7 @@ def use_all_required(work: SolveRun) -> bool:
     take_with_all(work)
     work.clock.end("bounds")
     if not work.search(work.landmarks()).run_with_all_required():
-        work.take(Remaining(np.arange(len(network.labels)), 0), network, LexicographicWeights(cost, 1, 1, fixed_us))
+        work.take(Remaining(range(len(network.labels)), 0), network, LexicographicWeights(cost, 1, 1, fixed_us))
         work.clock.end("bounds")
         work.search().run()
     return True
@@ -135,8 +136,11 @@ def _bounded(work: SolveRun, weights: LexicographicWeights, plan: Ints | None) -
     If closing may follow and no label has distinct inputs, less work is spent. With distinct inputs the labels that a
     good bound charges in full often make a cheaper plan.
     """
+    from cfgplan.planners.bounding.bounds import tightened
+    from cfgplan.planners.closing.gap import GapClosing
+
     network, clock = work.structure.network, work.clock
-    limit = int(weights.weight.sum()) if plan is None else weights.of_plan(plan)
+    limit = sum(weights.each) if plan is None else weights.of_plan(plan)
     is_crowded = network.core.multi_facts is not None
     bound = work.memory.bound(weights.weight, weights.scale)
     bound = tightened(bound, limit - weights.step + 1, limit, clock, greedily=plan is not None and not is_crowded)
@@ -207,16 +211,15 @@ def decide(work: SolveRun, core: Core) -> bool:
     if state.best is not None:
         plans.append({network.number[unit.transformation] for unit in state.best.units}.union(network.pinned))
     if core is network.core:
-        first = first_plan(network, weights.weight, 0, work.clock)
+        first = first_plan(network, weights.each, 0, work.clock)
         plans += [] if first is None else [first]
     if not plans:
         return False
     bound = None if core is network.core else work.remaining.bound
     known = [] if bound is None else [*_known_landmarks(bound, core, weights.scale // work.weights.scale)]
-    below = partial(
-        Branching, core, weights.weight[core.labels], step=weights.step, is_over=work.clock.is_over, known=known
-    )
-    is_proven = _proves(work, core, weights, min(plans, key=lambda one: weights.of_plan(numbers(one))), below)
+    cost = [weights.each[label] for label in core.in_whole(range(core.goal))]
+    below = partial(Branching, core, cost, step=weights.step, is_over=work.clock.is_over, known=known)
+    is_proven = _proves(work, core, weights, min(plans, key=weights.of_plan), below)
     work.clock.end("bounds")
     if is_proven and not state.is_over:
         work.search().run()
@@ -232,9 +235,11 @@ def _proves(
     True if the cost is proven; other plans can then differ only in their changes.
     """
     network, tuning = work.structure.network, work.clock.tuning.decide
-    limit = least = weights.of_plan(numbers(plan))
+    limit = least = weights.of_plan(plan)
     is_proven = False
     if core is network.core and core.goal > tuning.chained:
+        from cfgplan.planners.bounding.bounds import chained_bound
+
         chained = chained_bound(core, weights.weight, network.pinned, work.clock.is_over)
         is_proven = weights.least(chained) >= limit
     work.state.counts["nodes"] = 0
@@ -246,8 +251,8 @@ def _proves(
         if core is network.core:
             work.memory.keep_landmarks(search.bound, weights.scale)
         if search.best is not None:
-            plan = set(core.labels[sorted(search.best)].tolist()).union(network.pinned)
-    labels = numbers(plan)
+            plan = set(core.in_whole(search.best)).union(network.pinned)
+    labels = sorted(plan)
     value = weights.of_plan(labels) if is_proven else weights.least(least)
     work.take(Remaining(labels, value, is_complete=False), network, weights, labels)
     return is_proven and (work.state.is_over or _takes_others(work, core, plan, below))
@@ -255,7 +260,7 @@ def _proves(
 
 def _known_landmarks(bound: Bound, core: Core, scale: int) -> Iterator[tuple[int, tuple[int, ...]]]:
     """Yield the landmarks of a bound that count once, with the charge times `scale`, among the labels of a core."""
-    place = {label: at for at, label in enumerate(core.labels.tolist())}
+    place = {label: at for at, label in enumerate(core.in_whole(range(core.goal)))}
     for landmark, charge in zip(bound.landmarks, bound.weights, strict=True):
         members = tuple([place[label] for label in bound.core.labels[landmark.members].tolist() if label in place])
         if charge and members and landmark.least == 1:
@@ -271,10 +276,10 @@ def _takes_others(work: SolveRun, core: Core, plan: set[int], below: Callable[[i
     if best is None:
         return False
     search = below(weights.of_key(best.key))
-    known = np.flatnonzero(np.isin(core.labels, numbers(plan))).tolist()
+    known = [label for label, number in enumerate(core.in_whole(range(core.goal))) if number in plan]
     others = search.others(known, work.clock.tuning.decide.steps)
     if others is not None:
-        labels = plan.union(core.labels[sorted(others)].tolist())
-        left = replace(work.remaining, labels=numbers(labels), is_complete=True)
-        work.take(left, work.network, weights, numbers(plan))
+        labels = sorted(plan.union(core.in_whole(others)))
+        left = replace(work.remaining, labels=labels, is_complete=True)
+        work.take(left, work.network, weights, sorted(plan))
     return others is not None

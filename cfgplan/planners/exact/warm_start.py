@@ -10,12 +10,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from cfgplan.planners.bounding.bounds import Bound, tightened
 from cfgplan.planners.closing.program import charged
 from cfgplan.planners.exact.remaining import Remaining
 from cfgplan.planners.networks.core import Ints
+from cfgplan.planners.solving.arrays import np
 from cfgplan.planners.solving.clock import Clock
 
 

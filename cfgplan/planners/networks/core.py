@@ -10,47 +10,63 @@ from dataclasses import dataclass
 from functools import cached_property
 from heapq import heappop, heappush
 from itertools import chain, combinations
-from typing import TypeVar
+from typing import TYPE_CHECKING, Final, TypeAlias, TypeVar
 
-import numpy as np
-import numpy.typing as npt
+from cfgplan.planners.solving.arrays import np
 
-Ints = npt.NDArray[np.int64]
-Floats = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
-Number = TypeVar("Number", np.int64, np.float64)
+if TYPE_CHECKING:
+    import numpy.typing as npt
 
-NEVER = np.int64(2**60)
+Ints: TypeAlias = "npt.NDArray[np.int64]"
+Floats: TypeAlias = "npt.NDArray[np.float64]"
+Flags: TypeAlias = "npt.NDArray[np.bool_]"
+Number = TypeVar("Number", "np.int64", "np.float64")
+Value = TypeVar("Value", int, float)
+
+NEVER: Final = 2**60
 """A cost that no sum of real costs reaches."""
 MOST_DEMANDS = 4
 """A group with more different demands has multi-facts for single ones, pairs and all together only."""
+MOST_LISTED = 600
+"""Up to this number of labels and facts, lists are followed one by one; numpy takes longer to import than that."""
 MOST_PASSES = 60
 """A core that takes more passes than this is deep: its facts are better followed one by one."""
 
 
-@dataclass(frozen=True)
 class Rows:
-    """Lists of integers, one after the other: row i is `items[starts[i]:starts[i + 1]]`."""
+    """Lists of integers. As arrays they stand one after the other: row i is `items[starts[i]:starts[i + 1]]`.
 
-    starts: Ints
-    items: Ints
+    Rows are made of arrays or `of` lists; the other form is computed when it is asked for.
+    """
+
+    def __init__(self, arrays: tuple[Ints, Ints] | None = None, lists: Sequence[list[int]] = ()) -> None:
+        """The `arrays` are `starts` and `items`; without them the rows are the lists."""
+        self._arrays, self._rows = arrays, lists
 
     @classmethod
-    def of(cls, rows: Sequence[Iterable[int]]) -> Rows:
-        lists = [list(row) for row in rows]
-        items = np.fromiter(chain.from_iterable(lists), np.int64)
-        return cls(_starts([len(row) for row in lists]), items)
+    def of(cls, rows: Iterable[Iterable[int]]) -> Rows:
+        return cls(lists=[list(row) for row in rows])
+
+    @cached_property
+    def starts(self) -> Ints:
+        return _starts([len(row) for row in self._rows]) if self._arrays is None else self._arrays[0]
+
+    @cached_property
+    def items(self) -> Ints:
+        if self._arrays is not None:
+            return self._arrays[1]
+        return np.fromiter(chain.from_iterable(self._rows), np.int64)
 
     def __len__(self) -> int:
-        return len(self.starts) - 1
+        return len(self._rows) if self._arrays is None else len(self.starts) - 1
 
     def __getitem__(self, row: int) -> Ints:
         return self.items[self.starts[row] : self.starts[row + 1]]
 
     @cached_property
-    def lists(self) -> dict[int, list[int]]:
-        """The rows as plain lists, each made when it is asked for."""
-        return _Lists(self)
+    def lists(self) -> Mapping[int, list[int]]:
+        """The rows as plain lists; those of arrays are made when they are asked for."""
+        return dict(enumerate(self._rows)) if self._arrays is None else _Lists(self)
 
     @cached_property
     def row_of_item(self) -> Ints:
@@ -58,15 +74,21 @@ class Rows:
 
     def transposed(self, columns: int) -> Rows:
         """Row j holds the i whose row held j."""
+        if self._arrays is None and max(len(self), columns) <= MOST_LISTED:
+            turned: list[list[int]] = [[] for _ in range(columns)]
+            for i, row in enumerate(self._rows):
+                for j in row:
+                    turned[j].append(i)
+            return Rows(lists=turned)
         order = np.argsort(self.items, kind="stable")
-        return Rows(_starts(np.bincount(self.items, minlength=columns)), self.row_of_item[order])
+        return Rows((_starts(np.bincount(self.items, minlength=columns)), self.row_of_item[order]))
 
     def restricted(self, rows: Flags, number: Ints) -> Rows:
         """The rows flagged, with their items renumbered; items whose new number is negative are left out."""
         items = number[self.items]
         stays = rows[self.row_of_item] & (items >= 0)
         counts = np.bincount(self.row_of_item[stays], minlength=len(self))[rows]
-        return Rows(_starts(counts), items[stays])
+        return Rows((_starts(counts), items[stays]))
 
 
 class _Lists(dict[int, list[int]]):
@@ -130,19 +152,37 @@ def multi_facts_of_group(inputs: Mapping[tuple[int, ...], int]) -> Iterator[tupl
 class Core:
     """`needs[label]` are facts, `providers[fact]` labels. The last label is the goal, which needs every target.
 
-    `labels` and `facts` are the numbers that they have in the whole network. A fact holds when at least `takes` of its
-    providers are chosen; if `takes` is None, one is enough for every fact.
+    If it is a part of a network, `numbers` are those of its labels and of its facts in the whole. A fact holds when at
+    least `takes` of its providers are chosen; if `takes` is None, one is enough for every fact.
     """
 
     needs: Rows
     providers: Rows
-    labels: Ints
-    facts: Ints
+    numbers: tuple[Ints, Ints] | None = None
     takes: Ints | None = None
 
     @property
     def goal(self) -> int:
-        return len(self.labels)
+        return len(self.needs) - 1
+
+    @cached_property
+    def labels(self) -> Ints:
+        """The numbers of the labels in the whole network."""
+        return np.arange(self.goal) if self.numbers is None else self.numbers[0]
+
+    @cached_property
+    def facts(self) -> Ints:
+        """The numbers of the facts in the whole network."""
+        return np.arange(len(self.providers)) if self.numbers is None else self.numbers[1]
+
+    @property
+    def is_small(self) -> bool:
+        """Whether lists serve it better than arrays."""
+        return max(len(self.needs), len(self.providers)) <= MOST_LISTED
+
+    def in_whole(self, labels: Iterable[int]) -> list[int]:
+        """The numbers that these labels have in the whole network."""
+        return list(labels) if self.numbers is None else self.numbers[0][list(labels)].tolist()
 
     @property
     def links(self) -> int:
@@ -168,8 +208,7 @@ class Core:
     @cached_property
     def multi_facts(self) -> MultiFacts | None:
         """The facts that take more than one provider; None if there are none."""
-        facts = np.flatnonzero(self.takes > 1) if self.takes is not None else np.zeros(0, np.int64)
-        if self.takes is None or not len(facts):
+        if self.takes is None or not len(facts := np.flatnonzero(self.takes > 1)):
             return None
         providers = [self.providers[fact].tolist() for fact in facts.tolist()]
         return MultiFacts(facts, self.takes[facts].tolist(), providers, self.goal)
@@ -247,16 +286,16 @@ class Core:
             least[self.multi_facts.facts] = self.multi_facts.least(of_label)
         return least
 
-    def facts_one_by_one(self, price: Sequence[Number], join: Callable[[list[Number]], Number]) -> dict[int, Number]:
+    def facts_one_by_one(self, price: Sequence[Value], join: Callable[[list[Value]], Value]) -> dict[int, Value]:
         """The cost of each fact that can be reached; facts are settled cheapest first, each once (Knuth 1977).
 
         A label costs its price plus `join` of its needs; a fact that takes several providers costs `join` of theirs.
         """
         needs, gives, needed_by, takes = self.needs.lists, self.gives.lists, self.needed_by.lists, self.multi_takes
         missing = {label: len(needs[label]) for label in range(self.goal)}
-        facts: dict[int, Number] = {}
-        offers: dict[int, list[Number]] = {fact: [] for fact in takes}
-        ahead: list[tuple[Number, int]] = []
+        facts: dict[int, Value] = {}
+        offers: dict[int, list[Value]] = {fact: [] for fact in takes}
+        ahead: list[tuple[Value, int]] = []
         ready = [label for label, count in missing.items() if not count]
         while True:
             for label in ready:
@@ -288,8 +327,7 @@ class Core:
         return Core(
             self.needs.restricted(stays, fact_number),
             self.providers.restricted(needed, label_number),
-            self.labels[keep],
-            self.facts[needed],
+            (self.labels[keep], self.facts[needed]),
             None if self.takes is None else self.takes[needed],
         )
 

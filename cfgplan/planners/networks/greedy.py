@@ -5,33 +5,36 @@ A plan here is a set of labels with a grounded wiring that meets the goal.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Sequence
 from heapq import nsmallest
-
-import numpy as np
+from typing import TypeAlias
 
 from cfgplan.planners.networks.core import MOST_PASSES, Floats, Ints
 from cfgplan.planners.networks.network import Network
 from cfgplan.planners.networks.reach import Reach
+from cfgplan.planners.solving.arrays import np
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.reasons import Each, assign_different, distinct_groups
 
+Costs: TypeAlias = "Sequence[int] | Ints"
+"""The cost of each label: a list, or an array."""
 COST_CAP = 1e200
 """The cost of a support is capped at this, so that sums stay finite."""
 FREE = 1e-3
 """The price of a label that is there already: of two such supports the smaller one is better."""
 
 
-def first_plan(network: Network, cost: Ints, attempts: int, clock: Clock) -> set[int] | None:
+def first_plan(network: Network, cost: Costs, attempts: int, clock: Clock) -> set[int] | None:
     """A plan, after up to `attempts` attempts to do without one of its members; None if none was found.
 
     Raises OutOfTimeError if the time ends before a first plan.
     """
-    plan = plan_at(network, cost, cost.astype(np.float64) + 1.0, clock.each)
+    plan = plan_at(network, cost, _prices(network, cost), clock.each)
     return None if plan is None else with_less(network, cost, plan, attempts, clock)
 
 
-def with_less(network: Network, cost: Ints, plan: set[int], attempts: int, clock: Clock) -> set[int]:
+def with_less(network: Network, cost: Costs, plan: set[int], attempts: int, clock: Clock) -> set[int]:
     """The plan, or a cheaper one after up to `attempts` attempts to do without one of its members."""
     tried: set[int] = set()
     while len(tried) < attempts and not clock.is_over():
@@ -46,32 +49,37 @@ def with_less(network: Network, cost: Ints, plan: set[int], attempts: int, clock
     return plan
 
 
-def _without(network: Network, cost: Ints, plan: set[int], label: int) -> set[int]:
+def _prices(network: Network, cost: Costs) -> list[float] | Floats:
+    """Return the labels' costs as prices, as a list if the network is small; a label that costs nothing is not free."""
+    return [float(one) + 1.0 for one in cost] if network.core.is_small else np.asarray(cost, np.float64) + 1.0
+
+
+def _without(network: Network, cost: Costs, plan: set[int], label: int) -> set[int]:
     """The plan, or a cheaper one that avoids `label` and has the other members for nothing."""
-    price = cost.astype(np.float64) + 1.0
+    price = np.asarray(cost, np.float64) + 1.0
     price[list(plan)] = FREE
     price[label] = np.inf
     other = plan_at(network, cost, price)
     return other if other is not None and cost_of(cost, other) < cost_of(cost, plan) else plan
 
 
-def cost_of(cost: Ints, labels: Iterable[int]) -> int:
+def cost_of(cost: Costs, labels: Iterable[int]) -> int:
     """The cost of labels together."""
-    return int(cost[list(labels)].sum())
+    return sum(int(cost[label]) for label in labels)
 
 
-def plan_at(network: Network, cost: Ints, price: Floats, each: Each = iter) -> set[int] | None:
+def plan_at(network: Network, cost: Costs, price: list[float] | Floats, each: Each = iter) -> set[int] | None:
     """A cheapest support of the goal by h_add at these prices, without redundant labels; None if it is no plan."""
-    total = _total(network, price)
+    total = _total_in_lists(network, price) if isinstance(price, list) else _total(network, price)
     if total is None:
         return None
     chosen = _below(network, [network.core.goal, *network.pinned], total, each)
     return without_redundant(network, cost, chosen) if is_plan(network, chosen, each) else None
 
 
-def support_of(network: Network, cost: Ints, label: int) -> set[int]:
+def support_of(network: Network, cost: Costs, label: int) -> set[int]:
     """The labels by which the label is fed most cheaply, by h_add."""
-    total = _total(network, cost.astype(np.float64) + 1.0)
+    total = _total(network, np.asarray(cost, np.float64) + 1.0)
     return set() if total is None else _below(network, [label], total) - {label}
 
 
@@ -91,9 +99,19 @@ def _total(network: Network, price: Floats) -> list[float] | None:
     return (labels[:-1] + price).tolist() if np.isfinite(labels[core.goal]) else None
 
 
+def _total_in_lists(network: Network, price: list[float]) -> list[float] | None:
+    """The same as `_total`, without arrays."""
+    core = network.core
+    found = core.facts_one_by_one(price, _added)
+    labels = [sum(found.get(fact, math.inf) for fact in core.needs.lists[label]) for label in range(len(core.needs))]
+    if math.isinf(labels[core.goal]):
+        return None
+    return [needs + own for needs, own in zip(labels, price, strict=False)]
+
+
 def _added(values: list[float]) -> float:
     """Return the sum, capped at COST_CAP if all are finite. A need that repeats in many layers would overflow."""
-    return min(sum(values), COST_CAP) if max(values) < np.inf else np.inf
+    return min(sum(values), COST_CAP) if max(values) < math.inf else math.inf
 
 
 def _below(network: Network, labels: list[int], total: list[float], each: Each = iter) -> set[int]:
@@ -140,7 +158,7 @@ def _assigned(network: Network, by_price: dict[str, list[int]]) -> list[str]:
     return sorted(chosen.values()) if chosen is not None else []
 
 
-def without_redundant(network: Network, cost: Ints, chosen: set[int]) -> set[int]:
+def without_redundant(network: Network, cost: Costs, chosen: set[int]) -> set[int]:
     """Return the plan without redundant labels; the most expensive are dropped first."""
     gives_of, needs, takes = network.core.gives.lists, network.core.needs.lists, network.core.multi_takes
     givers_left: dict[int, int] = {}

@@ -8,17 +8,17 @@ valid.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
-
 from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.domain import Transformation
 from cfgplan.planners.networks.core import NEVER, Core, Ints, Rows, multi_facts_of_group
 from cfgplan.planners.networks.keys import Key, may_stay
+from cfgplan.planners.solving.arrays import np
 from cfgplan.planning import Problem
 from cfgplan.reasons import Each, Providers, distinct_groups
 
@@ -74,17 +74,15 @@ class Network:
                 ahead += needs[label] - wanted
                 wanted |= needs[label]
         self.pinned = sorted(certain)
-        taking = np.array([takes for _, takes in facts], np.int64)
+        takes_several = any(takes > 1 for _, takes in facts)
         self.core = Core(
-            Rows.of([sorted(row) for row in (*needs, wanted)]),
-            Rows.of([providers for providers, _ in facts]),
-            np.arange(len(library)),
-            np.arange(len(facts)),
-            taking if (taking > 1).any() else None,
+            Rows.of(sorted(row) for row in (*needs, wanted)),
+            Rows.of(providers for providers, _ in facts),
+            takes=np.array([takes for _, takes in facts], np.int64) if takes_several else None,
         )
 
 
-def costs(problem: Problem, network: Network) -> tuple[int, Ints]:
+def costs(problem: Problem, network: Network) -> tuple[int, list[int]]:
     """The fixed cost of the network's pinned labels, and what each label costs beyond that, in microseconds.
 
     All running units of a pinned transformation are kept; other labels need one unit.
@@ -94,14 +92,14 @@ def costs(problem: Problem, network: Network) -> tuple[int, Ints]:
     kinds = [library[label] for label in network.labels]
     each_us = [(keep_cost_us if t.label in running else start_cost_us)(t, problem.horizon_s) for t in kinds]
     fixed_us = sum(each_us[i] * (running[kinds[i].label] or 1 if kinds[i].pinned else 1) for i in network.pinned)
-    cost = np.array(each_us, np.int64)
-    cost[network.pinned] = 0
-    return fixed_us, cost
+    for label in network.pinned:
+        each_us[label] = 0
+    return fixed_us, each_us
 
 
 @dataclass(frozen=True)
 class LexicographicWeights:
-    """The `weight` of each label of a network where plans are compared: `scale` for a microsecond of cost.
+    """The weight of each label of a network where plans are compared: `scale` for a microsecond of cost.
 
     Plans of equal cost compare by rewired units, then by started units; fewer are better. Cost
     and changes are one sum, so that a bound on it may prove a plan best in all of them.
@@ -110,7 +108,7 @@ class LexicographicWeights:
     labels is left out: `fixed_us`.
     """
 
-    weight: Ints
+    each: Sequence[int]
     scale: int
     rewiring: int
     fixed_us: int
@@ -121,9 +119,9 @@ class LexicographicWeights:
         fixed_us, cost = costs(problem, network)
         scale = len(cost) + 1
         is_running = any(unit.transformation in network.number for unit in problem.environment.units)
-        if is_running or int(cost.sum()) * scale >= NEVER // 4:
+        if is_running or sum(cost) * scale >= NEVER // 4:
             return cls(cost, 1, 1, fixed_us)
-        return cls(cost * scale + 1, scale, scale, fixed_us)
+        return cls([one * scale + 1 for one in cost], scale, scale, fixed_us)
 
     @classmethod
     def with_changes(cls, problem: Problem, network: Network) -> LexicographicWeights | None:
@@ -134,16 +132,21 @@ class LexicographicWeights:
         fixed_us, cost = costs(problem, network)
         rewiring = len(cost) + 1
         scale = rewiring**2
-        if int(cost.sum()) * scale >= NEVER // 4:
+        if sum(cost) * scale >= NEVER // 4:
             return None
-        change = np.ones(len(cost), np.int64)
+        change = [1] * len(cost)
         for unit in problem.environment.units:
             label = network.number.get(unit.transformation, -1)
             if label >= 0 and change[label]:
                 kind = problem.environment.transformation[unit.transformation]
                 is_unchanged = kind.pinned or may_stay(problem, network.number, unit)
                 change[label] = 0 if is_unchanged else 1 if kind.labor_us == 0 else rewiring
-        return cls(cost * scale + change, scale, rewiring, fixed_us)
+        return cls([us * scale + changes for us, changes in zip(cost, change, strict=True)], scale, rewiring, fixed_us)
+
+    @cached_property
+    def weight(self) -> Ints:
+        """The weight of each label, as an array."""
+        return np.array(self.each, np.int64)
 
     @property
     def counts_starts(self) -> bool:
@@ -152,10 +155,10 @@ class LexicographicWeights:
     @cached_property
     def step(self) -> int:
         """Every plan's weight is a multiple of this."""
-        return max(1, int(np.gcd.reduce(self.weight)))
+        return max(1, math.gcd(*self.each))
 
-    def of_plan(self, labels: Ints) -> int:
-        return int(self.weight[labels].sum())
+    def of_plan(self, labels: Iterable[int]) -> int:
+        return sum(self.each[label] for label in labels)
 
     def least(self, bound: int) -> int:
         """The least weight that a plan can have: the bound rounded up to a multiple of `step`."""

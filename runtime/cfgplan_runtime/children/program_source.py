@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shlex
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,7 +35,9 @@ class ProgramSource:
     def file(self, folder: Path) -> Path:
         """The executable. Raises InputError if it can't be executed."""
         if "/" not in self.name:
-            found = shutil.which(self.name)
+            from shutil import which
+
+            found = which(self.name)
             if found is None:
                 mend = f"install it, or write program:./{self.name} for a file beside the environment file"
                 raise InputError.of(f"there is no program {self.name} in the search path", mend=mend)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from cfgplan.errors import InputError, did_you_mean
 from cfgplan.extras import needed
 from cfgplan.onward import reached
-from cfgplan.ros import MessageType
+from cfgplan.ros.types import MessageType
 from cfgplan_runtime.nodes.message_layout import Kind, Layout, Several, kind_of
 from cfgplan_runtime.nodes.message_values import FILLER
 from cfgplan_runtime.ros2.message_form import MessageForm

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy
 
 from cfgplan.errors import did_you_mean
-from cfgplan.ros import MessageType
+from cfgplan.ros.types import MessageType
 from cfgplan_runtime.errors import EncodingError
 from cfgplan_runtime.nodes.message_values import FILLER, MessageValues
 

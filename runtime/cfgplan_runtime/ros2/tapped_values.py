@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from cfgplan.errors import InputError
-from cfgplan.ros import MessageType
+from cfgplan.ros.types import MessageType
 from cfgplan_runtime.errors import EncodingError
 
 

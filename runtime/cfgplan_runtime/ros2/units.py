@@ -14,8 +14,8 @@ import msgspec
 
 from cfgplan.domain import Transformation
 from cfgplan.errors import Fault, InputError
-from cfgplan.ros import MessageType
 from cfgplan.ros.qos import ServiceQuality
+from cfgplan.ros.types import MessageType
 from cfgplan_runtime.children.unit_code import At
 from cfgplan_runtime.errors import EncodingError
 from cfgplan_runtime.outside.mailbox import Mailbox
