@@ -516,7 +516,8 @@ def _qualities_of_ros(options: argparse.Namespace, operation: Operation) -> Iter
         return
     from cfgplan_runtime.operating.told_qualities import ToldQualities
 
-    with ToldQualities(_reader(options, "qualities", operation), operation.manager, operation.show):
+    mend = "let its publisher use another topic, or that type"
+    with ToldQualities(_reader(options, "qualities", mend, operation), operation.manager, operation.show):
         yield
 
 
@@ -529,16 +530,20 @@ def _facts_of_ros(options: argparse.Namespace, operation: Operation) -> Iterator
         return
     from cfgplan_runtime.operating.outside_topics import OutsideFacts
 
-    with OutsideFacts(_reader(options, "facts", operation), operation.manager, operation.show):
+    mend = "correct the `type` of its fact"
+    with OutsideFacts(_reader(options, "facts", mend, operation), operation.manager, operation.show):
         yield
 
 
-def _reader(options: argparse.Namespace, purpose: str, operation: Operation) -> TopicReader:
-    """The reader of topics of the ROS whose nodes run, of ROS 2 where no nodes do. Raises InputError."""
+def _reader(options: argparse.Namespace, purpose: str, mend: str, operation: Operation) -> TopicReader:
+    """The reader of topics of the ROS whose nodes run, of ROS 2 where no nodes do. Raises InputError.
+
+    ROS 1 tells only a reader that a topic is of another type; it says `mend` then.
+    """
     if options.middleware == ROS1:
         from cfgplan_runtime.ros1.topic_reader import Ros1Reader
 
-        return Ros1Reader(purpose, operation.id, operation.show)
+        return Ros1Reader(purpose, mend, operation.id, operation.show)
     from cfgplan_runtime.ros2.facts import Ros2Reader
 
     return Ros2Reader(purpose, operation.id, _folder(options), operation.show)

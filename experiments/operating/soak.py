@@ -445,14 +445,14 @@ def anomalies(soak: Soak) -> list[str]:
     elements = zip(soak.times_ns, soak.values, soak.came_ns, strict=True)
     for (before_ns, before, before_came_ns), (after_ns, after, after_came_ns) in pairwise(elements):
         if after_ns <= before_ns:
-            found.append(f"{after} at {after_ns} came after {before} at {before_ns}")
+            found.append(f"out of order: {after} (made {after_ns}) behind {before} (made {before_ns})")
         excused = any(before_came_ns <= end and begin <= after_came_ns for begin, end in soak.kills_ns)
         until_ns = after_came_ns + SIGN_NS
         counted = sum(number for at_ns, number in soak.drops_ns if before_ns <= at_ns <= until_ns)
         if after != before + 1 and not excused and not 0 < after - before <= counted + 1:
-            whens = map(_when, (after_ns, after_came_ns, before_ns, before_came_ns))
-            told = "{0} (made {2}) came {3} after {1} (made {4}, came {5})".format(after, before, *whens)
-            found.append(f"{told}, though nothing was killed or stopped, and {counted} are counted as dropped")
+            whens = map(_when, (before_ns, before_came_ns, after_ns, after_came_ns))
+            told = "between {0} (made {2}, came {3}) and {1} (made {4}, came {5})".format(before, after, *whens)
+            found.append(f"missing {told}, though nothing was killed or stopped; {counted} are counted as dropped")
     return found
 
 

@@ -236,9 +236,11 @@ def anomalies(received: list[Received], kills_ns: list[tuple[int, int]]) -> list
     for before, after in pairwise(received):
         excused = any(before.time_ns <= end + SLACK_NS and begin - SLACK_NS <= after.time_ns for begin, end in kills_ns)
         if after.time_ns <= before.time_ns:
-            found.append(f"{after.value} at {after.time_ns} came after {before.value} at {before.time_ns}")
+            found.append(
+                f"out of order: {after.value} (of {after.time_ns}) behind {before.value} (of {before.time_ns})"
+            )
         if after.value != before.value + 1 and not excused:
-            found.append(f"{after.value} came after {before.value} without any kill")
+            found.append(f"missing between {before.value} and {after.value}, without any kill")
     return found
 
 

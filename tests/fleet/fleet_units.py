@@ -91,6 +91,20 @@ def slower(x: Any) -> Any:
     return x
 
 
+class Waits:
+    """Waits in a step as long as there is a file `hold`, and makes a file `hold.waiting` before."""
+
+    def __init__(self, hold: str) -> None:
+        self.hold = Path(hold)
+
+    def __call__(self, x: int) -> int:
+        if self.hold.exists():
+            self.hold.with_suffix(".waiting").touch()
+            while self.hold.exists():
+                time.sleep(0.01)
+        return x
+
+
 class Broken:
     def __init__(self) -> None:
         raise ValueError("no such device")

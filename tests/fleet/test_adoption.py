@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cfgplan_runtime.children.messages import Export, Import
+from cfgplan_runtime.children.messages import Export, Import, TellMark
 from cfgplan_runtime.children.unit_order import unit_order
 from cfgplan_runtime.fleet.adoption import Adoption, adopt
 from cfgplan_runtime.fleet.orders import (
@@ -12,27 +12,30 @@ from cfgplan_runtime.fleet.orders import (
     Held,
     HeldExport,
     HeldImport,
+    HeldState,
+    HeldStop,
     HeldUnit,
     HeldWire,
     KillOrder,
+    StopOrder,
 )
 from cfgplan_runtime.processes.process_backend import RELAY
-from cfgplan_runtime.supervision.backend import TAPS, FoundWire, Inlet
+from cfgplan_runtime.supervision.backend import TAPS, FoundWire, Inlet, StoppingUnit
 from small_fleet import cold, source, unit, worker
 
-from cfgplan.domain import ComputationUnit, Publication, Stream
+from cfgplan.domain import ComputationUnit, Publication, RunOptions, Stream, Transformation
 
 LIBRARY = {one.label: one for one in (source(), worker())}
 COUNTED, WORKED = Stream("count.1", "n"), Stream("work.1", "y")
 TO_WORK, TO_TOPIC = Inlet("work.1", "x"), Inlet("", "/result")
 
 
-def started(*units: str, is_stopping: bool = False) -> dict[str, HeldUnit]:
+def started(
+    *units: str, stop: HeldStop | None = None, library: dict[str, Transformation] = LIBRARY
+) -> dict[str, HeldUnit]:
     """Units `label.N` as they were started, with their labor."""
     labels = {one: one.rpartition(".")[0] for one in units}
-    return {
-        one: HeldUnit(label, unit_order(one, LIBRARY[label], None), 7, is_stopping) for one, label in labels.items()
-    }
+    return {one: HeldUnit(label, unit_order(one, library[label], None), 7, stop) for one, label in labels.items()}
 
 
 def found_units(adoption: Adoption) -> set[object]:
@@ -105,21 +108,58 @@ def test_a_stream_from_the_other_one_of_two_units_of_one_id_is_cut() -> None:
 
 
 def test_a_unit_that_was_told_to_stop_is_awaited_with_its_wires_and_not_taken_for_one_that_runs() -> None:
-    stopping = started("work.1", is_stopping=True)
+    stopping = started("work.1", stop=HeldStop(5.0, is_told=True))
     wires = [HeldWire(1, COUNTED, TO_WORK), HeldWire(2, WORKED, TO_TOPIC, has_switched=True)]
-    held = Held(units=started("count.1") | stopping, wires=wires, topics={"/result": None})
+    held = Held(now_s=8.5, units=started("count.1") | stopping, wires=wires, topics={"/result": None})
     for library in (LIBRARY, {"count": LIBRARY["count"]}):
         adoption = adopt("new", {"r1": held}, library)
         assert found_units(adoption) == {unit("count.1", "r1")}
-        assert adoption.found is not None and adoption.found.stopping == {"work.1": "r1"}
+        assert adoption.found is not None
+        assert adoption.found.stopping == {"work.1": StoppingUnit("work", "r1", 3.5)}
         assert [wire.id for wire in adoption.found.wires] == [1, 2]
         assert adoption.units == {"count.1": "r1", "work.1": "r1"}
         assert adoption.orders == []
 
 
 def test_a_unit_that_was_told_to_stop_before_it_was_ready_is_ended() -> None:
-    early = started("work.1", is_stopping=True)
+    early = started("work.1", stop=HeldStop(5.0))
     early["work.1"].labor_us = None
     adoption = adopt("new", {"r1": Held(units=early)}, LIBRARY)
     assert adoption.found is None
     assert adoption.orders == [("r1", KillOrder("work.1", dump=False))]
+
+
+def test_a_unit_that_would_be_started_otherwise_now_is_told_to_stop_and_has_the_time_that_it_was_started_with() -> None:
+    long = {"work": worker(run=RunOptions(stop_us=120_000_000, state="altitude"))}
+    wires = [HeldWire(1, COUNTED, TO_WORK), HeldWire(2, WORKED, TO_TOPIC, has_switched=True)]
+    units = started("count.1") | started("work.1", library=long)
+    for library in (LIBRARY, {"count": LIBRARY["count"]}):
+        adoption = adopt("new", {"r1": Held(units=units, wires=wires, topics={"/result": None})}, library)
+        assert found_units(adoption) == {unit("count.1", "r1")}
+        assert adoption.found is not None
+        assert adoption.found.stopping == {"work.1": StoppingUnit("work", "r1", 0.0, 120.0, "altitude")}
+        assert adoption.ended == ["work.1"]
+        assert adoption.orders == [("r1", StopOrder("work.1"))], "its wires stay until it has ended"
+
+
+def test_a_unit_that_still_awaits_elements_of_another_host_is_told_to_stop_behind_them_by_the_next_manager() -> None:
+    exporting = Held(units=started("count.1"), exports={"x": HeldExport(Export("x", "r2", 9, False), -1, COUNTED)})
+    for is_told in (False, True):
+        fed = Held(
+            units=started("work.1", stop=HeldStop(0.0, is_told)),
+            wires=[HeldWire(3, Stream(RELAY, "x"), TO_WORK)],
+            imports={"x": HeldImport(Import("x", "r1"), 1)},
+        )
+        adoption = adopt("new", {"r1": exporting, "r2": fed}, LIBRARY)
+        told = [("r2", StopOrder("work.1", ("x",))), ("r1", TellMark("x", "work.1"))]
+        assert adoption.orders == ([] if is_told else told), "a second order would interrupt its code"
+
+
+def test_the_latest_state_of_each_name_is_found_also_if_no_unit_runs() -> None:
+    states = {
+        "r1": {"altitude": HeldState(7, b"old"), "map": HeldState(1, b"map")},
+        "r2": {"altitude": HeldState(8, b"new")},
+    }
+    adoption = adopt("new", {"r1": Held(), "r2": Held()}, LIBRARY, states)
+    assert adoption.found is not None
+    assert adoption.found.states == {"altitude": b"new", "map": b"map"}

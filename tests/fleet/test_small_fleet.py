@@ -27,9 +27,11 @@ from cfgplan_runtime.supervision.events import (
     SparePrepared,
     SpareUsed,
     StateNotExact,
+    UnitCutShort,
     UnitDied,
     UnitStopped,
 )
+from cfgplan_runtime.supervision.updates import Patience
 from cfgplan_runtime.testing import Bench, check_middleware
 from small_fleet import (
     Listener,
@@ -389,6 +391,53 @@ def test_units_that_would_be_started_otherwise_now_are_not_adopted() -> None:
             assert {one.id for one in runtime.environment.units} == {"work.1", "work.9"}
             assert runtime.environment.unit["work.1"].subscriptions == ()
             eventually(lambda: fleet.units() == ["work.1"])
+
+
+@pytest.mark.parametrize("is_told", [True, False], ids=["told to stop", "not adopted"])
+def test_a_unit_that_ends_under_the_next_manager_has_the_time_of_its_own_stop(tmp_path: Path, is_told: bool) -> None:
+    """Its step is not interrupted, and it is not killed, after the time that a unit without `stop` has."""
+    hold = tmp_path / "hold"
+    ending = source("ending", "count_until", rate_hz=40, note=str(tmp_path / "end"))
+    waits = replace(worker(code="Waits", run=RunOptions(stop_us=120_000_000)), params={"hold": str(hold)})
+    with small_fleet("r1", "r2") as fleet, fleet.runtime(ending, waits) as runtime:
+        runtime.apply(ChangeSet(started=(unit("ending.1", "r1"), replace(WORK, subscriptions=fed_by("ending.1/n")))))
+        listener = fleet.outside_listener("r1")
+        listener.await_more(15)
+        hold.touch()
+        eventually(lambda: hold.with_suffix(".waiting").exists())
+        (tmp_path / "end").touch()
+        eventually(lambda: bool(seen(runtime, SourceExhausted)))
+        if is_told:
+            runtime.supervisor.backend.stop("work.1")
+            runtime.supervisor.backend.wake()
+        library = (ending, waits if is_told else replace(waits, label="other"))
+        with fleet.runtime(*library, takes_over=True) as later:
+            assert "work.1" not in later.environment.unit
+            begin_s = later.supervisor.now()
+            eventually(lambda: later.supervisor.now() > begin_s + 2 * Patience().stop_s)
+            assert "work.1" in fleet.units()
+            assert not seen(later, UnitStopped) and not seen(later, UnitCutShort)
+            hold.unlink()
+            last = int((tmp_path / "end").read_text())
+            eventually(lambda: listener.values[-1] == last)
+            assert listener.values == list(range(listener.values[0], last + 1))
+            eventually(lambda: bool(seen(later, UnitStopped)))
+            assert not seen(later, UnitCutShort)
+
+
+def test_the_state_of_units_that_have_ended_is_known_to_the_next_manager() -> None:
+    tally = worker(code="Tally", run=RunOptions(state="altitude"))
+    with small_fleet("r1", "r2") as fleet, fleet.runtime(source(), tally) as runtime:
+        runtime.apply(ChangeSet(started=(COUNT, WORK)))
+        listener = Listener(runtime)
+        listener.await_more(20)
+        runtime.apply(ChangeSet(stopped=("work.1",)))
+        last = listener.values[-1]
+        with fleet.runtime(source(), tally, takes_over=True) as later:
+            later.apply(ChangeSet(started=(moved(WORK, "work.2", "r1"),)))
+            again = Listener(later)
+            again.await_more(1)
+            assert again.values[0] > last
 
 
 def test_spares_that_would_be_started_otherwise_now_are_ended() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import subprocess
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 from cfgplan_runtime.ros1.ros_master import RosMaster
@@ -39,11 +39,16 @@ def test_a_field_that_messages_do_not_have_is_reported_with_its_output_and_file(
     assert f"correct `observe` of that output in {env}" in told["text"]
 
 
-@contextmanager
-def doctor(water: Path) -> Iterator[None]:
+def doctor(water: Path) -> AbstractContextManager[None]:
     """A master, and a node of nobody's run that says on `/diagnostics` what the file `water` says."""
+    return outsider("doctor", f"_water:={water}")
+
+
+@contextmanager
+def outsider(node: str, *arguments: str) -> Iterator[None]:
+    """A master, and a node of nobody's run."""
     master = RosMaster()
-    line = ["/usr/bin/python3", str(NODES), "doctor", f"_water:={water}"]
+    line = ["/usr/bin/python3", str(NODES), node, *arguments]
     try:
         with subprocess.Popen(line, env=dict(master.environment)) as process:
             try:
@@ -74,6 +79,14 @@ def test_a_fact_of_another_message_type_than_that_of_its_topic_is_reported(tmp_p
     with doctor(health), running("--middleware", "ros1", env) as process:
         told = await_event(process, "Warning")["text"]
     assert "diagnostic_msgs/DiagnosticArray, not diagnostic_msgs/KeyValue: correct the `type` of its fact" in told
+
+
+def test_diagnostics_of_another_message_type_are_reported_and_no_fact_is_blamed(tmp_path: Path) -> None:
+    env = write_finders(tmp_path, NODES, "diagnostics.thrusters.left")
+    with outsider("talker", "chatter:=/diagnostics"), running("--middleware", "ros1", env) as process:
+        told = await_event(process, "Warning")["text"]
+    assert "/diagnostics is of type std_msgs/String, not diagnostic_msgs/DiagnosticArray" in told
+    assert "let its publisher use another topic" in told and "fact" not in told
 
 
 def test_a_fact_without_a_message_type_is_refused(tmp_path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 from cfgplan_runtime.streams.element import Element
 from cfgplan_runtime.streams.inlet import InputQueue
 from hypothesis import given
@@ -149,3 +151,57 @@ def test_elements_of_one_time_are_told_apart_by_their_turn() -> None:
     assert len(inlet.accept(1, element(1, 0, 0)) + inlet.accept(1, element(1, 1, 1))) == 2
     assert inlet.accept(1, element(1, 2, 1)) == []
     assert inlet.stale == 1
+
+
+@given(st.data())
+def test_no_order_of_deeds_reverses_elements_or_loses_one_uncounted(data: st.DataObject) -> None:
+    """Units come, each with the same stream from some element on; all but the latest may end behind their last element.
+
+    The next comes once the inlet has switched to the latest.
+    """
+    limit = data.draw(st.integers(2, 6), "limit")
+    inlet, handed_on = InputQueue(limit), list[Element]()
+    wires: dict[int, list[Element]] = {}
+    """What was sent over each wire and has not come."""
+    given_by, ended = dict[int, int](), set[int]()
+    """The number of elements that each unit has given, and the units that have ended."""
+    begun = made = 0
+    for _ in range(data.draw(st.integers(1, 60), "deeds")):
+        come = [wire for wire, sent in wires.items() if sent]
+        gone = [wire for wire, sent in wires.items() if wire in ended and not sent]
+        deeds = [
+            *["begin"] * (inlet.standby is None),
+            "make",
+            "switch",
+            *["come"] * 4 * bool(come),
+            *["gone"] * bool(gone),
+        ]
+        replaced = sorted(wires.keys() - ended)[:-1]
+        match data.draw(st.sampled_from([*deeds, "end"] if replaced else deeds)):
+            case "begin":
+                begun += 1
+                wires[begun], given_by[begun] = [], 0
+                inlet.attach(begun)
+            case "end":
+                ended.add(data.draw(st.sampled_from(replaced)))
+            case "make":
+                for wire in wires.keys() - ended:
+                    wires[wire].append(element(made, given_by[wire]))
+                    given_by[wire] += 1
+                made += bool(wires)
+            case "come":
+                wire = data.draw(st.sampled_from(come))
+                handed_on += inlet.accept(wire, wires[wire].pop(0))
+            case "gone":
+                wire = data.draw(st.sampled_from(gone))
+                del wires[wire]
+                handed_on += inlet.end(wire)
+            case "switch":
+                handed_on += inlet.switch((made, 0))
+        for wire in wires.keys() - inlet.sources:
+            del wires[wire]  # its socket is closed
+    came = times(handed_on)
+    assert came == sorted(set(came))
+    missing = sum(after - before - 1 for before, after in pairwise(came))
+    late = sum(len(sent) for wire, sent in wires.items() if wire not in (inlet.active, inlet.standby))
+    assert missing <= inlet.dropped + late

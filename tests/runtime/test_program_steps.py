@@ -29,7 +29,7 @@ def program(folder: Path, queue: int) -> Iterator[ProgramCode]:
     (folder / "silent.py").write_text(SILENT)
     order = UnitOrder(
         unit="u.1", source=f"program:{sys.executable} silent.py", params={}, inputs=["x"], outputs=["y"], start="all",
-        tolerance_ns=0, period_ns=None, queue=queue, blocks=False, keeps_state=False, state=None, memory_bytes=None,
+        tolerance_ns=0, period_ns=None, queue=queue, blocks=False, state_name=None, state=None, memory_bytes=None,
         format="msgpack", folder=str(folder),
     )  # fmt: skip
     code = ProgramCode(order, lambda fault: pytest.fail(str(fault)))

@@ -11,7 +11,7 @@ from unittest import mock
 import pytest
 from cfgplan_runtime import ApplyError, Patience, SimulatedBackend, StaleChangeSetError, Supervisor
 from cfgplan_runtime.errors import NoSourceError
-from cfgplan_runtime.supervision.backend import Found, Inlet
+from cfgplan_runtime.supervision.backend import Found, Inlet, StoppingUnit
 from cfgplan_runtime.supervision.events import (
     Applied,
     Event,
@@ -20,6 +20,7 @@ from cfgplan_runtime.supervision.events import (
     HostLost,
     InputLost,
     RolledBack,
+    UnitCutShort,
     UnitDied,
     UnitHung,
     UnitReady,
@@ -340,21 +341,45 @@ def test_a_unit_that_an_earlier_supervisor_has_started_is_awaited_as_long_as_one
     assert 30.0 < backend.now() < 60.0
 
 
-def test_a_unit_that_an_earlier_supervisor_has_told_to_stop_is_awaited_and_then_killed() -> None:
+@pytest.mark.parametrize(
+    ("told_s", "stop_s", "limit_s", "interrupted_s", "ends_s"),
+    [(0.0, None, 2.0, 1.0, 2.0), (5.0, 20.0, 20.0, 5.0, 15.0), (0.0, 120.0, 120.0, 60.0, 120.0)],
+)
+def test_a_unit_that_an_earlier_supervisor_has_told_to_stop_is_awaited_and_then_killed(
+    told_s: float, stop_s: float | None, limit_s: float, interrupted_s: float, ends_s: float
+) -> None:
     library = source(), worker()
     backend = SimulatedBackend({"work": Behaviour(hung=True)})
     for one, transformation in zip(ONE, library, strict=True):
         backend.start(one.id, transformation, None, None)
-    found = Found((ONE[0],), library, (), {}, (), {}, {"work.1": "r2"})
+    backend.stop("work.1")
+    backend.calls.clear()
+    found = Found((ONE[0],), library, (), {}, (), {}, {"work.1": StoppingUnit("work", "r2", told_s, stop_s)})
     with mock.patch.object(SimulatedBackend, "found", return_value=found):
         events: list[Event] = []
         supervisor = Supervisor(backend, Environment((), library, (RESULT,)), events.append)
     supervisor.apply(start(unit("work.2", x="count.1/n")))
     assert backend.now() < 1.0, "others need not wait for it"
+    while ("stop", "work.1") not in backend.calls:
+        supervisor.pump(0.1)
+    assert interrupted_s <= backend.now() < interrupted_s + 1.0, "code that blocks has half of its time"
     supervisor.apply(start(ONE[1]))
-    assert 2.0 <= backend.now() < 4.0
+    assert backend.calls.count(("stop", "work.1")) == 1
+    assert ends_s <= backend.now() < ends_s + 2.0
+    assert [event for event in events if isinstance(event, UnitCutShort)] == [UnitCutShort("work.1", limit_s, 0)]
     assert [event for event in events if isinstance(event, UnitStopped)] == [UnitStopped("work.1")]
-    assert {"work.1", "work.2"} < set(supervisor.environment.unit)
+    assert "work.1" in supervisor.environment.unit
+
+
+def test_a_state_that_an_earlier_supervisor_has_known_goes_to_the_next_unit() -> None:
+    library = source(), worker(run=RunOptions(state="altitude"))
+    backend = SimulatedBackend()
+    with mock.patch.object(
+        SimulatedBackend, "found", return_value=Found((), library, (), {}, (), {}, states={"altitude": b"7"})
+    ):
+        supervisor = Supervisor(backend, Environment((), library, (RESULT,)), lambda _: None)
+    supervisor.apply(start(*ONE))
+    assert backend.units["work.1"].state == b"7"
 
 
 def test_a_stalled_supervisor_takes_nobody_for_hung_but_what_hangs() -> None:

@@ -26,7 +26,7 @@ class UnitOrder(msgspec.Struct, frozen=True, tag=True):
     period_ns: int | None
     queue: int
     blocks: bool
-    keeps_state: bool
+    state_name: str | None
     state: bytes | None
     memory_bytes: int | None
     format: str = "json"
@@ -43,6 +43,10 @@ class UnitOrder(msgspec.Struct, frozen=True, tag=True):
     """By output: the quality attributes that it states, each with the field of a value that says it, if one does."""
     idle_sign_ns: int = 1_000_000_000
     """Nanoseconds between two signs of life while nothing comes and nothing is done."""
+    stop_us: int | None = None
+    """Microseconds that the unit may take to end, for a supervisor that does not know its transformation; None if that
+    has no `stop`.
+    """
 
 
 class SpareOrder(msgspec.Struct, frozen=True, tag=True):

@@ -41,7 +41,7 @@ def rehearse(begin: Callable[[], None]) -> None:
         period_ns=None,
         queue=10,
         blocks=False,
-        keeps_state=False,
+        state_name=None,
         state=None,
         memory_bytes=None,
         folder=str(file.parent),

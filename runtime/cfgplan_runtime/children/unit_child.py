@@ -78,7 +78,7 @@ class UnitChild:
             self._code = code = UnitCode(
                 order.source, order.params, order.outputs, folder=order.folder, is_source=self._is_source
             )
-            self._stateful = code if order.keeps_state and code.has_state else None
+            self._stateful = code if order.state_name is not None and code.has_state else None
         self._set_state(order.state)
         for inlet in self._steps.inlets:
             self._ports.inputs[inlet] = self._input_port(inlet)

@@ -28,7 +28,7 @@ def unit_order(unit: str, transformation: Transformation, state: bytes | None) -
         period_ns=None if run.rate_hz is None else round(1e9 / run.rate_hz),
         queue=run.queue,
         blocks=run.blocks,
-        keeps_state=bool(run.state),
+        state_name=transformation.state_name,
         state=state,
         qualities={
             port.name: {stated.attribute: stated.of_stream for stated in port.quality}
@@ -38,6 +38,7 @@ def unit_order(unit: str, transformation: Transformation, state: bytes | None) -
         format=run.format,
         idle_sign_ns=_idle_sign_ns(run.hang_us),
         memory_bytes=None if run.memory_mb is None else run.memory_mb << 20,
+        stop_us=run.stop_us,
     )
 
 

@@ -1,17 +1,26 @@
-"""Adoption: the units and wires on the hosts that a new manager keeps, and the orders that end the others."""
+"""Adoption: the units, wires and states on the hosts that a new manager keeps, and the orders that end the others."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from cfgplan.domain import ComputationUnit, Host, Publication, Subscription, Transformation
 from cfgplan_runtime.children.messages import Release
 from cfgplan_runtime.children.unit_order import unit_order
-from cfgplan_runtime.fleet.orders import CloseTopicOrder, CutOrder, DiscardOrder, Held, HeldUnit, KillOrder
+from cfgplan_runtime.fleet.orders import (
+    CloseTopicOrder,
+    CutOrder,
+    DiscardOrder,
+    Held,
+    HeldState,
+    HeldUnit,
+    KillOrder,
+)
 from cfgplan_runtime.fleet.routes import Crossing, OrderTo, Route, Routes
 from cfgplan_runtime.processes.process_backend import RELAY
-from cfgplan_runtime.supervision.backend import Found, FoundWire, is_tap
+from cfgplan_runtime.supervision.backend import Found, FoundWire, StoppingUnit, is_tap
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,7 +28,7 @@ class Adoption:
     """The units and wires that a manager keeps.
 
     `units` (including stopping ones) and `spares` map ids to hosts; `topics` has for each topic the host that was asked
-    for and the host where it is.
+    for and the host where it is. `ended` has the ids of the units that this manager is the first to end.
     """
 
     found: Found | None
@@ -27,19 +36,31 @@ class Adoption:
     spares: Mapping[str, str]
     topics: Mapping[str, tuple[str | None, str]]
     routes: Routes
+    ended: Sequence[str]
     orders: Sequence[OrderTo]
     """Orders that end all units, wires and topics that are not kept."""
 
 
-def adopt(run: str, held: Mapping[str, Held], library: Mapping[str, Transformation]) -> Adoption:
-    """Keep the units that `library` would start in the same way, and the wires between them.
+def adopt(
+    run: str,
+    held: Mapping[str, Held],
+    library: Mapping[str, Transformation],
+    states: Mapping[str, Mapping[str, HeldState]] = MappingProxyType({}),
+) -> Adoption:
+    """Keep the units that `library` would start in the same way, and the wires between them. The others are told to
+    stop.
 
-    `held` has the state of each host. Hosts that were cut off from each other may have units, spares or topics of the
-    same name: those of the latest manager are kept. The names of later crossings begin with `run`.
+    `held` has the units and wires of each host, and `states` its last states. Hosts that were cut off from each other
+    may have units, spares or topics of the same name: those of the latest manager are kept. The names of later
+    crossings begin with `run`.
     """
     held = dict(sorted(held.items(), key=lambda item: (-item[1].term, item[0])))
     stopping = _stopping(held)
     kept, ended_units = _kept({host: one.units for host, one in held.items()}, library, stopping)
+    told = _told(held, ended_units, {**kept, **stopping})
+    killed = [(host, unit) for host, unit in ended_units if told.get(unit) != host]
+    awaited = [unit for unit, host in stopping.items() if not _is_told(held[host].units[unit])]
+    stopping |= told
     units = {**kept, **stopping}
     spares, ended_spares = _kept({host: one.spares for host, one in held.items()}, library, {})
     ended_spares += [(spares.pop(unit), unit) for unit in sorted(spares.keys() & units.keys())]
@@ -47,16 +68,18 @@ def adopt(run: str, held: Mapping[str, Held], library: Mapping[str, Transformati
     crossings, released = _crossings(held)
     routes, has_switched, cut = _routes(held, units, {topic: host for topic, (_, host) in topics.items()}, crossings)
     fed = [crossing for crossing in crossings.values() if units.get(crossing.stream.unit) == crossing.source]
+    made = Routes(run, routes, crossings.values(), fed)
+    found = _found(held, kept, stopping, spares, topics, routes, has_switched, library, _latest(states))
     return Adoption(
-        _found(held, kept, stopping, spares, topics, routes, has_switched, library)
-        if units or spares or topics
-        else None,
+        found if units or spares or topics or found.states else None,
         units,
         spares,
         topics,
-        Routes(run, routes, crossings.values(), fed),
+        made,
+        sorted({unit for _, unit in ended_units}),
         [
-            *((host, KillOrder(unit, dump=False)) for host, unit in ended_units),
+            *((host, KillOrder(unit, dump=False)) for host, unit in killed),
+            *(order for unit in (*awaited, *told) for order in made.stop(unit, stopping[unit])),
             *((host, DiscardOrder(spare)) for host, spare in ended_spares),
             *released,
             *cut,
@@ -74,8 +97,30 @@ def _stopping(held: Mapping[str, Held]) -> dict[str, str]:
         unit: host
         for host, one in reversed(list(held.items()))
         for unit, known in one.units.items()
-        if known.is_stopping and known.labor_us is not None
+        if known.stop is not None and known.labor_us is not None
     }
+
+
+def _is_told(unit: HeldUnit) -> bool:
+    return unit.stop is not None and unit.stop.is_told
+
+
+def _told(held: Mapping[str, Held], ended: Sequence[tuple[str, str]], taken: Collection[str]) -> dict[str, str]:
+    """The hosts of the ended units that can still process their input: they are ready, and no other unit has their id,
+    neither a `taken` one nor one that comes earlier.
+    """
+    told = dict[str, str]()
+    for host, unit in ended:
+        known = held[host].units[unit]
+        if unit not in told.keys() | taken and known.labor_us is not None:
+            told[unit] = host
+    return told
+
+
+def _latest(states: Mapping[str, Mapping[str, HeldState]]) -> dict[str, bytes]:
+    """The latest state of each name."""
+    known = sorted((one.at_ns, host, name, one.state) for host, here in states.items() for name, one in here.items())
+    return {name: state for *_, name, state in known}
 
 
 def _kept(
@@ -91,7 +136,7 @@ def _kept(
         for unit, known in units.items():
             transformation = library.get(known.label)
             is_as_wanted = transformation is not None and unit_order(unit, transformation, None) == known.order
-            if is_as_wanted and not known.is_stopping and unit not in kept.keys() | stopping.keys():
+            if is_as_wanted and known.stop is None and unit not in kept.keys() | stopping.keys():
                 kept[unit] = host
             elif stopping.get(unit) != host:
                 ended.append((host, unit))
@@ -156,6 +201,7 @@ def _found(
     routes: Sequence[Route],
     has_switched: set[int],
     library: Mapping[str, Transformation],
+    states: Mapping[str, bytes],
 ) -> Found:
     running = {unit: held[host].units[unit] for unit, host in units.items()}
     prepared = {spare: held[host].spares[spare] for spare, host in spares.items()}
@@ -170,8 +216,15 @@ def _found(
         {unit: one.labor_us for unit, one in known.items() if one.labor_us is not None},
         tuple(FoundWire(one.wire, one.stream, one.inlet, one.wire in has_switched) for one in routes),
         {topic: asked for topic, (asked, _) in topics.items()},
-        stopping,
+        {unit: _stopping_unit(held[host].units[unit], host, held[host].now_s) for unit, host in stopping.items()},
+        states,
     )
+
+
+def _stopping_unit(known: HeldUnit, host: str, now_s: float) -> StoppingUnit:
+    order, stop = known.order, known.stop
+    stop_s = None if order.stop_us is None else order.stop_us / 1e6
+    return StoppingUnit(known.label, host, 0.0 if stop is None else now_s - stop.at_s, stop_s, order.state_name)
 
 
 def _as_wired(unit: str, label: str, host: str, routes: Sequence[Route]) -> ComputationUnit:

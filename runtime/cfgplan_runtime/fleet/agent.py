@@ -85,6 +85,8 @@ class Agent:
         self._arrived: deque[tuple[str, bytes, bytes]] = deque()
         self._channel: orders.ReliableChannel[orders.Order] | None = None
         self._held = orders.Held()
+        self._states: dict[str, orders.HeldState] = {}
+        """The last state of the units of each state's name, also of units that have ended."""
         self._stopping: dict[str, tuple[str, ...]] = {}
         """Units that stop once each of these crossings that still exists has delivered a mark for them."""
         self._marked: set[tuple[str, str]] = set()
@@ -201,7 +203,8 @@ class Agent:
             if self._owes_welcome:
                 self._owes_welcome = False
                 run = str(self._backend.run_folder.path)
-                self._say(orders.Welcome(run, self._held, self._heartbeats.places))
+                self._held.now_s = time.monotonic()
+                self._say(orders.Welcome(run, self._held, self._heartbeats.places, dict(self._states)))
                 if self._lost:
                     self._say(orders.report_of(events.ElementsLost(self.name, self._lost)))
                     self._lost = 0
@@ -305,8 +308,8 @@ class Agent:
                 backend.discard(spare)
             case orders.StopOrder(unit, after):
                 self._stopping[unit] = after
-                if unit in held.units:
-                    held.units[unit].is_stopping = True
+                if unit in held.units and held.units[unit].stop is None:
+                    held.units[unit].stop = orders.HeldStop(time.monotonic())
             case orders.KillOrder(unit, dump):
                 if self._stopping.pop(unit, None) is not None:
                     backend.stop(unit)
@@ -377,7 +380,8 @@ class Agent:
             self._backend.close_outlet(topic)
         for crossing in (*held.exports, *held.imports):
             self._backend.tell_relay(Release(crossing))
-        self._held = orders.Held(held.term, held.units)
+        self._held = orders.Held(held.term, units=held.units)
+        self._states.clear()
         self._stopping.clear()
         self._marked.clear()
 
@@ -387,6 +391,8 @@ class Agent:
             if all((crossing, unit) in self._marked or crossing not in self._held.imports for crossing in after):
                 del self._stopping[unit]
                 self._backend.stop(unit)
+                if unit in self._held.units and (stop := self._held.units[unit].stop) is not None:
+                    stop.is_told = True
 
     def _start(self, start: orders.StartOrder) -> None:
         unit = start.order.unit
@@ -398,7 +404,17 @@ class Agent:
             self._say(orders.report_of(events.UnitDied(unit, fault)))
             return
         self._held.units[unit] = orders.HeldUnit(start.label, msgspec.structs.replace(start.order, state=None))
+        self._keep_state(unit, start.order.state)
         self._backend.start_unit(start.order, start.spare)
+
+    def _keep_state(self, unit: str, state: bytes | None) -> None:
+        """Keep a state of a unit for the next manager."""
+        held = None if unit in self._ending else self._held.units.get(unit)
+        name = None if held is None else held.order.state_name
+        if state is not None and name is not None:
+            ahead_ns = self._held.ahead_ns or 0
+            now_ns = time.monotonic_ns() + self._backend.clock_offset_ns - ahead_ns
+            self._states[name] = orders.HeldState(now_ns, state)
 
     def _prepare(self, prepare: orders.PrepareOrder) -> None:
         spare, fault = prepare.order.unit, self._fault_of_code(prepare)
@@ -445,6 +461,8 @@ class Agent:
             case events.UnitReady(unit, labor_us):
                 held.units[unit].labor_us = labor_us
                 self._tell_usage([unit])
+            case events.UnitStatus(unit):
+                self._keep_state(unit, event.state)
             case events.SparePrepared(spare, labor_us):
                 held.spares[spare].labor_us = labor_us
             case events.SpareLost(spare):

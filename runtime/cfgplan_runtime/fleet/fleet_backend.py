@@ -103,8 +103,9 @@ class FleetBackend:
         return self.run_folder.id
 
     def found(self) -> Found | None:
-        held = {name: host.held for name, host in self._presence.there.items()}
-        adopted = adopt(self.id, held, self._library)
+        there = self._presence.there
+        held = {name: host.held for name, host in there.items()}
+        adopted = adopt(self.id, held, self._library, {name: host.states for name, host in there.items()})
         self._units, self._spares = dict(adopted.units), dict(adopted.spares)
         self._topics, self._routes = dict(adopted.topics), adopted.routes
         self._give(adopted.orders)

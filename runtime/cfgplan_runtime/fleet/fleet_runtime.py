@@ -14,7 +14,6 @@ from cfgplan_runtime.fleet.adoption import adopt
 from cfgplan_runtime.fleet.fleet_backend import WAIT_S, FleetBackend
 from cfgplan_runtime.fleet.links import config
 from cfgplan_runtime.fleet.local import LocalAgents
-from cfgplan_runtime.fleet.orders import KillOrder
 from cfgplan_runtime.fleet.reached import ReachedFleet
 from cfgplan_runtime.processes.cpu_group import CpuGroup, cpu_groups
 from cfgplan_runtime.runtime import Runtime
@@ -57,10 +56,9 @@ def left_units(fleet: Fleet, environment: Environment) -> LeftUnits:
     except InputError:  # the run says so, when it waits for its hosts
         return LeftUnits()
     adoption = adopt("", held, environment.transformation)
-    ended = sorted({order.unit for _, order in adoption.orders if isinstance(order, KillOrder)})
     found = adoption.found
     running = Environment() if found is None else Environment(found.units, found.library, hosts=found.hosts)
-    return LeftUnits(running, tuple(ended))
+    return LeftUnits(running, tuple(adoption.ended))
 
 
 @contextmanager

@@ -197,13 +197,24 @@ Order: TypeAlias = (
 # From an agent.
 
 
+class HeldStop(msgspec.Struct):
+    """An order to stop a unit, given at `at_s` on the host's clock. Until the unit `is_told`, the host awaits elements
+    of others.
+    """
+
+    at_s: float
+    is_told: bool = False
+
+
 class HeldUnit(msgspec.Struct):
-    """A unit or spare: its transformation's label, its start order, and its labor once it is ready."""
+    """A unit or spare: its transformation's label, its start order, its labor once it is ready, and the order to stop
+    it.
+    """
 
     label: str
     order: UnitOrder
     labor_us: int | None = None
-    is_stopping: bool = False
+    stop: HeldStop | None = None
 
 
 class HeldWire(msgspec.Struct):
@@ -233,10 +244,11 @@ class HeldImport(msgspec.Struct):
 class Held(msgspec.Struct):
     """The units, wires and topics of an agent's host; `term` is that of the manager before the present one.
 
-    `topics` has the host that each topic's target asked for.
+    `topics` has the host that each topic's target asked for. `now_s` is the host's monotonic clock at Welcome.
     """
 
     term: int = 0
+    now_s: float = 0.0
     units: dict[str, HeldUnit] = {}
     spares: dict[str, HeldUnit] = {}
     wires: list[HeldWire] = []
@@ -250,14 +262,22 @@ class Held(msgspec.Struct):
         self.wires = [one for one in self.wires if not is_gone(one)]
 
 
+class HeldState(msgspec.Struct):
+    """The last state that a unit had at `at_ns`, a time of the run."""
+
+    at_ns: int
+    state: bytes
+
+
 class Welcome(msgspec.Struct, tag=True):
-    """The agent obeys from now on. `held` has its units, wires and topics; sockets of topics are in the
-    folder `run`. It answers heartbeats at the addresses `beats`, written `HOST PORT`.
+    """The agent obeys from now on. `held` has its units, wires and topics, and `states` the last states by name;
+    sockets of topics are in the folder `run`. It answers heartbeats at the addresses `beats`, written `HOST PORT`.
     """
 
     run: str
     held: Held
     beats: tuple[str, ...] = ()
+    states: dict[str, HeldState] = {}
 
 
 class EventReport(msgspec.Struct, tag=True):

@@ -55,6 +55,8 @@ class HostState:
     """The folder with the sockets of its topics, if it is on this computer."""
     held: orders.Held = field(default_factory=orders.Held)
     """The units and wires that it had when it sent Welcome."""
+    states: dict[str, orders.HeldState] = field(default_factory=dict)
+    """The last states of its units by name, when it sent Welcome."""
 
 
 class AgentNews(msgspec.Struct, frozen=True):
@@ -396,7 +398,7 @@ class Presence:
             self._greet(host.name, host.life, "it obeyed a manager that is gone")
 
     def _welcome(self, host: HostState, welcome: orders.Welcome) -> None:
-        host.held, host.ahead_ns = welcome.held, welcome.held.ahead_ns
+        host.held, host.states, host.ahead_ns = welcome.held, welcome.states, welcome.held.ahead_ns
         path = Path(welcome.run)
         host.run = path if is_alive(path) else None
         self._heartbeats.ask(host.name, welcome.beats, host.secret)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Protocol, TypeAlias
+from collections.abc import Callable, Hashable, Sequence
+from typing import Protocol, TypeAlias, TypeVar
 
+from cfgplan.domain import Environment
 from cfgplan.errors import InputError, InvalidValueError
 from cfgplan.facts import Fact
 from cfgplan_runtime.lifecycle.manager import Manager
@@ -15,6 +16,8 @@ from cfgplan_runtime.streams.closable import Closable
 TakeValue: TypeAlias = Callable[[object], None]
 """Called with the value of a message, a mapping from field to value, in a thread of the reader."""
 _FACT_DEPTH = 10
+
+Reading = TypeVar("Reading", bound=Hashable)
 
 
 class TopicReader(Protocol):
@@ -32,34 +35,53 @@ class TopicReader(Protocol):
         """End the node."""
 
 
+def follow_world(
+    manager: Manager,
+    reader: TopicReader,
+    wanted: Callable[[Environment], Sequence[Reading]],
+    read: Callable[[Reading], int | None],
+) -> None:
+    """Read the topics that the present world wants, and no others, now and after each review.
+
+    `read` begins to read one with `reader`, and returns its number; None if it can't be read. Raises its exceptions.
+    """
+    numbers = dict[Reading, int]()
+
+    def follow() -> None:
+        present = wanted(manager.world.environment)
+        for one in numbers.keys() - set(present):
+            reader.end(numbers.pop(one))
+        for one in present:
+            number = None if one in numbers else read(one)
+            if number is not None:
+                numbers[one] = number
+
+    def hear(report: Report) -> None:
+        if isinstance(report, Reviewed):
+            follow()
+
+    follow()
+    manager.listen(hear)
+
+
 class OutsideFacts(Closable):
     """Reads the topics of all facts that name a message type. `tell` is called with faults, each once."""
 
     def __init__(self, reader: TopicReader, manager: Manager, tell: Callable[[str], None]) -> None:
         self._reader, self._manager, self._once = reader, manager, Once(tell)
-        self._read: dict[Fact, int] = {}
-        self._follow()
-        manager.listen(self._hear)
+        follow_world(manager, reader, _observed, self._read)
 
     def close(self) -> None:
         """End the node."""
         self._reader.close()
 
-    def _hear(self, report: Report) -> None:
-        if isinstance(report, Reviewed):
-            self._follow()
-
-    def _follow(self) -> None:
-        """Read the topics of the present world's facts, and no others."""
-        wanted = {fact for fact in self._manager.world.environment.variable.values() if fact.type is not None}
-        for fact in self._read.keys() - wanted:
-            self._reader.end(self._read.pop(fact))
-        for fact in sorted(wanted - self._read.keys(), key=lambda each: each.key):
-            topic, take = fact.observed_on or "", self._taking(fact)
-            try:
-                self._read[fact] = self._reader.read(topic, fact.type or "", fact.qos or "", _FACT_DEPTH, take)
-            except InputError as error:
-                self._once.tell(fact.key, f"fact {fact.key} is not observed: {error}")
+    def _read(self, fact: Fact) -> int | None:
+        topic, kind, qos = fact.observed_on or "", fact.type or "", fact.qos or ""
+        try:
+            return self._reader.read(topic, kind, qos, _FACT_DEPTH, self._taking(fact))
+        except InputError as error:
+            self._once.tell(fact.key, f"fact {fact.key} is not observed: {error}")
+            return None
 
     def _taking(self, fact: Fact) -> TakeValue:
         def take(message: object) -> None:
@@ -72,3 +94,9 @@ class OutsideFacts(Closable):
                     self._manager.observe_fact(fact.key, value)
 
         return take
+
+
+def _observed(environment: Environment) -> list[Fact]:
+    """The facts that name a message type, by key."""
+    named = (fact for fact in environment.variable.values() if fact.type is not None)
+    return sorted(named, key=lambda fact: fact.key)

@@ -7,10 +7,10 @@ from functools import partial
 from math import isfinite
 from typing import Any, Final
 
+from cfgplan.domain import Environment
 from cfgplan.qualities import Teller, Told
 from cfgplan_runtime.lifecycle.manager import Manager
-from cfgplan_runtime.lifecycle.reports import Report, Reviewed
-from cfgplan_runtime.operating.outside_topics import TopicReader
+from cfgplan_runtime.operating.outside_topics import TopicReader, follow_world
 from cfgplan_runtime.outside.once import Once
 from cfgplan_runtime.streams.closable import Closable
 
@@ -32,26 +32,15 @@ class ToldQualities(Closable):
 
     def __init__(self, reader: TopicReader, manager: Manager, tell: Callable[[str], None]) -> None:
         self._reader, self._manager, self._once = reader, manager, Once(tell)
-        self._read: dict[Teller, int] = {}
-        self._follow()
-        manager.listen(self._hear)
+        follow_world(manager, reader, _tellers, self._read)
 
     def close(self) -> None:
         """End the node."""
         self._reader.close()
 
-    def _hear(self, report: Report) -> None:
-        if isinstance(report, Reviewed):
-            self._follow()
-
-    def _follow(self) -> None:
-        """Read the topics that the present world names, and no others."""
-        wanted = {told.teller for told in self._manager.world.environment.told.values()}
-        for teller in self._read.keys() - wanted:
-            self._reader.end(self._read.pop(teller))
-        for teller in sorted(wanted - self._read.keys()):
-            take = partial(self._take, teller)
-            self._read[teller] = self._reader.read(f"/{teller}", _TYPES[teller], "best_effort", _TOLD_DEPTH, take)
+    def _read(self, teller: Teller) -> int:
+        take = partial(self._take, teller)
+        return self._reader.read(f"/{teller}", _TYPES[teller], "best_effort", _TOLD_DEPTH, take)
 
     def _take(self, teller: Teller, message: Any) -> None:
         numbers = dict(told_in(teller, message))
@@ -63,6 +52,11 @@ class ToldQualities(Closable):
                 self._once.tell(str(statement), f"/{teller} does not report {statement}: {told.key} is not a number")
             else:
                 self._manager.tell_quality(statement, value)
+
+
+def _tellers(environment: Environment) -> list[Teller]:
+    """The topics at which outputs are observed, in order."""
+    return sorted({told.teller for told in environment.told.values()})
 
 
 def told_in(teller: Teller, message: Mapping[str, Any]) -> Iterator[tuple[Told, float | None]]:

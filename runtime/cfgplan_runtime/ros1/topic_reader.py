@@ -42,11 +42,13 @@ class _ReadTopic:
 class Ros1Reader:
     """A `TopicReader` of ROS 1, at the master of ROS_MASTER_URI.
 
-    `purpose` is part of its node's name. Raises InputError; `tell` is called with later faults, each once.
+    `purpose` is part of its node's name, and `mend` says what to do if a topic is of another type. Raises InputError;
+    `tell` is called with later faults, each once.
     """
 
-    def __init__(self, purpose: str, run: str, tell: Callable[[str], None]) -> None:
+    def __init__(self, purpose: str, mend: str, run: str, tell: Callable[[str], None]) -> None:
         check_decoders()
+        self._mend = mend
         self._node = f"/cfgplan_{purpose}_{word(run)}"
         self._once, self._decoders = Once(tell), MessageDecoders()
         self._topics: dict[int, _ReadTopic] = {}
@@ -126,7 +128,7 @@ class Ros1Reader:
     def _read(self, one: _ReadTopic, address: str, end: socket.socket, header: Header) -> None:
         kind, reader = header["type"], MessageReader(end)
         if kind != one.kind:
-            self._once.tell(one.topic, f"{one.topic} is of type {kind}, not {one.kind}: correct the `type` of its fact")
+            self._once.tell(one.topic, f"{one.topic} is of type {kind}, not {one.kind}: {self._mend}")
             return
         with selectors.DefaultSelector() as selector:
             selector.register(end, selectors.EVENT_READ)

@@ -69,12 +69,27 @@ class FoundWire:
 
 
 @dataclass(frozen=True, slots=True)
+class StoppingUnit:
+    """A unit that was told to stop, of the transformation `label`, on a host, `told_s` seconds before it was found.
+
+    It may take `stop_s` seconds to end; None if its transformation has no `stop`. `state_name` is that of its state, if
+    it has one.
+    """
+
+    label: str
+    host: str
+    told_s: float = 0.0
+    stop_s: float | None = None
+    state_name: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Found:
     """The units, with their transformations and hosts, wires and topics that an earlier supervisor has left running.
 
     `labor_us` has the units that are ready, and the cold spares that are prepared; `topics` the host of each topic's
-    target. `stopping` has the units that were told to stop and have not ended, with their hosts; apart from it, only
-    wires name them.
+    target. `stopping` has by id the units that were told to stop and have not ended; apart from it, only wires name
+    them. `states` has the last state of each state's name.
     """
 
     units: tuple[ComputationUnit, ...]
@@ -83,7 +98,8 @@ class Found:
     labor_us: Mapping[str, int]
     wires: tuple[FoundWire, ...]
     topics: Mapping[str, str | None]
-    stopping: Mapping[str, str] = field(default_factory=dict)
+    stopping: Mapping[str, StoppingUnit] = field(default_factory=dict)
+    states: Mapping[str, bytes] = field(default_factory=dict)
 
 
 class Backend(Protocol):

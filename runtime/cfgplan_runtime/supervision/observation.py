@@ -55,6 +55,8 @@ class UnitRecord:
     labor_us: int = 0
     sign_s: float = 0.0
     """The time of its last sign of life, on `Supervisor.now`."""
+    state_name: str | None = None
+    """The name of its state, if it has one."""
     status: UnitStatus | None = None
     steps_per_s: float = 0.0
     failure: UnitFailed | None = None

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Callable, Generator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from math import inf
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Transformation
 from cfgplan_runtime.errors import ApplyError, RuntimeFaultError, StaleChangeSetError
@@ -66,8 +67,8 @@ class Supervisor:
         self._answers: dict[str, events.PlacesTold | events.StateTold] = {}
         """The last answer of each unit that takes part in a hand-over of a state."""
         self._library: dict[str, Transformation] = {}
-        self._stopping: dict[str, tuple[str, float]] = {}
-        """Units that an earlier supervisor has told to stop: their hosts, and when they are killed."""
+        self._stopping: dict[str, _Stopping] = {}
+        """Units that were told to stop before this supervisor began."""
         self._patience: dict[str, tuple[float, float]] = {}
         """By helper process of the backend: when it gave its last sign of life, and how long it may be silent."""
         self._round_s = backend.now()
@@ -109,7 +110,9 @@ class Supervisor:
         self.cause_of_death.clear()
         self._update_patience = patience or updates.Patience()
         again = self._stopping.keys() & {unit.id for unit in change_set.started}
-        self._wait(updates.WaitUntil(lambda: self._stopping.keys().isdisjoint(again), self._update_patience.kill_s))
+        ends_s = max((self._stopping[unit].end_s for unit in again), default=self.now()) - self.now()
+        patience_s = max(0.0, ends_s) + self._update_patience.kill_s
+        self._wait(updates.WaitUntil(lambda: self._stopping.keys().isdisjoint(again), patience_s))
         self._is_abandoned = is_abandoned
         try:
             commands = updates.carry_out(self, change_set, after, self._update_patience, keeps_new=keeps_new)
@@ -209,15 +212,18 @@ class Supervisor:
         self.topics.update(found.topics)
         self.wiring.adopt(found.wires, found.stopping)
         self.spares.adopt(self.environment, found.labor_us, self.now())
-        for unit_id, host in found.stopping.items():
-            self._stopping[unit_id] = host, self.now() + self._update_patience.stop_s
-            self.backend.stop(unit_id)
+        self._states.update(found.states)
+        for unit_id, stopping in found.stopping.items():
+            limit_s = self._update_patience.stop_s if stopping.stop_s is None else stopping.stop_s
+            told_s = self.now() - stopping.told_s
+            self._stopping[unit_id] = _Stopping(told_s + updates.STOP_AGAIN * limit_s, told_s + limit_s, limit_s)
+            self._records[unit_id] = UnitRecord(stopping.label, stopping.host, state_name=stopping.state_name)
         for unit in found.units:
             if unit.standby:
                 continue
             self.alive.add(unit.id)
-            self._library[unit.id] = self.environment.transformation[unit.transformation]
-            record = self._records[unit.id] = UnitRecord(unit.transformation, unit.host, sign_s=self.now())
+            transformation = self._library[unit.id] = self.environment.transformation[unit.transformation]
+            record = self._records[unit.id] = self._new_record(unit, transformation)
             if unit.id in found.labor_us:
                 self.ready.add(unit.id)
                 record.labor_us = found.labor_us[unit.id]
@@ -328,7 +334,7 @@ class Supervisor:
         self.ready.discard(unit.id)
         self.cause_of_death.pop(unit.id, None)
         self._library[unit.id] = transformation
-        self._records[unit.id] = UnitRecord(transformation.label, unit.host, sign_s=self.now())
+        self._records[unit.id] = self._new_record(unit, transformation)
         spare = self.spares.take(transformation, unit.host)
         try:
             self.backend.start(
@@ -337,6 +343,9 @@ class Supervisor:
         except Exception:
             self._remove_dead(unit.id)
             raise
+
+    def _new_record(self, unit: ComputationUnit, transformation: Transformation) -> UnitRecord:
+        return UnitRecord(transformation.label, unit.host, sign_s=self.now(), state_name=transformation.state_name)
 
     def _hear(self, timeout_s: float) -> None:
         happened = self.backend.wait(timeout_s)
@@ -404,9 +413,8 @@ class Supervisor:
             return
         record.sign_s = self.now()
         record.note_status(status, self.backend.now())
-        name = self._library[unit].state_name
-        if status.state is not None and name is not None:
-            self._states[name] = status.state
+        if status.state is not None and record.state_name is not None:
+            self._states[record.state_name] = status.state
 
     def _remove_dead(self, unit: str) -> None:
         self.alive.discard(unit)
@@ -426,8 +434,6 @@ class Supervisor:
         """Forget the units and cold spares on a lost host, and close the wires to its topics."""
         for unit in [unit for unit, record in self._records.items() if record.host == host]:
             self.cause_of_death[unit] = f"host {host} is gone: {cause}"
-            self._remove_dead(unit)
-        for unit in [unit for unit, (at, _) in self._stopping.items() if at == host]:
             self._remove_dead(unit)
         self.spares.lose_host(host)
         self.taps.lose_host(host)
@@ -455,8 +461,14 @@ class Supervisor:
                 del self._patience[helper]
                 self._report(events.HelperHung(helper, now - sign_s))
                 self.backend.renew(helper)
-        for unit in [unit for unit, (_, end_s) in self._stopping.items() if now >= end_s]:
-            self.backend.kill(unit)
+        for unit, stopping in self._stopping.items():
+            if now >= stopping.end_s:
+                if not stopping.is_cut_short:
+                    stopping.is_cut_short = True
+                    self._cut_short(unit, stopping.limit_s)
+            elif now >= stopping.again_s:
+                stopping.again_s = inf
+                self.backend.stop(unit)
         for unit in sorted(self.alive):
             record, run = self._records[unit], self._library[unit].run
             if record.killed_s is not None:
@@ -474,6 +486,16 @@ class Supervisor:
                     record.killed_s = now
                     self._report(events.UnitTooLarge(unit, usage.memory_bytes))
                     self.backend.kill(unit)
+
+
+@dataclass(slots=True)
+class _Stopping:
+    """A unit that was told to stop: it is told again at `again_s`, and killed at `end_s`, after `limit_s` seconds."""
+
+    again_s: float
+    end_s: float
+    limit_s: float
+    is_cut_short: bool = False
 
 
 def _patience_s(transformation: Transformation) -> float | None:

@@ -26,6 +26,8 @@ _PLACES_S, _STATE_S = 0.5, 1.0
 """Seconds that a new unit has to tell its places, and the unit that it replaces to tell its state. Otherwise the last
 known state counts.
 """
+STOP_AGAIN = 0.5
+"""The share of its time to end after which a unit is told to stop again, which interrupts code that blocks."""
 TIME_TO_DUMP_S = 0.2
 """Seconds that a unit has to print its stack before it is killed."""
 
@@ -491,7 +493,7 @@ class _Update:
         limits = {unit: _either(actual.stop_s(unit), self.patience.stop_s) for unit in stopped}
         for limit_s in sorted(set(limits.values())):
             due = {unit for unit, its_s in limits.items() if its_s == limit_s}
-            for share, command in ((0.5, StopAgain), (1.0, partial(CutShort, after_s=limit_s))):
+            for share, command in ((STOP_AGAIN, StopAgain), (1.0, partial(CutShort, after_s=limit_s))):
                 end_s = began_s + share * limit_s
                 yield WaitUntil(lambda due=due: actual.alive.isdisjoint(due), end_s - actual.now())  # type: ignore[misc]
                 if actual.alive.isdisjoint(due):
