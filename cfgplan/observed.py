@@ -214,10 +214,25 @@ def planned_deviations(
 def own_part(stated: Contribution, known: Estimate, at_s: float) -> tuple[float, float]:
     """Return the estimate of an output's own part, and its standard error; in micro-units, a factor in millionths."""
     estimate = known.at(at_s, usual_variance(stated))
-    if stated.rule is QualityRule.SCALE:
-        value = stated.stated * exp(estimate.deviation)
-        return value, abs(value) * sqrt(estimate.variance)
-    return stated.stated + estimate.deviation, sqrt(estimate.variance)
+    value, error = _own_value(stated, estimate.deviation), sqrt(estimate.variance)
+    return value, abs(value) * error if stated.rule is QualityRule.SCALE else error
+
+
+def hoped_deviation(stated: Contribution, attribute: QualityAttribute, known: Estimate | None, at_s: float) -> int:
+    """Return a deviation from the stated value that an output may have if it is good, in micro-units.
+
+    It is better than the estimate by one standard deviation, which grows while the output is not observed, and never
+    worse than the stated value.
+    """
+    usual = usual_variance(stated)
+    estimate = (known or Estimate(0.0, usual, -inf)).at(at_s, usual)
+    value = _own_value(stated, estimate.deviation - attribute.sign * sqrt(estimate.variance))
+    deviation = round(value) - stated.stated
+    return deviation if attribute.sign * deviation < 0 else 0
+
+
+def _own_value(stated: Contribution, deviation: float) -> float:
+    return stated.stated * exp(deviation) if stated.rule is QualityRule.SCALE else stated.stated + deviation
 
 
 def hidden(environment: Environment, similarity: Similarity) -> Iterator[str]:
