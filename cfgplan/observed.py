@@ -12,7 +12,7 @@ differ significantly, behind a factor on an input near 0, and at the ends of the
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from graphlib import CycleError, TopologicalSorter
@@ -188,14 +188,14 @@ def planned_deviations(
     before: Mapping[Statement, int],
     at_s: float,
     *,
-    fades: bool = False,
+    fading: Container[str] = (),
     only_sure: bool = False,
 ) -> dict[Statement, int]:
     """Return the deviations of outputs from their stated values that plans use (see `Environment.with_qualities`).
 
     A deviation that was returned `before` is kept until it is wrong by more than NEWS of the value, and with
     `only_sure` also by more than NEWS_ERRORS standard errors of the part. If an output is not observed any more, its
-    deviation is kept, or becomes the faded estimate if `fades`.
+    deviation is kept, or becomes the faded estimate if its transformation is among the `fading` ones.
     """
     found: dict[Statement, int] = {}
     for statement, known in estimates.items():
@@ -204,7 +204,7 @@ def planned_deviations(
             continue
         value, error = own_part(stated, known, at_s)
         seen, was = round(value) - stated.stated, before.get(statement, 0)
-        may_change = fades or at_s - known.seen_s <= MEMORY_S
+        may_change = statement.transformation in fading or at_s - known.seen_s <= MEMORY_S
         least = max(NEWS * abs(stated.stated + was), NEWS_ERRORS * error if only_sure else 0.0)
         if kept := (seen if may_change and abs(seen - was) > least else was):
             found[statement] = kept

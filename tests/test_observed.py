@@ -206,7 +206,7 @@ def test_what_is_not_observed_any_more_fades_to_what_is_declared() -> None:
     environment = world((provider("g", 1.0), unit("g")))
     estimates = learned(environment, says(g=3.0), {}, 0.0).estimates
     values = [
-        planned_deviations(environment, estimates, {}, at_s, fades=True)
+        planned_deviations(environment, estimates, {}, at_s, fading={one.transformation for one in estimates})
         for at_s in (0.0, MEMORY_S, MEMORY_S + FORGET_S, 20 * FORGET_S)
     ]
     statement = Statement("g", "out", "error")

@@ -198,7 +198,7 @@ def _looked(transition: Transition, looked: Looked) -> Transition:
     if state.entries or state.is_closing or state.stops:
         return transition.to(replace(state, doing=None))
     every_s, qualities = state.policy.look_every_s or 0.0, state.situation.qualities
-    looks = state.looks.begun(looked.tried, transition.at_s, every_s)
+    looks = state.looks.begun(looked.tried, transition.at_s, every_s, is_possible=looked.findings is not None)
     if looked.findings is None:
         looks = looks.idled(transition.at_s, qualities, state.running.units, every_s)
         return transition.to(replace(state, doing=None, looks=looks))

@@ -7,7 +7,7 @@ finds nothing new, the next one at this transformation comes later.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf
 from types import MappingProxyType
@@ -55,6 +55,8 @@ class Looks:
     """By transformation, whether it said anything in its look or not."""
     idle: Idle = field(default_factory=lambda: Idle(0.0))
     """The last time when no look was taken; at first, the start of the run."""
+    impossible: frozenset[str] = frozenset()
+    """The transformations for whose last look there was no room, or that share a named state with another one."""
     label: str = ""
     """The transformation that is looked at."""
     units: tuple[str, ...] = ()
@@ -86,14 +88,18 @@ class Looks:
         pause = self.pauses.get(label)
         return max(seen_s + least_interval_s, -inf if pause is None else pause.since_s + pause.interval_s)
 
-    def begun(self, labels: Iterable[str], at_s: float, least_interval_s: float) -> Looks:
-        """Note that looks at transformations were planned: the next ones come after twice their intervals, at least."""
+    def begun(self, labels: Sequence[str], at_s: float, least_interval_s: float, *, is_possible: bool) -> Looks:
+        """Note that looks at transformations were planned, of which only the last one may be possible: the next ones
+        come after twice their intervals, at least.
+        """
+        impossible = self.impossible.difference(labels[-1:]) if is_possible else self.impossible
+        impossible |= {*(labels[:-1] if is_possible else labels)}
         doubled_s = {label: 2 * self.pauses[label].interval_s if label in self.pauses else 0.0 for label in labels}
         new = {
             label: Pause(at_s, min(max(next_s, least_interval_s), LONGEST_INTERVAL_S))
             for label, next_s in doubled_s.items()
         }
-        return Looks({**self.pauses, **new}, self.idle)
+        return replace(self, pauses={**self.pauses, **new}, impossible=impossible)
 
     def at(self, label: str, statements: Iterable[Statement], qualities: Mapping[Statement, int]) -> Looks:
         """Look at the outputs of a transformation, and keep their known deviations for comparison."""
@@ -125,9 +131,9 @@ class Looks:
         )
         pause = self.pauses.get(self.label)
         if pause is None or not has_taught:
-            return Looks(self.pauses, self.idle)
+            return Looks(self.pauses, self.idle, self.impossible)
         sooner = pause._replace(interval_s=max(pause.interval_s / 4, least_interval_s))
-        return Looks({**self.pauses, self.label: sooner}, self.idle)
+        return Looks({**self.pauses, self.label: sooner}, self.idle, self.impossible)
 
 
 def last_seen_s(world: Environment, running: Environment, estimates: Estimates) -> dict[str, float]:

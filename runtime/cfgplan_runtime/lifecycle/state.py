@@ -168,7 +168,8 @@ class State:
 
     @property
     def horizon_at_s(self) -> float:
-        return self.cycle_began_s + (self.version.world.horizon_s or inf)
+        """When the review at the horizon is due; not during a look, which it would end."""
+        return inf if self.looks.units else self.cycle_began_s + (self.version.world.horizon_s or inf)
 
     @property
     def silence_at_s(self) -> float:
