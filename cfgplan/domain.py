@@ -526,9 +526,9 @@ class Environment:
         port = None if transformation is None else transformation.output.get(statement.output)
         return next((each for each in port.quality if each.attribute == statement.attribute), None) if port else None
 
-    @property
+    @cached_property
     def observable(self) -> tuple[Statement, ...]:
-        """Return the statements whose elements say how good they are by a field."""
+        """The statements whose quality a run can observe."""
         return tuple(
             Statement(transformation.label, port.name, each.attribute)
             for transformation in self.library

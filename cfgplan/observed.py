@@ -12,7 +12,7 @@ differ significantly, behind a factor on an input near 0, and at the ends of the
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from graphlib import CycleError, TopologicalSorter
@@ -188,14 +188,14 @@ def planned_deviations(
     before: Mapping[Statement, int],
     at_s: float,
     *,
-    fades: bool = False,
+    fading: Container[str] = (),
     only_sure: bool = False,
 ) -> dict[Statement, int]:
     """Return the deviations of outputs from their stated values that plans use (see `Environment.with_qualities`).
 
     A deviation that was returned `before` is kept until it is wrong by more than NEWS of the value, and with
     `only_sure` also by more than NEWS_ERRORS standard errors of the part. If an output is not observed any more, its
-    deviation is kept, or becomes the faded estimate if `fades`.
+    deviation is kept, or becomes the faded estimate if its transformation is among the `fading` ones.
     """
     found: dict[Statement, int] = {}
     for statement, known in estimates.items():
@@ -204,7 +204,7 @@ def planned_deviations(
             continue
         value, error = own_part(stated, known, at_s)
         seen, was = round(value) - stated.stated, before.get(statement, 0)
-        may_change = fades or at_s - known.seen_s <= MEMORY_S
+        may_change = statement.transformation in fading or at_s - known.seen_s <= MEMORY_S
         least = max(NEWS * abs(stated.stated + was), NEWS_ERRORS * error if only_sure else 0.0)
         if kept := (seen if may_change and abs(seen - was) > least else was):
             found[statement] = kept
@@ -214,10 +214,25 @@ def planned_deviations(
 def own_part(stated: Contribution, known: Estimate, at_s: float) -> tuple[float, float]:
     """Return the estimate of an output's own part, and its standard error; in micro-units, a factor in millionths."""
     estimate = known.at(at_s, usual_variance(stated))
-    if stated.rule is QualityRule.SCALE:
-        value = stated.stated * exp(estimate.deviation)
-        return value, abs(value) * sqrt(estimate.variance)
-    return stated.stated + estimate.deviation, sqrt(estimate.variance)
+    value, error = _own_value(stated, estimate.deviation), sqrt(estimate.variance)
+    return value, abs(value) * error if stated.rule is QualityRule.SCALE else error
+
+
+def hoped_deviation(stated: Contribution, attribute: QualityAttribute, known: Estimate | None, at_s: float) -> int:
+    """Return a deviation from the stated value that an output may have if it is good, in micro-units.
+
+    It is better than the estimate by one standard deviation, which grows while the output is not observed, and never
+    worse than the stated value.
+    """
+    usual = usual_variance(stated)
+    estimate = (known or Estimate(0.0, usual, -inf)).at(at_s, usual)
+    value = _own_value(stated, estimate.deviation - attribute.sign * sqrt(estimate.variance))
+    deviation = round(value) - stated.stated
+    return deviation if attribute.sign * deviation < 0 else 0
+
+
+def _own_value(stated: Contribution, deviation: float) -> float:
+    return stated.stated * exp(deviation) if stated.rule is QualityRule.SCALE else stated.stated + deviation
 
 
 def hidden(environment: Environment, similarity: Similarity) -> Iterator[str]:

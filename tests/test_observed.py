@@ -206,7 +206,7 @@ def test_what_is_not_observed_any_more_fades_to_what_is_declared() -> None:
     environment = world((provider("g", 1.0), unit("g")))
     estimates = learned(environment, says(g=3.0), {}, 0.0).estimates
     values = [
-        planned_deviations(environment, estimates, {}, at_s, fades=True)
+        planned_deviations(environment, estimates, {}, at_s, fading={one.transformation for one in estimates})
         for at_s in (0.0, MEMORY_S, MEMORY_S + FORGET_S, 20 * FORGET_S)
     ]
     statement = Statement("g", "out", "error")
@@ -330,7 +330,7 @@ def test_an_experiment_shows_that_choices_are_never_worse_than_declared_and_bett
 
 
 def test_a_drifting_world_costs_no_more_than_believing_what_is_declared() -> None:
-    """A short version of the experiment: an offset is found, and a still world stays as it is."""
+    """A short version of the experiment: an offset is found, and in a still world looks cost little."""
     path = Path(__file__).parents[1] / "experiments" / "observed" / "drifting.py"
     spec = importlib.util.spec_from_file_location("drifting", path)
     assert spec is not None
@@ -344,4 +344,6 @@ def test_a_drifting_world_costs_no_more_than_believing_what_is_declared() -> Non
     assert observed <= declared
     assert observed <= 1.1 * known
     still = drifting.drawn(1, "still")
-    assert drifting.lived(still, observes=True) == drifting.lived(still, observes=False)
+    (declared, stays), (observed, changes) = (drifting.lived(still, observes=one) for one in (False, True))
+    assert changes == stays == 1
+    assert observed <= 1.015 * declared  # looks cost that

@@ -19,9 +19,13 @@ from football.rendering import Renderer
 from football.scenario import FrameClock
 
 if TYPE_CHECKING:
-    from cfgplan_runtime import At
+    from cfgplan_runtime import At, WithQuality
 from football.walking import Gait
 
+DAYLIGHT_LUMA = 89.3
+"""The median luma of a picture by day."""
+ERROR_BY_LIGHT = ((0.6, 1.0), (0.9, 0.0))
+"""Points (light, error in metres): how far the pictures mislead the detector."""
 BEACON_ERROR_M = 0.25
 """The standard deviation of the beacon's error along each axis."""
 
@@ -50,6 +54,24 @@ class BottomCam:
         """Return the image at a time in nanoseconds since the epoch."""
         camera = self._gait.camera(scenario.pose(self._robot, time_ns))
         return self._renderer.picture(camera, scenario.ball(time_ns), scenario.light(time_ns, self._day_s))
+
+
+class ExposedCam(BottomCam):
+    """Yields images with their `error` in metres, which it estimates from how dark they are.
+
+    By day, the light that it finds in a picture has a standard deviation of 0.5 %.
+    """
+
+    def __iter__(self) -> Iterator[At | None]:
+        return _frames(self.measured)
+
+    def measured(self, time_ns: int) -> WithQuality:
+        """Return the image at a time in nanoseconds since the epoch, with its error."""
+        from cfgplan_runtime import WithQuality
+
+        picture = self.picture(time_ns)
+        light = float(np.median(picture[::8, ::8, 0])) / DAYLIGHT_LUMA
+        return WithQuality(picture, {"error": float(np.interp(light, *zip(*ERROR_BY_LIGHT, strict=True)))})
 
 
 class Photometer:

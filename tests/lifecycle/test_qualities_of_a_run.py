@@ -233,6 +233,13 @@ def looks_of(run: Life) -> list[LookDue]:
     return [one for review in run.reviews for one in review.perturbations if isinstance(one, LookDue)]
 
 
+def pass_until_a_look(run: Life) -> None:
+    for _ in range(240):
+        if not looks_of(run):
+            run.pass_time(0.5)
+    assert looks_of(run)
+
+
 def test_a_way_that_was_too_bad_is_looked_at_beside_what_runs_and_taken_once_it_is_good_again() -> None:
     """The sonar is murky from 20 to 400 s; the horizon is far away."""
     truth = lambda at_s: 0.8 if 20 <= at_s < 400 else 0.2  # noqa: E731
@@ -274,9 +281,7 @@ def test_each_way_has_its_own_gap_between_looks() -> None:
 
 def test_a_look_uses_no_topic_and_its_unit_stops_when_it_is_over() -> None:
     run = life(sonar=saying(lambda _: 0.8), camera=saying(lambda _: 0.3))
-    for _ in range(120):
-        if not looks_of(run):
-            run.pass_time(1)
+    pass_until_a_look(run)
     assert looks_of(run) == [LookDue("sonar")]
     (looked_at,) = (unit for unit in run.manager.snapshot().environment.units if unit.transformation == "sonar")
     assert looked_at.publications == ()
@@ -290,6 +295,75 @@ def test_what_would_not_be_chosen_however_good_is_not_looked_at() -> None:
     run = life(bound=None, weight_us=1, sonar=saying(lambda _: 0.2), camera=saying(lambda _: 0.9))
     run.pass_time(600)
     assert (looks_of(run), run.units) == ([], {"sonar.1"})
+
+
+def choice(declared: dict[str, float], *, horizon_s: int = 3600, **behaviours: Behaviour) -> Life:
+    """Sensors of equal cost with these declared errors, in metres; an error of 1 m costs 20 CPU seconds."""
+    library = tuple(sensor(label, error, 10_000) for label, error in declared.items())
+    target = Target("position", "Position", "/position", quality=(Wish("error", None, 20 * MICRO),))
+    environment = Environment(library=library, targets=(target,), qualities=(ERROR,))
+    return started(world=api.world(environment, horizon_s=horizon_s), behaviours=behaviours)
+
+
+def test_a_way_that_never_ran_is_looked_at_and_taken_if_it_is_better_than_declared() -> None:
+    run = choice({"sonar": 0.2, "lidar": 0.3}, sonar=saying(lambda _: 0.2), lidar=saying(lambda _: 0.1))
+    run.pass_time(58)
+    assert (looks_of(run), run.units) == ([], {"sonar.1"})
+    run.pass_time(60)
+    assert looks_of(run) == [LookDue("lidar")]
+    assert run.units == {"lidar.1"}
+
+
+def test_a_way_that_could_not_be_better_than_what_runs_is_not_looked_at() -> None:
+    """The standard deviation of a declared error is half of it: the lidar has 0.3 m at best."""
+    run = choice({"sonar": 0.2, "lidar": 0.6}, sonar=saying(lambda _: 0.2), lidar=saying(lambda _: 0.1))
+    run.pass_time(1000)
+    assert (looks_of(run), run.units) == ([], {"sonar.1"})
+
+
+@pytest.mark.parametrize(("labor_us", "looks"), [(100_000, True), (900_000, False)])
+def test_a_look_is_taken_if_the_plan_may_save_twice_its_cost(labor_us: int, *, looks: bool) -> None:
+    """At its best of 0.15 m, the lidar saves 1 s of CPU by its error, less its start."""
+    sonar, lidar = sensor("sonar", 0.2, 1000), replace(sensor("lidar", 0.3, 1000), labor_us=labor_us)
+    target = Target("position", "Position", "/position", quality=(Wish("error", None, 20 * MICRO),))
+    environment = Environment(library=(sonar, lidar), targets=(target,), qualities=(ERROR,))
+    behaviours = {label: saying(lambda _: 0.2) for label in ("sonar", "lidar")}
+    run = started(world=api.world(environment, horizon_s=60), behaviours=behaviours)
+    run.pass_time(90)
+    assert bool(looks_of(run)) == looks
+
+
+def test_a_look_starts_only_what_it_observes_and_the_units_that_feed_it() -> None:
+    """The camera says how good its pictures are, so that the finder need not run in a look."""
+    stated = Contribution("error", QualityRule.SET, 300_000, observe="error")
+    camera = Transformation("camera", (InputPort("t", "Trigger"),), (OutputPort("i", "Image", (stated,)),), 1000, 1000)
+    trigger = Transformation("trigger", (), (OutputPort("t", "Trigger"),), 1000, 100)
+    added = OutputPort("p", "Position", (Contribution("error", QualityRule.ADD, 0),))
+    finder = Transformation("finder", (InputPort("i", "Image"),), (added,), 1000, 1000)
+    sources = (replace(one, source=f"units.py:{one.label}") for one in (camera, trigger, finder))
+    target = Target("position", "Position", "/position", quality=(Wish("error", MICRO // 2),))
+    library = (sensor("beacon", 0.4, 100_000, observe=None), *sources)
+    environment = Environment(library=library, targets=(target,), qualities=(ERROR,))
+    says = {"i": {"error": Quality(10, 0.8, 0.0)}}
+    run = started(world=api.world(environment, horizon_s=36_000), behaviours={"camera": Behaviour(says=lambda _: says)})
+    run.pass_time(30)
+    assert run.units == {"beacon.1"}
+    pass_until_a_look(run)
+    assert {unit.split(".")[0] for unit in run.units} == {"beacon", "camera", "trigger"}
+    run.pass_time(10)
+    assert run.units == {"beacon.1"}
+
+
+def test_a_horizon_does_not_end_a_look() -> None:
+    run = life(horizon_s=60, sonar=saying(lambda _: 0.8), camera=saying(lambda _: 0.3))
+    pass_until_a_look(run)
+    horizons = len(run.perturbations(HorizonReached))
+    run.pass_time(2)
+    assert any(unit.startswith("sonar") for unit in run.units)
+    run.pass_time(5)
+    assert run.perturbations(LookOver) != []
+    assert len(run.perturbations(HorizonReached)) <= horizons + 1
+    assert run.units == {"camera.1"}
 
 
 def test_without_looks_there_are_none() -> None:

@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from random import Random
 
 import numpy as np
 import pytest
+from cfgplan_runtime import Manager, SimulatedRuntime
+from cfgplan_runtime.children.messages import Qualities, Quality
+from cfgplan_runtime.supervision.simulated_backend import Behaviour
 from football import scenario
-from units import BallDetector, Beacon, BottomCam, Photometer, Segmenter, Subsampler
+from units import ERROR_BY_LIGHT, BallDetector, Beacon, BottomCam, ExposedCam, Photometer, Segmenter, Subsampler
 
+import cfgplan
+
+BY_LOOKS = Path(__file__).parents[2] / "models" / "nao" / "8-night-by-looks.yaml"
 DAY_S = 120.0
 FRAMES = 20
 
@@ -32,6 +42,48 @@ def test_a_ball_is_found_in_pictures_that_are_light_enough(least: float, most: f
         hull = segmenter(images["y80"], images["v80"])
         found += hull is not None and detector(hull, images["y640"], images["y320"]) is not None
     assert found >= FRAMES - 1 if finds_it else found <= 1
+
+
+def error_at(light: float) -> float:
+    return float(np.interp(light, *zip(*ERROR_BY_LIGHT, strict=True)))
+
+
+def test_a_camera_says_how_far_its_dark_pictures_mislead() -> None:
+    camera = ExposedCam("piff", DAY_S)
+    for time_ns in (scenario.time_of_frame(number * 90) for number in range(1000, 1020)):
+        said = camera.measured(time_ns)
+        light = scenario.light(time_ns, DAY_S)
+        assert said.quality["error"] == pytest.approx(error_at(light), abs=0.08)
+        assert np.asarray(said.value).shape == (480, 640, 2)
+
+
+def test_at_night_the_camera_is_looked_at_until_it_is_day_again() -> None:
+    """Two nights: two switches each, over the bound for at most 2 % of the time, and looks at the camera alone."""
+    loaded, chance = cfgplan.load(BY_LOOKS), Random(1)
+    world = replace(loaded, environment=replace(loaded.environment, units=()))
+    day_s = float(world.environment.transformation["bottom_cam(piff)"].params["day_s"])
+
+    def truth(at_s: float) -> float:
+        return error_at(scenario.light(round(at_s * 1e9), day_s))
+
+    def says(at_s: float) -> Qualities:
+        light = scenario.light(round(at_s * 1e9), day_s)
+        errors = [error_at(light * chance.gauss(1, 0.005)) for _ in range(15)]
+        mean = float(np.mean(errors))
+        return {"image": {"error": Quality(15, mean, 15 * float(np.var(errors)))}}
+
+    runtime = SimulatedRuntime(behaviours={"bottom_cam(piff)": Behaviour(says=says)})
+    manager = Manager(world, runtime, clock=runtime.clock)
+    seen = list[tuple[bool, bool, bool]]()
+    for _ in range(round(2.4 * day_s)):
+        manager.run(1.0)
+        labels = {unit.transformation for unit in runtime.environment.units}
+        by_camera = any(unit.publications for unit in runtime.environment.units if unit.transformation != "beacon")
+        assert by_camera or labels <= {"beacon", "bottom_cam(piff)"}
+        seen.append((by_camera, "bottom_cam(piff)" in labels, truth(runtime.clock.now()) > 0.4))
+    assert sum(before[0] != after[0] for before, after in pairwise(seen)) == 4
+    assert sum(by_camera and is_bad for by_camera, _, is_bad in seen) <= 0.02 * len(seen)
+    assert sum(after[1] and not after[0] and not before[1] for before, after in pairwise(seen)) >= 4  # looks
 
 
 def test_a_photometer_says_how_light_it_is_about(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,6 +23,7 @@ from cfgplan_runtime.lifecycle.deliberation import Findings, Looked
 from cfgplan_runtime.lifecycle.fact_values import fact_seen, facts_fallen_silent
 from cfgplan_runtime.lifecycle.inbox import Asked, FactSeen, Item, Leave, PreviewAsked, QualityTold, Unusable
 from cfgplan_runtime.lifecycle.kinds import Urgency, kind_of
+from cfgplan_runtime.lifecycle.looks import Idle, Looks, hopes_of
 from cfgplan_runtime.lifecycle.perturbations import (
     HorizonReached,
     LookDue,
@@ -94,10 +95,11 @@ def breaks_in(doing: Doing, item: Item) -> BreakIn:
     return BreakIn(0)
 
 
-def first_state(world: World, policy: Policy) -> State:
-    """Return the state of a manager that has got no input yet."""
+def first_state(world: World, policy: Policy, at_s: float = 0.0) -> State:
+    """Return the state of a manager that has got no input yet, at this time of its clock in seconds."""
     situation = Situation(BackOffs(policy.back_off), awaits_hosts=policy.hosts_s is not None)
-    return State(policy, WorldVersion(world, refuses_hosts=policy.refuses_hosts), situation)
+    version = WorldVersion(world, refuses_hosts=policy.refuses_hosts)
+    return State(policy, version, situation, looks=Looks(idle=Idle(at_s)))
 
 
 def decide(state: State, happened: TimedInput) -> tuple[State, tuple[Effect, ...]]:
@@ -178,13 +180,15 @@ def _tick(transition: Transition, time_s: float) -> Transition:
 
 
 def _look_begun(transition: Transition, time_s: float) -> Transition:
-    """Have a look planned at a transformation that was found too bad and was not observed for long."""
+    """Have a look planned at a transformation that may be better, and was not observed for long."""
     state, at_s = transition.state, transition.at_s
     planning = Planning(state.number + 1, at_s, time_s, 0.0, state.version.world, plans=1)
     unmet = state.reviews[-1].unmet if state.reviews else {}
     transition = _units_known(transition.to(replace(state, doing=planning)))
-    due = tuple(label for label, due_s in state.looks_due_s.items() if due_s <= at_s)
-    return transition.also(MakeLook(transition.state.plan_input, due, unmet))
+    environment = state.version.world.environment.with_facts(state.situation.facts)
+    due = (label for label, due_s in state.looks_due_s.items() if due_s <= at_s)
+    hopes = {label: hopes_of(label, environment, state.seen.estimates, at_s) for label in due}
+    return transition.also(MakeLook(transition.state.plan_input, hopes, unmet))
 
 
 def _looked(transition: Transition, looked: Looked) -> Transition:
@@ -193,11 +197,13 @@ def _looked(transition: Transition, looked: Looked) -> Transition:
     assert isinstance(planning, Planning)
     if state.entries or state.is_closing or state.stops:
         return transition.to(replace(state, doing=None))
-    state = replace(state, looks=state.looks.begun(looked.tried, transition.at_s, state.policy.look_every_s or 0.0))
+    every_s, qualities = state.policy.look_every_s or 0.0, state.situation.qualities
+    looks = state.looks.begun(looked.tried, transition.at_s, every_s, is_possible=looked.findings is not None)
     if looked.findings is None:
-        return transition.to(replace(state, doing=None))
+        looks = looks.idled(transition.at_s, qualities, state.running.units, every_s)
+        return transition.to(replace(state, doing=None, looks=looks))
     planning = replace(planning, entries=(Entry(LookDue(looked.label), transition.at_s, transition.at_s),))
-    looks = state.looks.at(looked.label, state.situation.qualities)
+    looks = looks.at(looked.label, looked.statements, qualities)
     transition = transition.to(replace(state, number=planning.number, doing=planning, looks=looks))
     transition = transition.also(Tell(ReviewBegan(planning.number, (LookDue(looked.label),))))
     return _carried_out(transition, planning, looked.findings)

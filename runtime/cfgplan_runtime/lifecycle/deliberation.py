@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import ChainMap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Set
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -12,16 +13,18 @@ from typing import TYPE_CHECKING
 
 from cfgplan import validity
 from cfgplan.api import World
-from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Objective
+from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Objective, Statement
 from cfgplan.errors import CfgplanError
 from cfgplan.explaining.best_effort import BestEffort, best_effort
 from cfgplan.explaining.what_if import only_targets
+from cfgplan.onward import reached
 from cfgplan.planners.undecided import Deciding
 from cfgplan.planning import Failures, Feature, Measured, Pair, Plan, Planner, Problem, Progress, Status, fresh_unit_ids
 from cfgplan.reasons import unmet_reasons
 from cfgplan.summary import some
 from cfgplan.validity import Rule
 from cfgplan.validity.facts import meeting_targets, needed_by
+from cfgplan.validity.hosts import costs_there
 from cfgplan_runtime.lifecycle.configuration import (
     EstimatedLibrary,
     PlanInput,
@@ -31,6 +34,7 @@ from cfgplan_runtime.lifecycle.configuration import (
     gone_host,
 )
 from cfgplan_runtime.lifecycle.guarded_estimator import GuardedEstimator
+from cfgplan_runtime.lifecycle.looks import LOOK_S, PAYS
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Decision
 from cfgplan_runtime.lifecycle.warm_matching import WarmMatching
@@ -71,12 +75,13 @@ class Findings:
 
 @dataclass(frozen=True)
 class Looked:
-    """The planned look at the last of the `tried` transformations.
+    """The planned look at the last of the `tried` transformations, which observes the outputs of `statements`.
 
-    `findings` is None if no plan would use any of them, even if it were as declared.
+    `findings` is None if no look is worth its cost, or the units of none of the `tried` could run.
     """
 
     tried: tuple[str, ...] = ()
+    statements: tuple[Statement, ...] = ()
     findings: Findings | None = None
 
     @property
@@ -166,34 +171,50 @@ class Deliberation:
         )
 
     def look(
-        self, plan_input: PlanInput, labels: Iterable[str], unmet: Mapping[str, str], *, stop: threading.Event
+        self,
+        plan_input: PlanInput,
+        hopes: Mapping[str, Mapping[Statement, int]],
+        unmet: Mapping[str, str],
+        *,
+        stop: threading.Event,
     ) -> Looked:
-        """Plan a look at the first of some transformations that a plan would use if it were as good as declared.
+        """Plan a look at the first transformation that a plan would use if its outputs had the hoped deviations.
 
         The new units feed no topic. `unmet` has the targets that are not met now, with the reasons.
         """
-        self._stop, tried = stop, list[str]()
-        for label in labels:
-            tried.append(label)
-            known = {one: seen for one, seen in plan_input.situation.qualities.items() if one.transformation != label}
-            environment = plan_input.world.environment.with_qualities(known)
-            optimistic = self._think(
-                replace(plan_input, world=replace(plan_input.world, environment=environment)), optimises=True
-            )
-            new = () if optimistic.change_set is None else optimistic.change_set.started
-            started = tuple(replace(unit, publications=()) for unit in new if not unit.standby)
-            library = environment.transformation
-            if any(isinstance(library[unit.transformation].run.state, str) for unit in started):
-                continue  # its state would take the place of the state that it shares with a mode that runs
-            if optimistic.decision is Decision.APPLIED and any(unit.transformation == label for unit in started):
-                findings = self._run_for_nobody(plan_input, ChangeSet(started=started))
+        self._stop, tried, left = stop, list[str](), dict(hopes)
+        while left:  # if no look is worth its cost, a single plan shows it
+            optimistic, before = self._hopeful(plan_input, left.values()), len(tried)
+            promising = [label for label in left if _starts(optimistic, label)]
+            for label in promising:
+                alone = optimistic if len(promising) == 1 else self._hopeful(plan_input, [hopes[label]])
+                units = _needed_for_a_look(alone, label, hopes[label])
+                if not units or not _pays(alone, units, unmet):
+                    continue
+                tried.append(label)
+                findings = self._run_for_nobody(plan_input, ChangeSet(started=units))
                 if findings is not None:
-                    return Looked(tuple(tried), replace(findings, unmet=unmet))
+                    return Looked(tuple(tried), tuple(hopes[label]), replace(findings, unmet=unmet))
+                del left[label]
+            if len(tried) == before:
+                break
         return Looked(tuple(tried))
 
+    def _hopeful(self, plan_input: PlanInput, hopes: Iterable[Mapping[Statement, int]]) -> Findings:
+        """The best update if outputs had the hoped deviations."""
+        seen = dict(ChainMap(*map(dict, hopes), dict(plan_input.situation.qualities)))
+        environment = plan_input.world.environment.with_qualities(seen)
+        world = replace(plan_input.world, environment=environment)
+        return self._think(replace(plan_input, world=world), optimises=True)
+
     def _run_for_nobody(self, plan_input: PlanInput, change_set: ChangeSet) -> Findings | None:
-        """Return the start of units that no target needs; None if it breaks another rule."""
+        """Return the start of units that no target needs; None if it breaks another rule, or units of two modes
+        would write one named state.
+        """
         findings, new = self._begun(plan_input), {unit.id for unit in change_set.started}
+        library = plan_input.world.environment.transformation
+        if any(isinstance(library[unit.transformation].run.state, str) for unit in change_set.started):
+            return None
         wanted = self.problem(findings.planned, plan_input.world)
         for problem in (wanted, *(less for less, _ in _asking_less(wanted))):
             given = _given(problem, change_set)
@@ -339,6 +360,45 @@ def _asking_less(problem: Problem) -> Iterator[tuple[Problem, str]]:
         library = tuple(replace(t, min_instances=0) if t.min_instances else t for t in problem.environment.library)
         problem = replace(problem, environment=replace(problem.environment, library=library))
         yield problem, "there is no room for as many instances as are asked for"
+
+
+def _starts(findings: Findings, label: str) -> bool:
+    """Whether an update that is worth it starts units of a transformation."""
+    new = findings.change_set.started if findings.change_set is not None else ()
+    is_used = any(unit.transformation == label and not unit.standby for unit in new)
+    return findings.decision is Decision.APPLIED and is_used
+
+
+def _needed_for_a_look(
+    optimistic: Findings, label: str, statements: Iterable[Statement]
+) -> tuple[ComputationUnit, ...]:
+    """Return the new units that a look at a transformation needs, without topics: its own, and those that feed them.
+
+    If another stream must say how good it is, all new units of the plan are needed.
+    """
+    if optimistic.change_set is None or not _starts(optimistic, label):
+        return ()
+    new = {unit.id: unit for unit in optimistic.change_set.started if not unit.standby}
+    stated = map(optimistic.planned.stated, statements)
+    if all(each is not None and each.observe is not None for each in stated):
+        observed = [unit.id for unit in new.values() if unit.transformation == label]
+        feeders = {unit.id: [one.stream.unit for one in unit.subscriptions] for unit in new.values()}
+        needed = reached(observed, lambda unit: feeders.get(unit, ()))
+        new = {unit_id: unit for unit_id, unit in new.items() if unit_id in needed}
+    return tuple(replace(unit, publications=()) for unit in new.values())
+
+
+def _pays(optimistic: Findings, units: Iterable[ComputationUnit], unmet: Mapping[str, str]) -> bool:
+    """Whether a plan that a look may lead to meets more targets, or saves PAYS times the cost of the look's `units`.
+
+    If the file orders other objectives before cost, the plan was found better by these.
+    """
+    if not unmet.keys().isdisjoint(optimistic.met) or optimistic.planned.minimise[0] is not Objective.COST:
+        return True
+    library = optimistic.planned.transformation
+    costs = (costs_there(optimistic.planned, unit, library[unit.transformation]) for unit in units)
+    look_us = sum(labor_us + LOOK_S * upkeep_us for labor_us, upkeep_us, _ in costs)
+    return optimistic.cost_before_us - (optimistic.cost_us or 0) >= PAYS * look_us
 
 
 def _given(problem: Problem, change_set: ChangeSet) -> BestEffort:

@@ -1,19 +1,20 @@
-"""Looks: a transformation that was found too bad runs for some seconds, to see whether it has become better.
+"""Looks: a transformation that may be better than the ones that run is run for some seconds, to observe its quality.
 
-A transformation that does not run is not observed. If streams have said that it is worse than declared, and the planner
-would choose it if it were as good as declared, it runs for LOOK_S seconds without subscribers; a slow stream is looked
-at until it has given enough elements. If a look finds nothing new, the next one at this transformation comes later.
+A transformation that does not run is not observed. If the planner would choose it with the quality that it may have, it
+runs for LOOK_S seconds without subscribers; a slow stream is looked at until it has given enough elements. If a look
+finds nothing new, the next one at this transformation comes later.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf
+from types import MappingProxyType
 from typing import Final, NamedTuple
 
-from cfgplan.domain import Environment, Statement
-from cfgplan.observed import Estimates
+from cfgplan.domain import ComputationUnit, Environment, Statement
+from cfgplan.observed import Estimates, hoped_deviation
 from cfgplan_runtime.lifecycle.seen_qualities import SeenQualities
 
 LOOK_S: Final = 3.0
@@ -22,13 +23,28 @@ LONGEST_LOOK_S: Final = 60.0
 LONGEST_INTERVAL_S: Final = 960.0
 NEW: Final = 0.2
 """A look finds something new if a quality differs by more than this share from its known value."""
+PAYS: Final = 2.0
+"""A look is taken if the plan that it may lead to saves this many times the look's cost, or meets more targets;
+experiments/observed/README.md has the figures.
+"""
 
 
 class Pause(NamedTuple):
-    """When a transformation was looked at last, or was of no use, and the seconds from then to its next look."""
+    """When a transformation was looked at last, or could not be, and the seconds from then to its next look."""
 
     since_s: float
     interval_s: float
+
+
+class Idle(NamedTuple):
+    """When no transformation was worth a look, with which qualities and running units, and the seconds from then until
+    the question is asked again if these stay the same.
+    """
+
+    since_s: float
+    interval_s: float = 0.0
+    qualities: Mapping[Statement, int] = MappingProxyType({})
+    units: tuple[ComputationUnit, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +53,10 @@ class Looks:
 
     pauses: Mapping[str, Pause] = field(default_factory=dict)
     """By transformation, whether it said anything in its look or not."""
+    idle: Idle = field(default_factory=lambda: Idle(0.0))
+    """The last time when no look was taken; at first, the start of the run."""
+    impossible: frozenset[str] = frozenset()
+    """The transformations for whose last look there was no room, or that share a named state with another one."""
     label: str = ""
     """The transformation that is looked at."""
     units: tuple[str, ...] = ()
@@ -46,24 +66,44 @@ class Looks:
     known: Mapping[Statement, int] = field(default_factory=dict)
     """The deviations of the observed outputs that were known before the look, in micro-units."""
 
+    def next_s(self, qualities: Mapping[Statement, int], units: tuple[ComputationUnit, ...], least_s: float) -> float:
+        """Return when looks may be taken again, given the qualities and the units of now."""
+        is_same = self.idle.qualities == qualities and self.idle.units == units
+        return self.idle.since_s + (max(self.idle.interval_s, least_s) if is_same else least_s)
+
+    def idled(
+        self,
+        at_s: float,
+        qualities: Mapping[Statement, int],
+        units: tuple[ComputationUnit, ...],
+        least_s: float,
+    ) -> Looks:
+        """Note that no look was worth its cost: if nothing changes, looks wait for twice as long as the last time."""
+        is_same = self.idle.qualities == qualities and self.idle.units == units
+        interval_s = min(2 * self.idle.interval_s, LONGEST_INTERVAL_S) if is_same else 0.0
+        return replace(self, idle=Idle(at_s, max(interval_s, least_s), qualities, units))
+
     def due_s(self, label: str, seen_s: float, least_interval_s: float) -> float:
         """Return when the next look is due at a transformation that was observed last at `seen_s`."""
         pause = self.pauses.get(label)
         return max(seen_s + least_interval_s, -inf if pause is None else pause.since_s + pause.interval_s)
 
-    def begun(self, labels: Iterable[str], at_s: float, least_interval_s: float) -> Looks:
-        """Note that looks at transformations were planned: the next ones come after twice their intervals, at least."""
+    def begun(self, labels: Sequence[str], at_s: float, least_interval_s: float, *, is_possible: bool) -> Looks:
+        """Note that looks at transformations were planned, of which only the last one may be possible: the next ones
+        come after twice their intervals, at least.
+        """
+        impossible = self.impossible.difference(labels[-1:]) if is_possible else self.impossible
+        impossible |= {*(labels[:-1] if is_possible else labels)}
         doubled_s = {label: 2 * self.pauses[label].interval_s if label in self.pauses else 0.0 for label in labels}
         new = {
             label: Pause(at_s, min(max(next_s, least_interval_s), LONGEST_INTERVAL_S))
             for label, next_s in doubled_s.items()
         }
-        return Looks({**self.pauses, **new})
+        return replace(self, pauses={**self.pauses, **new}, impossible=impossible)
 
-    def at(self, label: str, qualities: Mapping[Statement, int]) -> Looks:
-        """Look at this transformation, and keep its known deviations for comparison."""
-        known = {one: seen for one, seen in qualities.items() if one.transformation == label}
-        return replace(self, label=label, known=known)
+    def at(self, label: str, statements: Iterable[Statement], qualities: Mapping[Statement, int]) -> Looks:
+        """Look at the outputs of a transformation, and keep their known deviations for comparison."""
+        return replace(self, label=label, known={one: qualities.get(one, 0) for one in statements})
 
     def running(self, units: tuple[str, ...], at_s: float) -> Looks:
         """Note that the units of the look run from now on."""
@@ -91,16 +131,29 @@ class Looks:
         )
         pause = self.pauses.get(self.label)
         if pause is None or not has_taught:
-            return Looks(self.pauses)
+            return Looks(self.pauses, self.idle, self.impossible)
         sooner = pause._replace(interval_s=max(pause.interval_s / 4, least_interval_s))
-        return Looks({**self.pauses, self.label: sooner})
+        return Looks({**self.pauses, self.label: sooner}, self.idle, self.impossible)
 
 
-def worse_seen_s(world: Environment, qualities: Mapping[Statement, int], estimates: Estimates) -> dict[str, float]:
-    """Return when each transformation that is known to be worse than declared was last observed, by label."""
-    found: dict[str, float] = {}
-    for statement, seen in qualities.items():
-        attribute, known = world.quality.get(statement.attribute), estimates.get(statement)
-        if attribute is not None and known is not None and attribute.sign * seen > 0:
-            found[statement.transformation] = max(known.seen_s, found.get(statement.transformation, -inf))
+def last_seen_s(world: Environment, running: Environment, estimates: Estimates) -> dict[str, float]:
+    """Return when each transformation that a look can observe was last observed, by label; -inf if it never was.
+
+    Running transformations are left out, and losses, which are measured only at subscribers.
+    """
+    runs, found = {unit.transformation for unit in running.units if not unit.standby}, dict[str, float]()
+    for statement in (*world.observable, *estimates):
+        label, known = statement.transformation, estimates.get(statement)
+        if label not in runs and statement not in world.losing and world.stated(statement) is not None:
+            found[label] = max(found.get(label, -inf), -inf if known is None else known.seen_s)
+    return found
+
+
+def hopes_of(label: str, world: Environment, estimates: Estimates, at_s: float) -> dict[Statement, int]:
+    """Return the deviations that the outputs of a transformation may have if it is good, in micro-units."""
+    found: dict[Statement, int] = {}
+    for statement in dict.fromkeys((*world.observable, *estimates)):
+        stated, attribute = world.stated(statement), world.quality.get(statement.attribute)
+        if statement.transformation == label and stated is not None and attribute is not None:
+            found[statement] = hoped_deviation(stated, attribute, estimates.get(statement), at_s)
     return found

@@ -95,7 +95,7 @@ class Manager:
         self._interrupt, self._ending = threading.Event(), threading.Event()
         """`_interrupt`: something has come that the plan under way can't know. `_ending`: the end was asked for."""
         policy = policy or Policy()
-        self._state = first_state(world, policy)
+        self._state = first_state(world, policy, self._clock.now())
         self._matching = WarmMatching(policy.reasoner, policy.match_limit_s)
         self._matching.take(self.world)
         self._deliberation = Deliberation(
@@ -328,9 +328,9 @@ class Manager:
                 self._preview(effect)
             case transitions.JudgeGiven(plan_input, change_set):
                 self._decide(transitions.GivenJudged(self._deliberation.judged(plan_input, change_set)))
-            case transitions.MakeLook(plan_input, labels, unmet):
+            case transitions.MakeLook(plan_input, hopes, unmet):
                 self._interrupt.clear()
-                looked = self._deliberation.look(plan_input, labels, unmet, stop=self._interrupt)
+                looked = self._deliberation.look(plan_input, hopes, unmet, stop=self._interrupt)
                 self._interrupt.clear()
                 self._decide_arrivals()
                 self._decide(looked)

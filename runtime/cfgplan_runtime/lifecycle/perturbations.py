@@ -130,7 +130,7 @@ class LinkMeasured(Perturbation, frozen=True):
 
 
 class LookDue(Perturbation, frozen=True):
-    """A transformation whose quality was too bad runs for some seconds, to measure whether it has become better."""
+    """A transformation that may be better than the ones that run is run for some seconds, to observe its quality."""
 
     transformation: str
 

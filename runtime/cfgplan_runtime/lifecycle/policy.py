@@ -20,10 +20,10 @@ class Policy:
     later. A review that failed is repeated after `retry_s`, then twice that, up to `most_retry_s`. With `hosts_s`,
     plans use a host once it has joined, and the first review waits up to `hosts_s` until it knows of each whether it
     has joined; None: they are used until they are lost. With `refuses_hosts`, a world with hosts is refused, because
-    the middleware can't place units. A transformation that its streams have shown to be too bad is tried again, by a
-    look, after `look_every_s`; if a look finds nothing new, the next one comes after twice the time. None: no looks. A
-    manager remembers its last `reviews_kept` reviews. `reasoner` is a name in `cfgplan.matching.REASONERS`, or `auto`.
-    `back_off` says how long a transformation waits after failures.
+    the middleware can't place units. A transformation that may be better than the ones that run, and was not observed
+    for `look_every_s`, is run by a look for some seconds; if the look finds nothing new, the next one comes after twice
+    the time. None: no looks. A manager remembers its last `reviews_kept` reviews. `reasoner` is a name in
+    `cfgplan.matching.REASONERS`, or `auto`. `back_off` says how long a transformation waits after failures.
     """
 
     time_limit_s: float | None = 10.0

@@ -19,7 +19,7 @@ from cfgplan_runtime.lifecycle.configuration import PlanInput, Situation
 from cfgplan_runtime.lifecycle.deliberation import Findings
 from cfgplan_runtime.lifecycle.inbox import Asked, Outcome
 from cfgplan_runtime.lifecycle.link_rates import LinkRates
-from cfgplan_runtime.lifecycle.looks import Looks, worse_seen_s
+from cfgplan_runtime.lifecycle.looks import Looks, last_seen_s
 from cfgplan_runtime.lifecycle.perturbations import Perturbation, SubscriptionLost, UnitGone, UpdateFailed
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Phase, Review
@@ -168,7 +168,8 @@ class State:
 
     @property
     def horizon_at_s(self) -> float:
-        return self.cycle_began_s + (self.version.world.horizon_s or inf)
+        """When the review at the horizon is due; not during a look, which it would end."""
+        return inf if self.looks.units else self.cycle_began_s + (self.version.world.horizon_s or inf)
 
     @property
     def silence_at_s(self) -> float:
@@ -186,11 +187,11 @@ class State:
 
     @property
     def looks_due_s(self) -> dict[str, float]:
-        """When the next look is due at each transformation that is known to be worse than declared, in this order."""
-        every_s, qualities = self.policy.look_every_s, self.situation.qualities
-        if every_s is None or not qualities:
+        """When the next look may be due at each transformation that can be observed and does not run, in this order."""
+        every_s, environment = self.policy.look_every_s, self.version.world.environment
+        if every_s is None or not environment.observable:
             return {}
-        seen_s = worse_seen_s(self.version.world.environment, qualities, self.seen.estimates)
+        seen_s = last_seen_s(environment, self.running, self.seen.estimates)
         due_s = {label: self.looks.due_s(label, last_s, every_s) for label, last_s in seen_s.items()}
         return dict(sorted(due_s.items(), key=lambda one: (one[1], one[0])))
 
@@ -199,7 +200,11 @@ class State:
         """When the next look is due; inf if there is nothing to look at, and until no perturbation waits."""
         if self.looks.units or self.entries:
             return inf
-        return min(self.looks_due_s.values(), default=inf)
+        first_s = min(self.looks_due_s.values(), default=inf)
+        if first_s == inf:
+            return inf
+        qualities, units = self.situation.qualities, self.running.units
+        return max(first_s, self.looks.next_s(qualities, units, self.policy.look_every_s or 0.0))
 
     @property
     def wake_s(self) -> float:

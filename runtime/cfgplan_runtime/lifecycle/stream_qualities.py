@@ -80,12 +80,16 @@ def _missed(environment: Environment) -> set[str | None]:
 
 
 def qualities_faded(transition: Transition) -> Transition:
-    """Use the faded estimates of streams that were not observed for long in the next plan."""
+    """Use the faded estimates of streams that were not observed for long in the next plan, if no look can observe
+    them.
+    """
     state, situation = transition.state, transition.state.situation
     if not state.seen.estimates:
         return transition
     world = state.version.world.environment.with_facts(situation.facts)
-    now = planned_deviations(world, state.seen.estimates, situation.qualities, transition.at_s, fades=True)
+    unseen = {one.transformation for one in state.seen.estimates}
+    fading = unseen if state.policy.look_every_s is None else state.looks.impossible
+    now = planned_deviations(world, state.seen.estimates, situation.qualities, transition.at_s, fading=fading)
     return transition.situated(replace(situation, qualities=now))
 
 

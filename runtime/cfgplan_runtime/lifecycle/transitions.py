@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 
 import msgspec
 
-from cfgplan.domain import ChangeSet, Environment
+from cfgplan.domain import ChangeSet, Environment, Statement
 from cfgplan.errors import InputError
 from cfgplan_runtime.lifecycle.back_off import Place
 from cfgplan_runtime.lifecycle.basis import Preview
@@ -158,10 +158,11 @@ class JudgeGiven(Effect, frozen=True):
 
 
 class MakeLook(Effect, frozen=True):
-    """Plan as if one of these transformations were as good as declared, to run it for a moment: Looked follows."""
+    """Plan as if transformations were as good as hoped, to run one of them for a moment: Looked follows."""
 
     plan_input: PlanInput
-    labels: tuple[str, ...]
+    hopes: Mapping[str, Mapping[Statement, int]]
+    """By transformation, in the order in which they are due: the deviations that its outputs may have."""
     unmet: Mapping[str, str]
 
 
