@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
+from pkgutil import iter_modules
 from types import MappingProxyType
 
 from cfgplan.errors import known
@@ -35,11 +36,21 @@ class Entrant:
         return planner
 
 
+_FOLDERS = ("networks", "reducing", "bounding", "closing", "solving", "exact")
+"""The folders of `cpsat`, which imports most of their modules when it first needs them."""
+
+
+def _modules_of(package: str) -> list[str]:
+    found = find_spec(package)
+    folders = None if found is None else found.submodule_search_locations
+    return sorted(f"{package}.{module.name}" for module in iter_modules(folders or ()))
+
+
 def _registered(name: str) -> Entrant:
     module = f"cfgplan.planners.{name.replace('-', '_')}"
     if name == "cpsat":
-        parts = (f"cfgplan.planners.exact.{part}" for part in ("fleet", "search", "deployment"))
-        return Entrant(name, engines=("networkx", "ortools.linear_solver.pywraplp", module, *parts))
+        parts = (part for folder in _FOLDERS for part in _modules_of(f"cfgplan.planners.{folder}"))
+        return Entrant(name, engines=("networkx", "numpy", "ortools.linear_solver.pywraplp", module, *parts))
     return Entrant(name, engines=(module,) if find_spec(module) else ())
 
 

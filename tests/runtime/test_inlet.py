@@ -155,10 +155,7 @@ def test_elements_of_one_time_are_told_apart_by_their_turn() -> None:
 
 @given(st.data())
 def test_no_order_of_deeds_reverses_elements_or_loses_one_uncounted(data: st.DataObject) -> None:
-    """Units come, each with the same stream from some element on; all but the latest may end behind their last element.
-
-    The next comes once the inlet has switched to the latest.
-    """
+    """Units come, each with the same stream from some element on; all but the latest may end behind their last one."""
     limit = data.draw(st.integers(2, 6), "limit")
     inlet, handed_on = InputQueue(limit), list[Element]()
     wires: dict[int, list[Element]] = {}
@@ -169,13 +166,7 @@ def test_no_order_of_deeds_reverses_elements_or_loses_one_uncounted(data: st.Dat
     for _ in range(data.draw(st.integers(1, 60), "deeds")):
         come = [wire for wire, sent in wires.items() if sent]
         gone = [wire for wire, sent in wires.items() if wire in ended and not sent]
-        deeds = [
-            *["begin"] * (inlet.standby is None),
-            "make",
-            "switch",
-            *["come"] * 4 * bool(come),
-            *["gone"] * bool(gone),
-        ]
+        deeds = ["begin", "make", "switch", *["come"] * 4 * bool(come), *["gone"] * bool(gone)]
         replaced = sorted(wires.keys() - ended)[:-1]
         match data.draw(st.sampled_from([*deeds, "end"] if replaced else deeds)):
             case "begin":
@@ -205,3 +196,20 @@ def test_no_order_of_deeds_reverses_elements_or_loses_one_uncounted(data: st.Dat
     missing = sum(after - before - 1 for before, after in pairwise(came))
     late = sum(len(sent) for wire, sent in wires.items() if wire not in (inlet.active, inlet.standby))
     assert missing <= inlet.dropped + late
+
+
+def test_a_source_between_two_others_is_read_where_the_first_one_ended() -> None:
+    """1 ends behind the element 1; 2 begins at 2, and is replaced by 3, which begins at 4, before the end is read."""
+    inlet = InputQueue(limit=10)
+    inlet.attach(1)
+    handed_on = inlet.accept(1, element(0, 0))
+    inlet.attach(2)
+    inlet.attach(3)
+    for time_ns in (2, 3, 4):
+        handed_on += inlet.accept(2, element(time_ns, time_ns - 2))
+    inlet.end(2)
+    handed_on += inlet.accept(3, element(4, 0))
+    handed_on += inlet.accept(1, element(1, 1))
+    handed_on += inlet.end(1)
+    assert times(handed_on) == [0, 1, 2, 3, 4]
+    assert (inlet.active, inlet.dropped, inlet.sources) == (3, 0, {3})

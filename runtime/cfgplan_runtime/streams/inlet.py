@@ -5,6 +5,9 @@ has sent everything before the first of them. Then the inlet switches, and skips
 newer. So the moments of the elements that it delivers always rise. If it has to switch early, it still reads the former
 source: elements before the first one of the new source are delivered until the new source has sent one, and counted as
 dropped from then on.
+
+If it is rewired again before it has switched, it reads the earlier standbys too: the active source may have ended, and
+only they send the elements between its last one and the first one of the latest standby.
 """
 
 from __future__ import annotations
@@ -33,12 +36,14 @@ class InputQueue:
 
     limit: int
     active: int | None = None
-    standby: int | None = None
     dropped: int = 0
     stale: int = 0
     """The number of elements that were not newer than the last delivered one."""
     last: Moment = BEFORE_ALL
-    _held: deque[Element] = field(default_factory=deque)
+    _standbys: dict[int, deque[Element]] = field(default_factory=dict)
+    """The waiting elements of each standby; the latest standby is last."""
+    _ended: set[int] = field(default_factory=set)
+    """Earlier standbys that have ended and have waiting elements."""
     _next_number: dict[int, int] = field(default_factory=dict)
     _former: dict[int, Moment] = field(default_factory=dict)
     """Sources from which the inlet switched early, each with the moment up to which it is still read."""
@@ -46,17 +51,22 @@ class InputQueue:
     @property
     def sources(self) -> set[int]:
         """The wires to read."""
-        return {wire for wire in (self.active, self.standby, *self._former) if wire is not None}
+        wires = {*self._standbys, *self._former} - self._ended
+        if self.active is not None:
+            wires.add(self.active)
+        return wires
+
+    @property
+    def standby(self) -> int | None:
+        """The latest standby."""
+        return next(reversed(self._standbys), None)
 
     def attach(self, wire: int) -> bool:
-        """Add a source. Returns whether it is active at once; otherwise it becomes the standby, in place of an earlier
-        one.
-        """
+        """Add a source. Returns whether it is active at once; otherwise it becomes the latest standby."""
         if self.active is None:
             self.active = wire
             return True
-        self._forget_standby()
-        self.standby = wire
+        self._standbys[wire] = deque()
         return False
 
     def accept(self, wire: int, element: Element) -> list[Element]:
@@ -65,12 +75,13 @@ class InputQueue:
             self._count_drops(wire, element)
             handed_on = self._from_new([element])
             return handed_on + self._switch_when_due()
-        if wire == self.standby:
+        if wire in self._standbys:
             self._count_drops(wire, element)
-            self._held.append(element)
+            held = self._standbys[wire]
+            held.append(element)
             # More would have no room where they are handed on.
-            is_full = len(self._held) >= max(self.limit, 2)
-            return self.switch() if is_full else self._switch_when_due()
+            is_full = len(held) >= max(self.limit, 2)
+            return (self._switch_to(wire, BEFORE_ALL) if is_full else []) + self._switch_when_due()
         if wire in self._former:
             self._count_drops(wire, element)
             if element.moment >= self._former[wire]:
@@ -83,35 +94,61 @@ class InputQueue:
 
     def end(self, wire: int) -> list[Element]:
         """Record the end of `wire`. Returns the elements to deliver now."""
-        if wire == self.standby:
-            self._forget_standby()
-        elif wire in self._former:
-            self._forget_former(wire)
-        elif wire == self.active:
+        if wire == self.active:
             self.active = None
             self._next_number.pop(wire, None)
-            if self.standby is not None:
-                return self.switch()
+            return self._next_active()
+        if wire in self._former:
+            self._forget_former(wire)
+        elif wire == self.standby or not self._standbys.get(wire):
+            self._forget_standby(wire)
+        else:
+            self._ended.add(wire)
         return []
 
     def switch(self, now: Moment = BEFORE_ALL) -> list[Element]:
-        """Make the standby the active source at once. Returns the elements to deliver now.
+        """Make the latest standby the active source at once. Returns the elements to deliver now.
 
-        If the standby has sent nothing yet, elements of the former source from before `now` are still delivered.
+        If the standby has sent nothing yet, elements of the former sources from before `now` are still delivered.
         """
-        if self.standby is None:
-            return []
-        held, self._held = self._held, deque()
-        if self.active is not None:
-            self._former[self.active] = held[0].moment if held else now
-            if self._former[self.active] <= self.last:
-                self._forget_former(self.active)
-        self.active, self.standby = self.standby, None
-        return self._from_new(held)
+        return [] if self.standby is None else self._switch_to(self.standby, now)
+
+    def _switch_to(self, wire: int, now: Moment) -> list[Element]:
+        """Make a standby the active source. Earlier sources are read up to its first element, or up to `now`."""
+        held = self._standbys[wire]
+        until = held[0].moment if held else now
+        left = [] if self.active is None else [self.active]
+        earlier = list[Element]()
+        for other in list(self._standbys)[: list(self._standbys).index(wire)]:
+            earlier += (one for one in self._standbys[other] if one.moment < until)
+            left += [other] * (other not in self._ended)
+            self._forget_standby(other, is_read=other not in self._ended)
+        del self._standbys[wire]
+        delivered = self._newer(sorted(earlier, key=lambda one: one.moment))
+        for other in left:
+            self._former[other] = until
+            if until <= self.last:
+                self._forget_former(other)
+        self.active = wire
+        return delivered + self._from_new(held)
+
+    def _next_active(self) -> list[Element]:
+        """Make the earliest standby the active source that has not ended, after the elements of those that have."""
+        delivered = list[Element]()
+        while self.active is None and self._standbys:
+            wire = next(iter(self._standbys))
+            held, has_ended = self._standbys[wire], wire in self._ended
+            self._forget_standby(wire, is_read=not has_ended)
+            self.active = None if has_ended else wire
+            delivered += self._from_new(held)
+        return delivered + self._switch_when_due()
 
     def _switch_when_due(self) -> list[Element]:
-        if self._held and self.last >= self._held[0].moment:
-            return self.switch()
+        """Switch to the latest standby of which the active source has sent the first element."""
+        for wire in reversed(self._standbys):
+            held = self._standbys[wire]
+            if held and wire not in self._ended and self.last >= held[0].moment:
+                return self._switch_to(wire, BEFORE_ALL) + self._switch_when_due()
         return []
 
     def _from_new(self, elements: deque[Element] | list[Element]) -> list[Element]:
@@ -139,8 +176,9 @@ class InputQueue:
         del self._former[wire]
         self._next_number.pop(wire, None)
 
-    def _forget_standby(self) -> None:
-        if self.standby is not None:
-            self._next_number.pop(self.standby, None)
-        self.standby = None
-        self._held.clear()
+    def _forget_standby(self, wire: int, *, is_read: bool = False) -> None:
+        """Forget the waiting elements of a standby, and their numbers unless the wire `is_read` on."""
+        self._standbys.pop(wire, None)
+        self._ended.discard(wire)
+        if not is_read:
+            self._next_number.pop(wire, None)
