@@ -27,6 +27,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from cfgplan import api
 
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "operating"))
 
 from browsed import CHROMIUM, await_frames, await_so, browser

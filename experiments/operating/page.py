@@ -29,6 +29,7 @@ from cfgplan_runtime.streams.run_folder import RunFolder
 
 from cfgplan import api
 
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "operating"))
 
 from browsed import CHROMIUM, await_so, browser

@@ -191,7 +191,7 @@ def test_no_more_landmarks_are_looked_for_than_pay_where_the_way_is_deep() -> No
 
     with (
         patch("cfgplan.planners.bounding.bounds.ways_into", wraps=ways_into) as landmarks,
-        patch("cfgplan.planners.exact.stages.tightened", first),
+        patch("cfgplan.planners.bounding.bounds.tightened", first),
     ):
         found = plan(problem, report=lambda progress: costs.append(progress.cost_us))
     assert (found.status, found.cost_us) == (Status.OPTIMAL, 99 * 11 + 5)
