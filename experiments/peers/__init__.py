@@ -24,6 +24,8 @@ PEERS: Mapping[str, Entrant] = MappingProxyType(
             Entrant("clingo-bb", "experiments.peers.asp:plan_by_branching", ("clingo",)),
             Entrant("highs", "experiments.peers.milp:plan", ("highspy", "numpy")),
             Entrant("scip", "experiments.peers.scip:plan", ("pyscipopt",)),
+            Entrant("rc2", "experiments.peers.maxsat:plan", ("pysat",)),
+            Entrant("rc2-stratified", "experiments.peers.maxsat:plan_stratified", ("pysat",)),
             Entrant("fast-downward", "experiments.peers.downward:plan"),
             Entrant("clingo-usc-led", "experiments.peers.asp:plan_by_cores_led", ("clingo",)),
             Entrant("highs-led", "experiments.peers.milp:plan_led", ("highspy", "numpy")),

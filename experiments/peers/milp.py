@@ -52,6 +52,7 @@ def _plan(
         return Plan(selection.who, Status.INFEASIBLE, reasons=unmet_reasons(selection.problem))
     program = Program(selection, lead)
     model = Model(program)
+    model.add(program.one_of_alike())
     best, bound_us = (None, 0) if lead is None else (lead.plan, lead.bound_us)
     built_s = time.monotonic() - began
     rounds, nodes = 0, 0

@@ -100,6 +100,31 @@ class Program:
                 rows.some(outside)
         return rows
 
+    def one_of_alike(self) -> Rows:
+        """Return rows that let at most one of several new units run that meet the same demands.
+
+        `cpsat` has the same. They follow for optima, not for fractions. A fleet has none, since its units also differ
+        by their hosts.
+        """
+        rows = Rows()
+        candidates = self.selection.candidates
+        apart = {port.tag for each in candidates for port in each.transformation.inputs if port.distinct is not None}
+        different = {i for tag in apart for i in self.selection.feeders(tag)}
+        alike: dict[tuple[str, ...], list[int]] = defaultdict(list)
+        for i, demands in self.closure.feeds.items() if self.placing is None else ():
+            if candidates[i].running is None and i not in different:
+                alike[tuple(demands)].append(i)
+        for units in alike.values():
+            if len(units) > 1:
+                rows.at_least(-1, units, [-1.0] * len(units))
+                sharing: dict[str, list[int]] = defaultdict(list)
+                for i in units:
+                    for tag in self.needs[i]:
+                        sharing[tag].append(i)
+                for tag, shared in sharing.items():
+                    rows.at_least(0, [self._y[tag], *shared], [1.0] + [-1.0] * len(shared))
+        return rows
+
     def _column(self) -> int:
         self.costs.append(0.0)
         self.most.append(1)
@@ -213,13 +238,14 @@ class Closure:
         self._selection = selection
         self._needs = needs
         self._waiting: dict[str, list[int]] = defaultdict(list)
-        self._feeds: dict[int, list[str]] = defaultdict(list)
+        self.feeds: dict[int, list[str]] = defaultdict(list)
+        """The demanded tags that each unit meets, in one order for all."""
         for i, tags in enumerate(needs):
             for tag in tags:
                 self._waiting[tag].append(i)
-        for tag in {*self._waiting, *selection.wanted}:
+        for tag in sorted({*self._waiting, *selection.wanted}):
             for i in selection.feeders(tag):
-                self._feeds[i].append(tag)
+                self.feeds[i].append(tag)
         costs = [candidate.cost_us for candidate in selection.candidates]
         self._cheap_last = sorted(range(len(costs)), key=lambda i: (-costs[i], i))
         self._goals = dict.fromkeys([*selection.wanted, *(tag for i in sorted(selection.kept) for tag in needs[i])])
@@ -247,7 +273,7 @@ class Closure:
         new: list[str] = []
         ahead = [i] if self._missing[i] == 0 else []
         for unit in ahead:
-            for tag in self._feeds[unit]:
+            for tag in self.feeds[unit]:
                 if tag not in self._fed:
                     self._fed.add(tag)
                     new.append(tag)

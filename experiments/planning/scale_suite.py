@@ -48,9 +48,9 @@ def families() -> dict[str, tuple[str, Mapping[str, float]]]:
 
 
 def scale() -> Iterator[Instance]:
-    """Yield random libraries of 50 to 50,000 transformations, robots, transports, fleets, deployments; ten of each
-    family.
+    """Yield random libraries of 50 to 50,000 transformations, robots, transports, fleets, deployments: one of each
+    family for each of ten seeds, so that an interrupted comparison has all families.
     """
-    for family, parameters in families().values():
-        for seed in SCALE_SEEDS:
+    for seed in SCALE_SEEDS:
+        for family, parameters in families().values():
             yield generated(family, seed, **parameters)

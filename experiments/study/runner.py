@@ -113,6 +113,7 @@ DISTRIBUTIONS = {
     "experiments.peers.downward": "up-fast-downward",
     "highspy": "highspy",
     "ortools": "ortools",
+    "pysat": "python-sat",
     "pyscipopt": "pyscipopt",
 }
 """Modules of entrants, and the packages whose versions belong to a result of theirs."""

@@ -57,9 +57,10 @@ INSTANCES = [
 ]
 OPEN = {("clingo-bb", SERVING.name)}
 """What takes too long for a test."""
+MAXSAT = ("rc2", "rc2-stratified")
 REFUSED = {
-    *((program, fleet.name) for program in (*LED, "fast-downward") for fleet in (FLEET, DEPLOYMENT, SERVING)),
-    *((program, "feedback") for program in ("highs", "highs-led", "scip", "scip-led")),
+    *((program, fleet.name) for program in (*LED, *MAXSAT, "fast-downward") for fleet in (FLEET, DEPLOYMENT, SERVING)),
+    *((program, "feedback") for program in (*MAXSAT, "highs", "highs-led", "scip", "scip-led")),
     ("fast-downward", "feedback"),
     ("fast-downward", "adversarial(kind=fusion, size=3)#0"),
 }
