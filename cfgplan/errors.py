@@ -10,7 +10,6 @@ from typing import Any
 
 _MOST_NAMES_COMPARED = 500
 _MOST_BESIDE = 500
-_ENDINGS = (".yaml", ".yml", ".json", ".xml")
 _LETTERS = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-./:()@ "
 
 
@@ -124,8 +123,8 @@ def close_names(name: str, names: Collection[str], most: int = 1) -> list[str]:
     return close
 
 
-def close_file(path: Path) -> Path | None:
-    """The file beside a missing one that is spelt much like it, or is named like it with another ending of its kind.
+def close_file(path: Path, endings: Collection[str] = ()) -> Path | None:
+    """The file beside a missing one that is spelt much like it, or is named like it with another one of the `endings`.
 
     Only the first few hundred files of the folder are compared.
     """
@@ -136,7 +135,7 @@ def close_file(path: Path) -> Path | None:
     stems = {name.removesuffix(path.suffix) for name in names if name.endswith(path.suffix)}
     if close := close_names(path.stem, stems - {""}):
         return path.with_name(close[0] + path.suffix)
-    others = [path.with_suffix(suffix) for suffix in _ENDINGS if path.suffix in _ENDINGS]
+    others = [path.with_suffix(suffix) for suffix in endings if path.suffix in endings]
     return next((other for other in others if other.name in names), None)
 
 

@@ -244,15 +244,13 @@ def parser_of(arguments: Sequence[str]) -> Parser:
 
 def _mend_of_command(asked: str) -> str | None:
     from cfgplan.cli.ctl import NAMES
+    from cfgplan.formats.files import SUFFIXES
 
-    if Path(asked).suffix in _OF_ENVIRONMENTS:
+    if Path(asked).suffix in SUFFIXES:
         return f"write a command before the file, such as `cfgplan solve {asked}`"
     if asked in NAMES:
         return f"write `cfgplan ctl {asked}`: it is a command for a live run"
     return did_you_mean(asked, VERBS, "cfgplan --help lists the commands")
-
-
-_OF_ENVIRONMENTS = (".yaml", ".yml", ".json", ".xml")
 
 
 def parser_with(filled: Collection[str], verbs: Iterable[str] = VERBS) -> Parser:

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 from cfgplan.errors import Fault, InputError
 from cfgplan.formats import fields
 from cfgplan.formats.environment_file import ANY_IMPORT, FoundImports
-from cfgplan.formats.files import is_folder, read_source
+from cfgplan.formats.files import SUFFIXES, is_folder, read_source
 from cfgplan.formats.forms import RefusedError
 from cfgplan.formats.garbage import no_garbage_collection
 from cfgplan.formats.places import Path, Source, Spot
@@ -30,7 +30,6 @@ _OTHER_KINDS = {
     ".py": ("Python code", "name its classes under `source:` of an environment file"),
 }
 """Files that are mistaken for an environment, by their ending, each with its mend."""
-SUFFIXES = (".yaml", ".yml", ".json", ".xml")
 P = TypeVar("P", bound=fields.Part)
 
 Indexed = tuple[int, P]

@@ -9,6 +9,8 @@ from cfgplan.formats.json_text import read_json
 from cfgplan.formats.places import Source
 from cfgplan.formats.yaml_text import read_yaml
 
+SUFFIXES = (".yaml", ".yml", ".json", ".xml")
+"""The endings of environment files."""
 LARGEST_FILE_BYTES = 128 * 2**20
 _UNREADABLE: dict[type[Exception], tuple[str, str]] = {
     FileNotFoundError: ("there is no such file", "check the path"),
@@ -53,7 +55,7 @@ def read_bytes(path: Path) -> bytes:
         why = getattr(error, "strerror", None) or error
         message, mend = _UNREADABLE.get(type(error), (f"the file can't be read: {why}", "check the path"))
         mend = "name /dev/stdin for standard input" if name == "-" else mend
-        if isinstance(error, FileNotFoundError) and (close := close_file(path)) is not None:
+        if isinstance(error, FileNotFoundError) and (close := close_file(path, SUFFIXES)) is not None:
             mend = f"did you mean `{close}`?"
         elif isinstance(error, FileNotFoundError) and not is_folder(path.parent):
             mend = f"check the path: there is no folder `{path.parent}`"
