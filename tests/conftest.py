@@ -9,6 +9,8 @@ Modules are compiled once: where PYTHONDONTWRITEBYTECODE is set, each process of
 `CFGPLAN_RERUNS=1`, which `.ci/run` sets, runs a test once more if it fails and waits for processes: the computer of the
 CI stops whole processes for seconds. pytest lists each such test, and each is a race to mend.
 
+A test that neither ends within the `timeout` of pyproject.toml nor hears of it has its process ended and fails.
+
 `CFGPLAN_SKIPS=listed`, which `.ci/run` sets, fails a test that is skipped for a reason outside `ALLOWED_SKIPS`: the
 packages that other reasons name are installed there.
 """
@@ -30,6 +32,9 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 from warm import warm_socket
+from xdist.remote import Producer
+from xdist.scheduler import LoadGroupScheduling
+from xdist.workermanage import WorkerController
 
 FEWEST_EXAMPLES = 10
 """A property with fewer examples draws all of them."""
@@ -158,6 +163,37 @@ def warm_cfgplan() -> str:
 def pytest_xdist_auto_num_workers() -> int:
     """One more than there are cores, since many tests wait for processes that they have started."""
     return (os.cpu_count() or 1) + 1
+
+
+class Scheduling(LoadGroupScheduling):
+    """Like `--dist loadgroup`, and goes on after the death of a worker.
+
+    pytest-xdist 3.8 runs the test that killed a worker again in the next one, and gives that one a single group: since
+    a worker runs a test once it knows the next one or that there is none, the run then waits for ever.
+    """
+
+    def remove_node(self, node: WorkerController) -> str | None:
+        """Return the test in which a worker died, None if it had none left; its other tests wait for a worker again."""
+        units = self.assigned_work.pop(node)
+        left = [(scope, test) for scope, unit in units.items() for test, is_done in unit.items() if not is_done]
+        for scope, test in left[1:]:
+            self.workqueue.setdefault(scope, {})[test] = False
+        for other in self.nodes:
+            self._reschedule(other)
+        return left[0][1] if left else None
+
+    def _reschedule(self, node: WorkerController) -> None:
+        if node not in self.registered_collections:
+            return
+        super()._reschedule(node)
+        while self.workqueue and not node.shutting_down and self._pending_of(self.assigned_work[node]) < 2:
+            self._assign_work_unit(node)
+        if not self.workqueue:
+            node.shutdown()
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Scheduling | None:
+    return Scheduling(config, log) if config.getvalue("dist") == "loadgroup" else None
 
 
 @pytest.hookimpl(wrapper=True)

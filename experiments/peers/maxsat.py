@@ -89,7 +89,7 @@ class _Anytime(RC2):  # type: ignore[misc, unused-ignore]
         """Return which of the first `count` variables are true in an optimum; None without one, or if stopped."""
         if self.is_late:
             return None
-        values = self.compute(expect_interrupt=True)
+        values = self.compute()
         return None if values is None or self.is_late else [i for i in range(count) if values[i] > 0]
 
     def stop(self) -> None:
@@ -98,8 +98,14 @@ class _Anytime(RC2):  # type: ignore[misc, unused-ignore]
 
     def process_core(self) -> None:
         super().process_core()
-        self._tell(self.cost)
         self.interrupted = self.interrupted or self.is_late
+        if not self.is_late:  # the cost of a core whose exhaustion was stopped is no bound
+            self._tell(self.cost)
+
+    def _call_oracle(self, assumptions: list[int], **_: bool) -> bool | None:
+        """Whether the assumptions can hold; None if stopped. Each question can be stopped: RC2 asks that of some."""
+        answer: bool | None = super()._call_oracle(assumptions, expect_interrupt=True)
+        return answer
 
 
 class _Stratified(_Anytime, RC2Stratified):  # type: ignore[misc, unused-ignore]

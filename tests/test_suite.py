@@ -1,8 +1,10 @@
-"""Which tests a push runs, and which skips fail in CI: see tests/conftest.py."""
+"""Which tests a push runs, which skips fail in CI, and what a dead worker leaves: see tests/conftest.py."""
 
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
@@ -78,3 +80,40 @@ def test_a_push_takes_a_share_of_the_seeds_of_each_test_and_others_the_next_time
     assert set.union(*map(taken, range(40))) == taken(1, share=1)
     assert all("usual" in taken(seed) for seed in range(40))
     assert taken(1, share=100) > {"usual"}
+
+
+SUITE_WITH_TWO_DEATHS = """
+import os
+import time
+from itertools import repeat
+
+import pytest
+
+
+@pytest.mark.parametrize("number", range(12))
+def test_some(number):
+    if number == 5:
+        os._exit(1)
+
+
+@pytest.mark.xdist_group("together")
+@pytest.mark.parametrize("number", range(3))
+def test_group(number):
+    if number == 1:
+        sum(repeat(0))  # hears no signal
+"""
+
+
+def test_the_other_tests_of_a_worker_that_dies_or_hears_nothing_run_once(tmp_path: Path) -> None:
+    (tmp_path / "test_deaths.py").write_text(SUITE_WITH_TWO_DEATHS, encoding="utf-8")
+    (tmp_path / "conftest.py").write_text("from suite import pytest_xdist_make_scheduler\n", encoding="utf-8")
+    (tmp_path / "suite.py").symlink_to(TESTS / "conftest.py")
+    (tmp_path / "warm.py").symlink_to(TESTS / "warm.py")
+    limits = ["-o", "faulthandler_timeout=5", "-o", "faulthandler_exit_on_timeout=true"]
+    options = ["-n", "2", "--dist", "loadgroup", "-p", "no:cacheprovider", *limits]
+    run = subprocess.run(
+        [sys.executable, "-m", "pytest", *options], cwd=tmp_path, capture_output=True, text=True, timeout=300
+    )
+    assert "2 failed, 13 passed" in run.stdout
+    killers = re.findall(r"crashed while running 'test_deaths.py::(.*)'", run.stdout)
+    assert sorted(killers) == ["test_group[1]", "test_some[5]"]
