@@ -33,8 +33,8 @@ def test_a_peer_that_is_stopped_claims_no_bound_above_the_optimum(
     planner, told = getattr(maxsat, name), list[Progress]()
     whole = planner(problem)
     assert whole.status is Status.OPTIMAL
-    for last in range(1, asked + 1):
-        asked = 0
+    for question in range(1, asked + 1):
+        last, asked = question, 0
         plan = planner(problem, report=told.append)
         assert plan.status is not Status.INFEASIBLE
         assert max([plan.bound_us, *(progress.bound_us for progress in told)]) <= whole.cost_us
