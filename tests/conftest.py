@@ -109,11 +109,15 @@ def pytest_report_header(config: pytest.Config) -> str:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Draw seeds; lower the number of examples of each property and stateful test, once; mark what may be run again."""
+    """Draw seeds; lower the number of examples of each property and stateful test, once; mark what may be run again.
+
+    Tests that one worker runs together, as those of ROS 2, come first: the others do the rest beside them.
+    """
     left_out = {item.nodeid for item in seeds_left_out(items, int(config.option.hypothesis_seed))}
     if left_out:
         config.hook.pytest_deselected(items=[item for item in items if item.nodeid in left_out])
         items[:] = [item for item in items if item.nodeid not in left_out]
+    items.sort(key=lambda item: item.get_closest_marker("xdist_group") is None)
     lowered: set[int] = set()
     for item in items:
         if RERUNS and item.path.parent.name in _ROOMS_WITH_PROCESSES:
