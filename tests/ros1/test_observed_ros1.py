@@ -83,7 +83,7 @@ def test_a_fact_of_another_message_type_than_that_of_its_topic_is_reported(tmp_p
 
 def test_diagnostics_of_another_message_type_are_reported_and_no_fact_is_blamed(tmp_path: Path) -> None:
     env = write_finders(tmp_path, NODES, "diagnostics.thrusters.left")
-    with outsider("talker", "chatter:=/diagnostics"), running("--middleware", "ros1", env) as process:
+    with outsider("talker", "chatter:=/diagnostics", "_rate:=10"), running("--middleware", "ros1", env) as process:
         told = await_event(process, "Warning")["text"]
     assert "/diagnostics is of type std_msgs/String, not diagnostic_msgs/DiagnosticArray" in told
     assert "let its publisher use another topic" in told and "fact" not in told
