@@ -6,7 +6,7 @@ where they were timed, so that a plan can be repeated on any machine; only a tim
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sized
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import NamedTuple, TypeVar
 
@@ -58,6 +58,7 @@ class Begin:
     """First plans."""
 
     attempts: int = row(30, "members", "This many members of a first plan are tried to be left out.", LIBRARIES)
+    many: int = row(400, "labels", "Below it, that takes longer than it saves.", "`guard.py`, seeds 7410 to 7425")
     ways: int = row(4, "plans", "This many first plans are tried where transformations are required.", LIBRARIES)
     shares: tuple[float, ...] = row(
         (0.0, 0.5, 2.0, 8.0, 32.0),
@@ -65,6 +66,10 @@ class Begin:
         "What a bounded resource or quality is priced at, in turn, until a plan keeps its bounds.",
         FLEETS,
     )
+
+    def attempts_among(self, labels: Sized) -> int:
+        """How many members of a first plan of these labels are tried to be left out."""
+        return self.attempts if len(labels) >= self.many else 0
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ def prove_by_answer_sets(work: SolveRun) -> bool:
     weights = LexicographicWeights.with_changes(work.problem, network)
     if weights is None or not _is_fit(weights, tuning.values) or not is_there("clingo"):
         return False
-    first = first_plan(network, weights.weight, clock.tuning.begin.attempts, clock)
+    first = first_plan(network, weights.weight, clock.tuning.begin.attempts_among(network.labels), clock)
     if first is None:
         return False
     plan = numbers(first)

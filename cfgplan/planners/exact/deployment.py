@@ -182,7 +182,7 @@ class _Deployment:
                 model.cp.clear_hints()  # type: ignore[no-untyped-call]
             for index, value in enumerate(known):
                 model.cp.add_hint(model.cp.get_int_var_from_proto_index(index), value)
-            return _solver(clock)
+            return _solver(model, clock)
 
         def look_at(solution: CpSolverSolutionCallback) -> bool:
             return not is_placed or self._offer(model, solution.response_proto.solution)
@@ -235,7 +235,7 @@ class _Deployment:
             label = model.candidates.all[n].transformation.label
             is_free = has_more_company and label in self.candidates.environment.companions
             model.cp.add(model.number[n] >= units if is_free else model.number[n] == units)
-        solver = _solver(clock)
+        solver = _solver(model, clock)
         solver.parameters.max_deterministic_time = clock.tuning.fleet.place
         status = solve(solver, model.cp, clock)
         if status not in (OPTIMAL, FEASIBLE):
@@ -279,7 +279,7 @@ class _Deployment:
                 first = next(self._steps(model))
                 model.cp.add(first.what <= first.value(self.state.best.key))
                 model.cp.maximize(model.uses[kind.first])
-                solver = _solver(self.state.clock)
+                solver = _solver(model, self.state.clock)
                 if solve(solver, model.cp, self.state.clock) == OPTIMAL:
                     most = solver.value(model.uses[kind.first])
             found += kind.apart()[:most]
@@ -310,7 +310,8 @@ def _of_order(place: int, key: Key) -> int:
     return key.first[place]
 
 
-def _solver(clock: Clock) -> CpSolver:
-    solver = repeatable_solver(small=False, time_limit_s=clock.left_s())
+def _solver(model: Model, clock: Clock) -> CpSolver:
+    is_small = len(model.cp.proto.variables) < clock.tuning.fleet.small
+    solver = repeatable_solver(small=is_small, time_limit_s=clock.left_s())
     solver.parameters.cut_level = 1
     return solver

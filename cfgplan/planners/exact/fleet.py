@@ -38,8 +38,8 @@ def plan_fleet(candidates: Candidates, state: SolveState, last: Collection[str])
     first = FirstPlans(candidates, state)
     known = candidates.kinds.keys() & set(last)
     is_known = bool(known) and first.offer(first.units_of(known))
-    attempts = 0 if problem.survive is not None or is_known else clock.tuning.begin.attempts
-    first.look(attempts)  # each attempt needs spares where failures are to be survived
+    is_too_dear = problem.survive is not None  # each attempt needs spares
+    first.look(0 if is_too_dear or is_known else clock.tuning.begin.attempts_among(candidates.network.labels))
     clock.end("first plans")
     if state.best is not None and state.best.key == (state.min_unused, (), least_us, rewired, started):
         state.prove_cost()
@@ -160,9 +160,10 @@ def look_among_few(candidates: Candidates, state: SolveState, first: FirstPlans)
     def among(size: int) -> Candidates:
         return candidates.among(_best(state).union(order[:size]))
 
+    attempts = tuning.begin.attempts_among(candidates.network.labels)
     if sizes:
-        FirstPlans(among(sizes[0]), state).look(tuning.begin.attempts)
-    first.look(tuning.begin.attempts)
+        FirstPlans(among(sizes[0]), state).look(attempts)
+    first.look(attempts)
     for size in state.clock.each(sizes, 1):
         Search(among(size), state, is_all=False).run(tuning.fleet.look)
 

@@ -56,7 +56,7 @@ def _few(work: SolveRun, required: frozenset[str], avoided: set[int]) -> list[st
     avoided.update(label for way in ways for label in way)
     wanted = required.union(network.labels[i] for way in ways for i in way)
     wider = work.structure.network_with(work.problem, wanted, clock)
-    plan = first_plan(wider, costs(work.problem, wider)[1], clock.tuning.begin.attempts, clock)
+    plan = first_plan(wider, costs(work.problem, wider)[1], clock.tuning.begin.attempts_among(wider.labels), clock)
     return None if plan is None else [wider.labels[i] for i in sorted(plan)]
 
 

@@ -109,7 +109,7 @@ def raise_bound(work: SolveRun) -> bool:
     if plan is not None and state.best is None:
         work.offer(plan)
     if is_new and plan is not None:
-        plan = with_less(network, weights.weight, plan, clock.tuning.begin.attempts, clock)
+        plan = with_less(network, weights.weight, plan, clock.tuning.begin.attempts_among(network.labels), clock)
     labels, part = None if plan is None else numbers(plan), None
     if labels is not None and memory.warm_start is not None and not weights.counts_starts:
         part = memory.warm_start.remaining(weights.weight, weights.step, labels, clock)
