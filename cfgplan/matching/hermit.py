@@ -29,7 +29,7 @@ _EXCEPTION: Final = re.compile(
 _TAXONOMY_LINE: Final = re.compile(r"^\s*(SubClassOf|EquivalentClasses)\((.*)\)\s*$", re.MULTILINE)
 _TAXONOMY_IRI: Final = re.compile(r"<([^<>]*)>")
 _ANSWER: Final = re.compile(r"^(\S+) is (not )?satisfiable\.$", re.M)
-_SAID, _ERRORS = "said.txt", "errors.txt"
+_OUTPUT, _ERRORS = "said.txt", "errors.txt"
 """The files with the output of HermiT."""
 _UNREADABLE: Final = "It all went pear-shaped"
 _LOOK_S: Final = 0.05
@@ -78,7 +78,7 @@ def satisfiable(
     with tempfile.TemporaryDirectory(prefix="cfgplan-hermit-") as folder:
         ends = partial(_ends, time_limit_s=time_limit_s, patience_s=patience_s)
         _run(folder, [document], questions, ends, time_limit_s)
-        return {name: not denied for name, denied in _answers(Path(folder, _SAID))}
+        return {name: not denied for name, denied in _answers(Path(folder, _OUTPUT))}
 
 
 def satisfiable_in_each(
@@ -102,7 +102,7 @@ def satisfiable_in_each(
             if not errors.exists() or _UNREADABLE in errors.read_text(errors="replace"):
                 raise
             error = refused
-        return [not denied for _, denied in _answers(Path(folder, _SAID))], error
+        return [not denied for _, denied in _answers(Path(folder, _OUTPUT))], error
 
 
 def _answers(said: Path) -> Sequence[tuple[str, str]]:
@@ -120,7 +120,7 @@ def _run(
     """Run HermiT on documents, with its output in a file. Returns whether it ended before `ends` gave up on it."""
     import subprocess
 
-    said, errors = Path(folder, _SAID), Path(folder, _ERRORS)
+    said, errors = Path(folder, _OUTPUT), Path(folder, _ERRORS)
     questions = [Path(folder, f"ontology{number}.ofn") for number in range(len(documents))]
     for question, document in zip(questions, documents, strict=True):
         question.write_text(document, encoding="ascii")
