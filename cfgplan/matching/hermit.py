@@ -86,8 +86,8 @@ def satisfiable_in_each(
 ) -> tuple[list[bool], ReasonerError | None]:
     """Return whether a class can have a member by each of several documents, which one Java reads one after another.
 
-    It ends with the first document that denies it, and at the first that HermiT refuses: the error is about the one
-    after the last answer. Documents are in functional syntax (ASCII). Raises ReasonerError if HermiT can't be started,
+    It ends soon after a document denies it, and at the first that HermiT refuses: the error is about the one after the
+    last answer. Documents are in functional syntax (ASCII). Raises ReasonerError if HermiT can't be started,
     or can't read one of them.
     """
     import tempfile

@@ -44,8 +44,8 @@ class Reference(Protocol):
     def satisfiable_in_each(
         self, documents: Sequence[str], name: str, *, time_limit_s: float | None = None
     ) -> tuple[list[bool], ReasonerError | None]:
-        """Whether a class can have members by each document, up to the first that denies it, or is refused with the
-        error.
+        """Whether a class can have members by each document, at least up to the first that denies it, or up to the
+        first that is refused, and with which error.
         """
         ...
 
