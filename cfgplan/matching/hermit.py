@@ -98,10 +98,12 @@ def satisfiable_in_each(
         try:
             _run(folder, documents, [f"--consistency={name}"], ends, time_limit_s)
         except ReasonerError as refused:
-            # After a document that it can't read, HermiT goes on with the next.
-            if not errors.exists() or _UNREADABLE in errors.read_text(errors="replace"):
+            if not errors.exists():
                 raise
             error = refused
+        # After a document that it can't read, HermiT goes on with the next.
+        if _UNREADABLE in (told := errors.read_text(errors="replace")):
+            raise _error_of(told, 0)
         return [not denied for _, denied in _answers(Path(folder, _OUTPUT))], error
 
 

@@ -118,7 +118,7 @@ def explanations(seed: int, most: int, *, outside: float = 0.2) -> Iterator[Clai
 @pytest.mark.parametrize("seed", range(6))
 def test_a_derivation_names_all_axioms_that_it_takes_and_no_other(seed: int) -> None:
     claims = [claim for number in range(3) for claim in explanations(100 * seed + number, 10)]
-    assert sum(len(claim.axioms) > 1 for claim in claims) > 5
+    assert sum(len(claim.axioms) > 1 for claim in claims) > 2
     check(claims)
 
 
