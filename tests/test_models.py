@@ -20,7 +20,7 @@ MODELS = Path(__file__).parent.parent / "models"
 CASES = [
     pytest.param(path, number, id=f"{path.parent.name}/{path.name.removesuffix('.expected.yaml')}[{number}]")
     for path in sorted(MODELS.rglob("*.expected.yaml"))
-    for number in range(len(yaml.safe_load(path.read_text())))
+    for number in range(len(yaml.load(path.read_text(), yaml.CSafeLoader)))
 ]
 
 

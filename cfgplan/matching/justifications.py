@@ -3,62 +3,62 @@
 from __future__ import annotations
 
 import re
-import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from typing import Final
 
 from cfgplan.matching.concepts import TOP, Concept, conjunction, in_functional_syntax, negation
 from cfgplan.matching.derivations import fewest
 from cfgplan.matching.faults import InconsistentOntologyError, ReasonerError
 from cfgplan.matching.ontology import Ontology
-from cfgplan.matching.reference import Reference, satisfiable
+from cfgplan.matching.reference import Reference, first_answered
+from cfgplan.matching.verdicts import countdown
 
 EXPLANATION_PATIENCE_S: Final = 20.0
-"""Seconds for leaving out axioms to see whether they are needed; each try is a call of the reasoner."""
+"""Seconds for leaving out axioms to see whether they are needed."""
 
+_FEW: Final = 8
+"""So few axioms are left out one by one at once: a search among the nearest first would be one more call."""
 _IRI_IN_BRACKETS: Final = re.compile(r"<[^<>\s]+>")
 
 
 def justification(offered: Concept, demanded: Concept, ontology: Ontology, reference: Reference) -> tuple[str, ...]:
     """Axioms from which offered ⊑ demanded follows, as few as are found in PATIENCE_S; all if none can be left out."""
-    deadline = time.monotonic() + EXPLANATION_PATIENCE_S
-    axioms = [axiom for axiom in sorted(ontology.axioms) if not axiom.startswith("Declaration(")]
-
+    axioms = _but_declarations(ontology)
     question = conjunction((offered, negation(demanded)))
-
-    def follows(some: Sequence[str]) -> bool:
-        left_s = deadline - time.monotonic()
-        if left_s <= 0:
-            return False
-        try:
-            return satisfiable(reference, Ontology(some), [question], left_s).get(question) is False
-        except ReasonerError:
-            return False
-
-    for connected in _nearest_first(axioms, in_functional_syntax(offered) + in_functional_syntax(demanded)):
-        if follows(connected):
-            axioms = connected
-            break
-    return tuple(fewest(axioms, follows))
+    first = _first(question, reference, lambda answer: answer is False)
+    if len(axioms) > _FEW:
+        nearest = _nearest_first(axioms, in_functional_syntax(offered) + in_functional_syntax(demanded))
+        place = first(nearest)
+        axioms = axioms if place is None else nearest[place]
+    return tuple(fewest(axioms, first))
 
 
 def clash(ontology: Ontology, reference: Reference) -> tuple[str, ...]:
     """Axioms that contradict each other, as few as are found in PATIENCE_S; () if the reference finds none in it."""
-    deadline = time.monotonic() + EXPLANATION_PATIENCE_S
+    axioms = _but_declarations(ontology)
+    first = _first(TOP, reference, lambda answer: isinstance(answer, InconsistentOntologyError))
+    return () if first([axioms]) is None else tuple(fewest(axioms, first))
 
-    def contradicts(some: Sequence[str]) -> bool:
-        left_s = deadline - time.monotonic()
-        try:
-            if left_s > 0:
-                satisfiable(reference, Ontology(some), [TOP], left_s)
-        except InconsistentOntologyError:
-            return True
-        except ReasonerError:
-            return False
-        return False
 
-    axioms = [axiom for axiom in sorted(ontology.axioms) if not axiom.startswith("Declaration(")]
-    return tuple(fewest(axioms, contradicts)) if contradicts(axioms) else ()
+def _but_declarations(ontology: Ontology) -> list[str]:
+    return [axiom for axiom in sorted(ontology.axioms) if not axiom.startswith("Declaration(")]
+
+
+def _first(
+    question: Concept, reference: Reference, is_sought: Callable[[bool | ReasonerError], bool]
+) -> Callable[[Iterable[Sequence[str]]], int | None]:
+    """Return a function that finds the first part of axioms by which the answer to a question is sought, in the time
+    that is left of the patience; None if there is none, or the reasoner can't be asked.
+    """
+    left_s = countdown(EXPLANATION_PATIENCE_S)
+
+    def first(parts: Iterable[Sequence[str]]) -> int | None:
+        with suppress(ReasonerError):
+            return first_answered(reference, map(Ontology, parts), question, left_s, is_sought)
+        return None
+
+    return first
 
 
 def _nearest_first(axioms: Sequence[str], tags: str) -> list[list[str]]:

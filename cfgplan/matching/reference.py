@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from itertools import islice
 from types import MappingProxyType
 from typing import Final, Protocol
 
 from cfgplan.errors import UnknownNameError, did_you_mean
 from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI, Concept, in_functional_syntax
+from cfgplan.matching.faults import ReasonerError
 from cfgplan.matching.functional import Signature
 from cfgplan.matching.ontology import Ontology
 from cfgplan.onward import reached
@@ -37,6 +39,14 @@ class Reference(Protocol):
         patience_s: float | None = None,
     ) -> dict[str, bool]:
         """Whether each class can have members, until an answer takes longer than the patience. Raises ReasonerError."""
+        ...
+
+    def satisfiable_in_each(
+        self, documents: Sequence[str], name: str, *, time_limit_s: float | None = None
+    ) -> tuple[list[bool], ReasonerError | None]:
+        """Whether a class can have members by each document, at least up to the first that denies it, or up to the
+        first that is refused, and with which error.
+        """
         ...
 
 
@@ -65,6 +75,8 @@ def reference_named(reasoner: str) -> tuple[str, Reference | None]:
     return "hermit", hermit
 
 
+FIRST_DOCUMENTS, MOST_DOCUMENTS = 8, 128
+"""The numbers of ontologies of the first call and of the largest; to start a Java takes as long as some 20 of them."""
 _NON_ASCII: Final = re.compile(r"[^\x00-\x7f]")
 
 
@@ -110,6 +122,37 @@ def satisfiable(
     names = [*map(_tag_iri, number.values())]
     told = reference.satisfiable(document, names, time_limit_s=time_limit_s, patience_s=patience_s)
     return {concept: told[name] for concept, index in number.items() if (name := _tag_iri(index)) in told}
+
+
+def first_answered(
+    reference: Reference,
+    ontologies: Iterable[Ontology],
+    concept: Concept,
+    left_s: Callable[[], float | None],
+    is_sought: Callable[[bool | ReasonerError], bool],
+) -> int | None:
+    """Return the place of the first ontology by which the answer whether a concept is satisfiable, or the error, is
+    sought; None if there is none, or time is over first.
+
+    Several ontologies are asked about in one call, ever more while none is found. Raises ReasonerError if the reasoner
+    can't be started.
+    """
+    documents = (_document(ontology, {concept: 0}, [concept], ()) for ontology in ontologies)
+    waiting: list[str] = []
+    size, place = FIRST_DOCUMENTS, 0
+    while True:
+        waiting += islice(documents, size - len(waiting))
+        time_limit_s = left_s()
+        if not waiting or (time_limit_s is not None and time_limit_s <= 0):
+            return None
+        answers, error = reference.satisfiable_in_each(waiting, _tag_iri(0), time_limit_s=time_limit_s)
+        told: list[bool | ReasonerError] = [*answers, *([] if error is None else [error])]
+        for answer in told:
+            if is_sought(answer):
+                return place
+            place += 1
+        del waiting[: len(told)]
+        size = min(4 * size, MOST_DOCUMENTS)
 
 
 def _document(

@@ -29,7 +29,7 @@ class Command(NamedTuple):
     mended: str
 
 
-TABLE = yaml.safe_load(Path(__file__).with_name("mistakes.yaml").read_text())
+TABLE = yaml.load(Path(__file__).with_name("mistakes.yaml").read_text(), yaml.CSafeLoader)
 WORLD, BESIDE = TABLE["world"], TABLE["beside"]
 ROWS = [Row(**row) for rows in TABLE["slips"].values() for row in rows]
 COMMANDS = [Command(**row) for row in TABLE["commands"]]

@@ -20,7 +20,7 @@ from cfgplan.planning import REFUSED, Feature, Problem
 from cfgplan.reasons import pinned_reasons
 
 sys.path.append(str(Path(__file__).parents[1] / "planners"))
-from fleets import TOGETHER, fleets
+from fleets import KNOWN_TO_BOUNDS, fleets
 from worlds import fusions, problems
 
 EMPTY = re.compile(
@@ -30,7 +30,7 @@ EMPTY = re.compile(
 ASKED = st.one_of(
     problems(),
     fusions(),
-    fleets(TOGETHER, most=2),
+    fleets(KNOWN_TO_BOUNDS, most=2),
     fleets(frozenset({Feature.HOSTS, Feature.INSTANCES, Feature.CONFLICTS})),
     fleets(frozenset({Feature.OPTIONAL, Feature.COUNTS, Feature.LIMITS})),
     fleets(frozenset({Feature.BESIDE, Feature.HOSTS}), most=2),

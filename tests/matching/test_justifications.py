@@ -14,7 +14,7 @@ from cfgplan.matching import MatchExplanation, Ontology, explain_match, hermit, 
 from cfgplan.matching.concepts import BOTTOM, Concept, conjunction, in_functional_syntax, negation
 from cfgplan.matching.expressions import concept_of
 from cfgplan.matching.functional import parse
-from cfgplan.matching.reference import satisfiable
+from cfgplan.matching.reference import first_answered, satisfiable
 from cfgplan.matching.syntax import parse_tag
 
 
@@ -52,10 +52,11 @@ def check(claims: list[Claim]) -> None:
 
 
 def check_alone(claim: Claim) -> None:
-    """Check a claim in a call for each of its axioms."""
-    for without in (None, *claim.axioms):
-        left = Ontology([axiom for axiom in claim.axioms if axiom != without])
-        assert satisfiable(hermit, left, [claim.concept], None) == {claim.concept: without is not None}
+    """Check a claim by ontologies of its own: those that lack an axiom, and the whole, which alone denies it."""
+    parts = [[axiom for axiom in claim.axioms if axiom != without] for without in claim.axioms]
+    ontologies = map(Ontology, (*parts, claim.axioms))
+    denied = first_answered(hermit, ontologies, claim.concept, lambda: None, lambda answer: answer is not True)
+    assert denied == len(claim.axioms)
 
 
 def with_literals_and_inverses(ontology: Ontology, seed: int) -> Ontology:
@@ -114,10 +115,10 @@ def explanations(seed: int, most: int, *, outside: float = 0.2) -> Iterator[Clai
         yield claim_of(explain_match(offer, demand, ontology), ontology)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(6))
 def test_a_derivation_names_all_axioms_that_it_takes_and_no_other(seed: int) -> None:
-    claims = [claim for number in range(6) for claim in explanations(100 * seed + number, 10)]
-    assert sum(len(claim.axioms) > 1 for claim in claims) > 10
+    claims = [claim for number in range(3) for claim in explanations(100 * seed + number, 10)]
+    assert sum(len(claim.axioms) > 1 for claim in claims) > 2
     check(claims)
 
 

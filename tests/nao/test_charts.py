@@ -6,7 +6,6 @@ import re
 
 import pytest
 from cfgplan_runtime.lifecycle.reports import Decision, Review
-from nao_demo.charts import failure_chart
 from nao_demo.listening import Sample
 from nao_demo.played import FRAME_NS, Played
 from nao_demo.story import SECTION_V
@@ -23,6 +22,8 @@ def sample(frame: int, came_ms: int = 0) -> Sample:
 
 
 def chart(repaired_s: float) -> str:
+    from nao_demo.charts import failure_chart  # matplotlib
+
     frames = [*range(-10, 0), *range(6, 40)]
     samples = [sample(frame) for frame in frames]
     review = Review(2, 0.0, BEGAN_NS / 1e9 + 0.05, (), Decision.APPLIED, 60, 0, seconds={"apply": repaired_s})

@@ -21,7 +21,7 @@ MODELS = Path(__file__).parents[2] / "models"
 WORLDS = sorted(
     path
     for path in MODELS.rglob("*.yaml")
-    if ".expected" not in path.name and {"format", "targets"} <= yaml.safe_load(path.read_text()).keys()
+    if ".expected" not in path.name and {"format", "targets"} <= yaml.load(path.read_text(), yaml.CSafeLoader).keys()
 )
 PATIENT = Policy(time_limit_s=None)
 UNITS = """\

@@ -22,8 +22,10 @@ from cfgplan.domain import (
     Target,
     Transformation,
 )
+from cfgplan.facts import Fact
 from cfgplan.planning import Failures, Feature, Problem
 from cfgplan.qualities import Better, Contribution, Over, QualityAttribute, QualityRule, Wish
+from cfgplan.transformations import RunOptions
 
 MICRO = 1_000_000
 HOSTS = (
@@ -33,7 +35,9 @@ HOSTS = (
 )
 SELECTORS = st.sampled_from([None, None, None, None, "a", "not a", "a and not b", "b or h2", "not (a or b)"])
 SPEEDS = st.sampled_from([MICRO, MICRO, MICRO // 2, 700_000, 3 * MICRO])
-TOGETHER = frozenset(Feature) - {Feature.OPTIONAL, Feature.COUNTS, Feature.LIMITS}
+TOGETHER = frozenset(Feature)
+"""All that a fleet may ask for at once."""
+KNOWN_TO_BOUNDS = TOGETHER - {Feature.OPTIONAL, Feature.COUNTS, Feature.LIMITS}
 """What first plans and bounds know."""
 LINKS = st.builds(
     Link,
@@ -143,6 +147,7 @@ def transformations(
         changes["seen_us"] = draw(st.sampled_from([{}, {}, {names[0]: (1, 2)}, {names[-1]: (3, 0)}]))
         needs = [{}, {}, {}, {"gpu": 0}, {"gpu": 1}, {"gpu": 2}, {"power": 1}, {"power": 2}]
         changes["needs"] = draw(st.sampled_from(needs))
+        changes["run"] = RunOptions(memory_mb=draw(st.sampled_from([None, None, 0, 2])))
     if Feature.CONFLICTS in features:
         changes["conflicts"] = tuple(draw(st.sets(st.sampled_from(labels), max_size=1)) - {plain.label})
         changes["conflicts_on_host"] = tuple(draw(st.sets(st.sampled_from(labels), max_size=1)) - {plain.label})
@@ -161,8 +166,8 @@ def transformations(
 
 @st.composite
 def inputs(draw: st.DrawFn, plain: InputPort, features: frozenset[Feature]) -> InputPort:
-    """An input that may be optional, worth something, and take several streams."""
-    changes: dict[str, object] = {}
+    """An input that may be a service's, optional, worth something, and take several streams."""
+    changes: dict[str, object] = {"service": plain.feedback and draw(st.booleans())}
     if Feature.OPTIONAL in features and draw(st.booleans()):
         changes |= {"optional": True, "worth_us": draw(st.sampled_from([0, 0, 1, 3, 8]))}
     if Feature.COUNTS in features:
@@ -278,6 +283,24 @@ def with_words_that_do_nothing(draw: st.DrawFn, plain: st.SearchStrategy[Problem
     label = draw(st.sampled_from(["a", "zz"]))
     idle = replace(Transformation(label, (InputPort("z", "Z"),), (OutputPort("x", "A"),), 0, 0), **more)  # type: ignore[arg-type]
     return replace(problem, environment=replace(environment, library=(*environment.library, idle)))
+
+
+@st.composite
+def with_facts(draw: st.DrawFn, plain: st.SearchStrategy[Problem]) -> Problem:
+    """A problem whose transformations may require facts of the world, or of hosts if it has some."""
+    problem = draw(plain)
+    environment = problem.environment
+    numbers = st.integers(0, 2).map(lambda value: value * MICRO)
+    facts = [Fact("night", draw(st.booleans())), Fact("v", draw(numbers))]
+    requirements = [None, None, None, "night", "not night", "v >= 1", "v < 2 or night"]
+    if environment.hosts:
+        low = draw(st.sets(st.sampled_from([host.name for host in environment.hosts]), max_size=2))
+        charges = {host: draw(numbers) for host in sorted(low)}
+        facts.append(Fact("charge", 2 * MICRO, of="host", hosts=charges))
+        requirements += ["charge >= 1", "charge == 2 and not night", "charge > 0 or v == 2"]
+    library = [replace(t, requires=draw(st.sampled_from(requirements))) for t in environment.library]
+    environment = replace(environment, library=tuple(library), facts=tuple(facts))
+    return replace(problem, environment=environment.possible)
 
 
 def reordered(problem: Problem, draw: st.DrawFn) -> Problem:

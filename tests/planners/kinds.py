@@ -10,7 +10,16 @@ from typing import Any
 
 import plain_model
 import undecided
-from fleets import TOGETHER, clashing_pins, fleets, nearly_plain, on_flat_scales, with_words_that_do_nothing
+from fleets import (
+    KNOWN_TO_BOUNDS,
+    TOGETHER,
+    clashing_pins,
+    fleets,
+    nearly_plain,
+    on_flat_scales,
+    with_facts,
+    with_words_that_do_nothing,
+)
 from hypothesis import strategies as st
 from worlds import costs_far_apart, fusions, histories, oracle_of, problems, required_within_a_cost
 
@@ -224,12 +233,15 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         ),
         "everything": Kind(
             st.one_of(
-                fleets(TOGETHER, most=2),
-                fleets(frozenset(Feature) - SURVIVAL, most=2),
-                fleets(frozenset(Feature) - SURVIVAL - QUALITY, most=2),
-                fleets(frozenset(Feature), most=2).filter(lambda problem: sets_of_units(problem) < 2000),
+                fleets(KNOWN_TO_BOUNDS, most=2),
+                fleets(TOGETHER - SURVIVAL, most=2),
+                fleets(TOGETHER - SURVIVAL - QUALITY, most=2),
+                with_facts(fleets(TOGETHER, most=2)).filter(lambda problem: sets_of_units(problem) < 2000),
             ),
             of_one,
+        ),
+        "facts": Kind(
+            with_facts(st.one_of(problems(most=4), fleets(HOSTS), fleets(HOSTS | NUMBERS), fleets(QUALITY))), of_one
         ),
         "larger": Kind(LARGER, of_the_plain_model),
         "far apart": Kind(

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 from unittest.mock import patch
 
@@ -74,11 +76,17 @@ def flat(width: int) -> Problem:
 
 
 @pytest.mark.parametrize(
-    ("problem", "changes"), [(chain(5_000), (5_000, 0)), (chain(5_000, dead=2_500), (1, 1)), (flat(5_000), (5_000, 0))]
+    ("made", "changes"),
+    [
+        (partial(chain, 5_000), (5_000, 0)),
+        (partial(chain, 5_000, dead=2_500), (1, 1)),
+        (partial(flat, 5_000), (5_000, 0)),
+    ],
 )
 def test_five_thousand_units_are_planned_with_one_look_at_each_event(
-    problem: Problem, changes: tuple[int, int]
+    made: Callable[[], Problem], changes: tuple[int, int]
 ) -> None:
+    problem = made()
     looks = 0
     choices = Grounded.choices
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import pytest
 from alone import plan_alone, plan_apart, plan_as_fleet
-from fleets import TOGETHER, fleets, reordered
+from fleets import KNOWN_TO_BOUNDS, fleets, reordered
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from worlds import examples, oracle_of, problems
@@ -119,7 +119,11 @@ def test_survival_of_hosts_equals_the_oracle(problem: Problem) -> None:
 
 
 @some
-@given(st.frozensets(st.sampled_from(sorted(TOGETHER)), min_size=2).flatmap(lambda features: fleets(features, most=2)))
+@given(
+    st.frozensets(st.sampled_from(sorted(KNOWN_TO_BOUNDS)), min_size=2).flatmap(
+        lambda features: fleets(features, most=2)
+    )
+)
 def test_all_features_together_equal_the_oracle(problem: Problem) -> None:
     agree(problem)
 
@@ -132,7 +136,7 @@ def test_the_oracle_and_the_planner_for_fleets_agree_on_what_the_paper_asks(prob
 
 
 @examples(30, part=2)
-@given(fleets(TOGETHER, most=3), st.data())
+@given(fleets(KNOWN_TO_BOUNDS, most=3), st.data())
 def test_the_plan_for_a_fleet_does_not_depend_on_the_run_or_the_order_of_lists(
     problem: Problem, data: st.DataObject
 ) -> None:
@@ -142,7 +146,7 @@ def test_the_plan_for_a_fleet_does_not_depend_on_the_run_or_the_order_of_lists(
 
 
 @examples(30, part=2)
-@given(fleets(TOGETHER, most=3))
+@given(fleets(KNOWN_TO_BOUNDS, most=3))
 def test_the_plan_for_a_fleet_leaves_nothing_to_do(problem: Problem) -> None:
     plan = PLANNERS["cpsat"](problem)
     assume(plan.change_set is not None)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from math import inf
 
-from fleets import TOGETHER, fleets
+from fleets import KNOWN_TO_BOUNDS, fleets
 from hypothesis import given
 from hypothesis import strategies as st
 from worlds import examples, problems
@@ -17,7 +17,7 @@ from cfgplan.planners import PLANNERS
 from cfgplan.planning import Problem, Status
 
 PROVEN = (Status.OPTIMAL, Status.INFEASIBLE, Status.TOO_EXPENSIVE)
-ANY = st.one_of(problems(most=5), fleets(TOGETHER, most=4))
+ANY = st.one_of(problems(most=5), fleets(KNOWN_TO_BOUNDS, most=4))
 
 
 def cost_us(problem: Problem) -> float:

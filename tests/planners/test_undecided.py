@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from fleets import TOGETHER, fleets
+from fleets import KNOWN_TO_BOUNDS, fleets
 from hypothesis import given
 from kinds import of_open_pairs
 from undecided import Truthful, differences, undecided
@@ -48,7 +48,7 @@ def test_what_is_asked_ends_in_the_truth_and_what_is_not_claims_nothing(case: tu
 
 
 @examples(50, part=5)
-@given(undecided(fleets(TOGETHER, most=2)))
+@given(undecided(fleets(KNOWN_TO_BOUNDS, most=2)))
 def test_so_it_is_with_hosts_quality_instances_and_spares(case: tuple[Problem, Similarity]) -> None:
     assert of_open_pairs(case) == []
 

@@ -86,12 +86,11 @@ def robot(tmp_path: Path) -> Path:
     return tmp_path / "robot.launch"
 
 
-def _has_roslaunch() -> bool:
+@pytest.fixture(scope="session")
+def ros() -> None:
     command = [PYTHON, "-c", "import roslaunch"]
-    return Path(PYTHON).exists() and not subprocess.run(command, env={}, capture_output=True, check=False).returncode
-
-
-ros = pytest.mark.skipif(not _has_roslaunch(), reason="ROS 1 (roslaunch) is not installed on this computer")
+    if not Path(PYTHON).exists() or subprocess.run(command, env={}, capture_output=True, check=False).returncode:
+        pytest.skip("ROS 1 (roslaunch) is not installed on this computer")
 
 
 Roslaunch = Callable[[Path, Mapping[str, str]], dict[str, tuple[object, ...]]]
@@ -156,7 +155,7 @@ def ours(file: Path, arguments: Mapping[str, str]) -> dict[str, tuple[object, ..
     return found
 
 
-@ros
+@pytest.mark.usefixtures("ros")
 @pytest.mark.parametrize("arguments", [{}, {"sim": "true"}, {"robot": "husky", "sim": "1"}])
 def test_what_is_started_is_what_roslaunch_starts(
     robot: Path, arguments: dict[str, str], of_roslaunch: Roslaunch
@@ -194,7 +193,7 @@ def elements(draw: st.DrawFn, depth: int = 3) -> str:
     return "".join(found)
 
 
-@ros
+@pytest.mark.usefixtures("ros")
 @settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(elements())
 def test_namespaces_remappings_and_parameters_are_those_of_roslaunch(

@@ -21,16 +21,12 @@ PYTHON = "/usr/bin/python3"
 LONGEST_WAIT_S = 60.0
 
 
-def _has_ros() -> bool:
-    if shutil.which("rosmaster", path=os.defpath) is None:
-        return False
-    return (
-        subprocess.run([PYTHON, "-c", "import rospy, roscpp.srv"], env={}, capture_output=True, check=False).returncode
-        == 0
-    )
-
-
-live = pytest.mark.skipif(not _has_ros(), reason="ROS 1 (rosmaster, rospy) is not installed on this computer")
+@pytest.fixture(scope="session")
+def ros() -> None:
+    command = [PYTHON, "-c", "import rospy, roscpp.srv"]
+    is_found = shutil.which("rosmaster", path=os.defpath) is not None
+    if not is_found or subprocess.run(command, env={}, capture_output=True, check=False).returncode:
+        pytest.skip("ROS 1 (rosmaster, rospy) is not installed on this computer")
 
 
 class Master:
@@ -84,7 +80,7 @@ def _graph(address: str, is_whole: Callable[[RosGraph], bool]) -> RosGraph:
         time.sleep(0.1)
 
 
-@live
+@pytest.mark.usefixtures("ros")
 def test_a_node_of_a_package_runs_and_says_how_it_was_started(master: Master, tmp_path: Path) -> None:
     package = tmp_path / "my_robot"
     package.mkdir()
@@ -96,7 +92,7 @@ def test_a_node_of_a_package_runs_and_says_how_it_was_started(master: Master, tm
     assert (node.remappings, node.runs) == ((("/robot/scan", "/base_scan"),), True)
 
 
-@live
+@pytest.mark.usefixtures("ros")
 def test_a_live_graph_has_its_nodes_with_types_and_services(master: Master) -> None:
     address = master.address
     lidar = master.start(PYTHON, str(NODES), "lidar", "scan:=/base_scan", "__ns:=robot")

@@ -25,14 +25,11 @@ def _lacks_ros() -> str:
     return f"rospy can't be used here: {found.stderr.strip().rpartition(chr(10))[2]}" if found.returncode else ""
 
 
-LACKS_ROS = _lacks_ros()
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    here = Path(__file__).parent
-    for item in items:
-        if LACKS_ROS and here in item.path.parents:
-            item.add_marker(pytest.mark.skip(reason=LACKS_ROS))
+@pytest.fixture(scope="session", autouse=True)
+def ros() -> None:
+    """Skip the tests of this room where nodes can't be run; asked once, by the first of them."""
+    if reason := _lacks_ros():
+        pytest.skip(reason)
 
 
 @pytest.fixture(autouse=True)

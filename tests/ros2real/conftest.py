@@ -13,9 +13,8 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING
 
 import pytest
 from ros2_venv import PYTHON, VENV, lacks_ros
@@ -29,23 +28,20 @@ sys.path.append(str(Path(__file__).parents[2] / "models" / "nao"))
 _DOMAINS = range(20, 100)
 
 
-LACKS_ROS = lacks_ros()
-
-
-def _own_domain() -> int:
-    """A domain that no other process of tests on this computer uses as long as this one runs."""
+@pytest.fixture(scope="session", autouse=True)
+def domain() -> Iterator[int]:
+    """A domain that no other process of tests on this computer uses meanwhile; skips where nodes can't be run."""
+    if reason := lacks_ros():
+        pytest.skip(reason)
     for domain in _DOMAINS:
-        lock = (Path(tempfile.gettempdir()) / f"cfgplan-test-domain-{domain}").open("w")
-        with suppress(BlockingIOError):
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            _held.append(lock)
-            return domain
-        lock.close()
+        with (Path(tempfile.gettempdir()) / f"cfgplan-test-domain-{domain}").open("w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                continue
+            yield domain
+            return
     raise RuntimeError("every domain is in use")
-
-
-_held: list[TextIO] = []
-_DOMAIN = 0 if LACKS_ROS else _own_domain()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -54,15 +50,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if here in item.path.parents:
             item.add_marker(pytest.mark.xdist_group("ros2real"))
-            if LACKS_ROS:
-                item.add_marker(pytest.mark.skip(reason=LACKS_ROS))
 
 
 @pytest.fixture(autouse=True)
-def surroundings(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+def surroundings(domain: int, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in [name for name in os.environ if name.startswith(("ROS_", "FASTRTPS_", "FASTDDS_"))]:
         monkeypatch.delenv(name)
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(_DOMAIN))
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path_factory.mktemp("log")))
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))
