@@ -37,7 +37,12 @@ from cfgplan_runtime.lifecycle.perturbations import (
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Decision, Ended, Observed, Review, ReviewBegan, Reviewed
 from cfgplan_runtime.lifecycle.state import Doing, Entry, Gathering, Planning, State, Updating
-from cfgplan_runtime.lifecycle.stream_qualities import qualities_faded, qualities_learned, quality_told
+from cfgplan_runtime.lifecycle.stream_qualities import (
+    look_learned,
+    qualities_faded,
+    qualities_learned,
+    quality_told,
+)
 from cfgplan_runtime.lifecycle.transitions import (
     ApplyUpdate,
     Effect,
@@ -217,6 +222,7 @@ def _look_ended(transition: Transition) -> Transition:
         return transition
     if (longer := looks.longer(state.running, state.seen)) is not looks:
         return transition.to(replace(state, looks=longer))
+    state = (transition := look_learned(transition)).state
     every_s = state.policy.look_every_s or 0.0
     over = looks.over(state.version.world.environment, state.situation.qualities, every_s)
     return transition.to(replace(state, looks=over)).perturbed(LookOver(looks.units))

@@ -116,6 +116,10 @@ class Looks:
         """Note that the units of the look run from now on."""
         return replace(self, units=units, since_s=at_s, until_s=at_s + LOOK_S)
 
+    def ending(self, at_s: float) -> Looks:
+        """The look with its end now: it has found something new."""
+        return replace(self, until_s=at_s)
+
     def longer(self, running: Environment, seen: SeenQualities) -> Looks:
         """Continue a look at running units that have given too few elements, for LONGEST_LOOK_S at most."""
         sampled = {
